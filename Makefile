@@ -1,0 +1,36 @@
+# Everything a newcomer needs: `make demo` shows the program at work, `make test` proves it.
+# Both make .venv and install what they need; PYTHON chooses the interpreter (3.11 to 3.13).
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/installed
+
+.PHONY: demo test lint types check clean help
+
+help: ## list the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
+
+$(STAMP): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $(STAMP)
+
+demo: $(STAMP) ## generate a scene of 200,000 splats, simplify it to 10 % and print the report
+	mkdir -p demo
+	$(BIN)/nanogs demo demo/scene.ply -w
+	$(BIN)/nanogs simplify demo/scene.ply demo/small.ply --ratio 0.1 -w
+
+test: $(STAMP) ## run the tests
+	$(BIN)/python -m pytest -n 2
+
+lint: $(STAMP) ## check style and formatting
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+types: $(STAMP) ## check types
+	$(BIN)/mypy
+
+check: lint types test ## everything CI checks
+
+clean: ## remove what these targets made
+	rm -rf $(VENV) demo

@@ -1,0 +1,164 @@
+"""The one model of a 3D Gaussian splatting scene: stored values, and what they mean.
+
+*Stored* values are those of a 3DGS `.ply` (log-scale, logit opacity, quaternion of any length);
+they are what `Splats` holds, so that reading and writing change no bit. *Activated* values (scale,
+alpha, unit quaternion) come from the methods, named after what they return.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from types import MappingProxyType
+
+import numpy as np
+
+from nanogs._types import F32, F64, I64, Array, Bool, F
+from nanogs.errors import ModelError
+
+MAX_SH_DEGREE = 4
+
+
+class RenderMode(StrEnum):
+    """How a model was trained to be rasterised; it must be rendered the same way."""
+
+    DEFAULT = "default"
+    MIP = "mip"  # antialiased: opacity compensated for the screen-space dilation
+    SURFEL = "2dgs"  # flat splats, intersected with rays
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExtraElement:
+    """A PLY element beside `vertex` whose rows are not splats; carried through unread.
+
+    Attributes:
+        name: The element's name in the header.
+        rows: (R,) structured array, native byte order, one field for each property.
+    """
+
+    name: str
+    rows: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Splats:
+    """N splats, one array for each stored quantity.
+
+    Attributes:
+        means: (N, 3) float32, or float64 where the file holds doubles; scene units.
+        log_scales: (N, 3) float32, natural logarithm of the standard deviations in scene units.
+        quats: (N, 4) float32, wxyz, of any length as stored.
+        opacity_logits: (N,) float32; ±inf stands for alpha 1 and 0 and is data.
+        sh: (N, (degree + 1)², 3) float32, spherical-harmonic coefficients, RGB last; `sh[:, 0]` is
+            the base colour's (`f_dc`).
+        extras: Further columns by name, each (N,) of any dtype; never interpreted, never averaged.
+        render_mode: The rasteriser the model was trained for.
+        comments: Comment lines of the file, without the keyword.
+        elements: Further PLY elements, carried through.
+        notes: What a reader had to change or could not carry, one sentence each, for the user.
+
+    Raises:
+        ModelError: The arrays' shapes disagree, or a dtype is not the one stated.
+    """
+
+    means: F
+    log_scales: F32
+    quats: F32
+    opacity_logits: F32
+    sh: F32
+    extras: Mapping[str, Array] = field(default_factory=dict)
+    render_mode: RenderMode = RenderMode.DEFAULT
+    comments: Sequence[str] = ()
+    elements: Sequence[ExtraElement] = ()
+    notes: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Freeze the containers and check shapes and dtypes, which every stage relies on."""
+        object.__setattr__(self, "extras", MappingProxyType(dict(self.extras)))
+        for name in ("comments", "elements", "notes"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        self._check()
+
+    def _check(self) -> None:
+        n = len(self.means)
+        if self.means.shape != (n, 3) or self.means.dtype not in (np.float32, np.float64):
+            given = f"{self.means.shape} {self.means.dtype}"
+            raise ModelError(f"means must be (N, 3) float32 or float64, not {given}.")
+        sh_count = (self.sh_degree + 1) ** 2
+        shapes = {
+            "log_scales": (n, 3),
+            "quats": (n, 4),
+            "opacity_logits": (n,),
+            "sh": (n, sh_count, 3),
+        }
+        for name, shape in shapes.items():
+            array: F32 = getattr(self, name)
+            if array.shape != shape or array.dtype != np.float32:
+                raise ModelError(
+                    f"{name} must be {shape} float32, not {array.shape} {array.dtype}."
+                )
+        for name, column in self.extras.items():
+            if column.shape != (n,):
+                raise ModelError(f"extra column {name!r} must be ({n},), not {column.shape}.")
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Spherical-harmonic degree, 0 to 4, from the number of coefficients.
+
+        Raises:
+            ModelError: The number of coefficients is not that of a degree from 0 to 4.
+        """
+        count = self.sh.shape[1] if self.sh.ndim == 3 else -1
+        for degree in range(MAX_SH_DEGREE + 1):
+            if count == (degree + 1) ** 2:
+                return degree
+        raise ModelError(f"sh must be (N, 1|4|9|16|25, 3), not {self.sh.shape}.")
+
+    def scales(self) -> F32:
+        """(N, 3) float32: standard deviations along the splat's own axes, scene units."""
+        with np.errstate(over="ignore"):
+            return np.exp(self.log_scales)
+
+    def opacities(self) -> F64:
+        """(N,) float64 in [0, 1]: alpha; double precision keeps 1 - alpha for opaque splats."""
+        with np.errstate(over="ignore"):
+            return 1.0 / (1.0 + np.exp(-self.opacity_logits.astype(np.float64)))
+
+    def unit_quats(self) -> F32:
+        """(N, 4) float32, wxyz, unit; a zero quaternion stands for no rotation."""
+        quats = self.quats.astype(np.float64)
+        # Divided by the largest part first: tiny and huge ones must not under- or overflow.
+        largest = np.abs(quats).max(axis=1, keepdims=True)
+        zero = largest[:, 0] == 0
+        largest[zero] = 1
+        quats /= largest
+        quats[zero] = (1, 0, 0, 0)
+        quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+        return quats.astype(np.float32)
+
+    def finite(self) -> Bool:
+        """(N,) bool: rows without NaN, and infinite in nothing but the logit of the opacity.
+
+        A log-scale of -inf is a scale of zero and counts as finite; one whose scale overflows
+        float32 does not.
+        """
+        ok = np.isfinite(self.means).all(axis=1)
+        ok &= np.isfinite(self.scales()).all(axis=1)
+        ok &= np.isfinite(self.quats).all(axis=1)
+        ok &= np.isfinite(self.sh).all(axis=(1, 2))
+        ok &= ~np.isnan(self.opacity_logits)
+        return ok
+
+    def take(self, rows: I64 | Bool) -> "Splats":
+        """The given rows (indices or a mask), every column and tag with them."""
+        return replace(
+            self,
+            means=self.means[rows],
+            log_scales=self.log_scales[rows],
+            quats=self.quats[rows],
+            opacity_logits=self.opacity_logits[rows],
+            sh=self.sh[rows],
+            extras={name: column[rows] for name, column in self.extras.items()},
+        )
