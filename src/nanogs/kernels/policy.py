@@ -12,7 +12,7 @@ import numba
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
-FASTMATH = {"nsz", "arcp", "contract"}
+FASTMATH = {"nsz", "arcp", "contract", "reassoc"}
 
 
 def kernel(function: Kernel) -> Kernel:

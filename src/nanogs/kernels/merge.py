@@ -1,0 +1,52 @@
+"""Mass-preserving moment matching of pairs (arXiv 2603.16103)."""
+
+import math
+
+import numba
+
+from nanogs._types import F32, F64, I32, I64
+from nanogs.kernels.mass import mass_fraction
+from nanogs.kernels.policy import parallel_kernel
+from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
+from nanogs.kernels.symmetric3 import covariance, eigen, mix
+
+
+@parallel_kernel
+def merge_pairs(
+    pairs: I32, rows: I64, log_masses: F64,
+    means: F64, scales: F32, quats: F32, opacities: F64, features: F32,
+    new_means: F64, new_scales: F32, new_quats: F32, new_opacities: F64, new_features: F32,
+) -> None:  # fmt: skip
+    """Write the merge of each pair into its row of the new arrays.
+
+    pairs: (P, 2) disjoint rows of the old arrays; rows: (P,) rows of the new arrays; log_masses:
+    (N,); means, scales: (N, 3); quats: (N, 4) wxyz unit; opacities: (N,); features: (N, C).
+    """
+    for p in numba.prange(len(pairs)):
+        i, j, row = pairs[p, 0], pairs[p, 1], rows[p]
+        wi = mass_fraction(log_masses[i], log_masses[j])
+        wj = 1.0 - wi
+        ri = rotation_matrix(quats[i])
+        rj = rotation_matrix(quats[j])
+        six, siy, siz = row3(scales, i)
+        sjx, sjy, sjz = row3(scales, j)
+        x = means[i, 0] - means[j, 0]
+        y = means[i, 1] - means[j, 1]
+        z = means[i, 2] - means[j, 2]
+        # w_i d_i d_i^T + w_j d_j d_j^T about the common mean is w_i w_j d d^T, d = mu_i - mu_j.
+        merged = mix(
+            wi, covariance(ri, six * six, siy * siy, siz * siz),
+            wj, covariance(rj, sjx * sjx, sjy * sjy, sjz * sjz), wi * wj, (x, y, z),
+        )  # fmt: skip
+        variances, axes = eigen(merged)
+        q = unit_quaternion(axes)
+        for axis in range(3):
+            # Rounding can leave a flat splat's variance a hair below zero.
+            new_scales[row, axis] = math.sqrt(max(variances[axis], 0.0))
+            # From i by a fraction of the difference: the mean stays between the two.
+            new_means[row, axis] = means[i, axis] - wj * (means[i, axis] - means[j, axis])
+        for part in range(4):
+            new_quats[row, part] = q[part]
+        new_opacities[row] = 1.0 - (1.0 - opacities[i]) * (1.0 - opacities[j])
+        for c in range(features.shape[1]):
+            new_features[row, c] = wi * features[i, c] + wj * features[j, c]

@@ -1,0 +1,107 @@
+"""What a simplification did: frozen dataclasses that become JSON as they stand."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any
+
+
+class StopReason(StrEnum):
+    """Why the loop of passes ended."""
+
+    TARGET = "target"  # the asked count is reached
+    NO_CANDIDATES = "no_candidates"  # no pair is left whose cost is a number
+    NO_PROGRESS = "no_progress"  # a pass merged nothing although candidates were left
+
+
+@dataclass(frozen=True, slots=True)
+class PassReport:
+    """One pass of graph, cost, match and merge.
+
+    Attributes:
+        count_before: Splats at its start.
+        candidates: Pairs of neighbours.
+        without_cost: Pairs left out because their cost is not a number.
+        merged: Pairs that became one splat each.
+        count_after: Splats at its end.
+        highest_cost: Cost of the dearest merge (dimensionless), or None where none was made.
+        seconds: Time by stage, seconds.
+    """
+
+    count_before: int
+    candidates: int
+    without_cost: int
+    merged: int
+    count_after: int
+    highest_cost: float | None
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SimplifyReport:
+    """What was asked of `simplify`, what it delivered, and why it stopped.
+
+    Attributes:
+        preset: Name of the preset.
+        parameters: Every parameter of the method by name.
+        input_count: Splats in the input.
+        asked_ratio: The compaction ratio asked for, or None where a count was.
+        asked_count: The count asked for; for a ratio, ceil(ratio x finite splats).
+        dropped_nonfinite: Splats left out since a value is NaN or infinite.
+        pruned: Splats dropped by the opacity threshold.
+        prune_threshold: Alpha below which splats were pruned, in [0, 1].
+        prune_limited: The threshold would have gone below the asked count; the most opaque
+            splats were kept instead.
+        passes: The passes in order.
+        achieved_count: Splats in the output.
+        stop: Why it stopped.
+        seconds: Time by stage over all passes, seconds.
+        total_seconds: The whole call, seconds.
+        threads: Threads used.
+        notes: What else the user should know, one sentence each.
+    """
+
+    preset: str
+    parameters: dict[str, float | int]
+    input_count: int
+    asked_ratio: float | None
+    asked_count: int
+    dropped_nonfinite: int
+    pruned: int
+    prune_threshold: float
+    prune_limited: bool
+    passes: tuple[PassReport, ...]
+    achieved_count: int
+    stop: StopReason
+    seconds: dict[str, float]
+    total_seconds: float
+    threads: int
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""
+        return asdict(self)
+
+
+@dataclass(slots=True)
+class StageClock:
+    """Adds up the seconds spent in named stages."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def time(self, stage: str) -> Iterator[None]:
+        """Add the time spent in the `with` block to the stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            elapsed = time.perf_counter() - start
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + elapsed
+
+    def add(self, seconds: dict[str, float]) -> None:
+        """Add another clock's readings."""
+        for stage, value in seconds.items():
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + value

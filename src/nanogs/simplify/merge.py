@@ -1,0 +1,48 @@
+"""Stage 5, merge: execute a plan by mass-preserving moment matching (arXiv 2603.16103)."""
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.kernels.merge import merge_pairs
+from nanogs.simplify.gaussians import Gaussians
+from nanogs.simplify.match import MergePlan
+
+
+def merge(gaussians: Gaussians, plan: MergePlan, masses: F64) -> Gaussians:
+    """Replace each pair of the plan by one splat, in the place of its first row.
+
+    mu_m = (w_i mu_i + w_j mu_j) / W, Sigma_m = sum_k w_k (Sigma_k + d_k d_k^T) / W,
+    alpha_m = 1 - (1 - alpha_i)(1 - alpha_j), f_m = (w_i f_i + w_j f_j) / W.
+
+    Args:
+        gaussians: N splats.
+        plan: P disjoint pairs of rows.
+        masses: (N,) from `log_masses`.
+
+    Returns:
+        N - P splats; the rows that the plan does not name are unchanged and in order.
+    """
+    first, second = plan.pairs[:, 0], plan.pairs[:, 1]
+    stays = np.ones(len(gaussians), dtype=bool)
+    stays[second] = False
+    result = gaussians.take(stays)
+    rows = (np.cumsum(stays) - 1)[first]
+    merge_pairs(
+        plan.pairs,
+        rows,
+        masses,
+        gaussians.means,
+        gaussians.scales,
+        gaussians.quats,
+        gaussians.opacities,
+        gaussians.features,
+        result.means,
+        result.scales,
+        result.quats,
+        result.opacities,
+        result.features,
+    )
+    dominant = np.where(masses[second] > masses[first], second, first)
+    result.sources[rows] = gaussians.sources[dominant]
+    result.merged[rows] = True
+    return result

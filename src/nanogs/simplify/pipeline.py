@@ -1,0 +1,76 @@
+"""The published method (arXiv 2603.16103), stage by stage, as it is written there."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from nanogs.report import PassReport, StageClock, StopReason
+from nanogs.simplify.cost import log_masses, pair_costs
+from nanogs.simplify.gaussians import Gaussians
+from nanogs.simplify.graph import neighbour_pairs
+from nanogs.simplify.match import match
+from nanogs.simplify.merge import merge
+from nanogs.simplify.presets import PaperParameters
+
+Progress = Callable[[str, int], None]
+"""Called before each stage with its name and the number of splats left."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PipelineResult:
+    """What the passes left, what each of them did, and why they ended."""
+
+    gaussians: Gaussians
+    passes: tuple[PassReport, ...]
+    stop: StopReason
+
+
+def merge_to_count(
+    gaussians: Gaussians,
+    target: int,
+    parameters: PaperParameters,
+    threads: int,
+    progress: Progress,
+) -> PipelineResult:
+    """Merge the cheapest disjoint pairs of neighbours, pass after pass, down to the target.
+
+    Args:
+        gaussians: The splats that pruning left, in Morton order.
+        target: Splats to deliver, at least 1.
+        parameters: The method's parameters.
+        threads: Threads for the nearest-neighbour query.
+        progress: Told of each stage.
+    """
+    passes: list[PassReport] = []
+    stop = StopReason.TARGET
+    while len(gaussians) > target:
+        count, clock = len(gaussians), StageClock()
+        progress("graph", count)
+        with clock.time("graph"):
+            pairs = neighbour_pairs(gaussians.means, parameters.k, threads)
+        progress("cost", count)
+        with clock.time("cost"):
+            masses = log_masses(gaussians)
+            costs = pair_costs(gaussians, pairs, masses, parameters)
+        progress("match", count)
+        with clock.time("match"):
+            limit = min(count - target, max(1, int(parameters.merge_cap * count)))
+            plan = match(pairs, costs, count, limit)
+        progress("merge", count)
+        with clock.time("merge"):
+            gaussians = merge(gaussians, plan, masses)
+        passes.append(
+            PassReport(
+                count_before=count,
+                candidates=len(pairs),
+                without_cost=plan.without_cost,
+                merged=len(plan),
+                count_after=len(gaussians),
+                highest_cost=float(plan.costs[-1]) if len(plan) else None,
+                seconds=clock.seconds,
+            )
+        )
+        if len(plan) == 0:
+            none_left = len(pairs) == plan.without_cost
+            stop = StopReason.NO_CANDIDATES if none_left else StopReason.NO_PROGRESS
+            break
+    return PipelineResult(gaussians, tuple(passes), stop)

@@ -1,0 +1,72 @@
+"""Named sets of parameters."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from nanogs.errors import OptionError
+
+
+@dataclass(frozen=True, slots=True)
+class PaperParameters:
+    """The parameters of the published method, with its defaults (arXiv 2603.16103).
+
+    Attributes:
+        tau: Splats with alpha below min(tau, median alpha) are pruned; 0 prunes none.
+        k: Neighbours of each splat in the graph.
+        samples: Monte Carlo samples from each splat of a pair in the divergence.
+        seed: Seed of those samples.
+        lambda_geo: Weight of the divergence of the geometry.
+        lambda_app: Weight of the squared distance of the colours.
+        merge_cap: Largest share of the splats that may be merged away in one pass.
+    """
+
+    tau: float = 0.1
+    k: int = 16
+    samples: int = 1
+    seed: int = 0
+    lambda_geo: float = 1.0
+    lambda_app: float = 1.0
+    merge_cap: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse values that mean nothing."""
+        _require(0 <= self.tau <= 1, "tau", self.tau, "an opacity from 0 to 1")
+        _require(self.k >= 1, "k", self.k, "at least 1")
+        _require(self.samples >= 1, "samples", self.samples, "at least 1")
+        _require(self.seed >= 0, "seed", self.seed, "0 or more")
+        for name in ("lambda_geo", "lambda_app"):
+            value = getattr(self, name)
+            _require(0 <= value < math.inf, name, value, "0 or more, and finite")
+        _require(0 < self.merge_cap <= 0.5, "merge_cap", self.merge_cap, "above 0, at most 0.5")
+
+
+def _require(ok: bool, name: str, value: float, expected: str) -> None:
+    if not ok:
+        raise OptionError(f"{name} must be {expected}, not {value:g}.")
+
+
+PRESETS: Mapping[str, PaperParameters] = {"paper": PaperParameters()}
+DEFAULT_PRESET = "paper"
+
+
+def parameters(preset: str, overrides: Mapping[str, Any]) -> PaperParameters:
+    """The preset's parameters with some of them replaced.
+
+    Args:
+        preset: A name in `PRESETS`.
+        overrides: Parameters by name; None leaves the preset's value.
+
+    Raises:
+        OptionError: No such preset or parameter, or a value out of its range.
+    """
+    if preset not in PRESETS:
+        raise OptionError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
+    known = [entry.name for entry in dataclasses.fields(PaperParameters)]
+    for name in overrides:
+        if name not in known:
+            raise OptionError(f"There is no parameter {name!r}; choose from {', '.join(known)}.")
+    given = {name: value for name, value in overrides.items() if value is not None}
+    return dataclasses.replace(PRESETS[preset], **given)
