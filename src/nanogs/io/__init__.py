@@ -1,0 +1,56 @@
+"""Reading and writing scene files; the format follows from the suffix of the name."""
+
+from os import PathLike
+from pathlib import Path
+
+from nanogs.io import atomic, registry
+from nanogs.io.info import FileInfo
+from nanogs.splats import Splats
+
+__all__ = ["FileInfo", "check_writable", "inspect", "load", "save"]
+
+
+def load(path: str | PathLike[str]) -> Splats:
+    """Read a model from `.ply`, `.compressed.ply` or `.splat`.
+
+    Raises:
+        FormatError: The suffix is unknown, the file cannot be read, is damaged, or holds
+            something that cannot be kept.
+    """
+    path = Path(path)
+    return registry.reader(path).read(path)
+
+
+def save(splats: Splats, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Write a model to a `.ply` file, which appears whole or not at all.
+
+    Raises:
+        OptionError: nanogs does not write the format that the suffix stands for.
+        OutputError: The file exists and `overwrite` is off, or it cannot be written.
+    """
+    path = Path(path)
+    write = registry.writer(path)
+    with atomic.atomic_write(path, overwrite=overwrite) as file:
+        write(splats, file)
+
+
+def inspect(path: str | PathLike[str]) -> FileInfo:
+    """Describe a scene file without reading its body.
+
+    Raises:
+        FormatError: As for `load`, except for what only the rows show.
+    """
+    path = Path(path)
+    return registry.reader(path).inspect(path)
+
+
+def check_writable(path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Fail before any computing if `save` could not write to `path`.
+
+    Raises:
+        OptionError: As for `save`.
+        OutputError: As for `save`, except for a full disk.
+    """
+    path = Path(path)
+    registry.writer(path)
+    atomic.check_writable(path, overwrite=overwrite)

@@ -1,0 +1,107 @@
+"""Output files that appear whole or not at all.
+
+The bytes go to a temporary file beside the target, which then takes the target's place. A target
+that is a symbolic link is written through: the file it points to is replaced, the link stays.
+"""
+
+import contextlib
+import errno
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from nanogs.errors import OutputError
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
+
+
+@contextmanager
+def atomic_write(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
+    """A binary file to write; it becomes `path` when the block ends without an exception.
+
+    A new file gets the permission bits of a plain `open`, a replaced one keeps its own.
+
+    Raises:
+        OutputError: The target exists and `overwrite` is off, or it cannot be written.
+    """
+    target = _target(path, overwrite=overwrite)
+    temporary = target.with_name(f".nanogs-{secrets.token_hex(8)}.tmp")
+    try:
+        with temporary.open("xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        _take_place(temporary, target, path, overwrite=overwrite)
+    except OSError as error:
+        raise _output_error(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: Path, *, overwrite: bool = False) -> None:
+    """Fail now if `atomic_write` would fail later, short of a full disk.
+
+    Raises:
+        OutputError: As for `atomic_write`.
+    """
+    target = _target(path, overwrite=overwrite)
+    # Only creating a file shows read-only mounts and access lists.
+    probe = target.with_name(f".nanogs-{secrets.token_hex(8)}.tmp")
+    try:
+        probe.open("xb").close()
+        probe.unlink()
+    except OSError as error:
+        raise _output_error(path, error) from error
+
+
+def _target(path: Path, *, overwrite: bool) -> Path:
+    """The file to replace, links resolved, after every check that changes nothing."""
+    try:
+        target = Path(os.path.realpath(path))
+        _check_target(path, target, overwrite=overwrite)
+    except OSError as error:
+        raise _output_error(path, error) from error
+    return target
+
+
+def _check_target(path: Path, target: Path, *, overwrite: bool) -> None:
+    if target.is_dir():
+        raise OutputError(f"{path} is a folder; name a file in it as the output.")
+    if not target.parent.exists():
+        raise OutputError(f"The folder {target.parent} does not exist; create it first.")
+    if not target.parent.is_dir():
+        raise OutputError(f"{target.parent} is no folder; choose another output.")
+    if not target.exists():
+        return
+    if not target.is_file():
+        raise OutputError(f"{path} is no regular file; choose another output.")
+    if not overwrite:
+        raise OutputError(f"{path} exists already; add -w to overwrite it.")
+    if not os.access(target, os.W_OK):
+        raise OutputError(f"{path} is read-only; change its permissions or the output.")
+
+
+def _take_place(temporary: Path, target: Path, path: Path, *, overwrite: bool) -> None:
+    """Rename, after looking again: minutes may have passed since the first check."""
+    _check_target(path, target, overwrite=overwrite)
+    if target.exists():
+        temporary.chmod(stat.S_IMODE(target.stat().st_mode))
+    temporary.replace(target)
+
+
+def _output_error(path: Path, error: OSError) -> OutputError:
+    if error.errno in _FULL:
+        return OutputError(f"{path}: the disk or quota is full; free some space and run again.")
+    if error.errno in _DENIED:
+        return OutputError(
+            f"{path}: the folder {path.parent} cannot be written to; change its permissions or"
+            " choose another output."
+        )
+    reason = error.strerror or str(error)
+    return OutputError(f"{path} cannot be written ({reason}); choose another output.")

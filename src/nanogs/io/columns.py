@@ -1,0 +1,79 @@
+"""How the columns of a 3DGS PLY vertex map onto the arrays of `Splats`."""
+
+import re
+from collections.abc import Iterable
+
+from nanogs.errors import FormatError
+from nanogs.splats import MAX_SH_DEGREE
+
+MEANS = ("x", "y", "z")
+NORMALS = ("nx", "ny", "nz")
+BASE_COLOUR = ("f_dc_0", "f_dc_1", "f_dc_2")
+OPACITY = "opacity"
+SCALES = ("scale_0", "scale_1", "scale_2")
+QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+REQUIRED = (*MEANS, *BASE_COLOUR, OPACITY, *SCALES, *QUATS)
+REST = re.compile(r"f_rest_(0|[1-9][0-9]*)", re.ASCII)
+DEGREE_OF_REST = {3 * ((d + 1) ** 2 - 1): d for d in range(MAX_SH_DEGREE + 1)}
+
+
+def rest_names(degree: int) -> list[str]:
+    """Names of the higher coefficients: all of red, then green, then blue."""
+    return [f"f_rest_{i}" for i in range(3 * ((degree + 1) ** 2 - 1))]
+
+
+def sh_place(index: int, degree: int) -> tuple[int, int]:
+    """(coefficient, channel) in `Splats.sh` of the column `f_rest_<index>`."""
+    channel, coefficient = divmod(index, (degree + 1) ** 2 - 1)
+    return coefficient + 1, channel
+
+
+def is_known(name: str) -> bool:
+    """Whether nanogs interprets a vertex column of that name."""
+    return name in REQUIRED or REST.fullmatch(name) is not None
+
+
+def sh_degree(names: Iterable[str], where: str) -> int:
+    """SH degree from the `f_rest_*` among the column names.
+
+    Args:
+        names: All column names.
+        where: The file and element, for the message.
+
+    Raises:
+        FormatError: Their number is not that of a degree, or their indices have gaps.
+    """
+    present = {name for name in names if REST.fullmatch(name)}
+    degree = DEGREE_OF_REST.get(len(present))
+    if degree is None:
+        raise FormatError(
+            f"{where} has {len(present)} f_rest properties, but spherical harmonics of degree 0 to"
+            " 4 have 0, 9, 24, 45 or 72; export the file again."
+        )
+    if missing := [name for name in rest_names(degree) if name not in present]:
+        raise FormatError(
+            f"{where} has {len(present)} f_rest properties, but {missing[0]} is missing from"
+            " the sequence; export the file again."
+        )
+    return degree
+
+
+def check_required(names: Iterable[str], where: str) -> None:
+    """Refuse a vertex element that is not one of 3D Gaussian splats.
+
+    Raises:
+        FormatError: A required property is missing.
+    """
+    present = set(names)
+    missing = [name for name in REQUIRED if name not in present]
+    if missing == ["scale_2"]:
+        raise FormatError(
+            f"{where} has two scales (scale_2 is missing): flat 2DGS splats cannot be merged as"
+            " ellipsoids; export it with a third scale."
+        )
+    if missing:
+        kind = "a point cloud or mesh" if len(missing) > 4 else "damaged"
+        raise FormatError(
+            f"{where} lacks {', '.join(missing)}: it is {kind}, not a 3D Gaussian splatting"
+            " model; export the splats."
+        )

@@ -1,0 +1,214 @@
+"""Reading PlayCanvas' `.compressed.ply`: 16 bytes a splat, in chunks of 256 with common bounds.
+
+Layout: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/ply/
+Positions and log-scales are 11-10-11 bits between the chunk's bounds, colours 8 bits, rotations
+the three smaller parts in 10 bits each; an optional element `sh` holds a byte a coefficient.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64, U32, Array
+from nanogs.errors import FormatError
+from nanogs.io import columns, render_tag
+from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.info import FileInfo
+from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes
+from nanogs.io.ply_rows import iter_blocks
+from nanogs.splats import ExtraElement, Splats
+
+CHUNK_ROWS = 256
+SH_C0 = 0.28209479177387814
+_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+_BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
+_BOUNDS += [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
+_COLOUR_BOUNDS = [f"{end}_{channel}" for end in ("min", "max") for channel in "rgb"]
+_OWN = ("chunk", "vertex", "sh")
+
+
+def is_compressed(header: Header) -> bool:
+    """Whether the header is one of this layout, whatever the file is called."""
+    vertex = header.element("vertex")
+    packed = vertex is not None and "packed_position" in vertex.names and "x" not in vertex.names
+    return packed and header.element("chunk") is not None
+
+
+def read(header: Header) -> Splats:
+    """Decode a file whose header and size have been checked.
+
+    Raises:
+        FormatError: An element does not have the properties or rows of this layout.
+    """
+    degree = _check(header)
+    rows = {e.name: np.empty(e.count, e.dtype()) for e in _kept(header)}
+    for block in iter_blocks(header):
+        rows[block.element.name][block.rows] = block.values
+    comments = [*header.comments, *header.obj_info]
+    vertex = rows["vertex"]
+    return Splats(
+        **_decoded(rows, degree),
+        extras={
+            name: vertex[name].copy()
+            for name in _element(header, "vertex").names
+            if name not in _PACKED
+        },
+        render_mode=render_tag.render_mode(comments),
+        comments=comments,
+        elements=[ExtraElement(name, r) for name, r in rows.items() if name not in _OWN],
+        notes=header_notes(header),
+    )
+
+
+def inspect(header: Header) -> FileInfo:
+    """Describe a file whose header and size have been checked.
+
+    Raises:
+        FormatError: As for `read`.
+    """
+    degree = _check(header)
+    vertex = _element(header, "vertex")
+    return FileInfo(
+        path=header.path,
+        format="compressed.ply",
+        encoding=header.encoding,
+        file_bytes=header.file_bytes,
+        splats=vertex.count,
+        sh_degree=degree,
+        double_means=False,
+        properties=tuple((p.name, TYPE_NAMES[str(p.code)]) for p in vertex.properties),
+        extras=tuple(name for name in vertex.names if name not in _PACKED),
+        elements=tuple((e.name, e.count) for e in header.elements if e.name not in _OWN),
+        render_mode=render_tag.render_mode(header.comments),
+        comments=header.printable_comments(),
+    )
+
+
+def _element(header: Header, name: str) -> Element:
+    return next(element for element in header.elements if element.name == name)
+
+
+def _kept(header: Header) -> list[Element]:
+    return [e for e in header.elements if e.properties and not e.lists()]
+
+
+def _check(header: Header) -> int:
+    """Check the elements of the layout against each other; the SH degree."""
+    chunk, vertex = _element(header, "chunk"), _element(header, "vertex")
+    _check_types(header, vertex, list(_PACKED), "u4")
+    _check_types(header, chunk, _BOUNDS, "f4")
+    if any(name in chunk.names for name in _COLOUR_BOUNDS):
+        _check_types(header, chunk, _COLOUR_BOUNDS, "f4")
+    needed = -(-vertex.count // CHUNK_ROWS)
+    if chunk.count != needed:
+        raise _error(header, f"{vertex.count} splats need {needed} chunks, not {chunk.count}")
+    sh = header.element("sh")
+    if sh is None:
+        return 0
+    degree = columns.sh_degree(sh.names, f"{header.path}: element 'sh'")
+    _check_types(header, sh, columns.rest_names(degree), "u1")
+    if sh.count != vertex.count:
+        raise _error(header, f"'sh' has {sh.count} rows for {vertex.count} splats")
+    if len(sh.names) != len(columns.rest_names(degree)):
+        raise _error(header, "element 'sh' has properties other than f_rest")
+    return degree
+
+
+def _check_types(header: Header, element: Element, names: list[str], code: str) -> None:
+    codes = {prop.name: prop.code for prop in element.properties}
+    for name in names:
+        if codes.get(name) != code:
+            kind = TYPE_NAMES[code]
+            raise _error(header, f"element {element.name!r} needs a property {name} of type {kind}")
+
+
+def _error(header: Header, what: str) -> FormatError:
+    return FormatError(f"{header.path} (compressed PLY): {what}; export the file again.")
+
+
+def _decoded(rows: dict[str, Array], degree: int) -> dict[str, Any]:
+    """The arrays of `Splats`, computed in float64 block by block and rounded once."""
+    n = len(rows["vertex"])
+    out: dict[str, Any] = {
+        "means": np.empty((n, 3), np.float32),
+        "log_scales": np.empty((n, 3), np.float32),
+        "quats": np.empty((n, 4), np.float32),
+        "opacity_logits": np.empty(n, np.float32),
+        "sh": np.empty((n, (degree + 1) ** 2, 3), np.float32),
+    }
+    for start in range(0, n, BLOCK_ROWS):
+        span = slice(start, min(start + BLOCK_ROWS, n))
+        vertex = rows["vertex"][span]
+        chunk = rows["chunk"][np.arange(span.start, span.stop) // CHUNK_ROWS]
+        out["means"][span] = _between(chunk, "{}_{}", "xyz", _unit_11_10_11(vertex[_PACKED[0]]))
+        out["quats"][span] = _quats(vertex[_PACKED[1]])
+        out["log_scales"][span] = _between(
+            chunk, "{}_scale_{}", "xyz", _unit_11_10_11(vertex[_PACKED[2]])
+        )
+        rgba = _unit_8888(vertex[_PACKED[3]])
+        out["opacity_logits"][span] = logit(rgba[:, 3])
+        out["sh"][span, 0] = base_colour(_colour(chunk, rgba[:, :3]))
+        if degree:
+            out["sh"][span, 1:] = _higher(rows["sh"][span], degree)
+    return out
+
+
+def _unit_11_10_11(packed: U32) -> F64:
+    parts = (packed >> 21) / 2047.0, (packed >> 11 & 1023) / 1023.0, (packed & 2047) / 2047.0
+    return np.stack(parts, axis=1)
+
+
+def _unit_8888(packed: U32) -> F64:
+    return np.stack([(packed >> shift & 255) / 255.0 for shift in (24, 16, 8, 0)], axis=1)
+
+
+def _between(chunk: Array, pattern: str, axes: str, t: F64) -> F64:
+    low, high = (
+        np.stack([chunk[pattern.format(end, axis)].astype(np.float64) for axis in axes], axis=1)
+        for end in ("min", "max")
+    )
+    with np.errstate(invalid="ignore", over="ignore"):  # bounds may be infinite
+        result: F64 = low * (1 - t) + high * t
+    return result
+
+
+def _colour(chunk: Array, rgb: F64) -> F64:
+    """Files written before the colour bounds existed hold colours from 0 to 1."""
+    names = chunk.dtype.names or ()
+    return _between(chunk, "{}_{}", "rgb", rgb) if "min_r" in names else rgb
+
+
+def _quats(packed: U32) -> F64:
+    """(R, 4) wxyz: the two top bits say which part was the largest and is left out."""
+    largest = packed >> 30
+    small = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], axis=1)
+    small = (small / 1023.0 - 0.5) * np.sqrt(2.0)
+    left_out = np.sqrt(np.maximum(0, 1 - (small**2).sum(axis=1)))
+    quats = np.empty((len(packed), 4))
+    for index in range(4):
+        rows = largest == index
+        quats[rows] = np.insert(small[rows], index, left_out[rows], axis=1)
+    return quats
+
+
+def logit(alpha: F64) -> F64:
+    """Logarithm of the odds; exactly ±inf for alpha 1 and 0."""
+    with np.errstate(divide="ignore"):
+        result: F64 = -np.log(1 / alpha - 1)
+    return result
+
+
+def base_colour(rgb: F64) -> F64:
+    """The SH coefficient of degree 0 for a colour from 0 to 1."""
+    result: F64 = (rgb - 0.5) / SH_C0
+    return result
+
+
+def _higher(sh: Array, degree: int) -> F64:
+    """(R, K - 1, 3): bytes are the middles of 256 steps over [-4, 4], the ends exact."""
+    stored = np.stack([sh[name] for name in columns.rest_names(degree)], axis=1)
+    unit = (stored + 0.5) / 256
+    unit[stored == 0] = 0
+    unit[stored == 255] = 1
+    result: F64 = ((unit - 0.5) * 8).reshape(len(sh), 3, -1).transpose(0, 2, 1)
+    return result

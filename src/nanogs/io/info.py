@@ -1,0 +1,55 @@
+"""What a scene file says about itself, without its body being read."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from nanogs.splats import RenderMode
+
+_SIZES = {
+    "char": 1,
+    "uchar": 1,
+    "short": 2,
+    "ushort": 2,
+    "int": 4,
+    "uint": 4,
+    "float": 4,
+    "double": 8,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FileInfo:
+    """A scene file's own description.
+
+    Attributes:
+        path: The file.
+        format: Name of the format: `ply`, `compressed.ply` or `splat`.
+        encoding: `binary_little_endian`, `binary_big_endian` or `ascii`.
+        file_bytes: Size of the file in bytes.
+        splats: Number of splats.
+        sh_degree: Degree of the spherical harmonics, 0 to 4.
+        double_means: Whether the centres are stored in double precision.
+        properties: (name, PLY type) of each stored column of a splat, in the file's order.
+        extras: Names of the columns nanogs carries through without interpreting them.
+        elements: (name, rows) of each PLY element besides those that make up the splats.
+        render_mode: The rasteriser the model was trained for.
+        comments: Comment lines, printable; bytes that are not UTF-8 are shown as Latin-1.
+    """
+
+    path: Path
+    format: str
+    encoding: str
+    file_bytes: int
+    splats: int
+    sh_degree: int
+    double_means: bool
+    properties: tuple[tuple[str, str], ...]
+    extras: tuple[str, ...]
+    elements: tuple[tuple[str, int], ...]
+    render_mode: RenderMode
+    comments: tuple[str, ...]
+
+    def extra_bytes(self) -> int:
+        """Bytes that the extra columns take for each splat."""
+        types = dict(self.properties)
+        return sum(_SIZES[types[name]] for name in self.extras)

@@ -1,0 +1,109 @@
+"""Writing 3DGS `.ply` files: binary little-endian, canonical column order, in bounded memory."""
+
+from collections.abc import Iterator, Mapping
+from typing import BinaryIO
+
+import numpy as np
+
+from nanogs._types import Array
+from nanogs.errors import OutputError
+from nanogs.io import columns, render_tag
+from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.ply_header import MAX_HEADER_BYTES, TYPE_NAMES, encode
+from nanogs.splats import Splats
+
+
+def write(splats: Splats, file: BinaryIO) -> None:
+    """Write a model, every extra column, element and comment with it.
+
+    Raises:
+        OutputError: The model holds something that PLY cannot; nothing has been written then.
+        OSError: The system refuses to write.
+    """
+    tables = {"vertex": _vertex(splats)}
+    for element in splats.elements:
+        if element.name in tables:
+            raise OutputError(f"Two elements are called {element.name!r}; rename one of them.")
+        names = element.rows.dtype.names or ()
+        tables[element.name] = {name: element.rows[name] for name in names}
+    file.write(_header(splats, tables))
+    for table in tables.values():
+        file.writelines(block.data for block in _blocks(table))
+
+
+def _vertex(splats: Splats) -> dict[str, Array]:
+    """The columns of the vertex rows, in the order they are written."""
+    if clash := [name for name in splats.extras if columns.is_known(name)]:
+        raise OutputError(f"The extra column {clash[0]!r} has a splat's own name; rename it.")
+    table: dict[str, Array] = {name: splats.means[:, i] for i, name in enumerate(columns.MEANS)}
+    extras = dict(splats.extras)
+    table |= {name: extras.pop(name) for name in columns.NORMALS if name in extras}
+    table |= {name: splats.sh[:, 0, i] for i, name in enumerate(columns.BASE_COLOUR)}
+    for i, name in enumerate(columns.rest_names(splats.sh_degree)):
+        coefficient, channel = columns.sh_place(i, splats.sh_degree)
+        table[name] = splats.sh[:, coefficient, channel]
+    table[columns.OPACITY] = splats.opacity_logits
+    table |= {name: splats.log_scales[:, i] for i, name in enumerate(columns.SCALES)}
+    table |= {name: splats.quats[:, i] for i, name in enumerate(columns.QUATS)}
+    return table | extras
+
+
+def _header(splats: Splats, tables: Mapping[str, Mapping[str, Array]]) -> bytes:
+    lines = [b"ply", b"format binary_little_endian 1.0"]
+    comments = render_tag.tagged(splats.comments, splats.render_mode)
+    lines += [_comment(text) for text in comments]
+    for name, table in tables.items():
+        if not table:
+            raise OutputError(f"Element {name!r} has no columns; leave it out.")
+        count = len(next(iter(table.values())))
+        lines.append(b"element %s %d" % (_word(name), count))
+        lines += [b"property %s %s" % (_type(n, c), _word(n)) for n, c in table.items()]
+    header = b"\n".join([*lines, b"end_header", b""])
+    if len(header) > MAX_HEADER_BYTES:
+        raise OutputError(
+            f"The header would have {len(header)} bytes, and no more than {MAX_HEADER_BYTES} can"
+            " be read back; shorten the comments."
+        )
+    return header
+
+
+def _bytes(text: str) -> bytes:
+    try:
+        return encode(text)
+    except UnicodeEncodeError:
+        raise OutputError(f"The text {text[:40]!r} cannot be encoded; change it.") from None
+
+
+def _comment(text: str) -> bytes:
+    if "\n" in text or text.endswith("\r"):
+        raise OutputError(f"The comment {text[:40]!r} holds a line break; split it in two.")
+    return b"comment " + _bytes(text) if text else b"comment"
+
+
+def _word(name: str) -> bytes:
+    word = _bytes(name)
+    if word.split() != [word]:
+        raise OutputError(f"The name {name!r} is empty or holds a space; rename it.")
+    return word
+
+
+def _type(name: str, column: Array) -> bytes:
+    known = TYPE_NAMES.get(column.dtype.str[1:])
+    if known is None or column.ndim != 1:
+        raise OutputError(
+            f"Column {name!r} is {column.dtype} of {column.ndim} dimensions, which PLY cannot"
+            f" hold; convert it to one of {', '.join(sorted(TYPE_NAMES.values()))}."
+        )
+    return known.encode()
+
+
+def _blocks(table: Mapping[str, Array]) -> Iterator[Array]:
+    """(R,) packed little-endian rows, one buffer reused for all of them."""
+    dtype = np.dtype([(n, "<" + c.dtype.str[1:]) for n, c in table.items()])
+    count = len(next(iter(table.values())))
+    buffer = np.empty(min(count, BLOCK_ROWS), dtype)
+    for start in range(0, count, BLOCK_ROWS):
+        block = buffer[: min(BLOCK_ROWS, count - start)]
+        for name, column in table.items():
+            block[name] = column[start : start + BLOCK_ROWS]
+        yield block.view(np.uint8)

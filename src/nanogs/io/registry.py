@@ -1,0 +1,64 @@
+"""The formats nanogs knows, by the suffix of the file name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from nanogs.errors import FormatError, OptionError
+from nanogs.io import ply, ply_write, splat
+from nanogs.io.info import FileInfo
+from nanogs.splats import Splats
+
+Writer = Callable[[Splats, BinaryIO], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One format: what its files are called, and how they are read and written."""
+
+    suffix: str
+    read: Callable[[Path], Splats]
+    inspect: Callable[[Path], FileInfo]
+    write: Writer | None = None
+
+
+# Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
+FORMATS = (
+    Format(".compressed.ply", ply.read, ply.inspect),
+    Format(".ply", ply.read, ply.inspect, ply_write.write),
+    Format(".splat", splat.read, splat.inspect),
+)
+
+
+def find(path: Path) -> Format | None:
+    """The format with the longest suffix that the file name ends in, whatever its case."""
+    name = path.name.lower()
+    found = [known for known in FORMATS if name.endswith(known.suffix)]
+    return max(found, key=lambda known: len(known.suffix), default=None)
+
+
+def reader(path: Path) -> Format:
+    """The format to read a file with.
+
+    Raises:
+        FormatError: No known format has the file's suffix.
+    """
+    known = find(path)
+    if known is None:
+        suffixes = ", ".join(known.suffix for known in FORMATS)
+        raise FormatError(f"{path}: unknown suffix; nanogs reads {suffixes}.")
+    return known
+
+
+def writer(path: Path) -> Writer:
+    """The function that writes a model to files of that suffix.
+
+    Raises:
+        OptionError: nanogs does not write the format that the suffix stands for.
+    """
+    known = find(path)
+    if known is None or known.write is None:
+        suffixes = ", ".join(known.suffix for known in FORMATS if known.write)
+        raise OptionError(f"{path}: nanogs does not write this format; it writes {suffixes}.")
+    return known.write
