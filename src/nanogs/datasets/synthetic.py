@@ -1,0 +1,106 @@
+"""A generated scene that looks and is distributed like a trained 3DGS model.
+
+It has what simplifiers trip over: fine texture, view-dependent colour, thin and semi-transparent
+parts, floaters, a sky shell, and sizes over three orders of magnitude. Built with up = +y; the last
+step turns it to the y-down habit of trained models.
+"""
+
+import numpy as np
+
+from nanogs._types import F32, F64, I64
+from nanogs.datasets.harmonics import lobe
+from nanogs.datasets.still_life import PARTS, SKYLIGHT, SUN, SUNLIGHT, UP, Builder, Part, Rng
+from nanogs.errors import OptionError
+from nanogs.splats import MAX_SH_DEGREE, Splats
+
+SH_C0 = 0.28209479177387814
+TO_Y_DOWN = np.array([1.0, -1.0, -1.0])
+
+
+def make_scene(count: int = 200_000, *, sh_degree: int = 3, seed: int = 0) -> Splats:
+    """Generate the demo scene: still life on tiles under a sky, y-down (up is 0, -1, 0).
+
+    The same arguments give the same splats, byte for byte, on one machine.
+
+    Args:
+        count: Number of splats, 1 or more.
+        sh_degree: Spherical-harmonic degree of the colours, 0 to 4.
+        seed: Of the random jitter; any non-negative integer.
+
+    Returns:
+        A model of exactly `count` splats, in random order, about 30 scene units in radius.
+
+    Raises:
+        OptionError: `count`, `sh_degree` or `seed` is out of range.
+    """
+    if count < 1:
+        raise OptionError(f"A scene needs at least 1 splat, not {count}.")
+    if not 0 <= sh_degree <= MAX_SH_DEGREE:
+        raise OptionError(f"The SH degree must be 0 to {MAX_SH_DEGREE}, not {sh_degree}.")
+    if seed < 0:
+        raise OptionError(f"The seed must not be negative, not {seed}.")
+    rng = np.random.default_rng(seed)
+    shares = _allot(count)
+    parts = [build(n, rng) for build, n in shares.items() if n]
+    models = [_splats(part, sh_degree, rng) for part in parts]
+    return _concatenate(models, rng.permutation(count))
+
+
+def _allot(count: int) -> dict[Builder, int]:
+    """Split `count` in proportion to the shares by largest remainders, ties to the first."""
+    weights = np.array(list(PARTS.values()))
+    exact = count * weights / weights.sum()
+    whole = np.floor(exact).astype(np.int64)
+    order = np.argsort(-(exact - whole), kind="stable")
+    whole[order[: count - whole.sum()]] += 1
+    return dict(zip(PARTS, whole.tolist(), strict=True))
+
+
+def _splats(part: Part, sh_degree: int, rng: Rng) -> Splats:
+    """The stored values of a part, turned to y-down."""
+    samples = part.samples
+    normals, tangents = samples.normals * TO_Y_DOWN, samples.tangents * TO_Y_DOWN
+    axes = np.stack([tangents, np.cross(normals, tangents), normals], axis=2)
+    alphas = part.alphas.clip(1e-4, 1 - 1e-4)
+    return Splats(
+        means=(samples.points * TO_Y_DOWN).astype(np.float32),
+        log_scales=np.log(samples.sizes).astype(np.float32),
+        quats=_quaternions(axes),
+        opacity_logits=np.log(alphas / (1 - alphas)).astype(np.float32),
+        sh=_harmonics(part, normals, sh_degree, rng),
+    )
+
+
+def _quaternions(matrices: F64) -> F32:
+    """(n, 4) wxyz of rotation matrices (n, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    xyzw: F64 = Rotation.from_matrix(matrices).as_quat()
+    return np.roll(xyzw, 1, axis=1).astype(np.float32)
+
+
+def _harmonics(part: Part, normals: F64, degree: int, rng: Rng) -> F32:
+    """(n, (degree + 1)², 3): diffuse colour, sun's highlight, sky's sheen and training noise."""
+    n = len(normals)
+    sh = rng.normal(0, 0.012, (n, (degree + 1) ** 2, 3))
+    sh[:, 0] = (part.colours - 0.5) / SH_C0
+    if part.gloss:
+        for source, colour, width in (
+            (SUN * TO_Y_DOWN, SUNLIGHT * part.gloss, 0.16),
+            (UP * TO_Y_DOWN, SKYLIGHT * part.gloss * 0.45, 0.7),
+        ):
+            facing = normals @ source
+            mirrored = 2 * facing[:, None] * normals - source
+            highlight = lobe(mirrored, degree, width) * np.clip(facing * 3, 0, 1)[:, None]
+            sh += highlight[:, :, None] * colour
+    return sh.astype(np.float32)
+
+
+def _concatenate(models: list[Splats], order: I64) -> Splats:
+    return Splats(
+        means=np.concatenate([model.means for model in models])[order],
+        log_scales=np.concatenate([model.log_scales for model in models])[order],
+        quats=np.concatenate([model.quats for model in models])[order],
+        opacity_logits=np.concatenate([model.opacity_logits for model in models])[order],
+        sh=np.concatenate([model.sh for model in models])[order],
+    )
