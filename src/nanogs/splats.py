@@ -128,15 +128,15 @@ class Splats:
 
     def unit_quats(self) -> F32:
         """(N, 4) float32, wxyz, unit; a zero quaternion stands for no rotation."""
-        quats = self.quats.astype(np.float64)
-        # Divided by the largest part first: tiny and huge ones must not under- or overflow.
-        largest = np.abs(quats).max(axis=1, keepdims=True)
+        # In single precision, but divided by the largest part first: tiny and huge quaternions
+        # must not under- or overflow. The result is unit to 1e-7 either way.
+        largest = np.abs(self.quats).max(axis=1, keepdims=True)
         zero = largest[:, 0] == 0
         largest[zero] = 1
-        quats /= largest
+        quats: F32 = self.quats / largest
         quats[zero] = (1, 0, 0, 0)
-        quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-        return quats.astype(np.float32)
+        quats /= np.sqrt(np.einsum("ij,ij->i", quats, quats))[:, None]
+        return quats
 
     def finite(self) -> Bool:
         """(N,) bool: rows without NaN, and infinite in nothing but the logit of the opacity.

@@ -75,7 +75,7 @@ def sort_keys(costs: F32, keys: U64) -> int:
     for edge in range(len(costs)):
         if np.isnan(costs[edge]):
             continue
-        b = bits[edge]
+        b = bits[edge] if costs[edge] != 0 else np.uint32(0)  # -0.0 ties with 0.0
         b = ~b if b >> np.uint32(31) else b | np.uint32(0x80000000)
         keys[count] = np.uint64(b) << np.uint64(32) | np.uint64(edge)
         count += 1

@@ -1,5 +1,4 @@
-"""Simplification: one stage a module, put together in `pipeline`."""
+"""Simplification: one stage a module, put together in `pipeline`, called through `api`.
 
-from nanogs.simplify.api import simplify
-
-__all__ = ["simplify"]
+Importing this package imports no Numba; the stages do.
+"""

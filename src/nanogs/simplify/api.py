@@ -10,13 +10,9 @@ import numpy as np
 from nanogs._types import I64
 from nanogs.errors import ModelError
 from nanogs.report import SimplifyReport, StageClock
-from nanogs.simplify.gaussians import activate, scene_origin, store
-from nanogs.simplify.pipeline import merge_to_count
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters
-from nanogs.simplify.prune import prune
 from nanogs.simplify.target import target_count
 from nanogs.splats import Splats
-from nanogs.threads import use_threads
 
 NanPolicy = Literal["drop", "error"]
 
@@ -54,6 +50,12 @@ def simplify(
     """
     start, clock = time.perf_counter(), StageClock()
     chosen = parameters(preset, overrides)
+    # Here and not above: these bring Numba, which `--help` and `info` do without.
+    from nanogs.simplify.gaussians import activate, scene_origin, store
+    from nanogs.simplify.pipeline import merge_to_count
+    from nanogs.simplify.prune import prune
+    from nanogs.threads import use_threads
+
     observe = progress or (lambda _stage, _count: None)
     with use_threads(threads) as threads_used:
         with clock.time("check"):
@@ -66,8 +68,9 @@ def simplify(
             kept = rows[pruning.keep]
         with clock.time("activate"):
             origin = scene_origin(splats.means[kept])
-            gaussians = activate(splats, kept, origin)
-        result = merge_to_count(gaussians, target, chosen, threads_used, observe)
+            # A list, so that no name here keeps the full set alive while the passes shrink it.
+            working = [activate(splats, kept, origin)]
+        result = merge_to_count(working.pop(), target, chosen, threads_used, observe)
         observe("store", len(result.gaussians))
         with clock.time("store"):
             small = store(result.gaussians, splats, origin)

@@ -98,7 +98,7 @@ def store(gaussians: Gaussians, splats: Splats, origin: F64) -> Splats:
     fresh = gaussians.take(new)
     stored.means[new] = fresh.means + origin
     stored.quats[new] = fresh.quats
-    stored.sh[new] = fresh.features.reshape(len(fresh), -1, 3)
+    stored.sh[new] = fresh.features.reshape(len(fresh), *stored.sh.shape[1:])
     with np.errstate(divide="ignore"):  # a scale of 0 is stored as -inf, alpha 0 and 1 as ±inf
         stored.log_scales[new] = np.log(fresh.scales)
         stored.opacity_logits[new] = np.log(fresh.opacities) - np.log1p(-fresh.opacities)

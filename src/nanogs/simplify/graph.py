@@ -1,5 +1,7 @@
 """Stage 2, graph: the k nearest neighbours of every centre, and the pairs they make."""
 
+import sys
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -24,10 +26,18 @@ def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
     neighbours = nearest_neighbours(means, k, threads)
     packed: U64 = np.empty(count_pairs(neighbours), dtype=np.uint64)
     fill_pairs(neighbours, packed)
+    del neighbours
     packed.sort()
-    pairs = np.empty((len(packed), 2), dtype=np.int32)
-    pairs[:, 0] = packed >> 32
-    pairs[:, 1] = packed & 0xFFFFFFFF
+    return _unpack(packed)
+
+
+def _unpack(packed: U64) -> I32:
+    """(E, 2) int32 of (E,) packed pairs, in the same memory."""
+    pairs = packed.view(np.int32).reshape(-1, 2)
+    if sys.byteorder == "little":
+        for start in range(0, len(pairs), _BLOCK):
+            block = pairs[start : start + _BLOCK]
+            block[:] = block[:, ::-1].copy()
     return pairs
 
 
@@ -35,7 +45,7 @@ def nearest_neighbours(means: F64, k: int, threads: int) -> I32:
     """Exact nearest neighbours of every row among the others.
 
     Coincident centres are each other's neighbours at distance zero. Of a group of more than k, no
-    query can want more than k + 1, so the tree holds only so many: a tree cannot split them, and a
+    query can want more than k, so the tree holds only so many: a tree cannot split them, and a
     query would visit all.
 
     Args:
@@ -53,7 +63,7 @@ def nearest_neighbours(means: F64, k: int, threads: int) -> I32:
         return neighbours
     in_tree, to_query = np.ones(n, dtype=bool), np.ones(n, dtype=bool)
     for group in coincident_groups(means, k):
-        in_tree[group[k + 1 :]] = False
+        in_tree[group[k:]] = False
         to_query[group] = False
         steps = np.arange(1, k + 1) + np.arange(len(group))[:, None]
         neighbours[group] = group[steps % len(group)]
@@ -97,7 +107,8 @@ def _query(means: F64, in_tree: Bool, to_query: Bool, neighbours: I32, threads: 
         rows = query_rows[start : start + _BLOCK]
         _, found = tree.query(means[rows], k + 1, workers=threads)
         found = tree_rows[found]
-        # Exactly one column goes: the row itself, or the farthest where coincident rows hide it.
+        # One column goes: the row itself, or the last where others at distance zero hide it
+        # (centres that are not equal, but so close that squares underflow).
         drop = found == rows[:, None]
         drop[~drop.any(axis=1), -1] = True
         neighbours[rows] = found[~drop].reshape(-1, k)

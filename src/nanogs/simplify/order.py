@@ -25,9 +25,12 @@ def morton_codes(means: F64) -> U64:
         width = float((high - low).max())
     if width == 0:
         return np.zeros(len(means), dtype=np.uint64)
-    cells = (means - (low - width)) / (3 * width) * (1 << _BITS)
-    cells = np.clip(cells, 0, (1 << _BITS) - 1).astype(np.uint64)
-    return _spread(cells[:, 0], 0) | _spread(cells[:, 1], 1) | _spread(cells[:, 2], 2)
+    codes: U64 = np.zeros(len(means), dtype=np.uint64)
+    for axis in range(3):
+        cells = (means[:, axis] - (low[axis] - width)) * ((1 << _BITS) / (3 * width))
+        cells = np.clip(cells, 0, (1 << _BITS) - 1, out=cells)
+        codes |= _spread(cells.astype(np.uint64), axis)
+    return codes
 
 
 def morton_order(means: F64) -> I64:
@@ -52,7 +55,9 @@ _SPREADING = tuple(
 
 
 def _spread(values: U64, axis: int) -> U64:
-    """Put two zero bits between the low 21 bits of each value, shifted by the axis."""
+    """Put two zero bits between the low 21 bits of each value, shifted by the axis; in place."""
     for shift, mask in _SPREADING:
-        values = (values | values << shift) & mask
-    return values << np.uint64(axis)
+        values |= values << shift
+        values &= mask
+    values <<= np.uint64(axis)
+    return values

@@ -41,36 +41,46 @@ def merge_to_count(
         progress: Told of each stage.
     """
     passes: list[PassReport] = []
-    stop = StopReason.TARGET
     while len(gaussians) > target:
-        count, clock = len(gaussians), StageClock()
-        progress("graph", count)
-        with clock.time("graph"):
-            pairs = neighbour_pairs(gaussians.means, parameters.k, threads)
-        progress("cost", count)
-        with clock.time("cost"):
-            masses = log_masses(gaussians)
-            costs = pair_costs(gaussians, pairs, masses, parameters)
-        progress("match", count)
-        with clock.time("match"):
-            limit = min(count - target, max(1, int(parameters.merge_cap * count)))
-            plan = match(pairs, costs, count, limit)
-        progress("merge", count)
-        with clock.time("merge"):
-            gaussians = merge(gaussians, plan, masses)
-        passes.append(
-            PassReport(
-                count_before=count,
-                candidates=len(pairs),
-                without_cost=plan.without_cost,
-                merged=len(plan),
-                count_after=len(gaussians),
-                highest_cost=float(plan.costs[-1]) if len(plan) else None,
-                seconds=clock.seconds,
-            )
-        )
-        if len(plan) == 0:
-            none_left = len(pairs) == plan.without_cost
+        gaussians, report = _one_pass(gaussians, target, parameters, threads, progress)
+        passes.append(report)
+        if report.merged == 0:
+            none_left = report.candidates == report.without_cost
             stop = StopReason.NO_CANDIDATES if none_left else StopReason.NO_PROGRESS
-            break
-    return PipelineResult(gaussians, tuple(passes), stop)
+            return PipelineResult(gaussians, tuple(passes), stop)
+    return PipelineResult(gaussians, tuple(passes), StopReason.TARGET)
+
+
+def _one_pass(
+    gaussians: Gaussians,
+    target: int,
+    parameters: PaperParameters,
+    threads: int,
+    progress: Progress,
+) -> tuple[Gaussians, PassReport]:
+    """Build the graph, score its pairs, match the cheapest, merge them."""
+    count, clock = len(gaussians), StageClock()
+    progress("graph", count)
+    with clock.time("graph"):
+        pairs = neighbour_pairs(gaussians.means, parameters.k, threads)
+    progress("cost", count)
+    with clock.time("cost"):
+        masses = log_masses(gaussians)
+        costs = pair_costs(gaussians, pairs, masses, parameters)
+    progress("match", count)
+    with clock.time("match"):
+        limit = min(count - target, max(1, int(parameters.merge_cap * count)))
+        plan = match(pairs, costs, count, limit)
+    progress("merge", count)
+    with clock.time("merge"):
+        merged = merge(gaussians, plan, masses)
+    report = PassReport(
+        count_before=count,
+        candidates=len(pairs),
+        without_cost=plan.without_cost,
+        merged=len(plan),
+        count_after=len(merged),
+        highest_cost=float(plan.costs[-1]) if len(plan) else None,
+        seconds=clock.seconds,
+    )
+    return merged, report

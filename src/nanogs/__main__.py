@@ -1,0 +1,5 @@
+"""`python -m nanogs`."""
+
+from nanogs.cli import main
+
+main()

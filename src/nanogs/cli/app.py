@@ -1,0 +1,38 @@
+"""The commands, put together."""
+
+from typing import Annotated
+
+import typer
+
+from nanogs._version import __version__
+from nanogs.cli.demo import demo
+from nanogs.cli.info import info
+from nanogs.cli.simplify import simplify
+
+app = typer.Typer(
+    help="Make 3D Gaussian splatting models smaller: no training, no photographs, no GPU.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"nanogs {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _nanogs(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    pass
+
+
+app.command()(simplify)
+app.command()(info)
+app.command()(demo)

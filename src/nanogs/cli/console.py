@@ -1,0 +1,95 @@
+"""How the command speaks: data on stdout, everything for people on stderr."""
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+err = Console(stderr=True, highlight=False)
+out = Console(highlight=False)
+
+
+def fail(message: str) -> None:
+    """Say what went wrong, in one line however narrow the terminal."""
+    err.print("[bold red]error:[/]", end=" ")
+    err.print(message, markup=False, soft_wrap=True)
+
+
+def warn(message: str) -> None:
+    """Say what the user should know."""
+    err.print("[yellow]note:[/]", end=" ")
+    err.print(message, markup=False, soft_wrap=True)
+
+
+def print_json(data: dict[str, Any]) -> None:
+    """Write one JSON object to stdout; infinities, which JSON lacks, become strings."""
+    json.dump(_plain(data), sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a report holds
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _plain(dataclasses.asdict(value))
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and (value != value or value in (float("inf"), -float("inf"))):
+        return str(value)
+    return value
+
+
+def key_value_table(rows: dict[str, str]) -> Table:
+    """Two columns without lines: what it is, and its value."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="dim")
+    table.add_column(overflow="fold")
+    for name, value in rows.items():
+        table.add_row(name, value)
+    return table
+
+
+@contextmanager
+def count_down(start: int, target: int, *, quiet: bool) -> Iterator[Callable[[str, int], None]]:
+    """A progress bar from the input's count down to the target, on a terminal only.
+
+    Yields:
+        What the library calls with the stage's name and the number of splats left.
+    """
+    columns = (
+        TextColumn("{task.description:<8}"),
+        BarColumn(),
+        TextColumn("{task.fields[left]:>12,} splats"),
+        TimeElapsedColumn(),
+    )
+    shown = err.is_terminal and not quiet
+    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
+        task = progress.add_task("read", total=max(start - target, 1), left=start)
+
+        def update(stage: str, left: int) -> None:
+            progress.update(task, description=stage, completed=start - left, left=left)
+
+        yield update
+
+
+@contextmanager
+def spinner(*, quiet: bool) -> Iterator[Callable[[str], None]]:
+    """A turning line that says what is being done, on a terminal only.
+
+    Yields:
+        What is called with each new description.
+    """
+    shown = err.is_terminal and not quiet
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
+        task = progress.add_task("")
+        yield lambda text: progress.update(task, description=text)

@@ -1,0 +1,50 @@
+"""Small scenes for tests."""
+
+import numpy as np
+
+from nanogs.simplify.gaussians import Gaussians
+from nanogs.splats import Splats
+
+
+def random_splats(count, *, degree=1, seed=0, spread=1.0, extras=None):
+    """Splats of mixed sizes, shapes and opacities in a cube."""
+    rng = np.random.default_rng(seed)
+    return Splats(
+        means=(rng.uniform(-1, 1, (count, 3)) * spread).astype(np.float32),
+        log_scales=rng.normal(np.log(0.1 * spread), 0.7, (count, 3)).astype(np.float32),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        opacity_logits=rng.normal(0.5, 2, count).astype(np.float32),
+        sh=(rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.5).astype(np.float32),
+        extras=extras or {},
+    )
+
+
+def gaussians_of(splats):
+    """The working set of all rows, in their own order and with centres as they are."""
+    count = len(splats)
+    return Gaussians(
+        means=splats.means.astype(np.float64),
+        scales=splats.scales(),
+        quats=splats.unit_quats(),
+        opacities=splats.opacities(),
+        features=splats.sh.reshape(count, -1),
+        sources=np.arange(count),
+        merged=np.zeros(count, dtype=bool),
+    )
+
+
+def row(gaussians, index):
+    """One splat as the twins take it."""
+    return {
+        "mean": gaussians.means[index],
+        "scales": gaussians.scales[index],
+        "quat": gaussians.quats[index],
+        "opacity": gaussians.opacities[index],
+        "features": gaussians.features[index],
+    }
+
+
+def model_bytes(splats):
+    """Every column's bytes, for comparing results bit by bit."""
+    columns = (splats.means, splats.log_scales, splats.quats, splats.opacity_logits, splats.sh)
+    return b"".join(column.tobytes() for column in (*columns, *splats.extras.values()))

@@ -1,0 +1,269 @@
+"""The command from outside, as a user runs it."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+
+
+def run(*arguments, cwd=None, **kwargs):
+    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120, **kwargs)
+
+
+def assert_refused(result, *words):
+    """Exit code 2, one sentence on stderr that names what it must, nothing on stdout."""
+    assert result.returncode == 2, result
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert result.stderr.startswith("error: ")
+    assert "Traceback" not in result.stderr
+    for word in words:
+        assert word in result.stderr
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(random_splats(500, degree=1), path)
+    return path
+
+
+# What it does
+
+
+def test_simplify_writes_the_asked_count(scene, tmp_path):
+    small = tmp_path / "small.ply"
+    result = run("simplify", scene, small, "--ratio", "0.1")
+    assert result.returncode == 0
+    assert result.stdout == ""
+    assert "50 splats" in result.stderr
+    assert len(nanogs.load(small)) == 50
+
+
+def test_json_is_the_report_and_nothing_else(scene, tmp_path):
+    result = run("simplify", scene, tmp_path / "small.ply", "-n", "7", "--json")
+    assert result.returncode == 0
+    assert result.stderr == ""
+    report = json.loads(result.stdout)
+    assert report["asked_count"] == report["achieved_count"] == 7
+    assert report["input_count"] == 500
+    assert report["stop"] == "target"
+    assert report["passes"][0]["count_before"] == 500 - report["pruned"]
+    assert set(report["passes"][0]["seconds"]) == {"graph", "cost", "match", "merge"}
+    assert {"read", "prune", "graph", "write"} <= set(report["seconds"])
+    assert report["output_bytes"] == (tmp_path / "small.ply").stat().st_size
+
+
+def test_the_command_and_the_library_give_the_same_bytes(scene, tmp_path):
+    options = ("--ratio", "0.2", "--k", "8", "--seed", "3", "--tau", "0", "--lambda-app", "0.5")
+    assert run("simplify", scene, tmp_path / "a.ply", *options, "-q").returncode == 0
+    small, _ = nanogs.simplify(nanogs.load(scene), ratio=0.2, k=8, seed=3, tau=0, lambda_app=0.5)
+    nanogs.save(small, tmp_path / "b.ply")
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+def test_quiet_says_nothing_and_verbose_shows_the_passes(scene, tmp_path):
+    quiet = run("simplify", scene, tmp_path / "a.ply", "-r", "0.1", "-q")
+    verbose = run("simplify", scene, tmp_path / "b.ply", "-r", "0.1", "-v")
+    assert (quiet.stdout, quiet.stderr) == ("", "")
+    assert "candidates" in verbose.stderr
+
+
+def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
+    result = run("simplify", scene, tmp_path / "small.ply", "-r", "0.1", "--dry-run")
+    assert result.returncode == 0
+    assert "peak memory" in result.stderr
+    as_json = run("simplify", scene, tmp_path / "small.ply", "-r", "0.1", "--dry-run", "--json")
+    assert json.loads(as_json.stdout)["asked_count"] == 50
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_overwrite_needs_its_flag(scene, tmp_path):
+    small = tmp_path / "small.ply"
+    small.write_text("mine")
+    assert_refused(run("simplify", scene, small, "-r", "0.1"), "small.ply", "-w")
+    assert small.read_text() == "mine"
+    assert run("simplify", scene, small, "-r", "0.1", "-w").returncode == 0
+    assert len(nanogs.load(small)) == 50
+
+
+def test_output_may_replace_the_input(tmp_path):
+    path = tmp_path / "scene.ply"
+    nanogs.save(random_splats(100), path)
+    assert run("simplify", path, path, "-r", "0.5", "-w").returncode == 0
+    assert len(nanogs.load(path)) == 50
+
+
+def test_bad_rows_are_reported(tmp_path):
+    splats = random_splats(100)
+    splats.means[3] = np.nan
+    nanogs.save(splats, tmp_path / "scene.ply")
+    result = run("simplify", tmp_path / "scene.ply", tmp_path / "small.ply", "-r", "0.1")
+    assert result.returncode == 0
+    assert "1 splats hold a NaN" in result.stderr
+    refused = run(
+        "simplify", tmp_path / "scene.ply", tmp_path / "x.ply", "-r", "0.1", "--nan", "error"
+    )
+    assert_refused(refused, "row 3", "--nan drop")
+    assert not (tmp_path / "x.ply").exists()
+
+
+def test_info_as_text_and_json(scene):
+    text = run("info", scene)
+    assert text.returncode == 0
+    assert "500" in text.stdout
+    report = json.loads(run("info", scene, "--json").stdout)
+    assert report["splats"] == 500
+    assert report["sh_degree"] == 1
+    assert report["nonfinite"] == 0
+    assert len(report["bounds"][0]) == 3
+
+
+def test_info_counts_infinite_opacities(tmp_path):
+    splats = random_splats(10)
+    splats.opacity_logits[:3] = np.inf
+    splats.opacity_logits[3] = -np.inf
+    nanogs.save(splats, tmp_path / "a.ply")
+    report = json.loads(run("info", tmp_path / "a.ply", "--json").stdout)
+    assert (report["opaque"], report["transparent"], report["nonfinite"]) == (3, 1, 0)
+
+
+def test_demo_makes_a_scene(tmp_path):
+    assert run("demo", tmp_path / "demo.ply", "-n", "2000").returncode == 0
+    assert len(nanogs.load(tmp_path / "demo.ply")) == 2000
+
+
+def test_help_and_info_never_import_numba(scene):
+    code = (
+        "import sys; from nanogs.cli import main\n"
+        "try: main()\n"
+        "finally: assert 'numba' not in sys.modules"
+    )
+    for arguments in (["--help"], ["simplify", "--help"], ["--version"], ["info", str(scene)]):
+        result = subprocess.run(
+            [sys.executable, "-c", code, *arguments], capture_output=True, text=True
+        )
+        assert result.returncode == 0, result.stderr
+
+
+def test_the_api_is_what_it_says():
+    code = (
+        "import nanogs.simplify.presets, nanogs\n"
+        "for name in ('load', 'save', 'simplify', 'Splats', 'SimplifyReport'):\n"
+        "    assert callable(getattr(nanogs, name)), name\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+# What it refuses
+
+
+def ply(header, body=b""):
+    return (
+        "\n".join(["ply", "format binary_little_endian 1.0", *header, "end_header"]) + "\n"
+    ).encode() + body
+
+
+NAMES = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
+PROPERTIES = [f"property float {name}" for name in NAMES]
+ROW = np.zeros(14, np.float32).tobytes()
+
+BAD_FILES = {
+    "empty": (b"", ["empty"]),
+    "not_a_ply": (b"hello world, this is text\n" * 10, ["ply"]),
+    "truncated_header": (ply(["element vertex 1", *PROPERTIES])[:60], ["header"]),
+    "truncated_body": (ply(["element vertex 9", *PROPERTIES], ROW * 4), ["9", "4"]),
+    "no_vertex": (ply(["element face 1", "property float x"], b"0000"), ["vertex"]),
+    "missing_property": (ply(["element vertex 1", *PROPERTIES[:-1]], ROW[:-4]), ["rot_3"]),
+    "no_splats": (ply(["element vertex 0", *PROPERTIES]), ["0"]),
+    "absurd_count": (ply(["element vertex 99999999999999", *PROPERTIES], ROW), ["99999999999999"]),
+    "negative_count": (ply(["element vertex -5", *PROPERTIES], ROW), ["-5"]),
+    "list_property": (
+        ply(["element vertex 1", *PROPERTIES, "property list uchar int l"], ROW + b"\0"),
+        ["list", "l"],
+    ),
+    "wrong_row_size": (ply(["element vertex 4", *PROPERTIES], ROW * 4 + b"xyz"), ["bytes"]),
+    "all_opacities_nan": (
+        ply(["element vertex 4", *PROPERTIES], np.full(14, np.nan, np.float32).tobytes() * 4),
+        ["NaN"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_file(name, tmp_path):
+    content, words = BAD_FILES[name]
+    (tmp_path / f"{name}.ply").write_bytes(content)
+    result = run("simplify", tmp_path / f"{name}.ply", tmp_path / "out.ply", "-r", "0.5")
+    expected = [] if name == "all_opacities_nan" else [f"{name}.ply"]
+    assert_refused(result, *expected, *words)
+    assert [path.name for path in tmp_path.iterdir()] == [f"{name}.ply"]
+
+
+def test_missing_file_and_directory_and_unknown_format(tmp_path):
+    assert_refused(run("simplify", tmp_path / "no.ply", tmp_path / "o.ply", "-r", "1"), "no.ply")
+    (tmp_path / "d.ply").mkdir()
+    assert_refused(run("simplify", tmp_path / "d.ply", tmp_path / "o.ply", "-r", "1"), "d.ply")
+    assert_refused(run("info", tmp_path / "no.ply"), "no.ply")
+    (tmp_path / "a.xyz").write_bytes(b"1")
+    assert_refused(run("info", tmp_path / "a.xyz"), ".xyz", ".ply")
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["--ratio", "0"], "ratio"),
+        (["--ratio", "1.5"], "ratio"),
+        (["--ratio", "nan"], "ratio"),
+        (["--count", "501"], "501"),
+        (["--count", "0"], "count"),
+        ([], "ratio"),
+        (["--ratio", "0.5", "--count", "5"], "ratio"),
+        (["--ratio", "0.5", "--preset", "papr"], "papr"),
+        (["--ratio", "0.5", "--tau", "2"], "tau"),
+        (["--ratio", "0.5", "--threads", "9999"], "threads"),
+    ],
+)
+def test_bad_option(scene, tmp_path, options, word):
+    assert_refused(run("simplify", scene, tmp_path / "out.ply", *options), word)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_output_that_cannot_be_written_is_refused_before_the_work(scene, tmp_path):
+    (tmp_path / "folder.ply").mkdir()
+    for target in ("missing/out.ply", "folder.ply", "out.unknown"):
+        result = run("simplify", scene, tmp_path / target, "-r", "0.5")
+        assert_refused(result, target.split("/")[0].split(".")[-1])
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write into read-only folders")
+def test_read_only_folder(scene, tmp_path):
+    tmp_path.chmod(0o500)
+    assert_refused(run("simplify", scene, tmp_path / "out.ply", "-r", "0.5"), "out.ply")
+
+
+def test_full_disk_leaves_no_file(scene, tmp_path):
+    """A limit on the size of files stands in for a full disk: the write fails half-way."""
+    resource = pytest.importorskip("resource")
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+
+    code = (
+        "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "from nanogs.cli import main; main()"
+    )
+    command = [sys.executable, "-c", code, "simplify", scene, tmp_path / "out.ply", "-r", "0.9"]
+    run_once = subprocess.run(
+        list(map(str, command)), capture_output=True, text=True, preexec_fn=limit
+    )
+    assert_refused(run_once, "out.ply")
+    assert list(tmp_path.iterdir()) == []

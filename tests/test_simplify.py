@@ -1,0 +1,388 @@
+"""The published method through the library's front door: hazards by name, then properties."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+import nanogs
+from builders import model_bytes, random_splats
+from nanogs.errors import ModelError, OptionError
+from nanogs.report import StopReason
+from nanogs.simplify import match as match_stage
+from nanogs.simplify import pipeline
+from nanogs.simplify.prune import prune
+from nanogs.simplify.target import target_count
+from nanogs.splats import ExtraElement, Splats
+
+
+def one_place(count):
+    """Splats that all have the same centre."""
+    splats = random_splats(count, seed=1)
+    splats.means[:] = splats.means[0]
+    return splats
+
+
+# Counts
+
+
+@pytest.mark.parametrize("ratio", [1, 0.99, 0.9, 0.5, 0.1, 0.01, 0.001, 1e-9])
+def test_every_ratio_is_met_exactly(ratio):
+    splats = random_splats(1000)
+    small, report = nanogs.simplify(splats, ratio=ratio)
+    assert len(small) == report.achieved_count == math.ceil(ratio * 1000)
+    assert report.stop == StopReason.TARGET
+
+
+@given(st.integers(1, 200), st.data())
+def test_every_count_is_met_exactly(n, data):
+    count = data.draw(st.integers(1, n))
+    small, report = nanogs.simplify(random_splats(n, seed=n), count=count)
+    assert len(small) == report.achieved_count == count
+
+
+def test_ratio_is_the_decimal_that_is_written():
+    assert math.ceil(0.07 * 100) == 8  # binary fractions alone would give this
+    assert target_count(100, 0.07, None) == 7
+
+
+def test_pruning_stops_at_the_count_and_says_so():
+    splats = random_splats(100)
+    splats.opacity_logits[:] = np.linspace(-8, -3, 100)
+    small, report = nanogs.simplify(splats, ratio=0.9)
+    assert len(small) == 90
+    assert report.prune_limited
+    assert report.pruned == 10
+    assert np.array_equal(small.opacity_logits, splats.opacity_logits[10:])
+
+
+def test_prune_keeps_alpha_at_the_threshold_and_takes_the_smaller_of_tau_and_median():
+    alphas = np.array([0.1, 0.0999, 0.5, 0.9, 0.2])
+    assert prune(alphas, 0.1, 1).keep.tolist() == [0, 2, 3, 4]
+    assert prune(np.array([0.01, 0.02, 0.03]), 0.1, 1).keep.tolist() == [1, 2]
+    assert prune(np.array([0.3, 0.3, 0.3]), 0.1, 2).keep.tolist() == [0, 1, 2]
+
+
+def test_prune_limited_keeps_the_most_opaque_ties_by_row():
+    pruning = prune(np.array([0.1, 0.1, 0.9, 0.8]), 0.5, 3)
+    assert pruning.keep.tolist() == [0, 2, 3]
+    assert pruning.limited
+
+
+def test_ratio_one_returns_the_same_bytes():
+    splats = random_splats(50, degree=3)
+    small, report = nanogs.simplify(splats, ratio=1)
+    assert model_bytes(small) == model_bytes(splats)
+    assert report.passes == ()
+
+
+@pytest.mark.parametrize(
+    ("ratio", "count"),
+    [
+        (None, None),
+        (0.5, 5),
+        (0, None),
+        (-1, None),
+        (1.01, None),
+        (math.nan, None),
+        (math.inf, None),
+    ]
+    + [(None, 0), (None, -1), (None, 11)],
+)
+def test_wishes_that_make_no_sense_are_refused(ratio, count):
+    with pytest.raises(OptionError):
+        nanogs.simplify(random_splats(10), ratio=ratio, count=count)
+
+
+@pytest.mark.parametrize(
+    "override",
+    [{"tau": -0.1}, {"tau": 1.1}, {"tau": math.nan}, {"k": 0}, {"samples": 0}, {"seed": -1}]
+    + [{"lambda_geo": math.inf}, {"lambda_app": -1}, {"merge_cap": 0}, {"merge_cap": 0.6}]
+    + [{"preset": "papr"}, {"kk": 3}, {"threads": 0}, {"threads": 10_000}],
+)
+def test_parameters_out_of_range_are_refused(override):
+    with pytest.raises(OptionError):
+        nanogs.simplify(random_splats(10), ratio=0.5, **override)
+
+
+# Hazards
+
+
+def test_one_splat_and_two_splats():
+    assert len(nanogs.simplify(random_splats(1), ratio=0.1)[0]) == 1
+    small, report = nanogs.simplify(random_splats(2), count=1, tau=0)
+    assert len(small) == 1
+    assert report.passes[0].merged == 1
+
+
+def test_k_larger_than_the_count():
+    assert len(nanogs.simplify(random_splats(5), count=2, k=100)[0]) == 2
+
+
+@pytest.mark.parametrize("count", [2, 10, 40, 3000])
+def test_coincident_centres_merge_down_to_one(count):
+    small, report = nanogs.simplify(one_place(count), count=1)
+    assert len(small) == 1
+    assert report.stop == StopReason.TARGET
+
+
+def test_a_hundred_thousand_coincident_centres_finish():
+    """A k-d tree cannot split them: each query would visit all."""
+    splats = one_place(10).take(np.arange(100_000) % 10)
+    assert len(nanogs.simplify(splats, ratio=0.1)[0]) == 10_000
+
+
+def test_zero_scales_and_zero_quaternions():
+    splats = random_splats(60)
+    splats.log_scales[:30] = -np.inf
+    splats.quats[20:40] = 0
+    small, _ = nanogs.simplify(splats, count=5)
+    assert len(small) == 5
+    assert small.finite().all()
+
+
+def test_flyaways_a_million_extents_out():
+    splats = random_splats(500)
+    splats.means[:5] *= 1e6
+    small, _ = nanogs.simplify(splats, count=50)
+    assert small.finite().all()
+
+
+@pytest.mark.parametrize("opacity", [np.inf, -np.inf])
+def test_infinite_opacities_are_data(opacity):
+    splats = random_splats(40)
+    splats.opacity_logits[:] = opacity
+    small, report = nanogs.simplify(splats, count=4)
+    assert report.dropped_nonfinite == 0
+    assert (small.opacity_logits == opacity).all()
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [*itertools.product(["means", "log_scales", "quats", "sh"], [np.nan, np.inf])]
+    + [("opacity_logits", np.nan)],  # an infinite opacity logit is data
+)
+def test_bad_rows_are_left_out_and_reported(column, value):
+    splats = random_splats(50)
+    array = getattr(splats, column).reshape(50, -1)
+    array[7, 0] = value
+    array[31, -1] = value
+    small, report = nanogs.simplify(splats, count=5, tau=0)
+    assert report.dropped_nonfinite == 2
+    clean = splats.take(np.delete(np.arange(50), [7, 31]))
+    assert model_bytes(small) == model_bytes(nanogs.simplify(clean, count=5, tau=0)[0])
+
+
+def test_bad_rows_are_refused_on_request():
+    splats = random_splats(50)
+    splats.means[7] = np.nan
+    with pytest.raises(ModelError, match="row 7"):
+        nanogs.simplify(splats, count=5, nan="error")
+
+
+def test_a_scale_that_overflows_is_a_bad_row():
+    splats = random_splats(20)
+    splats.log_scales[3] = 1000
+    assert nanogs.simplify(splats, count=5)[1].dropped_nonfinite == 1
+
+
+def test_all_opacities_nan():
+    splats = random_splats(20)
+    splats.opacity_logits[:] = np.nan
+    with pytest.raises(ModelError, match="No splat is usable"):
+        nanogs.simplify(splats, ratio=0.5)
+
+
+def test_costs_without_a_number_end_the_loop_and_the_report_says_why(monkeypatch):
+    monkeypatch.setattr(
+        pipeline, "pair_costs", lambda g, pairs, *_: np.full(len(pairs), np.nan, np.float32)
+    )
+    small, report = nanogs.simplify(random_splats(20), count=5, tau=0)
+    assert report.stop == StopReason.NO_CANDIDATES
+    assert report.passes[0].without_cost == report.passes[0].candidates > 0
+    assert len(small) == 20
+
+
+def test_a_pass_that_merges_nothing_ends_the_loop(monkeypatch):
+    def nothing(pairs, costs, rows, limit):
+        return match_stage.MergePlan(pairs[:0], costs[:0], 0)
+
+    monkeypatch.setattr(pipeline, "match", nothing)
+    assert nanogs.simplify(random_splats(20), count=5)[1].stop == StopReason.NO_PROGRESS
+
+
+def test_merge_cap_bounds_every_pass():
+    _, report = nanogs.simplify(random_splats(200), count=20, tau=0, merge_cap=0.1)
+    assert len(report.passes) > 10
+    assert all(p.merged <= max(1, p.count_before // 10) for p in report.passes)
+
+
+# What is carried
+
+
+def test_extra_columns_come_from_the_dominant_member():
+    splats = random_splats(
+        2, extras={"label": np.array([7, 9], np.uint8), "id": np.array([2**53 + 1, 5])}
+    )
+    splats.log_scales[:] = [[-3] * 3, [-1] * 3]
+    splats.opacity_logits[:] = 2
+    small, _ = nanogs.simplify(splats, count=1)
+    assert small.extras["label"].tolist() == [9]
+    assert small.extras["label"].dtype == np.uint8
+    assert small.extras["id"].tolist() == [5]
+
+
+def test_tag_comments_and_elements_are_carried():
+    element = ExtraElement("camera", np.array([(1.5,)], dtype=[("fx", "f4")]))
+    base = random_splats(20)
+    splats = Splats(
+        base.means, base.log_scales, base.quats, base.opacity_logits, base.sh,
+        render_mode=nanogs.RenderMode.MIP, comments=("by me",), elements=(element,),
+    )  # fmt: skip
+    small, _ = nanogs.simplify(splats, count=5)
+    assert small.render_mode == nanogs.RenderMode.MIP
+    assert small.comments == ("by me",)
+    assert small.elements == (element,)
+
+
+def test_an_element_with_a_row_for_each_splat_is_refused():
+    base = random_splats(20)
+    element = ExtraElement("sh8", np.zeros(20, dtype=[("a", "u1")]))
+    splats = Splats(
+        base.means, base.log_scales, base.quats, base.opacity_logits, base.sh, elements=(element,)
+    )
+    with pytest.raises(ModelError, match="sh8"):
+        nanogs.simplify(splats, count=5)
+
+
+def test_rows_that_were_not_merged_keep_their_bytes_and_order():
+    splats = random_splats(300, extras={"row": np.arange(300)})
+    small, _ = nanogs.simplify(splats, ratio=0.9, tau=0)
+    rows = small.extras["row"]
+    assert (np.diff(rows) > 0).all()
+    same = [model_bytes(small.take(np.array([i]))) == model_bytes(splats.take(np.array([row])))
+            for i, row in enumerate(rows)]  # fmt: skip
+    assert sum(same) == 300 - 2 * 30
+
+
+def test_the_input_is_not_changed():
+    splats = random_splats(100)
+    before = model_bytes(splats)
+    nanogs.simplify(splats, ratio=0.1)
+    assert model_bytes(splats) == before
+
+
+def test_double_centres_keep_their_digits_far_from_zero():
+    base = random_splats(100)
+    far = np.array([5e6, -3e6, 100.0])
+    splats = Splats(
+        base.means.astype(np.float64) + far,
+        base.log_scales,
+        base.quats,
+        base.opacity_logits,
+        base.sh,
+    )
+    small, _ = nanogs.simplify(splats, count=20)
+    near, _ = nanogs.simplify(base, count=20)
+    assert small.means.dtype == np.float64
+    assert np.allclose(small.means - far, near.means, atol=1e-6)
+
+
+# Properties
+
+
+@given(st.integers(2, 120), st.floats(0.01, 1), st.integers(0, 3), st.integers(0, 2**31))
+def test_results_are_valid_models(n, ratio, degree, seed):
+    splats = random_splats(n, degree=degree, seed=seed)
+    small, _ = nanogs.simplify(splats, ratio=ratio)
+    assert small.finite().all()
+    assert np.isfinite(small.log_scales).all()
+    assert small.sh_degree == degree
+    lengths = np.linalg.norm(small.unit_quats(), axis=1)
+    assert np.allclose(lengths, 1, atol=1e-6)
+    assert ((small.opacities() >= 0) & (small.opacities() <= 1)).all()
+
+
+@given(st.integers(5, 60), st.integers(0, 2**31))
+def test_centres_stay_inside_the_hull_of_the_input(n, seed):
+    splats = random_splats(n, seed=seed)
+    small, _ = nanogs.simplify(splats, ratio=0.2, tau=0)
+    planes = ConvexHull(splats.means.astype(np.float64)).equations
+    assert (small.means @ planes[:, :3].T + planes[:, 3] <= 1e-5).all()
+
+
+@given(st.integers(5, 80), st.integers(0, 2**31))
+def test_total_mass_and_mean_colour_are_preserved_by_one_merge(n, seed):
+    """Every merge conserves the mass-weighted mean of centre and colour, so the whole does."""
+    splats = random_splats(2, seed=seed)
+    splats.log_scales[:] = np.clip(splats.log_scales, -4, 0)
+    small, _ = nanogs.simplify(splats, count=1, tau=0)
+    masses = splats.opacities() * np.prod(splats.scales().astype(np.float64), axis=1)
+    shares = masses / masses.sum()
+    assert np.allclose(small.means[0], shares @ splats.means, atol=1e-5)
+    assert np.allclose(small.sh[0], np.tensordot(shares, splats.sh, 1), atol=1e-5)
+
+
+@given(st.integers(10, 100), st.integers(0, 2**31), st.sampled_from([4.0, -64.0, 1024.0]))
+def test_moving_the_scene_moves_the_result(n, seed, offset):
+    splats = random_splats(n, seed=seed)
+    # Multiples of 2^-10 keep every digit of these centres when moved, in single precision too.
+    splats.means[:] = np.round(splats.means * 1024) / 1024
+    moved = splats.take(np.arange(n))
+    moved.means[:] += np.float32(offset)
+    small, report = nanogs.simplify(splats, ratio=0.3)
+    small_moved, report_moved = nanogs.simplify(moved, ratio=0.3)
+    assert [p.merged for p in report.passes] == [p.merged for p in report_moved.passes]
+    assert np.allclose(small_moved.means - np.float32(offset), small.means, atol=1e-3)
+    assert np.allclose(small_moved.sh, small.sh, atol=1e-6)
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_the_same_bytes_for_one_and_two_threads(degree):
+    import numba
+
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("this machine has one core")
+    splats = random_splats(5000, degree=degree)
+    one, two = (nanogs.simplify(splats, ratio=0.1, threads=t)[0] for t in (1, 2))
+    assert model_bytes(one) == model_bytes(two)
+
+
+def test_the_same_bytes_again():
+    splats = random_splats(2000)
+    first, second = (nanogs.simplify(splats, ratio=0.1)[0] for _ in range(2))
+    assert model_bytes(first) == model_bytes(second)
+
+
+def test_the_plan_is_pinned():
+    """Which rows merge in the first pass, as integers; a change of the method changes this."""
+    means = np.array([[0, 0, 0], [1, 0, 0], [10, 0, 0], [11.5, 0, 0], [30, 0, 0]])
+    splats = Splats(
+        means=means.astype(np.float32),
+        log_scales=np.full((5, 3), -1.0, np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (5, 1)),
+        opacity_logits=np.full(5, 2.0, np.float32),
+        sh=np.zeros((5, 1, 3), np.float32),
+        extras={"row": np.arange(5)},
+    )
+    small, report = nanogs.simplify(splats, count=3, k=2, samples=16)
+    assert small.extras["row"].tolist() == [0, 2, 4]
+    assert np.allclose(small.means[:, 0], [0.5, 10.75, 30])
+    assert [p.merged for p in report.passes] == [2]
+
+
+def test_progress_tells_every_stage_and_the_splats_left():
+    told = []
+    splats = random_splats(100)
+    nanogs.simplify(splats, count=10, progress=lambda stage, left: told.append((stage, left)))
+    stages = [stage for stage, _ in told]
+    assert stages[0] == "prune"
+    assert stages[-1] == "store"
+    assert {"graph", "cost", "match", "merge"} <= set(stages)
+    left = [count for _, count in told]
+    assert left == sorted(left, reverse=True)
+    assert left[-1] == 10

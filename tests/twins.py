@@ -1,0 +1,121 @@
+"""Plain float64 twins of the kernels: as slow and as clear as they can be."""
+
+import itertools
+import math
+
+import numpy as np
+
+
+def rotation_matrix(quat):
+    """Quaternion product q (0, v) q* on the three unit vectors, column by column."""
+
+    def product(a, b):
+        w = a[0] * b[0] - a[1:] @ b[1:]
+        return np.array([w, *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
+
+    quat = np.asarray(quat, dtype=np.float64)
+    conjugate = quat * (1, -1, -1, -1)
+    columns = [product(product(quat, np.array([0.0, *v])), conjugate)[1:] for v in np.eye(3)]
+    return np.stack(columns, axis=1)
+
+
+def covariance(scales, quat, jitter=0.0):
+    rotation = rotation_matrix(quat)
+    return rotation @ np.diag(np.asarray(scales, dtype=np.float64) ** 2 + jitter) @ rotation.T
+
+
+def mass(splat):
+    return (2 * math.pi) ** 1.5 * splat["opacity"] * np.prod(splat["scales"].astype(np.float64))
+
+
+def fraction(a, b):
+    total = mass(a) + mass(b)
+    return 0.5 if total == 0 else mass(a) / total
+
+
+def moments(a, b, jitter=0.0):
+    """Mean and covariance of the two-part mixture, from their definition."""
+    pi = fraction(a, b)
+    mean = pi * a["mean"] + (1 - pi) * b["mean"]
+    total = np.zeros((3, 3))
+    for share, part in ((pi, a), (1 - pi, b)):
+        offset = part["mean"] - mean
+        own = covariance(part["scales"], part["quat"], jitter)
+        total += share * (own + np.outer(offset, offset))
+    return mean, total
+
+
+def merged(a, b):
+    pi = fraction(a, b)
+    mean, sigma = moments(a, b)
+    return {
+        "mean": mean,
+        "covariance": sigma,
+        "opacity": 1 - (1 - a["opacity"]) * (1 - b["opacity"]),
+        "features": pi * a["features"].astype(np.float64) + (1 - pi) * b["features"],
+    }
+
+
+def log_normal_density(x, mean, sigma):
+    offset = x - mean
+    _, log_det = np.linalg.slogdet(sigma)
+    return -0.5 * (3 * math.log(2 * math.pi) + log_det + offset @ np.linalg.solve(sigma, offset))
+
+
+def divergence(a, b, normals, jitter):
+    """KL of the mixture from the moment-matched normal, by the same draws as the kernel."""
+    shares = (fraction(a, b), 1 - fraction(a, b))
+    sigmas = [covariance(part["scales"], part["quat"], jitter) for part in (a, b)]
+    _, sigma_m = moments(a, b, jitter)
+    expected_log_p = 0.0
+    for share, part in zip(shares, (a, b), strict=True):
+        if share == 0:
+            continue
+        root = rotation_matrix(part["quat"]) @ np.diag(
+            np.sqrt(part["scales"].astype(np.float64) ** 2 + jitter)
+        )
+        logs = []
+        for z in normals:
+            x = part["mean"] + root @ z
+            terms = [
+                math.log(s) + log_normal_density(x, p["mean"], sigma)
+                for s, p, sigma in zip(shares, (a, b), sigmas, strict=True)
+                if s > 0
+            ]
+            logs.append(np.logaddexp.reduce(terms))
+        expected_log_p += share * np.mean(logs)
+    cross_entropy = 0.5 * (3 * math.log(2 * math.pi) + np.linalg.slogdet(sigma_m)[1] + 3)
+    return expected_log_p + cross_entropy
+
+
+def cost(a, b, normals, jitter, lambda_geo=1.0, lambda_app=1.0):
+    colour = np.sum((a["features"].astype(np.float64) - b["features"]) ** 2)
+    return lambda_geo * divergence(a, b, normals, jitter) + lambda_app * colour
+
+
+def neighbour_distances(means, k):
+    """(N, k) distances to the nearest other rows, by comparing all with all."""
+    distances = np.linalg.norm(means[:, None] - means[None], axis=2)
+    np.fill_diagonal(distances, np.inf)
+    return np.sort(distances, axis=1)[:, : min(k, len(means) - 1)]
+
+
+def pairs_of(neighbours):
+    return sorted({tuple(sorted((i, int(j)))) for i, row in enumerate(neighbours) for j in row})
+
+
+def greedy(pairs, costs, limit):
+    """Cheapest first, ties by pair, while both ends are free."""
+    taken, chosen = set(), []
+    candidates = zip(costs, map(tuple, pairs), strict=True)
+    for _, pair in sorted(entry for entry in candidates if not math.isnan(entry[0])):
+        if len(chosen) < limit and not taken & set(pair):
+            chosen.append(pair)
+            taken |= set(pair)
+    return chosen
+
+
+def morton_code(cell):
+    """Interleave the bits of three cell numbers, x lowest."""
+    bits = itertools.product(range(21), range(3))
+    return sum(((int(cell[axis]) >> bit) & 1) << (3 * bit + axis) for bit, axis in bits)
