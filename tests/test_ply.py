@@ -1,0 +1,267 @@
+"""Reading and writing `.ply`: what must be kept, and how."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nanogs import io
+from nanogs.errors import OutputError
+from nanogs.splats import ExtraElement, RenderMode
+from plyfiles import BASE, ENCODINGS, ply, vertex
+from strategies import assert_same
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load(data, name="in.ply"):
+        (tmp_path / name).write_bytes(data)
+        return io.load(tmp_path / name)
+
+    return load
+
+
+@pytest.fixture
+def resave(tmp_path):
+    def resave(model):
+        io.save(model, tmp_path / "out.ply", overwrite=True)
+        return (tmp_path / "out.ply").read_bytes()
+
+    return resave
+
+
+def rest(count):
+    return [f"f_rest_{i}" for i in range(count)]
+
+
+def test_columns_go_where_their_names_say(load):
+    model = load(ply(("vertex", vertex())))
+    assert model.means[0].tolist() == [1, 2, 3]
+    assert model.sh[0, 0].tolist() == [4, 5, 6]
+    assert model.opacity_logits[0] == 7
+    assert model.log_scales[0].tolist() == [8, 9, 10]
+    assert model.quats[0].tolist() == [11, 12, 13, 14]
+    assert model.means[2].tolist() == [3, 6, 9]
+    assert model.notes == ()
+
+
+def test_column_order_does_not_matter(load):
+    columns = vertex()
+    assert_same(
+        load(ply(("vertex", columns))), load(ply(("vertex", [*columns[7:], *columns[6::-1]])))
+    )
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_encodings_agree(load, encoding):
+    columns = vertex(5, [*BASE, *rest(9), "label"], {"label": "short"})
+    columns[6][2][0] = -5
+    assert_same(load(ply(("vertex", columns))), load(ply(("vertex", columns), encoding=encoding)))
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_models_longer_than_a_block(load, monkeypatch, encoding):
+    whole = load(ply(("vertex", vertex(100))))
+    monkeypatch.setattr("nanogs.io.ply_rows.BLOCK_ROWS", 7)
+    assert_same(whole, load(ply(("vertex", vertex(100)), encoding=encoding)))
+
+
+def test_writer_longer_than_a_block(load, resave, monkeypatch):
+    model = load(ply(("vertex", vertex(100))))
+    whole = resave(model)
+    monkeypatch.setattr("nanogs.io.ply_write.BLOCK_ROWS", 7)
+    assert resave(model) == whole
+
+
+@pytest.mark.parametrize(("count", "degree"), [(0, 0), (9, 1), (24, 2), (45, 3), (72, 4)])
+def test_f_rest_is_channel_major(load, count, degree):
+    columns = vertex(2, BASE) + [(n, "float", np.full(2, i)) for i, n in enumerate(rest(count))]
+    model = load(ply(("vertex", columns)))
+    assert model.sh_degree == degree
+    assert model.sh[0, 1:].T.ravel().tolist() == list(range(count))
+
+
+@pytest.mark.parametrize("alias", ["float32", "float"])
+def test_type_aliases(load, alias):
+    data = ply(("vertex", vertex(3, [*BASE, "a"], {"a": "uchar"})))
+    data = data.replace(b"property float ", f"property {alias} ".encode())
+    model = load(data.replace(b"uchar", b"uint8"))
+    assert model.extras["a"].dtype == np.uint8
+    assert model.means.dtype == np.float32
+
+
+def test_double_centres_stay_double(load, resave):
+    model = load(ply(("vertex", vertex(3, BASE, dict.fromkeys("xyz", "double")))))
+    assert model.means.dtype == np.float64
+    assert model.notes == ()
+    assert b"property double x\n" in resave(model)
+
+
+def test_other_doubles_become_float_and_the_user_is_told(load):
+    model = load(ply(("vertex", vertex(3, BASE, {"opacity": "double"}))))
+    assert model.opacity_logits.tolist() == [7, 14, 21]
+    assert model.notes == ("1 double columns became float: opacity.",)
+
+
+def test_double_beyond_float_is_reported(load):
+    columns = vertex(3, BASE, {"opacity": "double"})
+    columns[6] = ("opacity", "double", np.array([1.0, 1e300, np.inf]))
+    model = load(ply(("vertex", columns)))
+    assert "1 values of 'opacity' are beyond float and became infinite." in model.notes
+
+
+def test_integer_colours_become_float_and_the_user_is_told(load):
+    model = load(ply(("vertex", vertex(3, BASE, {"f_dc_0": "int"}))))
+    assert model.sh[:, 0, 0].tolist() == [4, 8, 12]
+    assert model.notes == ("1 int columns became float: f_dc_0.",)
+
+
+def test_extras_keep_dtype_values_and_order(load, resave):
+    names = ["label", *BASE, "nx", "id"]
+    model = load(ply(("vertex", vertex(3, names, {"label": "uchar", "id": "int"}))))
+    assert {n: c.dtype.str[1:] for n, c in model.extras.items()} == {
+        "label": "u1",
+        "nx": "f4",
+        "id": "i4",
+    }
+    data = resave(model)
+    written = [line.split()[-1].decode() for line in data.split(b"\n") if b"property" in line]
+    assert written == ["x", "y", "z", "nx", *BASE[3:], "label", "id"]
+    assert load(data).extras["label"].tolist() == model.extras["label"].tolist()
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_elements_before_and_after_vertex_are_kept(load, resave, encoding):
+    before = ("camera", [("f", "float", np.array([0.5, 2.5]))])
+    after = ("tag", [("id", "uint", np.array([7, 4294967295])), ("k", "uchar", np.array([1, 2]))])
+    model = load(ply(before, ("vertex", vertex()), after, encoding=encoding))
+    assert [e.name for e in model.elements] == ["camera", "tag"]
+    assert model.elements[1].rows["id"].tolist() == [7, 4294967295]
+    assert model.means[0].tolist() == [1, 2, 3]
+    assert_same(model, load(resave(model)))
+
+
+def test_empty_face_element_is_left_out_with_a_note(load):
+    data = ply(("vertex", vertex()))
+    face = b"element face 0\nproperty list uchar int vertex_indices\nend_header"
+    model = load(data.replace(b"end_header", face))
+    assert model.elements == ()
+    assert model.notes == ("The empty element 'face' was left out.",)
+
+
+@pytest.mark.parametrize(
+    ("comments", "mode"),
+    [
+        ([], RenderMode.DEFAULT),
+        (["SplatRenderMode: mip"], RenderMode.MIP),
+        (["splatrendermode: 2DGS"], RenderMode.SURFEL),
+        (["antialiased 1"], RenderMode.MIP),
+        (["antialiased 0"], RenderMode.DEFAULT),
+        (["SplatRenderMode: banana"], RenderMode.DEFAULT),
+        (["antialiased 1", "SplatRenderMode: 2dgs"], RenderMode.SURFEL),
+    ],
+)
+def test_render_mode_is_read_and_survives(load, resave, comments, mode):
+    model = load(ply(("vertex", vertex()), comments=comments))
+    assert model.render_mode is mode
+    assert load(resave(model)).render_mode is mode
+
+
+def test_render_tag_is_not_duplicated(load, resave):
+    model = load(ply(("vertex", vertex()), comments=["made by hand", "antialiased 1"]))
+    assert load(resave(model)).comments == ("made by hand", "antialiased 1")
+
+
+def test_changed_render_mode_replaces_the_tag(load, resave):
+    model = load(ply(("vertex", vertex()), comments=["antialiased 1", "me"]))
+    surfel = load(resave(replace(model, render_mode=RenderMode.SURFEL)))
+    assert surfel.comments == ("me", "SplatRenderMode: 2dgs")
+    assert load(resave(replace(model, render_mode=RenderMode.DEFAULT))).comments == ("me",)
+
+
+def test_contradicting_tags_are_noted(load):
+    model = load(ply(("vertex", vertex()), comments=["antialiased 1", "SplatRenderMode: 2dgs"]))
+    assert model.notes == ("The comments state 2 render modes; the last one (2dgs) was taken.",)
+
+
+def test_comment_bytes_survive_in_any_encoding(load, resave, tmp_path):
+    raw = b"comment caf\xe9  \xc3\xa9 \n"
+    model = load(ply(("vertex", vertex())).replace(b"element", raw + b"element"))
+    assert raw in resave(model)
+    assert io.inspect(tmp_path / "out.ply").comments[0].startswith("café")
+
+
+def test_obj_info_becomes_a_comment_with_a_note(load):
+    model = load(ply(("vertex", vertex())).replace(b"element", b"obj_info num 3\nelement"))
+    assert model.comments == ("num 3",)
+    assert model.notes == ("1 obj_info lines were kept as comments.",)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_carriage_returns_in_the_header(load, encoding):
+    data = ply(("vertex", vertex()), encoding=encoding, eol="\r\n", comments=["hi"])
+    model = load(data)
+    assert model.means[0].tolist() == [1, 2, 3]
+    assert model.comments == ("hi",)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
+def test_infinities_and_nan_are_data(load, encoding, value):
+    columns = vertex()
+    columns[6] = ("opacity", "float", np.array([1.5, value, 0]))
+    model = load(ply(("vertex", columns), encoding=encoding))
+    assert np.array_equal(model.opacity_logits, np.float32([1.5, value, 0]), equal_nan=True)
+
+
+def test_arrays_do_not_hang_on_to_the_file(load, tmp_path, resave):
+    model = load(ply(("vertex", vertex())))
+    io.save(model, tmp_path / "in.ply", overwrite=True)
+    assert model.means[0].tolist() == [1, 2, 3]
+    assert type(model.means) is np.ndarray
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"extras": {"a": np.zeros(3, np.int64)}}, "int64"),
+        ({"extras": {"a b": np.zeros(3, np.float32)}}, "space"),
+        ({"extras": {"": np.zeros(3, np.float32)}}, "empty"),
+        ({"extras": {"opacity": np.zeros(3, np.float32)}}, "own name"),
+        ({"extras": {"f_rest_0": np.zeros(3, np.float32)}}, "own name"),
+        ({"comments": ["a\nend_header"]}, "line break"),
+        ({"comments": ["\ud800"]}, "encoded"),
+        ({"comments": ["x" * (1 << 20)]}, "header"),
+        ({"elements": [ExtraElement("vertex", np.zeros(1, [("a", "f4")]))]}, "Two elements"),
+        ({"elements": [ExtraElement("e", np.zeros(1, [("a", "i8")]))]}, "int64"),
+        ({"elements": [ExtraElement("e", np.zeros(1, [("a", "f4", 3)]))]}, "dimensions"),
+    ],
+)
+def test_what_ply_cannot_hold_is_refused_and_leaves_no_file(load, tmp_path, change, words):
+    model = replace(load(ply(("vertex", vertex()))), **change)
+    with pytest.raises(OutputError, match=words):
+        io.save(model, tmp_path / "out.ply")
+    assert [p.name for p in tmp_path.iterdir()] == ["in.ply"]
+
+
+def test_inspect_reads_no_body(tmp_path):
+    columns = vertex(4, [*BASE, *rest(9), "label"], {"label": "uchar", "x": "double"})
+    extra = ("camera", [("f", "float", np.array([0.5]))])
+    data = ply(("vertex", columns), extra, encoding="binary_big_endian", comments=["antialiased 1"])
+    path = tmp_path / "a.PLY"
+    path.write_bytes(data)
+    info = io.inspect(path)
+    assert (info.format, info.encoding) == ("ply", "binary_big_endian")
+    assert (info.splats, info.sh_degree, info.file_bytes) == (4, 1, len(data))
+    assert info.double_means
+    assert info.properties[0] == ("x", "double")
+    assert info.extras == ("label",)
+    assert info.elements == (("camera", 1),)
+    assert info.render_mode is RenderMode.MIP
+
+
+def test_io_does_not_import_numba():
+    code = "import sys, nanogs.io; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
