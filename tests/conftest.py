@@ -1,0 +1,29 @@
+"""Settings and helpers shared by all tests."""
+
+import os
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+# No deadline: the first example of a test compiles kernels. The same examples on every machine.
+hypothesis.settings.register_profile("nanogs", deadline=None, derandomize=True, max_examples=60)
+hypothesis.settings.load_profile("nanogs")
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+def scene_path(name: str) -> Path:
+    """A file or folder of the real scenes; skips the test where they are absent."""
+    path = Path(os.environ.get("NANOGS_SCENES", SHARED / "scenes")) / name
+    if not path.exists():
+        pytest.skip(f"the real scene {name} is absent: set NANOGS_SCENES to the folder of scenes")
+    return path
+
+
+def peer_path(name: str) -> Path:
+    """A file that another tool made of a real scene; skips the test where they are absent."""
+    path = Path(os.environ.get("NANOGS_PEERS", SHARED / "peers")) / name
+    if not path.exists():
+        pytest.skip(f"the file {name} is absent: set NANOGS_PEERS to the folder of peers' results")
+    return path
