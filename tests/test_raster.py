@@ -194,6 +194,21 @@ def test_equal_depths_are_blended_by_index():
     assert second.color.max() < 0.1
 
 
+@pytest.mark.parametrize("nearer", [0, 1])
+def test_depths_one_rounding_apart_are_told_apart(nearer):
+    depth = np.float32(3)
+    means = np.array([(0, 0, np.nextafter(depth, np.float32(4)))] * 2, np.float32)
+    means[nearer, 2] = depth
+    splats = make_splats(
+        2,
+        means=means,
+        log_scales=np.full((2, 3), 2, np.float32),
+        opacity_logits=np.full(2, 9, np.float32),
+        sh=np.array([[[1.7] * 3], [[-1.7] * 3]], np.float32),
+    )
+    assert (render(splats, make_camera()).color.mean() > 0.5) == (nearer == 0)
+
+
 def test_broken_rows_are_left_out_and_counted():
     splats = make_splats(20)
     broken = {name: getattr(splats, name).copy() for name in ("means", "quats", "sh")}

@@ -176,34 +176,38 @@ def project_splats(
 
 
 @inline
-def _tile_span(row: F64, lowest: float, ty: int, width: int, height: int) -> tuple[int, int]:
-    """Tiles [first, end) of tile row ty that hold a pixel centre inside the splat's ellipse.
+def _tile_span(
+    geometry: F64, i: int, lowest: float, ty: int, width: int, height: int
+) -> tuple[int, int]:
+    """Tiles [first, end) of tile row ty that hold a pixel centre inside splat i's ellipse.
 
     lowest is the height above the centre, in pixels, at which the ellipse is leftmost.
     """
-    y0 = ty * TILE + 0.5 - row[1]
-    y1 = min(ty * TILE + TILE, height) - 0.5 - row[1]
+    u, v, sigma = geometry[i, 0], geometry[i, 1], 1.0 / geometry[i, 2]
+    slope, inv_yy, reach = geometry[i, 3], geometry[i, 4], geometry[i, 5]
+    y0 = ty * TILE + 0.5 - v
+    y1 = min(ty * TILE + TILE, height) - 0.5 - v
     left_y = min(max(lowest, y0), y1)
     right_y = min(max(-lowest, y0), y1)
-    left = row[3] * left_y - math.sqrt(max(0.0, row[5] - left_y * left_y * row[4])) / row[2]
-    right = row[3] * right_y + math.sqrt(max(0.0, row[5] - right_y * right_y * row[4])) / row[2]
-    first = math.ceil(max(row[0] + left - 0.5, 0.0))
-    last = math.floor(min(row[0] + right - 0.5, width - 1.0))
+    left = slope * left_y - math.sqrt(max(0.0, reach - left_y * left_y * inv_yy)) * sigma
+    right = slope * right_y + math.sqrt(max(0.0, reach - right_y * right_y * inv_yy)) * sigma
+    first = math.ceil(max(u + left - 0.5, 0.0))
+    last = math.floor(min(u + right - 0.5, width - 1.0))
     if last < first:
         return 0, 0
     return first // TILE, last // TILE + 1
 
 
 @inline
-def _tile_rows(row: F64, height: int) -> tuple[int, int, float]:
-    """Tile rows [first, end) that the ellipse meets, and the height of its leftmost point."""
-    ey = math.sqrt(row[5] / row[4])
-    first = math.ceil(max(row[1] - ey - 0.5, 0.0))
-    last = math.floor(min(row[1] + ey - 0.5, height - 1.0))
+def _tile_rows(geometry: F64, i: int, height: int) -> tuple[int, int, float]:
+    """Tile rows [first, end) that splat i meets, and the height of its leftmost point."""
+    ey = math.sqrt(geometry[i, 5] / geometry[i, 4])
+    first = math.ceil(max(geometry[i, 1] - ey - 0.5, 0.0))
+    last = math.floor(min(geometry[i, 1] + ey - 0.5, height - 1.0))
     if last < first:
         return 0, 0, 0.0
-    drift = row[3] / math.sqrt(row[4])
-    lowest = -ey * drift / math.sqrt(drift * drift + 1.0 / (row[2] * row[2]))
+    drift = geometry[i, 3] / math.sqrt(geometry[i, 4])
+    lowest = -ey * drift / math.sqrt(drift * drift + 1.0 / (geometry[i, 2] * geometry[i, 2]))
     return first // TILE, last // TILE + 1, lowest
 
 
@@ -226,10 +230,10 @@ def list_tiles(geometry: F64, order: I64, width: int, height: int) -> tuple[I64,
     cursors = np.zeros((CHUNKS, tiles), np.int64)
     for chunk in numba.prange(CHUNKS):
         for rank in range(chunk * size, min(len(order), (chunk + 1) * size)):
-            row = geometry[order[rank]]
-            top, bottom, lowest = _tile_rows(row, height)
+            index = order[rank]
+            top, bottom, lowest = _tile_rows(geometry, index, height)
             for ty in range(top, bottom):
-                first, end = _tile_span(row, lowest, ty, width, height)
+                first, end = _tile_span(geometry, index, lowest, ty, width, height)
                 for tx in range(first, end):
                     cursors[chunk, ty * tiles_x + tx] += 1
     starts = np.empty(tiles + 1, np.int64)
@@ -245,10 +249,9 @@ def list_tiles(geometry: F64, order: I64, width: int, height: int) -> tuple[I64,
     for chunk in numba.prange(CHUNKS):
         for rank in range(chunk * size, min(len(order), (chunk + 1) * size)):
             index = order[rank]
-            row = geometry[index]
-            top, bottom, lowest = _tile_rows(row, height)
+            top, bottom, lowest = _tile_rows(geometry, index, height)
             for ty in range(top, bottom):
-                first, end = _tile_span(row, lowest, ty, width, height)
+                first, end = _tile_span(geometry, index, lowest, ty, width, height)
                 for tx in range(first, end):
                     tile = ty * tiles_x + tx
                     entries[cursors[chunk, tile]] = index
@@ -258,28 +261,39 @@ def list_tiles(geometry: F64, order: I64, width: int, height: int) -> tuple[I64,
 
 @inline
 def _blend_row(
-    base: Single, slope: Single, q: Single, opacity: Single, left: F32, weights: F32
+    base: Single,
+    slope: Single,
+    q: Single,
+    opacity: Single,
+    r: int,
+    lanes: F32,
+    left: F32,
+    weights: F32,
 ) -> None:
-    """Weights T alpha of one splat on the 16 pixels of one tile row; updates transmittances.
+    """Weights T alpha of one splat on the 16 pixels of tile row r; updates transmittances.
 
     A pixel that is full keeps its transmittance with a negative sign, which makes every later
-    weight zero without a branch.
+    weight zero without a branch. LLVM turns these loops into vector code only if their length is
+    unknown to it (a known one it unrolls first), and no row is sliced: a view costs two atomic
+    operations, more than the arithmetic.
     """
-    for x in range(TILE):
-        p = base + slope * np.float32(x)
-        y = np.maximum(np.float32(-0.5) * (p * p + q), np.float32(-6.0)) * np.float32(0.0625)
+    for x in range(len(lanes)):
+        p = base + slope * lanes[x]
+        y = max(np.float32(-6.0), np.float32(-0.5) * (p * p + q)) * np.float32(0.0625)
         e = np.float32(1.0) + y * (P1 + y * (P2 + y * (P3 + y * (P4 + y * P5))))
         e = e * e
         e = e * e
         e = e * e
         e = e * e
-        alpha = np.minimum(np.float32(MAX_ALPHA), opacity * e)
-        alpha = alpha if alpha >= np.float32(MIN_ALPHA) else np.float32(0.0)
-        before = left[x]
-        after = before * (np.float32(1.0) - alpha)
+        alpha = min(np.float32(MAX_ALPHA), opacity * e)
+        weights[x] = alpha if alpha >= np.float32(MIN_ALPHA) else np.float32(0.0)
+    for x in range(len(lanes)):
+        before = left[r, x]
+        after = before * (np.float32(1.0) - weights[x])
+        weight, closed = before * weights[x], -abs(before)
         full = after < np.float32(MIN_TRANSMITTANCE)
-        weights[x] = np.float32(0.0) if full else before * alpha
-        left[x] = -abs(before) if full else after
+        weights[x] = np.float32(0.0) if full else weight
+        left[r, x] = closed if full else after
 
 
 @inline
@@ -289,7 +303,7 @@ def _count_open(left: F32, open_rows: I64) -> int:
     for r in range(TILE):
         count = 0
         for x in range(TILE):
-            count += left[r * TILE + x] > np.float32(0.0)
+            count += left[r, x] > np.float32(0.0)
         open_rows[r] = count
         total += count
     return total
@@ -301,44 +315,49 @@ def _start_tile(left: F32, x0: int, y0: int, width: int, height: int) -> None:
     for r in range(TILE):
         for x in range(TILE):
             inside = y0 + r < height and x0 + x < width
-            left[r * TILE + x] = np.float32(1.0) if inside else np.float32(-1.0)
+            left[r, x] = np.float32(1.0) if inside else np.float32(-1.0)
 
 
 @inline
 def _blend_splat(
-    row: F64,
-    feature: F32,
+    geometry: F64,
+    features: F32,
+    i: int,
     x0: int,
     y0: int,
+    lanes: F32,
     left: F32,
     open_rows: I64,
     planes: F32,
     weights: F32,
     sums: F32,
 ) -> None:
-    """Blend one splat into the tile whose corner is (x0, y0); sums gets weights by column."""
-    u, v, inv_w = row[0] - x0 - 0.5, row[1] - y0 - 0.5, row[2]
-    ey = math.sqrt(row[5] / row[4])
+    """Blend splat i into the tile whose corner is (x0, y0).
+
+    sums gets the weights by column, unless it is empty.
+    """
+    u, v = geometry[i, 0] - x0 - 0.5, geometry[i, 1] - y0 - 0.5
+    inv_w, slope, inv_yy, reach = geometry[i, 2], geometry[i, 3], geometry[i, 4], geometry[i, 5]
+    opacity = np.float32(geometry[i, 6])
+    ey, width = math.sqrt(reach / inv_yy), 1.0 / inv_w
     top = math.ceil(max(v - ey, 0.0))
     bottom = math.floor(min(v + ey, TILE - 1.0))
-    for x in range(TILE):
+    for x in range(len(sums)):
         sums[x] = np.float32(0.0)
     for r in range(top, bottom + 1):
         dy = r - v
-        q = dy * dy * row[4]
-        half = math.sqrt(max(0.0, row[5] - q)) / inv_w
-        centre = u + row[3] * dy
+        q = dy * dy * inv_yy
+        half = math.sqrt(max(0.0, reach - q)) * width
+        centre = u + slope * dy
         if open_rows[r] == 0 or centre + half < 0.0 or centre - half > TILE - 1.0:
             continue
         base = np.float32(-inv_w * centre)
-        lane = left[r * TILE : (r + 1) * TILE]
-        _blend_row(base, np.float32(inv_w), np.float32(q), np.float32(row[6]), lane, weights)
-        for c in range(len(feature)):
-            at = (c * TILE + r) * TILE
-            value = feature[c]
-            for x in range(TILE):
-                planes[at + x] += value * weights[x]
-        for x in range(TILE):
+        _blend_row(base, np.float32(inv_w), np.float32(q), opacity, r, lanes, left, weights)
+        for c in range(len(planes)):
+            value = features[i, c]
+            for x in range(len(weights)):
+                planes[c, r, x] += value * weights[x]
+        for x in range(len(sums)):
             sums[x] += weights[x]
 
 
@@ -350,11 +369,10 @@ def _write_tile(
     height, width, channels = image.shape
     for r in range(min(TILE, height - y0)):
         for x in range(min(TILE, width - x0)):
-            rest = abs(left[r * TILE + x])
+            rest = abs(left[r, x])
             transmittance[y0 + r, x0 + x] = rest
             for c in range(channels):
-                value = planes[(c * TILE + r) * TILE + x]
-                image[y0 + r, x0 + x, c] = value + rest * background[c]
+                image[y0 + r, x0 + x, c] = planes[c, r, x] + rest * background[c]
 
 
 @parallel_kernel
@@ -389,10 +407,11 @@ def blend_tiles(
         if tile >= tiles:
             continue
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        left = np.empty(TILE * TILE, np.float32)
-        planes = np.zeros(channels * TILE * TILE, np.float32)
+        left = np.empty((TILE, TILE), np.float32)
+        planes = np.zeros((channels, TILE, TILE), np.float32)
         weights = np.empty(TILE, np.float32)
-        sums = np.empty(TILE, np.float32)
+        sums = np.empty(TILE if len(partial) > 0 else 0, np.float32)
+        lanes = np.arange(TILE).astype(np.float32)
         open_rows = np.empty(TILE, np.int64)
         _start_tile(left, x0, y0, width, height)
         if len(partial) > 0:
@@ -400,9 +419,18 @@ def blend_tiles(
         for e in range(starts[tile], starts[tile + 1]):
             if (e - starts[tile]) % CHECK == 0 and _count_open(left, open_rows) == 0:
                 break
-            index = entries[e]
             _blend_splat(
-                geometry[index], features[index], x0, y0, left, open_rows, planes, weights, sums
+                geometry,
+                features,
+                entries[e],
+                x0,
+                y0,
+                lanes,
+                left,
+                open_rows,
+                planes,
+                weights,
+                sums,
             )
             if len(partial) > 0:
                 partial[e] = np.sum(sums)
