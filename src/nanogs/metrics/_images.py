@@ -1,0 +1,47 @@
+"""Checks that every metric shares."""
+
+import numpy as np
+
+from nanogs._types import F64, Array
+from nanogs.errors import ModelError, OptionError
+
+
+def image_pair(a: Array, b: Array) -> tuple[F64, F64]:
+    """Two images as float64, checked.
+
+    Args:
+        a: (H, W) or (H, W, C), floating point.
+        b: The same shape.
+
+    Returns:
+        Both in double precision.
+
+    Raises:
+        OptionError: The shapes differ, are no image's or hold no pixel, or the values are integers,
+            whose range a metric would have to guess.
+        ModelError: A pixel is not finite.
+    """
+    for image in (a, b):
+        if image.ndim not in (2, 3) or image.size == 0:
+            raise OptionError(f"an image must be (H, W) or (H, W, C), not {image.shape}.")
+        if not np.issubdtype(image.dtype, np.floating):
+            raise OptionError(f"images must be floats in [0, 1], not {image.dtype}.")
+    if a.shape != b.shape:
+        raise OptionError(f"images of one size are needed, not {a.shape} and {b.shape}.")
+    first, second = a.astype(np.float64), b.astype(np.float64)
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+        raise ModelError("an image holds pixels that are not finite; no metric is defined.")
+    return first, second
+
+
+def colour_pair(a: Array, b: Array) -> tuple[F64, F64]:
+    """Like `image_pair`, for metrics that need (H, W, 3) in [0, 1]; values are clipped to it.
+
+    Raises:
+        OptionError: As `image_pair`, or the images are not RGB.
+        ModelError: A pixel is not finite.
+    """
+    first, second = image_pair(a, b)
+    if first.ndim != 3 or first.shape[2] != 3:
+        raise OptionError(f"this metric needs RGB images (H, W, 3), not {first.shape}.")
+    return first.clip(0, 1), second.clip(0, 1)

@@ -1,0 +1,41 @@
+"""Difference of two depth images."""
+
+import numpy as np
+
+from nanogs._types import F
+from nanogs.errors import ModelError, OptionError
+
+COVERED = 0.5  # alpha above which a pixel shows a surface rather than the background
+
+
+def depth_error(depth: F, alpha: F, reference_depth: F, reference_alpha: F) -> float:
+    """Mean of |depth - reference| / reference over the pixels that both images cover.
+
+    A pixel is covered where its alpha is above 0.5; the expected depth of fainter ones says little.
+
+    Args:
+        depth: (H, W) scene units along the viewing axis, as `nanogs.render` gives it.
+        alpha: (H, W) in [0, 1].
+        reference_depth: (H, W), positive where covered.
+        reference_alpha: (H, W).
+
+    Returns:
+        A ratio, 0 for equal depths.
+
+    Raises:
+        OptionError: The shapes differ.
+        ModelError: No pixel is covered in both, or a covered depth is not finite and positive.
+    """
+    shapes = {depth.shape, alpha.shape, reference_depth.shape, reference_alpha.shape}
+    if len(shapes) != 1:
+        raise OptionError(f"depth and alpha images of one size are needed, not {sorted(shapes)}.")
+    if np.isnan(alpha).any() or np.isnan(reference_alpha).any():
+        raise ModelError("an alpha image holds NaN; which pixels it covers is unknown.")
+    covered = (alpha > COVERED) & (reference_alpha > COVERED)
+    if not covered.any():
+        raise ModelError("the images cover no pixel in common; choose a view that shows the model.")
+    a = depth[covered].astype(np.float64)
+    b = reference_depth[covered].astype(np.float64)
+    if not (np.isfinite(a).all() and np.isfinite(b).all() and (b > 0).all()):
+        raise ModelError("a covered pixel has a depth that is not finite and positive.")
+    return float(np.mean(np.abs(a - b) / b))

@@ -1,0 +1,36 @@
+"""Peak signal-to-noise ratio."""
+
+import math
+
+import numpy as np
+
+from nanogs._types import Array
+from nanogs.errors import OptionError
+from nanogs.metrics._images import image_pair
+
+
+def psnr(a: Array, b: Array, data_range: float = 1.0) -> float:
+    """Peak signal-to-noise ratio in dB, over all pixels and channels together.
+
+    10 log10(data_range² / mean squared difference). Values are taken as they are: clip renders to
+    [0, 1] first where photographs are the reference.
+
+    Args:
+        a: (H, W) or (H, W, C), floating point.
+        b: The same shape.
+        data_range: Distance from the darkest to the brightest value.
+
+    Returns:
+        Decibels; inf for equal images.
+
+    Raises:
+        OptionError: Shapes differ, values are integers, or data_range is not above 0.
+        ModelError: A pixel is not finite.
+    """
+    if not (data_range > 0 and math.isfinite(data_range)):
+        raise OptionError(f"data_range must be above 0, not {data_range}.")
+    first, second = image_pair(a, b)
+    error = float(np.mean((first - second) ** 2))
+    if error == 0:
+        return math.inf
+    return 20 * math.log10(data_range) - 10 * math.log10(error)

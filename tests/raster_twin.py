@@ -1,0 +1,86 @@
+"""The rasteriser once more: float64, pixel by pixel, no tiles, no tricks."""
+
+import math
+
+import numpy as np
+from scipy.special import lpmv
+
+from nanogs.splats import RenderMode
+
+NEARLY = 1e-4  # relative distance to a threshold at which float32 may decide otherwise
+
+
+def sh_basis(direction, degree):
+    """Real harmonics from Legendre functions, whose Condon-Shortley phase is that of 3DGS."""
+    x, y, z = direction
+    phi, values = math.atan2(y, x), []
+    for band in range(degree + 1):
+        for m in range(-band, band + 1):
+            k = abs(m)
+            norm = (2 * band + 1) / (4 * math.pi) * math.factorial(band - k)
+            norm = math.sqrt(norm / math.factorial(band + k)) * lpmv(k, band, z)
+            angle = math.cos(k * phi) if m >= 0 else math.sin(k * phi)
+            values.append(norm * (angle * math.sqrt(2) if m else 1))
+    return np.array(values)
+
+
+def splat_on_screen(splats, camera, i):
+    """(depth, centre, covariance, opacity, colour) of one splat, or None where it is culled."""
+    rotation = camera.world_to_camera[:3, :3]
+    offset = splats.means[i].astype(np.float64) - camera.position
+    x, y, z = rotation @ offset
+    if not z > camera.near:
+        return None
+    qw, qx, qy, qz = splats.quats[i].astype(np.float64) / np.linalg.norm(splats.quats[i])
+    cross = np.array([[0, -qz, qy], [qz, 0, -qx], [-qy, qx, 0]])
+    turn = np.eye(3) + 2 * qw * cross + 2 * cross @ cross
+    sigma = turn @ np.diag(np.exp(2 * splats.log_scales[i].astype(np.float64))) @ turn.T
+    guard_x, guard_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
+    tx = np.clip(
+        x / z, -camera.cx / camera.fx - guard_x, (camera.width - camera.cx) / camera.fx + guard_x
+    )
+    ty = np.clip(
+        y / z, -camera.cy / camera.fy - guard_y, (camera.height - camera.cy) / camera.fy + guard_y
+    )
+    jacobian = [[camera.fx / z, 0, -camera.fx * tx / z], [0, camera.fy / z, -camera.fy * ty / z]]
+    to_screen = np.array(jacobian) @ rotation
+    before = to_screen @ sigma @ to_screen.T
+    after = before + 0.3 * np.eye(2)
+    with np.errstate(over="ignore"):
+        opacity = 1 / (1 + np.exp(-np.float64(splats.opacity_logits[i])))
+    if splats.render_mode is RenderMode.MIP:
+        opacity *= math.sqrt(max(0.0, np.linalg.det(before) / np.linalg.det(after)))
+    basis = sh_basis(offset / np.linalg.norm(offset), splats.sh_degree)
+    colour = np.maximum(basis @ splats.sh[i].astype(np.float64) + 0.5, 0)
+    centre = np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+    return np.float32(z), centre, after, opacity, colour
+
+
+def render_twin(splats, camera, background=(0.0, 0.0, 0.0)):
+    """Returns color, alpha, depth, contributions and the mask of pixels that are near no threshold.
+
+    Beside a threshold (alpha 1/255, transmittance 1e-4) one rounding decides whether a splat is
+    blended: no tolerance is right there, so `sure` is false for the pixel.
+    """
+    shape = (camera.height, camera.width)
+    columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    left, full, sure = np.ones(shape), np.zeros(shape, bool), np.ones(shape, bool)
+    color, depth, contributions = np.zeros((*shape, 3)), np.zeros(shape), np.zeros(len(splats))
+    seen = {i: splat_on_screen(splats, camera, i) for i in np.flatnonzero(splats.finite())}
+    for i in sorted((i for i in seen if seen[i] is not None), key=lambda i: (seen[i][0], i)):
+        z, centre, covariance, opacity, colour = seen[i]
+        offsets = np.stack([columns - centre[0], rows - centre[1]], axis=-1)
+        power = -0.5 * np.einsum("...i,ij,...j", offsets, np.linalg.inv(covariance), offsets)
+        alpha = np.minimum(0.99, opacity * np.exp(np.minimum(power, 0)))
+        sure &= full | (np.abs(alpha * 255 - 1) > NEARLY)
+        alpha[alpha < 1 / 255] = 0
+        after = left * (1 - alpha)
+        sure &= full | (np.abs(after / 1e-4 - 1) > NEARLY) | (alpha == 0)
+        full |= after < 1e-4
+        weights = np.where(full, 0, left * alpha)
+        color += weights[..., None] * colour
+        depth += weights * z
+        contributions[i] = weights.sum()
+        left = np.where(full, left, after)
+    color += left[..., None] * np.array(background)
+    return color, 1 - left, depth, contributions, sure

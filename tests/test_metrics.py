@@ -1,0 +1,131 @@
+"""Metrics against scikit-image, by hand, and on what must be refused."""
+
+import builtins
+import math
+
+import numpy as np
+import pytest
+
+from nanogs.errors import ModelError, OptionError
+from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
+
+RNG = np.random.default_rng(0)
+IMAGE = RNG.random((29, 23, 3))
+NOISY = np.clip(IMAGE + 0.1 * RNG.standard_normal(IMAGE.shape), 0, 1)
+
+
+def test_psnr_of_a_known_difference():
+    black = np.zeros((4, 5, 3))
+    assert psnr(black, black + 0.1) == pytest.approx(20)
+    assert psnr(black, black + 25.5, data_range=255) == pytest.approx(20)
+
+
+def test_psnr_of_equal_images_is_infinite():
+    assert psnr(IMAGE, IMAGE.copy()) == math.inf
+
+
+def test_ssim_of_equal_images_is_one():
+    assert ssim(IMAGE, IMAGE) == pytest.approx(1, abs=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(11, 11, 3), (29, 23, 3), (64, 40, 1)])
+def test_ssim_agrees_with_scikit_image(shape):
+    metrics = pytest.importorskip("skimage.metrics")
+    a = np.cumsum(RNG.random(shape), axis=0) / shape[0]
+    b = np.clip(a + 0.05 * RNG.standard_normal(shape), 0, 1)
+    options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    expected = metrics.structural_similarity(a, b, channel_axis=-1, data_range=1.0, **options)
+    assert ssim(a, b) == pytest.approx(expected, abs=1e-6)
+
+
+def test_psnr_agrees_with_scikit_image():
+    metrics = pytest.importorskip("skimage.metrics")
+    expected = metrics.peak_signal_noise_ratio(IMAGE, NOISY, data_range=1.0)
+    assert psnr(IMAGE, NOISY) == pytest.approx(expected, abs=1e-9)
+
+
+def test_single_precision_images_are_averaged_in_double():
+    a, b = IMAGE.astype(np.float32), NOISY.astype(np.float32)
+    assert ssim(a, b) == pytest.approx(ssim(IMAGE, NOISY), abs=1e-6)
+
+
+@pytest.mark.parametrize("metric", [psnr, ssim, flip, lpips])
+def test_images_of_different_shapes_are_refused(metric):
+    with pytest.raises(OptionError, match="one size"):
+        metric(IMAGE, IMAGE[:-1])
+
+
+@pytest.mark.parametrize("metric", [psnr, ssim, flip, lpips])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_pixels_that_are_not_finite_are_refused(metric, value):
+    broken = IMAGE.copy()
+    broken[3, 4, 1] = value
+    with pytest.raises(ModelError, match="not finite"):
+        metric(IMAGE, broken)
+    with pytest.raises(ModelError, match="not finite"):
+        metric(broken, broken)
+
+
+@pytest.mark.parametrize("metric", [psnr, ssim, flip])
+def test_bytes_are_refused_rather_than_wrapped(metric):
+    image = (IMAGE * 255).astype(np.uint8)
+    with pytest.raises(OptionError, match="floats"):
+        metric(image, image)
+
+
+def test_broadcastable_and_empty_shapes_are_refused():
+    for a, b in [(IMAGE, IMAGE[:, :, :1]), (IMAGE[:0], IMAGE[:0]), (IMAGE[0, 0], IMAGE[0, 0])]:
+        with pytest.raises(OptionError):
+            psnr(a, b)
+
+
+def test_ssim_refuses_images_below_its_window():
+    with pytest.raises(OptionError, match="11 x 11"):
+        ssim(IMAGE[:10], IMAGE[:10])
+
+
+@pytest.mark.parametrize("metric", [psnr, ssim])
+@pytest.mark.parametrize("data_range", [0.0, -1.0, math.nan])
+def test_data_range_must_be_positive(metric, data_range):
+    with pytest.raises(OptionError, match="data_range"):
+        metric(IMAGE, NOISY, data_range)
+
+
+def test_depth_error_counts_only_what_both_cover():
+    depth, reference = np.array([[2.2, 9.0, np.inf, 4.0]]), np.array([[2.0, 3.0, np.inf, 4.0]])
+    alpha, cover = np.array([[0.9, 0.5, 0.0, 1.0]]), np.array([[0.8, 1.0, 0.0, 1.0]])
+    assert depth_error(depth, alpha, reference, cover) == pytest.approx(0.05)
+
+
+def test_depth_error_without_common_cover_is_refused():
+    ones = np.ones((2, 2))
+    with pytest.raises(ModelError, match="no pixel in common"):
+        depth_error(ones, ones, ones, 0 * ones)
+    with pytest.raises(ModelError, match="finite and positive"):
+        depth_error(ones * np.inf, ones, ones, ones)
+    with pytest.raises(ModelError, match="NaN"):
+        depth_error(ones, ones * np.nan, ones, ones)
+    with pytest.raises(OptionError, match="one size"):
+        depth_error(ones, ones, ones, np.ones((2, 3)))
+
+
+def test_flip_of_equal_and_of_opposite_images():
+    pytest.importorskip("flip_evaluator")
+    assert flip(IMAGE, IMAGE) == pytest.approx(0, abs=1e-6)
+    black = np.zeros((16, 16, 3))
+    assert 0.9 < flip(black, black + 1) <= 1
+    assert 0 < flip(IMAGE, NOISY) < 0.5
+
+
+@pytest.mark.parametrize(("metric", "package"), [(flip, "flip_evaluator"), (lpips, "torch")])
+def test_a_missing_package_is_named_with_the_remedy(metric, package, monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *args, **kwargs):
+        if name == package:
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(OptionError, match="pip install 'nanogs"):
+        metric(IMAGE, NOISY)

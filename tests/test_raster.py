@@ -1,0 +1,401 @@
+"""The rasteriser against its twin, on hazards, on invariants and on photographs."""
+
+import dataclasses
+import math
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nanogs.errors import OptionError
+from nanogs.kernels import harmonics, raster
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import SURFEL_NOTE, prepare, project, render
+from nanogs.splats import RenderMode, Splats
+from raster_twin import render_twin, sh_basis
+
+TOLERANCE = 1e-4
+
+
+def make_camera(width=37, height=21, focal=30.0, **changes):
+    camera = Camera(width, height, focal, focal, width / 2, height / 2, np.eye(4))
+    return dataclasses.replace(camera, **changes)
+
+
+def make_splats(n=40, seed=0, degree=0, size=-1.5, spread=0.8, **changes):
+    """Splats around (0, 0, 4), where the default camera looks."""
+    rng = np.random.default_rng(seed)
+    arrays = {
+        "means": rng.normal((0, 0, 4), (1.5, 1, 1), (n, 3)),
+        "log_scales": rng.normal(size, spread, (n, 3)),
+        "quats": rng.normal(size=(n, 4)),
+        "opacity_logits": rng.normal(0, 2, n),
+        "sh": rng.normal(0, 0.5, (n, (degree + 1) ** 2, 3)),
+    }
+    arrays = {name: array.astype(np.float32) for name, array in arrays.items()}
+    return Splats(**(arrays | changes))
+
+
+def one_splat(mean=(0, 0, 4), scale=0.3, logit=2.0, colour=0.9, **changes):
+    return make_splats(
+        1,
+        means=np.array([mean], np.float32),
+        log_scales=np.full((1, 3), np.log(scale), np.float32),
+        opacity_logits=np.array([logit], np.float32),
+        sh=np.full((1, 1, 3), (colour - 0.5) / harmonics.C0, np.float32),
+        **changes,
+    )
+
+
+def check_against_twin(splats, camera, background=(0.2, 0.5, 0.9)):
+    color, alpha, weighted, contributions, sure = render_twin(splats, camera, background)
+    image = render(splats, camera, background=background, depth=True, contributions=True)
+    assert sure.mean() > 0.9  # the exclusion must not hide the comparison
+    assert np.abs(image.color - color)[sure].max() < TOLERANCE
+    assert np.abs(image.alpha - alpha)[sure].max() < TOLERANCE
+    hit = sure & (alpha > 0.01)
+    depth = np.divide(weighted, alpha, out=np.full(alpha.shape, np.inf), where=alpha > 0)
+    np.testing.assert_allclose(image.depth[hit], depth[hit], rtol=1e-3)
+    assert np.isinf(image.depth[sure & (alpha == 0)]).all()
+    # One splat at a threshold moves less than 1 a pixel, and what is behind it in exchange.
+    slack = 1e-4 * alpha.size + 2 * np.count_nonzero(~sure)
+    assert np.abs(image.contributions - contributions).max() < slack
+    return image, alpha
+
+
+@pytest.mark.parametrize("degree", range(5))
+def test_matches_twin_with_harmonics(degree):
+    check_against_twin(make_splats(degree=degree, seed=degree), make_camera())
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("size", "spread"),
+    [(-1.5, 0.8), (-2, 2.5), (1.5, 0.5), (-6, 0.5)],
+    ids=["usual", "needles", "huge", "tiny"],
+)
+def test_matches_twin_for_every_size(seed, size, spread):
+    check_against_twin(make_splats(60, seed, size=size, spread=spread), make_camera())
+
+
+@pytest.mark.parametrize("mode", [RenderMode.MIP, RenderMode.SURFEL])
+def test_matches_twin_in_other_render_modes(mode):
+    splats = make_splats(80, size=-3, render_mode=mode)
+    image, _ = check_against_twin(splats, make_camera())
+    assert image.notes == ((SURFEL_NOTE,) if mode is RenderMode.SURFEL else ())
+
+
+def test_mip_compensation_dims_what_is_smaller_than_a_pixel():
+    tiny = one_splat(scale=0.01)
+    mip = dataclasses.replace(tiny, render_mode=RenderMode.MIP)
+    camera = make_camera(36, 22)
+    assert 0 < render(mip, camera).alpha.max() < 0.1 * render(tiny, camera).alpha.max()
+
+
+def test_matches_twin_with_principal_point_off_centre_and_two_focal_lengths():
+    camera = make_camera(fx=22.0, fy=41.0, cx=5.25, cy=17.5)
+    check_against_twin(make_splats(80, size=-0.5), camera)
+
+
+def test_matches_twin_from_a_turned_camera():
+    angle = 0.7
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [math.cos(angle), 0, -math.sin(angle)],
+        [0, 1, 0],
+        [math.sin(angle), 0, math.cos(angle)],
+    ]
+    pose[:3, 3] = (0.3, -0.2, 1.5)
+    check_against_twin(make_splats(80, 3, degree=3), make_camera(world_to_camera=pose))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 33), (64, 5)])
+def test_matches_twin_at_odd_sizes(size):
+    check_against_twin(make_splats(50, 5), make_camera(*size))
+
+
+def test_matches_twin_inside_the_cloud_with_splats_behind_and_far_aside():
+    rng = np.random.default_rng(7)
+    means = rng.normal(0, 2, (200, 3)).astype(np.float32)
+    image, _ = check_against_twin(make_splats(200, 7, means=means), make_camera())
+    assert image.drawn < 150
+
+
+def test_matches_twin_where_many_splats_fill_the_pixels():
+    logits = np.full(300, 3, np.float32)
+    splats = make_splats(300, 8, size=-0.5, opacity_logits=logits)
+    image, alpha = check_against_twin(splats, make_camera())
+    assert alpha.max() > 0.9995
+    assert image.alpha.max() < 1 - 0.9e-4  # the splat that would pass 1 - 1e-4 is not blended
+
+
+def test_matches_twin_with_opacities_of_one_and_zero():
+    logits = np.tile(np.array([np.inf, -np.inf, 0, 90, -90], np.float32), 12)
+    check_against_twin(make_splats(60, 9, opacity_logits=logits), make_camera())
+
+
+def test_opaque_splat_stops_at_alpha_099():
+    image = render(one_splat(scale=5.0, logit=np.inf), make_camera(1, 1))
+    assert image.alpha[0, 0] == pytest.approx(0.99, abs=1e-6)
+
+
+def test_transparent_splat_is_not_drawn_nor_counted_as_broken():
+    image = render(one_splat(logit=-np.inf), make_camera())
+    assert (image.drawn, image.skipped) == (0, 0)
+    assert not image.alpha.any()
+
+
+@pytest.mark.parametrize(("z", "drawn"), [(0.2, 0), (0.1, 0), (-4, 0), (0.201, 1)])
+def test_near_plane_culls_what_is_not_farther(z, drawn):
+    camera = make_camera(near=float(np.float32(0.2)))
+    assert render(one_splat((0, 0, z)), camera).drawn == drawn
+
+
+def test_a_pixel_centre_lies_half_a_pixel_in():
+    splats = one_splat((1.0, -0.5, 4.0), scale=0.02)
+    camera = make_camera(32, 16, 32.0, cx=8.5, cy=12.5)
+    alpha = render(splats, camera).alpha
+    assert np.unravel_index(alpha.argmax(), alpha.shape) == (8, 16)
+    assert alpha[8, 15] == pytest.approx(alpha[8, 17], rel=1e-4)
+
+
+def test_nearer_splats_hide_farther_ones_whatever_their_order():
+    near = one_splat((0, 0, 2), scale=2.0, logit=9, colour=1.0)
+    far = one_splat((0, 0, 6), scale=2.0, logit=9, colour=0.0)
+    stacked = [
+        dataclasses.replace(
+            a,
+            **{
+                f: np.concatenate([getattr(a, f), getattr(b, f)])
+                for f in ("means", "log_scales", "quats", "opacity_logits", "sh")
+            },
+        )
+        for a, b in ((near, far), (far, near))
+    ]
+    images = [render(splats, make_camera(5, 5)).color for splats in stacked]
+    assert images[0].min() > 0.98
+    np.testing.assert_array_equal(*images)
+
+
+def test_equal_depths_are_blended_by_index():
+    splats = make_splats(2, means=np.full((2, 3), (0, 0, 3), np.float32))
+    splats = dataclasses.replace(
+        splats,
+        opacity_logits=np.full(2, 9, np.float32),
+        log_scales=np.full((2, 3), 2, np.float32),
+        sh=np.array([[[1.7] * 3], [[-1.7] * 3]], np.float32),
+    )
+    first, second = (
+        render(splats.take(np.array(rows)), make_camera()) for rows in ([0, 1], [1, 0])
+    )
+    assert first.color.min() > 0.9
+    assert second.color.max() < 0.1
+
+
+@pytest.mark.parametrize("nearer", [0, 1])
+def test_depths_one_rounding_apart_are_told_apart(nearer):
+    depth = np.float32(3)
+    means = np.array([(0, 0, np.nextafter(depth, np.float32(4)))] * 2, np.float32)
+    means[nearer, 2] = depth
+    splats = make_splats(
+        2,
+        means=means,
+        log_scales=np.full((2, 3), 2, np.float32),
+        opacity_logits=np.full(2, 9, np.float32),
+        sh=np.array([[[1.7] * 3], [[-1.7] * 3]], np.float32),
+    )
+    assert (render(splats, make_camera()).color.mean() > 0.5) == (nearer == 0)
+
+
+def test_broken_rows_are_left_out_and_counted():
+    splats = make_splats(20)
+    broken = {name: getattr(splats, name).copy() for name in ("means", "quats", "sh")}
+    broken["means"][0, 0] = np.nan
+    broken["quats"][1, 2] = np.nan
+    broken["sh"][2, 0, 1] = np.inf
+    broken["means"][3, 2] = np.inf
+    logits = splats.opacity_logits.copy()
+    logits[4] = np.nan
+    dirty = dataclasses.replace(splats, **broken, opacity_logits=logits)
+    image = render(dirty, make_camera(), contributions=True)
+    assert image.skipped == 5
+    np.testing.assert_array_equal(
+        image.color, render(splats.take(np.arange(5, 20)), make_camera()).color
+    )
+    assert not image.contributions[:5].any()
+
+
+def test_extreme_values_give_finite_pixels():
+    splats = make_splats(60, 11, spread=30.0)
+    means = splats.means.copy()
+    means[::3] *= np.float32(1e30)
+    log_scales = np.minimum(splats.log_scales, 80)
+    log_scales[::4] = -np.inf
+    splats = dataclasses.replace(splats, means=means, log_scales=log_scales)
+    image = render(splats, make_camera(), contributions=True)
+    assert np.isfinite(image.color).all()
+    assert np.isfinite(image.contributions).all()
+
+
+def test_needle_of_a_million_pixels_keeps_its_width():
+    splats = one_splat((0, 0, 4))
+    splats = dataclasses.replace(
+        splats,
+        log_scales=np.log(np.array([[1e5, 1e-3, 1e-3]], np.float32)),
+        quats=np.array([[math.cos(0.4), 0, 0, math.sin(0.4)]], np.float32),
+    )
+    check_against_twin(splats, make_camera(width=64, height=64))
+
+
+def test_model_without_splats_shows_the_background():
+    empty = make_splats(3).take(np.zeros(3, bool))
+    image = render(empty, make_camera(), background=(0.1, 0.2, 0.3), contributions=True)
+    np.testing.assert_allclose(image.color[3, 4], (0.1, 0.2, 0.3), atol=1e-7)
+    assert image.contributions.shape == (0,)
+
+
+def test_far_from_the_origin_doubles_are_subtracted_first():
+    splats = make_splats(50, 12)
+    shift = np.array([4e6, -5e6, 300.0])
+    moved = dataclasses.replace(splats, means=splats.means.astype(np.float64) + shift)
+    pose = np.eye(4)
+    pose[:3, 3] = -shift
+    moved_image = render(moved, make_camera(world_to_camera=pose)).color
+    assert np.abs(moved_image - render(splats, make_camera()).color).max() < TOLERANCE
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 5])
+def test_sh_degree_cuts_the_higher_bands(degree):
+    splats = make_splats(degree=2)
+    cut = dataclasses.replace(splats, sh=splats.sh[:, : (min(degree, 2) + 1) ** 2].copy())
+    np.testing.assert_array_equal(
+        render(splats, make_camera(), sh_degree=degree).color, render(cut, make_camera()).color
+    )
+
+
+def test_harmonics_match_legendre_functions():
+    rng = np.random.default_rng(1)
+    directions = rng.normal(size=(50, 3))
+    for direction in directions / np.linalg.norm(directions, axis=1, keepdims=True):
+        basis = np.zeros(25)
+        harmonics.sh_basis(*direction, 4, basis)
+        np.testing.assert_allclose(basis, sh_basis(direction, 4), atol=1e-12)
+
+
+def test_prepared_model_renders_the_same_bytes():
+    splats = make_splats(degree=1)
+    prepared = prepare(splats)
+    for _ in range(2):
+        np.testing.assert_array_equal(
+            render(prepared, make_camera()).color, render(splats, make_camera()).color
+        )
+
+
+def test_thread_count_changes_no_byte():
+    splats, camera = make_splats(3000, 13, degree=1, size=-2), make_camera(150, 90, 120.0)
+    threads = numba.get_num_threads()
+    results = []
+    try:
+        for count in range(1, threads + 1):
+            numba.set_num_threads(count)
+            results.append(render(splats, camera, depth=True, contributions=True))
+    finally:
+        numba.set_num_threads(threads)
+    for name in ("color", "alpha", "depth", "contributions"):
+        for result in results[1:]:
+            np.testing.assert_array_equal(getattr(result, name), getattr(results[0], name))
+
+
+def test_what_is_asked_for_besides_changes_no_colour():
+    splats, camera = make_splats(200, 14), make_camera()
+    plain, full = render(splats, camera), render(splats, camera, depth=True, contributions=True)
+    assert plain.depth is None
+    assert plain.contributions is None
+    np.testing.assert_array_equal(plain.color, full.color)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        make_camera(width=0),
+        make_camera(fx=0.0),
+        make_camera(fy=-1.0),
+        make_camera(cx=math.nan),
+        make_camera(near=0.0),
+        make_camera(world_to_camera=np.full((4, 4), np.nan)),
+        make_camera(world_to_camera=np.eye(3)),
+    ],
+)
+def test_senseless_cameras_are_refused(camera):
+    with pytest.raises(OptionError, match="camera"):
+        render(make_splats(), camera)
+
+
+@pytest.mark.parametrize(
+    "options", [{"background": (0, 0)}, {"background": (0, math.nan, 0)}, {"sh_degree": -1}]
+)
+def test_senseless_options_are_refused(options):
+    with pytest.raises(OptionError):
+        render(make_splats(), make_camera(), **options)
+
+
+def test_tile_lists_miss_no_tile_with_a_visible_pixel():
+    splats, camera = make_splats(80, 15, size=-1, spread=1.5), make_camera(70, 50, 40.0)
+    for i in range(len(splats)):
+        one = splats.take(np.array([i]))
+        view = project(prepare(one), camera)
+        alpha = render(one, camera).alpha
+        tiles_x = math.ceil(camera.width / raster.TILE)
+        for tile in range(len(view.starts) - 1):
+            y, x = (tile // tiles_x) * raster.TILE, (tile % tiles_x) * raster.TILE
+            visible = alpha[y : y + raster.TILE, x : x + raster.TILE].any()
+            listed = view.starts[tile + 1] > view.starts[tile]
+            assert listed or not visible
+
+
+seeds = st.integers(0, 2**16)
+
+
+@settings(max_examples=25)
+@given(seeds, st.tuples(*[st.floats(0, 1)] * 3))
+def test_background_enters_linearly(seed, background):
+    splats, camera = make_splats(30, seed), make_camera()
+    black, image = render(splats, camera), render(splats, camera, background=background)
+    expected = black.color + (1 - black.alpha[..., None]) * np.array(background)
+    assert np.abs(image.color - expected).max() < 1e-5
+
+
+@settings(max_examples=25)
+@given(seeds, st.tuples(*[st.integers(-64, 64)] * 3))
+def test_moving_scene_and_camera_together_changes_nothing(seed, shift):
+    splats = make_splats(30, seed)
+    splats = dataclasses.replace(splats, means=splats.means.astype(np.float64))
+    pose = np.eye(4)
+    pose[:3, 3] = np.negative(shift)
+    moved = dataclasses.replace(splats, means=splats.means + shift)
+    here, there = render(splats, make_camera()), render(moved, make_camera(world_to_camera=pose))
+    # Rounding may carry a splat over alpha 1/255, which is worth no more than that.
+    assert np.abs(here.alpha - there.alpha).max() < 0.01
+    assert np.abs(here.alpha - there.alpha).mean() < 1e-5
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_contributions_add_up_to_the_alpha_image(seed):
+    image = render(make_splats(60, seed, size=-1), make_camera(), contributions=True)
+    total = image.alpha.sum(dtype=np.float64)
+    assert image.contributions.sum() == pytest.approx(total, rel=1e-5, abs=1e-3)
+    assert (image.contributions >= 0).all()
+
+
+@settings(max_examples=15)
+@given(seeds)
+def test_twice_the_pixels_see_the_same_means(seed):
+    """A larger image of a smooth scene averages to the smaller one."""
+    splats = make_splats(20, seed, size=0.3, spread=0.2)
+    small = render(splats, make_camera(20, 12, 15.0)).alpha
+    large = render(splats, make_camera(40, 24, 30.0)).alpha
+    pooled = large.reshape(12, 2, 20, 2).mean(axis=(1, 3))
+    assert np.abs(pooled - small).max() < 0.03
