@@ -1,0 +1,1 @@
+"""Photographs with known cameras, as other tools write them."""
