@@ -56,7 +56,7 @@ def _camera(words: list[str], where: str) -> ColmapCamera:
         camera_id, width, height = (int(word) for word in (words[0], *words[2:4]))
         params = tuple(float(word) for word in words[4:])
     except (ValueError, IndexError) as error:
-        raise _unreadable(where, "camera") from error
+        raise _unreadable(where, "a camera") from error
     if len(params) != model.count:
         raise FormatError(
             f"{where}: model {model.name} has {model.count} parameters, not {len(params)}; "
@@ -71,7 +71,7 @@ def _image(line: str, where: str) -> ColmapImage:
         image_id, camera_id, name = int(words[0]), int(words[8]), words[9]
         pose = tuple(float(word) for word in words[1:8])
     except (ValueError, IndexError) as error:
-        raise _unreadable(where, "image") from error
+        raise _unreadable(where, "an image") from error
     return ColmapImage(image_id, pose[:4], pose[4:], camera_id, name)
 
 
@@ -90,4 +90,4 @@ def _check_observations(words: list[str], where: str) -> None:
 
 
 def _unreadable(where: str, noun: str) -> FormatError:
-    return FormatError(f"{where}: is not a {noun}; export the model again from COLMAP")
+    return FormatError(f"{where}: is not {noun}; export the model again from COLMAP")
