@@ -225,6 +225,12 @@ def test_text_may_end_after_the_last_pose(tmp_path, ending):
         ("images.txt", "1 1 0 0 0 0 0 4 1", "line 1: is not an image"),
         ("images.txt", "1 1 0 0 0 0 0 z 1 a.png", "line 1: is not an image"),
         ("images.txt", "1 1 0 0 0 0 0 4 1 a.png\n1.0 x -1", "line 2: is not an image's list"),
+        # The next image's line, with a name that is a number.
+        (
+            "images.txt",
+            "1 1 0 0 0 0 0 4 1 6\n2 1 0 0 0 0 0 4 1 7",
+            "line 2: is not an image's list",
+        ),
     ],
 )
 def test_bad_text_names_the_line(tmp_path, name, content, message):
