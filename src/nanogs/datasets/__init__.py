@@ -1,1 +1,1 @@
-"""Data sets: a generated demo scene, and readers for photographs with their cameras."""
+"""Data sets with cameras and photographs, and scenes made up for demonstration."""

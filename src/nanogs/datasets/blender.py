@@ -1,0 +1,143 @@
+"""`transforms*.json`: NeRF-Synthetic as Blender exports it, and nerfstudio's extension of it."""
+
+import math
+import posixpath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.datasets import fields
+from nanogs.datasets.frame import Frame
+from nanogs.datasets.photos import find_photo, photo_size
+from nanogs.errors import FormatError, OptionError
+
+# OpenGL cameras look along -z with y up, ours along +z with y down.
+_OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
+_MIN_ANGLE = 1e-6  # radians; below, the focal length leaves all bounds
+_DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye")
+# nerfstudio's names of models that are pinholes once their distortion is zero.
+_PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+
+
+def read_transforms(
+    path: Path, *, width: int | None = None, height: int | None = None
+) -> list[Frame]:
+    """Read the cameras of a `transforms*.json`.
+
+    `transform_matrix` is camera to world with OpenGL axes. The focal length is `fl_x` in pixels,
+    else 0.5 w / tan(camera_angle_x / 2) with the angle in radians; `fl_y` defaults to it. `cx`
+    and `cy` default to the image's centre. All of these may stand in a frame or once for all. The
+    size is `w` and `h`; a file without them takes `width` and `height`, else its photographs'.
+
+    Args:
+        path: The JSON file; `file_path` is relative to its folder, with or without suffix.
+        width: Image width in pixels for a file that states none.
+        height: Image height in pixels; `width` if None.
+
+    Returns:
+        The frames in the file's order, `photo_path` None where there is no such photograph.
+
+    Raises:
+        FormatError: The file is malformed, a camera is distorted or not rigid, an image is listed
+            twice, a photograph has another size than its frame states, or no size is known.
+        OptionError: `width` is given for a file that states its sizes, or is no image side.
+    """
+    size = _given_size(path, width, height)
+    document = fields.entry(fields.read_json(path), str(path))
+    shared = {key: value for key, value in document.items() if key != "frames"}
+    rows = fields.entries(document.get("frames"), f"{path}, frames")
+    frames = [_frame(path, index, {**shared, **row}, size) for index, row in enumerate(rows)]
+    fields.refuse_repeats((frame.camera.name for frame in frames), str(path), "image")
+    found = (frame.photo_path for frame in frames if frame.photo_path is not None)
+    fields.refuse_repeats(found, str(path), "photograph")
+    return frames
+
+
+def _given_size(path: Path, width: int | None, height: int | None) -> tuple[int, int] | None:
+    if width is None and height is None:
+        return None
+    if width is None:
+        raise OptionError(f"{path}: a height needs a width; give both")
+    try:
+        given = (
+            fields.side(width, "width"),
+            fields.side(width if height is None else height, "height"),
+        )
+    except FormatError as error:
+        raise OptionError(f"{path}: {error}") from error
+    return given
+
+
+def _frame(path: Path, index: int, row: dict[str, Any], given: tuple[int, int] | None) -> Frame:
+    where = f"{path}, frame {index}"
+    listed = fields.text(row.get("file_path"), f"{where}, file_path")
+    photo = find_photo(path.parent, posixpath.normpath(listed))
+    _refuse_distortion(row, where)
+    size = _size(row, where, photo, given)
+    pose = _pose(row.get("transform_matrix"), where)
+    centre = (row.get("cx", size[0] / 2), row.get("cy", size[1] / 2))
+    camera = fields.pinhole(
+        where, posixpath.normpath(listed), size, _focal(row, size[0], where), centre, pose
+    )
+    return Frame(camera, photo)
+
+
+def _size(
+    row: dict[str, Any], where: str, photo: Path | None, given: tuple[int, int] | None
+) -> tuple[int, int]:
+    if "w" in row or "h" in row:
+        if given is not None:
+            raise OptionError(f"{where}: states its size; leave width and height out")
+        stated = fields.side(row.get("w"), f"{where}, w"), fields.side(row.get("h"), f"{where}, h")
+        if photo is not None and photo_size(photo) != stated:
+            raise FormatError(
+                f"{photo}: is {photo_size(photo)} pixels where {where} states {stated}; "
+                "use the photographs that the cameras were made for"
+            )
+        return stated
+    if given is not None:
+        return given
+    if photo is None:
+        raise FormatError(
+            f"{where}: neither 'w' and 'h' nor its photograph tell the image's size; "
+            "give a width, or put the photographs where file_path says"
+        )
+    return photo_size(photo)
+
+
+def _focal(row: dict[str, Any], width: int, where: str) -> tuple[float, float]:
+    if "fl_x" in row:
+        fx = fields.number(row["fl_x"], f"{where}, fl_x")
+    else:
+        angle = fields.number(row.get("camera_angle_x"), f"{where}, camera_angle_x")
+        if not _MIN_ANGLE <= angle < math.pi:
+            raise FormatError(
+                f"{where}: camera_angle_x is {angle:g} where an angle between 0 and pi radians is "
+                "needed; export the cameras again"
+            )
+        fx = 0.5 * width / math.tan(0.5 * angle)
+    return fx, fields.number(row.get("fl_y", fx), f"{where}, fl_y")
+
+
+def _pose(value: object, where: str) -> F64:
+    camera_to_world = fields.matrix(value, (4, 4), f"{where}, transform_matrix")
+    if np.abs(camera_to_world[3] - (0, 0, 0, 1)).max() > fields.RIGID_TOLERANCE:
+        raise FormatError(
+            f"{where}: the last row of its transform_matrix is not 0 0 0 1; "
+            "export the cameras again, with the matrix's rows as rows"
+        )
+    rotation = camera_to_world[:3, :3] * _OPENGL_TO_OPENCV  # columns are the camera's axes
+    return fields.inverted(rotation, camera_to_world[:3, 3], where)
+
+
+def _refuse_distortion(row: dict[str, Any], where: str) -> None:
+    model = row.get("camera_model", "PINHOLE")
+    bent = [key for key in _DISTORTION if row.get(key)]
+    if model not in _PINHOLES or bent:
+        what = f"{fields.shown(model)}" + (f" with {', '.join(bent)}" if bent else "")
+        raise FormatError(
+            f"{where}: its camera model {what} is no pinhole; undistort the photographs first, for "
+            "example with colmap image_undistorter"
+        )

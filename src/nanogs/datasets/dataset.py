@@ -1,0 +1,222 @@
+"""Data sets of photographs with cameras, whichever tool wrote them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from nanogs._types import F32, F
+from nanogs.datasets.blender import read_transforms
+from nanogs.datasets.colmap import find_model, read_model, scaled
+from nanogs.datasets.fields import read_json
+from nanogs.datasets.frame import Frame
+from nanogs.datasets.inria import read_cameras_json
+from nanogs.datasets.photos import find_photo, is_file, photo_size, read_photo
+from nanogs.errors import FormatError, OptionError
+from nanogs.render.camera import Camera
+
+Kind = Literal["blender", "colmap"]
+Split = Literal["test", "train"]
+
+TEST_EVERY = 8  # the field's convention for COLMAP captures: every 8th image is held out
+_TRANSFORMS = ("transforms.json", "transforms_train.json", "transforms_val.json")
+_BLENDER_FILES = (*_TRANSFORMS, "transforms_test.json")
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """Photographs with cameras, split into training and test views.
+
+    Attributes:
+        kind: "blender" for `transforms_*.json`, "colmap" for a sparse model.
+        path: The data set's folder.
+        images: The folder of a COLMAP capture's photographs; None for Blender, whose files say
+            themselves where the photographs are.
+    """
+
+    kind: Kind
+    path: Path
+    images: Path | None = None
+
+    def split(self, name: Split) -> list[Frame]:
+        """Return one split's frames; photographs are measured, not decoded.
+
+        COLMAP: images sorted by name, every 8th from the first on is a test view, and intrinsics
+        are scaled to the photograph's size. Blender: `transforms_test.json` or
+        `transforms_train.json` in the file's order.
+
+        Args:
+            name: "test" or "train".
+
+        Returns:
+            At least one frame; every one has a photograph.
+
+        Raises:
+            FormatError: The split, a photograph or a camera is missing or unusable, or a photograph
+                has another size than its camera.
+            OptionError: `name` is no split.
+        """
+        if name not in ("test", "train"):
+            raise OptionError(f"split {name!r}: choose 'test' or 'train'")
+        frames = self._blender(name) if self.images is None else self._colmap(name, self.images)
+        if not frames:
+            raise FormatError(
+                f"{self.path}: its few images leave none for the {name} split; use a larger set"
+            )
+        return frames
+
+    def load_photo(self, frame: Frame, background: Sequence[float] | F) -> F32:
+        """Decode one frame's photograph, composited on a background where it is transparent.
+
+        Args:
+            frame: One of this data set's.
+            background: Three numbers in [0, 1], RGB.
+
+        Returns:
+            (height, width, 3) float32 in [0, 1], RGB, row 0 on top.
+
+        Raises:
+            FormatError: There is no photograph, it is damaged, or of another size than the camera.
+            OptionError: The background is not three numbers in [0, 1].
+        """
+        size = frame.camera.width, frame.camera.height
+        return read_photo(
+            _present(frame.photo_path, self.path, frame.camera.name), size, background
+        )
+
+    def _blender(self, name: Split) -> list[Frame]:
+        file = self.path / f"transforms_{name}.json"
+        if not is_file(file):
+            raise FormatError(f"{self.path}: has no {name} split; put its cameras into {file.name}")
+        frames = read_transforms(file)
+        for frame in frames:
+            _present(frame.photo_path, file, frame.camera.name)
+        return frames
+
+    def _colmap(self, name: Split, images: Path) -> list[Frame]:
+        cameras = read_model(_sparse(self.path) or self.path)
+        held_out = name == "test"
+        chosen = [
+            camera for index, camera in enumerate(cameras) if (index % TEST_EVERY == 0) == held_out
+        ]
+        return [_frame_in(images, camera) for camera in chosen]
+
+
+def open_dataset(path: str | Path, *, images: str | None = None) -> Dataset:
+    """Open a data set, whichever layout its folder has.
+
+    A folder with `sparse/0` is a COLMAP capture, one with `transforms_*.json` is NeRF-Synthetic; a
+    folder with both is taken for the former, as by the reference trainer.
+
+    Args:
+        path: The data set's folder.
+        images: Which folder of a COLMAP capture holds the photographs: "images" (the default),
+            "images_2", "images_4", "images_8" or another.
+
+    Raises:
+        FormatError: The folder has neither layout, or no photographs.
+        OptionError: `images` names no folder, or is given for a layout without a choice.
+    """
+    folder = Path(path)
+    if not folder.exists():
+        raise FormatError(f"{folder}: does not exist; check the path")
+    if not folder.is_dir():
+        raise FormatError(
+            f"{folder}: is no folder, and cameras alone have no photographs; "
+            "give the data set's folder"
+        )
+    if _sparse(folder) is not None:
+        return Dataset("colmap", folder, _image_folder(folder, images))
+    if not any(is_file(folder / name) for name in _BLENDER_FILES):
+        raise FormatError(
+            f"{folder}: holds neither transforms_test.json nor sparse/0 with photographs; "
+            "give the folder of a NeRF-Synthetic or COLMAP data set"
+        )
+    if images is not None:
+        raise OptionError(
+            f"{folder}: its transforms files say where the photographs are; leave images out"
+        )
+    return Dataset("blender", folder)
+
+
+def cameras_from_file(
+    path: str | Path, *, width: int | None = None, height: int | None = None
+) -> list[Camera]:
+    """Read cameras to render from; photographs are not needed.
+
+    Args:
+        path: A `transforms*.json`, a `cameras.json` of the reference trainer, or a folder: a COLMAP
+            sparse model or what holds it as `sparse/0`, or one with such JSON files.
+        width: Image width in pixels for a `transforms*.json` that states none and whose
+            photographs are not there.
+        height: Image height in pixels; `width` if None.
+
+    Returns:
+        All cameras, with the sizes that the file states. A COLMAP model's are sorted by name,
+        others keep the file's order, files in the order train, validation, test.
+
+    Raises:
+        FormatError: The file is missing or damaged, of no known layout, or states no size.
+        OptionError: `width` or `height` is given for a file that states its sizes.
+    """
+    place = Path(path)
+    model = find_model(place)
+    if model is None:
+        files = _camera_files(place)
+        return [camera for file in files for camera in _from_json(file, width, height)]
+    _refuse_size(model, width, height)
+    return read_model(model)
+
+
+def _camera_files(place: Path) -> list[Path]:
+    if not place.is_dir():
+        return [place]
+    files = [place / name for name in _BLENDER_FILES if is_file(place / name)]
+    if not files and is_file(place / "cameras.json"):
+        files = [place / "cameras.json"]
+    if not files:
+        raise FormatError(
+            f"{place}: holds no cameras; give a transforms.json, a cameras.json or a folder with "
+            "sparse/0"
+        )
+    return files
+
+
+def _from_json(file: Path, width: int | None, height: int | None) -> list[Camera]:
+    # Told apart by content: people rename these files.
+    if isinstance(read_json(file), list):
+        _refuse_size(file, width, height)
+        return read_cameras_json(file)
+    return [frame.camera for frame in read_transforms(file, width=width, height=height)]
+
+
+def _refuse_size(file: Path, width: int | None, height: int | None) -> None:
+    if width is not None or height is not None:
+        raise OptionError(f"{file}: states its image sizes; leave width and height out")
+
+
+def _sparse(folder: Path) -> Path | None:
+    # A bare model, cameras.bin beside nothing, is a camera file and no data set.
+    model = find_model(folder)
+    return None if model == folder else model
+
+
+def _image_folder(folder: Path, images: str | None) -> Path:
+    chosen = folder / (images or "images")
+    if chosen.is_dir():
+        return chosen
+    others = sorted(path.name for path in folder.glob("images*") if path.is_dir())
+    remedy = f"choose images={others[0]!r}" if others else "copy the photographs there"
+    problem = FormatError if images is None else OptionError
+    raise problem(f"{chosen}: is no folder of photographs; {remedy}")
+
+
+def _frame_in(images: Path, camera: Camera) -> Frame:
+    photo = _present(find_photo(images, camera.name), images, camera.name)
+    return Frame(scaled(camera, photo_size(photo), str(photo)), photo)
+
+
+def _present(photo: Path | None, place: Path, name: str) -> Path:
+    if photo is None:
+        raise FormatError(f"{place}: has no photograph {name}; restore it or remove its camera")
+    return photo

@@ -1,0 +1,123 @@
+"""Photographs on disk: where a name leads, how large one is, and its pixels."""
+
+import struct
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from nanogs._types import F32, F
+from nanogs.errors import FormatError, OptionError
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")
+# Pillow's decoders raise these, and not only OSError, for damaged files.
+_DAMAGED = (
+    OSError,
+    SyntaxError,
+    ValueError,
+    EOFError,
+    IndexError,
+    struct.error,
+    zlib.error,
+    Image.DecompressionBombError,
+)
+_WIDE = ("I", "F")  # more than 8 bits a channel: Pillow would clip them to 255
+
+
+def is_file(path: Path) -> bool:
+    """Tell whether a path names a file; a name that no file system accepts does not."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long, or with a NUL in it
+        return False
+
+
+def find_photo(folder: Path, name: str) -> Path | None:
+    """Return the photograph that a camera file calls `name`, or None if there is none.
+
+    Tried in turn: the name itself, the name with an image suffix added (NeRF-Synthetic leaves it
+    out), and with its suffix replaced (downscaled copies are often stored in another format).
+    """
+    exact = folder / name
+    if is_file(exact):
+        return exact
+    stems = [name]
+    if exact.suffix.lower() in SUFFIXES:
+        stems.append(name[: -len(exact.suffix)])
+    candidates = (folder / (stem + suffix) for stem in stems for suffix in SUFFIXES)
+    return next((path for path in candidates if is_file(path)), None)
+
+
+def photo_size(path: Path) -> tuple[int, int]:
+    """Return a photograph's width and height in pixels, as stored; pixels are not decoded.
+
+    An orientation in its metadata is ignored, as camera files refer to the stored rows.
+
+    Raises:
+        FormatError: It is missing or no image that can be read.
+    """
+    try:
+        with Image.open(path) as image:
+            return image.size
+    except _DAMAGED as error:
+        raise _unreadable(path, error) from error
+
+
+def read_photo(path: Path, size: tuple[int, int], background: Sequence[float] | F) -> F32:
+    """Decode a photograph over a background colour.
+
+    Args:
+        path: The image file; its alpha, if any, is straight.
+        size: Width and height in pixels that the camera expects.
+        background: Three numbers in [0, 1], RGB.
+
+    Returns:
+        (height, width, 3) float32 in [0, 1], RGB as stored (no colour management), row 0 on top.
+
+    Raises:
+        FormatError: It cannot be decoded, has more than 8 bits a channel or another size.
+        OptionError: The background is not three numbers in [0, 1].
+    """
+    colour = _checked_background(background)
+    try:
+        with Image.open(path) as image:
+            _check_decodable(path, image, size)
+            straight = image.has_transparency_data
+            pixels = np.asarray(image.convert("RGBA" if straight else "RGB"), dtype=np.float32)
+    except _DAMAGED as error:
+        raise _unreadable(path, error) from error
+    pixels = pixels / np.float32(255)
+    if not straight:
+        return pixels
+    alpha = pixels[..., 3:]
+    composite: F32 = pixels[..., :3] * alpha + colour * (1 - alpha)
+    return composite
+
+
+def _check_decodable(path: Path, image: Image.Image, size: tuple[int, int]) -> None:
+    if image.size != size:
+        raise FormatError(
+            f"{path}: is {image.size[0]}x{image.size[1]} pixels where its camera is "
+            f"{size[0]}x{size[1]}; use the photographs that the cameras were made for"
+        )
+    if image.mode.split(";")[0] in _WIDE:
+        raise FormatError(
+            f"{path}: has pixels of type {image.mode}; convert it to 8 bits a channel"
+        )
+
+
+def _checked_background(background: Sequence[float] | F) -> F32:
+    try:
+        colour = np.asarray(background, dtype=np.float32)
+    except (TypeError, ValueError) as error:
+        raise OptionError(f"background {background!r}: give three numbers from 0 to 1") from error
+    if colour.shape != (3,) or not np.all((colour >= 0) & (colour <= 1)):
+        raise OptionError(f"background {background!r}: give three numbers from 0 to 1")
+    return colour
+
+
+def _unreadable(path: Path, error: Exception) -> FormatError:
+    reason = getattr(error, "strerror", None) or type(error).__name__
+    return FormatError(f"{path}: is not a readable photograph ({reason}); restore the image file")

@@ -1,0 +1,318 @@
+"""`transforms*.json` and `cameras.json`: hand-computed cameras, and what is refused."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from dataset_files import POSE, trained_camera, transforms, write_json, write_photo
+from nanogs.datasets.blender import read_transforms
+from nanogs.datasets.dataset import cameras_from_file
+from nanogs.datasets.inria import read_cameras_json
+from nanogs.errors import FormatError, NanogsError, OptionError
+
+on_disk = settings(
+    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+NAN = float("nan")
+
+
+def frame(name="./test/r_0", pose=POSE, **more):
+    return {"file_path": name, "transform_matrix": pose, **more}
+
+
+def moved(row, column, value):
+    pose = [list(each) for each in POSE]
+    pose[row][column] = value
+    return pose
+
+
+@pytest.fixture
+def file(tmp_path):
+    return tmp_path / "transforms_test.json"
+
+
+def test_blender_pose_and_focal_by_hand(file):
+    write_photo(file.parent / "test" / "r_0.png", (80, 60))
+    (only,) = read_transforms(write_json(file, transforms()))
+    camera = only.camera
+    # tan(angle / 2) = 1/2, so the focal length is the width.
+    assert (camera.fx, camera.fy) == (pytest.approx(80), pytest.approx(80))
+    assert (camera.width, camera.height, camera.cx, camera.cy) == (80, 60, 40, 30)
+    assert camera.name == "test/r_0"
+    assert only.photo_path == file.parent / "test" / "r_0.png"
+    np.testing.assert_allclose(camera.position, [1, 2, 3])
+    # One ahead (world -z), one to the right and one up: x right, y down, z forward.
+    seen = camera.world_to_camera @ [2, 3, 2, 1]
+    np.testing.assert_allclose(seen, [1, -1, 1, 1])
+
+
+def test_file_path_with_suffix_and_size_stated(file):
+    shared = {"w": 80, "h": 60.0, "fl_x": 90.0, "fl_y": 91.0, "cx": 38.0, "cy": 29.5}
+    (only,) = read_transforms(write_json(file, transforms([frame("a.jpg")], **shared)))
+    camera = only.camera
+    assert (camera.width, camera.height) == (80, 60)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (90, 91, 38, 29.5)
+    assert only.photo_path is None
+
+
+def test_a_frame_overrides_what_is_shared(file):
+    frames = [frame("a"), frame("b", fl_x=50.0, w=40, h=20, cx=1.0)]
+    document = transforms(frames, w=80, h=60, fl_x=90.0)
+    first, second = (each.camera for each in read_transforms(write_json(file, document)))
+    assert (first.width, first.fx, first.fy, first.cx) == (80, 90, 90, 40)
+    assert (second.width, second.height, second.fx, second.cx, second.cy) == (40, 20, 50, 1, 10)
+
+
+def test_size_given_for_a_file_that_states_none(file):
+    write_json(file, transforms())
+    (square,) = cameras_from_file(file, width=64)
+    assert (square.width, square.height, square.cx, square.cy) == (64, 64, 32, 32)
+    assert square.fx == pytest.approx(64)
+    (wide,) = cameras_from_file(file, width=64, height=32)
+    assert (wide.width, wide.height, wide.fy) == (64, 32, pytest.approx(64))
+
+
+def test_no_size_at_all_names_the_remedy(file):
+    with pytest.raises(FormatError, match="tell the image's size; give a width"):
+        cameras_from_file(write_json(file, transforms()))
+
+
+@pytest.mark.parametrize(
+    "size", [{"width": 0}, {"width": -1}, {"width": 64, "height": 0}, {"height": 64}]
+)
+def test_bad_sizes_are_refused(file, size):
+    with pytest.raises(OptionError):
+        cameras_from_file(write_json(file, transforms()), **size)
+
+
+def test_size_given_for_a_file_that_states_one(file):
+    with pytest.raises(OptionError, match="leave width and height out"):
+        cameras_from_file(write_json(file, transforms(w=8, h=6)), width=4)
+
+
+def test_photograph_of_another_size_than_stated(file):
+    write_photo(file.parent / "test" / "r_0.png", (40, 30))
+    with pytest.raises(FormatError, match=r"r_0\.png: is \(40, 30\) .*states \(80, 60\)"):
+        read_transforms(write_json(file, transforms(w=80, h=60)))
+
+
+MIRRORED = [[-1.0, 0, 0, 1.0], *POSE[1:]]
+BAD_FRAMES = [
+    (frame(pose=moved(0, 0, 1.01)), "pose is not a rotation"),
+    (frame(pose=moved(0, 1, 0.01)), "pose is not a rotation"),
+    (frame(pose=MIRRORED), "pose is not a rotation"),
+    (frame(pose=[[0.0] * 4] * 3 + [[0, 0, 0, 1]]), "pose is not a rotation"),
+    (frame(pose=moved(0, 0, NAN)), "transform_matrix: is nan"),
+    (frame(pose=moved(1, 3, math.inf)), "transform_matrix: is inf"),
+    (frame(pose=moved(1, 3, 10**400)), "transform_matrix: is a huge integer"),
+    (frame(pose=moved(1, 3, "1")), "transform_matrix: is '1'"),
+    (frame(pose=moved(1, 3, True)), "transform_matrix: is True"),
+    (frame(pose=moved(3, 3, 2.0)), "last row"),
+    (frame(pose=[list(column) for column in zip(*POSE, strict=True)]), "last row"),
+    (frame(pose=POSE[:3]), "not a 4x4 matrix"),
+    (frame(pose=None), "not a 4x4 matrix"),
+    (frame(name=None), "file_path: is None"),
+    (frame(name=""), "file_path: is ''"),
+    (frame(w=80), "h: is None"),
+    (frame(w=80, h=60.5), "h: is 60.5"),
+    (frame(w=0, h=60), "w: is 0"),
+    (frame(w=10**6, h=60), "w: is 1000000"),
+    (frame(fl_x=0.0), "focal length is 0"),
+    (frame(fl_y=-1.0), "focal length is -1"),
+    (frame(fl_x=NAN), "fl_x: is nan"),
+    (frame(cx=NAN), "principal point: is nan"),
+    (frame(camera_angle_x=0), "camera_angle_x is 0"),
+    (frame(camera_angle_x=-1), "camera_angle_x is -1"),
+    (frame(camera_angle_x=5e-324), "camera_angle_x is 4.9"),
+    (frame(camera_angle_x=4), "camera_angle_x is 4"),
+    (frame(camera_angle_x=None), "camera_angle_x: is None"),
+    (frame(k1=0.1), "'PINHOLE' with k1 is no pinhole; undistort"),
+    (frame(camera_model="OPENCV", p2=NAN), "'OPENCV' with p2 is no pinhole"),
+    (frame(camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no pinhole"),
+    (frame(camera_model="EQUIRECTANGULAR"), "is no pinhole; undistort"),
+]
+
+
+@pytest.mark.parametrize(("bad", "message"), BAD_FRAMES)
+def test_bad_frames_name_entry_and_reason(file, bad, message):
+    write_photo(file.parent / "test" / "r_0.png", (80, 60))
+    write_json(file, transforms([bad]))
+    with pytest.raises(FormatError, match=message) as caught:
+        read_transforms(file)
+    assert str(file) in str(caught.value)
+
+
+def test_opencv_model_without_distortion_is_a_pinhole(file):
+    zeros = {"camera_model": "OPENCV", "k1": 0.0, "k2": 0, "p1": 0.0, "p2": 0.0}
+    assert read_transforms(write_json(file, transforms(w=8, h=6, **zeros)))
+
+
+def test_small_rounding_is_kept_as_it_is(file):
+    pose = moved(0, 0, 1.0004)
+    (only,) = read_transforms(write_json(file, transforms([frame(pose=pose)], w=8, h=6)))
+    np.testing.assert_allclose(only.camera.world_to_camera[0, 0], 1 / 1.0004, rtol=1e-12)
+
+
+@pytest.mark.parametrize("other", ["./test/r_0", "test/r_0", "test/../test/r_0"])
+def test_image_listed_twice(file, other):
+    with pytest.raises(FormatError, match="image test/r_0 twice"):
+        read_transforms(write_json(file, transforms([frame(), frame(other)], w=8, h=6)))
+
+
+def test_photograph_listed_with_and_without_suffix(file):
+    write_photo(file.parent / "test" / "r_0.png", (8, 6))
+    with pytest.raises(FormatError, match=r"photograph .*r_0\.png twice"):
+        read_transforms(write_json(file, transforms([frame(), frame("test/r_0.png")])))
+
+
+DOCUMENTS = [
+    ("", "is not JSON"),
+    ('{"frames": [', "is not JSON"),
+    ("[" * 100_000, "is not JSON"),
+    ('{"frames": ' + "9" * 5000 + "}", "is not JSON"),
+    ("3", "holds 3 where a JSON object"),
+    ("null", "holds None where"),
+    ("{}", "frames: needs a list of at least one camera, not None"),
+    ('{"frames": []}', "not a list of 0"),
+    ('{"frames": {}}', "not a dict of 0"),
+    ('{"frames": [3]}', "frames, entry 0: holds 3"),
+    ("[]", "needs a list of at least one camera"),
+    ("[[]]", "entry 0: holds a list of 0"),
+]
+
+
+@pytest.mark.parametrize(("document", "message"), DOCUMENTS)
+def test_malformed_documents(file, document, message):
+    with pytest.raises(FormatError, match=message):
+        cameras_from_file(write_json(file, document))
+
+
+def test_document_that_is_no_text(file):
+    file.write_bytes(b"\xff\xfe{}")
+    with pytest.raises(FormatError, match="not UTF-8"):
+        cameras_from_file(file)
+
+
+def test_trained_camera_by_hand(tmp_path):
+    # Camera to world by a quarter turn: camera x is world y, camera y is world -x.
+    turn = [[0, -1.0, 0], [1.0, 0, 0], [0, 0, 1.0]]
+    file = write_json(tmp_path / "cameras.json", [trained_camera(rotation=turn)])
+    (camera,) = cameras_from_file(file)
+    assert (camera.width, camera.height, camera.fx, camera.fy) == (80, 60, 70, 71)
+    assert (camera.cx, camera.cy, camera.name) == (40, 30, "r_0")
+    np.testing.assert_allclose(camera.position, [1, 2, 3])
+    np.testing.assert_allclose(camera.world_to_camera @ [1, 3, 3, 1], [1, 0, 0, 1], atol=1e-12)
+
+
+def test_trained_cameras_keep_their_order_and_get_unlike_names(tmp_path):
+    rows = [
+        trained_camera(id=5, img_name="r_1"),
+        trained_camera(id=3),
+        trained_camera(id=4, img_name="r_1"),
+    ]
+    cameras = read_cameras_json(write_json(tmp_path / "c.json", rows))
+    assert [camera.name for camera in cameras] == ["r_1-5", "r_0", "r_1-4"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([trained_camera(), trained_camera(img_name="r_1")], "id 0 twice"),
+        ([trained_camera(id="x")], "id: is 'x'"),
+        ([trained_camera(img_name=7)], "img_name: is 7"),
+        ([trained_camera(fx=0)], "focal length is 0"),
+        ([trained_camera(fy=NAN)], "fy: is nan"),
+        ([trained_camera(width=8.5)], "width: is 8.5"),
+        ([trained_camera(height=None)], "height: is None"),
+        ([trained_camera(position=[1, 2])], "position: is not a 1x3 matrix"),
+        ([trained_camera(position=[1, 2, NAN])], "position: is nan"),
+        ([trained_camera(rotation=[[2, 0, 0], [0, 2, 0], [0, 0, 2]])], "pose is not a rotation"),
+        ([trained_camera(rotation=[[1, 0, 0], [0, 1, 0], [0, 0, -1]])], "pose is not a rotation"),
+        ([trained_camera(rotation="I")], "rotation: is not a 3x3 matrix"),
+    ],
+)
+def test_bad_trained_cameras(tmp_path, rows, message):
+    file = write_json(tmp_path / "c.json", rows)
+    with pytest.raises(FormatError, match=message):
+        read_cameras_json(file)
+
+
+def test_trained_cameras_state_their_sizes(tmp_path):
+    file = write_json(tmp_path / "cameras.json", [trained_camera()])
+    with pytest.raises(OptionError, match="leave width and height out"):
+        cameras_from_file(file, width=8)
+
+
+quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1)
+places = st.tuples(*[st.floats(-1e4, 1e4)] * 3)
+
+
+@on_disk
+@given(q=quaternions, centre=places)
+def test_both_formats_agree_on_any_pose(tmp_path, q, centre):
+    axes = Rotation.from_quat(q).as_matrix()  # columns: right, down, forward
+    blender = np.eye(4)
+    blender[:3, :3] = np.stack([axes[:, 0], -axes[:, 1], -axes[:, 2]], axis=1)
+    blender[:3, 3] = centre
+    document = transforms([frame(pose=blender.tolist())], w=8, h=6)
+    (a,) = cameras_from_file(write_json(tmp_path / "a.json", document))
+    trained = trained_camera(rotation=axes.tolist(), position=list(centre))
+    (b,) = cameras_from_file(write_json(tmp_path / "b.json", [trained]))
+    for camera in (a, b):
+        np.testing.assert_allclose(camera.world_to_camera[:3, :3], axes.T, atol=1e-9)
+        np.testing.assert_allclose(camera.position, centre, atol=1e-7)
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=6,
+)
+
+
+@on_disk
+@given(key=st.sampled_from([*trained_camera()]), value=json_values)
+def test_any_value_in_a_trained_camera(tmp_path, key, value):
+    file = write_json(tmp_path / "c.json", json.dumps([trained_camera(**{key: value})]))
+    assert_cameras_or_our_error(file)
+
+
+@on_disk
+@given(
+    key=st.sampled_from(
+        [
+            "file_path",
+            "transform_matrix",
+            "w",
+            "h",
+            "fl_x",
+            "fl_y",
+            "cx",
+            "cy",
+            "camera_angle_x",
+            "k1",
+            "camera_model",
+            "frames",
+        ]
+    ),
+    value=json_values,
+    shared=st.booleans(),
+)
+def test_any_value_in_a_transforms_file(tmp_path, key, value, shared):
+    document = transforms(w=8, h=6)
+    (document if shared else document["frames"][0])[key] = value
+    assert_cameras_or_our_error(write_json(tmp_path / "t.json", json.dumps(document)))
+
+
+def assert_cameras_or_our_error(file):
+    try:
+        cameras = cameras_from_file(file)
+    except NanogsError:
+        return
+    assert all(np.isfinite(camera.world_to_camera).all() for camera in cameras)
+    assert all(camera.fx > 0 and math.isfinite(camera.fx + camera.cx) for camera in cameras)
