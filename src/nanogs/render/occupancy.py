@@ -1,0 +1,190 @@
+"""Where a model's matter is: a weighted sample of it, and a coarse grid to look along rays.
+
+Only for choosing where cameras stand; nothing here renders.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F64, I64
+from nanogs.errors import ModelError
+from nanogs.splats import Splats
+
+MAX_SAMPLE = 60_000  # splats looked at; a stride thins larger models
+FAINTEST = 1 / 255  # what the rasterisers skip
+CELLS = 64  # of the grid, along each axis
+TRIM_ROUNDS = 4  # of centre and radius
+TRIM = 4.0  # median distances from the centre; beyond lie surroundings, skies and strays
+OPAQUE_DEPTH = 1.0  # optical depth at which a ray counts as stopped
+
+
+@dataclass(frozen=True, slots=True)
+class Matter:
+    """A sample of the visible splats.
+
+    Attributes:
+        points: (n, 3) float64, centres in scene units.
+        alphas: (n,) float64 in (1/255, 1].
+        arms: (n, 2, 3) float64, the two longest axes times their standard deviations.
+        stride: One in this many splats was taken.
+    """
+
+    points: F64
+    alphas: F64
+    arms: F64
+    stride: int
+
+    @property
+    def areas(self) -> F64:
+        """(n,) float64: alpha times the largest cross-section, square scene units."""
+        lengths = np.linalg.norm(self.arms, axis=2)
+        areas: F64 = self.alphas * 2 * np.pi * lengths.prod(axis=1)
+        return areas
+
+
+@dataclass(frozen=True, slots=True)
+class Core:
+    """The part of a model that views are about.
+
+    Attributes:
+        centre: (3,) float64, scene units.
+        radius: Distance from the centre that holds 95 % of the core, more than 0.
+        rows: (m,) int64, which samples belong to it.
+    """
+
+    centre: F64
+    radius: float
+    rows: I64
+
+
+def quantiles(values: F64, weights: F64, *shares: float) -> list[float]:
+    """The values below which the given shares of the weight lie."""
+    order = np.argsort(values, kind="stable")
+    summed = np.cumsum(weights[order])
+    places = np.searchsorted(summed, np.array(shares) * summed[-1])
+    return [float(value) for value in values[order[np.minimum(places, len(order) - 1)]]]
+
+
+def capped(areas: F64) -> F64:
+    """Areas without the few huge ones, which would outvote all others."""
+    return np.minimum(areas, np.quantile(areas, 0.99))
+
+
+def sample(splats: Splats) -> Matter:
+    """Finite and visible splats of a model.
+
+    Raises:
+        ModelError: There is none, so every view would be empty.
+    """
+    visible = np.flatnonzero(splats.finite() & (splats.opacities() > FAINTEST))
+    if not len(visible):
+        raise ModelError(
+            "The model shows nothing: each of its splats is transparent or not finite;"
+            " check the file it came from."
+        )
+    stride = -(-len(visible) // MAX_SAMPLE)
+    kept = splats.take(visible[::stride])
+    scales = kept.scales().astype(np.float64)
+    axes = _axes(kept.unit_quats().astype(np.float64)) * scales[:, None, :]
+    longest = np.argsort(-scales, axis=1, kind="stable")[:, :2]
+    arms = np.take_along_axis(axes.transpose(0, 2, 1), longest[:, :, None], axis=1)
+    return Matter(kept.means.astype(np.float64), kept.opacities(), arms, stride)
+
+
+def _axes(quats: F64) -> F64:
+    """(n, 3, 3) rotation matrices, a splat's axes in their columns, of unit wxyz (n, 4)."""
+    w, x, y, z = quats.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    matrices: F64 = np.array(rows).transpose(2, 0, 1)
+    return matrices
+
+
+def find_core(matter: Matter) -> Core:
+    """Centre and radius of the dense part, whatever flies or shines far outside of it.
+
+    Medians weighted by alpha, and not by area: a sky of few huge splats must not count. Each round
+    keeps what lies within four times the median distance of the median: a compact object keeps
+    all of itself, a scene with surroundings loses them.
+    """
+    rows = np.arange(len(matter.points))
+    for _ in range(TRIM_ROUNDS):
+        points, alphas = matter.points[rows], matter.alphas[rows]
+        centre = np.array([quantiles(column, alphas, 0.5)[0] for column in points.T])
+        distance = np.linalg.norm(points - centre, axis=1)
+        reach = TRIM * quantiles(distance, alphas, 0.5)[0]
+        rows, distance = rows[distance <= reach], distance[distance <= reach]
+    points, alphas = matter.points[rows], matter.alphas[rows]
+    # Its middle, so that it fills a view; the median sits where splats are many.
+    ends = [quantiles(column, alphas, 0.02, 0.98) for column in points.T]
+    centre = np.array(ends).mean(axis=1)
+    extent = np.linalg.norm(matter.arms[rows], axis=2).max(axis=1)
+    radius = quantiles(np.linalg.norm(points - centre, axis=1) + extent, alphas, 0.95)[0]
+    return Core(centre, radius if radius > 0 else 1.0, rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Optical depth of a cube around the core, for one cell's width of a ray.
+
+    Attributes:
+        depth: (CELLS, CELLS, CELLS) float64.
+        corner: (3,) float64, scene units.
+        cell: Width of a cell, scene units.
+    """
+
+    depth: F64
+    corner: F64
+    cell: float
+
+    def first_hits(self, origins: F64, directions: F64, reach: float) -> F64:
+        """(n,) distances to where rays are stopped, inf where nothing stops them within `reach`.
+
+        Args:
+            origins: (n, 3) float64, scene units.
+            directions: (n, 3) float64, unit.
+            reach: Length of the rays, scene units.
+        """
+        steps = max(int(reach / (0.7 * self.cell)), 1)
+        along = (np.arange(steps) + 0.5) * (reach / steps)
+        points = origins[:, None] + along[:, None] * directions[:, None]
+        depth = np.cumsum(self.at(points) * (reach / steps / self.cell), axis=1)
+        first = (depth <= OPAQUE_DEPTH).sum(axis=1)  # depth only grows along a ray
+        hits: F64 = np.append(along, np.inf)[first]
+        return hits
+
+    def free(self, position: F64) -> bool:
+        """Whether nothing opaque is within two cells of a point (3,)."""
+        around = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), axis=-1).reshape(-1, 3)
+        return bool((self.at(position + around * self.cell) <= OPAQUE_DEPTH / 2).all())
+
+    def at(self, points: F64) -> F64:
+        """(...) optical depths of the cells that hold the points (..., 3); 0 outside."""
+        index = np.floor((points - self.corner) / self.cell).astype(np.int64)
+        inside = ((index >= 0) & (index < CELLS)).all(axis=-1)
+        i, j, k = np.moveaxis(np.where(np.expand_dims(inside, -1), index, 0), -1, 0)
+        depths: F64 = np.where(inside, self.depth[i, j, k], 0)
+        return depths
+
+
+def build_grid(matter: Matter, centre: F64, half: float) -> Grid:
+    """Matter spread into a cube of half-width `half` around `centre`."""
+    from scipy.ndimage import uniform_filter
+
+    cell = 2 * half / CELLS
+    corner = centre - half
+    depth = np.zeros(CELLS**3)
+    # A cell-sized splat must not leave holes: its matter lies at five places of its ellipse.
+    share = matter.areas * matter.stride / cell**2 / 5
+    for first, second in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+        points = matter.points + first * matter.arms[:, 0] + second * matter.arms[:, 1]
+        place = (points - corner) / cell
+        inside = ((place >= 0) & (place < CELLS)).all(axis=1)
+        flat = np.ravel_multi_index(tuple(place[inside].astype(np.int64).T), (CELLS,) * 3)
+        depth += np.bincount(flat, share[inside], minlength=CELLS**3)
+    smooth = uniform_filter(depth.reshape(CELLS, CELLS, CELLS), size=2, mode="constant")
+    return Grid(smooth, corner, cell)

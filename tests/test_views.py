@@ -1,0 +1,239 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conftest import scene_path
+from nanogs.datasets.synthetic import make_scene
+from nanogs.errors import ModelError, OptionError
+from nanogs.render.poses import look_at, low_discrepancy
+from nanogs.render.views import automatic_cameras
+from nanogs.splats import Splats
+
+SCENE = make_scene(6_000)
+
+
+def cloud(points: np.ndarray, size: float = 0.02, logit: float = 3.0) -> Splats:
+    n = len(points)
+    return Splats(
+        means=points.astype(np.float32),
+        log_scales=np.full((n, 3), np.log(size), np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+        opacity_logits=np.full(n, logit, np.float32),
+        sh=np.zeros((n, 1, 3), np.float32),
+    )
+
+
+def ball(n: int = 4_000, radius: float = 1.0, seed: int = 0) -> np.ndarray:
+    points = np.random.default_rng(seed).normal(size=(n, 3))
+    return radius * points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def room(n: int = 12_000, seed: int = 0) -> np.ndarray:
+    """Six walls of a room of 6 x 3 x 4 and a table in it."""
+    rng = np.random.default_rng(seed)
+    walls = rng.uniform(-1, 1, (n, 3))
+    axis = rng.choice(3, n, p=[0.25, 0.4, 0.35])
+    walls[np.arange(n), axis] = rng.choice([-1.0, 1.0], n)
+    table = rng.uniform(-1, 1, (n // 10, 3)) * (0.2, 0.2, 0.2) + (0.2, 0.3, 0.0)
+    return np.concatenate([walls, table]) * (3.0, 1.5, 2.0)
+
+
+def pixels(camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
+    x, y, z = (points @ rotation.T + shift).T
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    return np.stack([u, v], axis=1), z
+
+
+def test_the_same_model_gives_the_same_cameras():
+    first, second = automatic_cameras(SCENE, 4), automatic_cameras(SCENE, 4)
+    for one, other in zip(first, second, strict=True):
+        assert one.world_to_camera.tobytes() == other.world_to_camera.tobytes()
+        assert one.near == other.near
+
+
+@pytest.mark.parametrize("model", [SCENE, cloud(room())], ids=["orbit", "inside"])
+@pytest.mark.parametrize("split", ["fit", "test"])
+def test_cameras_are_rigid_named_and_within_the_model_of_a_pinhole(model, split):
+    for i, camera in enumerate(automatic_cameras(model, 5, width=320, height=200, split=split)):
+        pose = camera.world_to_camera
+        assert np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)
+        assert (pose[3] == (0, 0, 0, 1)).all()
+        assert (camera.width, camera.height, camera.cx, camera.cy) == (320, 200, 160, 100)
+        assert camera.fx == camera.fy > 0
+        assert camera.name == f"{split}_{i:03}"
+        assert camera.near > 0
+
+
+@pytest.mark.parametrize("kind", ["orbit", "inside"])
+def test_splits_are_disjoint_and_prefixes_stable(kind):
+    fit = automatic_cameras(SCENE, 6, kind=kind)
+    test = automatic_cameras(SCENE, 6, kind=kind, split="test")
+    for camera in fit:
+        assert min(np.linalg.norm(camera.position - other.position) for other in test) > 1e-3
+    for short, long in zip(automatic_cameras(SCENE, 3, kind=kind), fit, strict=False):
+        assert (short.world_to_camera == long.world_to_camera).all()
+
+
+@pytest.mark.parametrize("size", [(512, 512), (640, 200), (200, 640)])
+def test_an_object_fills_its_frame_and_nothing_is_cut_off(size):
+    points = ball() * (0.5, 1.0, 0.4) + (0, 7, 0)
+    for camera in automatic_cameras(cloud(points), 6, width=size[0], height=size[1]):
+        uv, z = pixels(camera, points)
+        assert (z > camera.near).all()
+        outside = ((uv < 0) | (uv > size)).any(axis=1).mean()
+        assert outside < 0.04
+        assert (np.ptp(uv, axis=0) / size).max() > 0.6
+
+
+def test_orbit_directions_surround_the_object():
+    cameras = automatic_cameras(cloud(ball()), 24)
+    directions = np.array([camera.position for camera in cameras])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    headings = np.sort(np.arctan2(directions[:, 2], directions[:, 0]))
+    assert np.diff(headings).max() < 1.0
+    assert directions[:, 1].min() < -0.5, "some look down from above, y-down"
+
+
+def test_cameras_stand_upright_for_the_given_up():
+    for up in ([0, -1, 0], [0, 0, 2], [1, 1, 0]):
+        unit = np.array(up) / np.linalg.norm(up)
+        for camera in automatic_cameras(SCENE, 4, up=up):
+            assert camera.world_to_camera[0, :3] @ unit == pytest.approx(0, abs=1e-9)
+            assert camera.world_to_camera[1, :3] @ unit < 0
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    st.floats(-3, 3),
+    st.tuples(*[st.floats(-1, 1)] * 3),
+    st.sampled_from(["orbit", "inside"]),
+)
+def test_moving_and_scaling_the_scene_moves_the_cameras(power, direction, kind):
+    scale = 10.0**power
+    shift = np.array(direction) * scale
+    exact = replace(SCENE, means=SCENE.means.astype(np.float64))
+    moved = replace(
+        exact,
+        means=exact.means * scale + shift,
+        log_scales=(exact.log_scales + np.log(scale)).astype(np.float32),
+    )
+    pairs = zip(
+        automatic_cameras(exact, 3, kind=kind), automatic_cameras(moved, 3, kind=kind), strict=True
+    )
+    for before, after in pairs:
+        assert np.allclose(
+            after.position, before.position * scale + shift, rtol=1e-3, atol=0.01 * scale
+        )
+        assert after.near == pytest.approx(before.near * scale, rel=1e-3)
+
+
+def test_flyaways_and_a_sky_do_not_move_the_cameras():
+    points = ball()
+    rng = np.random.default_rng(1)
+    strays = np.concatenate([ball(400, 300.0, 2), rng.normal(size=(20, 3)) * 1e6])
+    both = cloud(np.concatenate([points, strays]))
+    both.log_scales[len(points) :] += 5
+    for alone, among in zip(
+        automatic_cameras(cloud(points), 6), automatic_cameras(both, 6), strict=True
+    ):
+        assert np.linalg.norm(alone.position - among.position) < 0.2
+
+
+def test_rooms_are_seen_from_inside_and_objects_from_outside():
+    for camera in automatic_cameras(cloud(room()), 8):
+        assert (np.abs(camera.position) < (3.0, 1.5, 2.0)).all()
+    for camera in automatic_cameras(cloud(ball()), 8):
+        assert np.linalg.norm(camera.position) > 1.5
+    for camera in automatic_cameras(cloud(room()), 4, kind="orbit"):
+        assert (np.abs(camera.position) > (3.0, 1.5, 2.0)).any()
+
+
+def test_a_turned_room_is_still_a_room():
+    turn = np.array([[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]])
+    for camera in automatic_cameras(cloud(room() @ turn.T), 4):
+        assert (np.abs(camera.position @ turn) < (3.0, 1.5, 2.0)).all()
+
+
+def test_views_inside_are_not_pressed_against_a_wall():
+    points = room()
+    for camera in automatic_cameras(cloud(points), 8):
+        uv, z = pixels(camera, points)
+        ahead = (z > 0) & ((uv > 0) & (uv < 512)).all(axis=1)
+        distance = np.linalg.norm(points[ahead] - camera.position, axis=1)
+        assert np.quantile(distance, 0.05) > 0.5
+
+
+def test_a_wall_beside_the_object_does_not_block_the_view():
+    side = np.linspace(-1, 1, 20)
+    wall = np.stack([*np.meshgrid(side, side), np.full((20, 20), 0.95)], axis=2).reshape(-1, 3)
+    both = cloud(np.concatenate([ball(40_000, 0.5), wall]))
+    both.log_scales[-len(wall) :] = np.log(0.08)
+    for camera in automatic_cameras(both, 24):
+        x, y, z = camera.position
+        crossing = np.abs([x, y]) * 0.95 / max(z, 0.95)
+        assert z < 0.95 or crossing.max() > 0.8, "the wall stands between"
+
+
+def test_tiny_models_have_cameras():
+    for count in (1, 2, 3):
+        for size in (1e-6, 1.0, 1e4):
+            for camera in automatic_cameras(cloud(np.zeros((count, 3)), size), 2):
+                assert np.isfinite(camera.world_to_camera).all()
+                assert camera.near > 0
+    for camera in automatic_cameras(make_scene(1), 2, kind="inside"):
+        assert np.isfinite(camera.world_to_camera).all()
+
+
+def test_a_model_that_shows_nothing_is_refused():
+    nan = cloud(ball(10))
+    nan.means[:] = np.nan
+    for model in (cloud(ball(10), logit=-9.0), cloud(np.zeros((0, 3))), nan):
+        with pytest.raises(ModelError, match="shows nothing"):
+            automatic_cameras(model)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"count": 0},
+        {"width": 0},
+        {"kind": "around"},
+        {"split": "train"},
+        {"fov": 0.0},
+        {"fov": float("nan")},
+        {"up": [0, 0, 0]},
+        {"up": [0, 1]},
+    ],
+)
+def test_bad_arguments_are_refused(bad):
+    with pytest.raises(OptionError):
+        automatic_cameras(SCENE, **bad)
+
+
+def test_looking_straight_down_has_a_pose():
+    pose = look_at(np.array([0.0, -5.0, 0.0]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
+    assert np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3))
+    assert np.allclose(pose @ [0, 0, 0, 1], [0, 0, 5, 1])
+
+
+def test_the_sequence_is_even():
+    values = low_discrepancy(np.arange(64), 2)
+    counts, _, _ = np.histogram2d(*values.T, bins=4, range=[[0, 1], [0, 1]])
+    assert counts.min() >= 2
+
+
+@pytest.mark.parametrize("name", ["plant.splat", "chair.splat", "seal.splat"])
+def test_real_objects_are_seen_from_around(name):
+    rows = np.fromfile(
+        scene_path(name), [("mean", "<f4", 3), ("scale", "<f4", 3), ("rest", "u1", 8)]
+    )
+    model = replace(cloud(rows["mean"]), log_scales=np.log(rows["scale"]))
+    for camera in automatic_cameras(model, 4):
+        uv, z = pixels(camera, rows["mean"].astype(np.float64))
+        inside = (z > camera.near) & ((uv > 0) & (uv < 512)).all(axis=1)
+        assert inside.mean() > 0.4
