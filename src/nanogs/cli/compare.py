@@ -1,0 +1,105 @@
+"""`nanogs compare`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from nanogs.cli import options
+from nanogs.cli.console import err, out, print_json, spinner, warn
+from nanogs.formatting import bytes_text, number_text
+from nanogs.io.atomic import check_writable
+
+if TYPE_CHECKING:
+    from nanogs.compare.comparison import Comparison
+
+
+def compare(
+    reference: Annotated[str, typer.Argument(metavar="REF", help="The original model.")],
+    tests: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="TEST...",
+            help="Models to score; name=path calls one by a name, one name on several sizes "
+            "makes a line in the plot.",
+        ),
+    ],
+    report: Annotated[
+        Path | None, typer.Option(help="Write a page with pictures: one .html file.")
+    ] = None,
+    photos: Annotated[
+        Path | None,
+        typer.Option(
+            help="Score REF and all TESTs against the photographs of this data set "
+            "(NeRF-Synthetic or COLMAP folder).",
+            rich_help_panel=options.VIEWS,
+        ),
+    ] = None,
+    images: Annotated[
+        str | None,
+        typer.Option(
+            help="Folder of the photographs, such as images_4.", rich_help_panel=options.VIEWS
+        ),
+    ] = None,
+    split: Annotated[
+        str, typer.Option(help="Photographs to use: test or train.", rich_help_panel=options.VIEWS)
+    ] = "test",
+    views: options.Views = 8,
+    size: options.Size = "512",
+    cameras: options.Cameras = "auto",
+    up: options.Up = None,
+    background: options.BackgroundOption = "black",
+    metrics: Annotated[
+        str, typer.Option(help="Further metrics: flip, lpips (each needs its extra).")
+    ] = "",
+    overwrite: options.Overwrite = False,
+    threads: options.Threads = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Score models against the original, on views that no method has used."""
+    width, height = options.parse_size(size)
+    color = options.parse_background(background)
+    direction = options.parse_direction(up)
+    extras = [name.strip() for name in metrics.split(",") if name.strip()]
+    if report:
+        check_writable(report, overwrite=overwrite)
+    from nanogs.compare.run import compare_files
+    from nanogs.threads import use_threads
+
+    with spinner(quiet=quiet or json) as progress, use_threads(threads):
+        comparison = compare_files(
+            options.parse_named(reference),
+            [options.parse_named(test) for test in tests],
+            cameras=cameras, views=views, width=width, height=height, up=direction,
+            background=color, extras=extras, photos=photos, images=images, split=split,
+            report=report, overwrite=overwrite, progress=progress,
+        )  # fmt: skip
+    if json:
+        print_json(comparison.to_dict())
+        return
+    for note in comparison.notes:
+        warn(note)
+    for model in comparison.models:
+        for note in model.notes:
+            warn(f"{model.name}: {note}")
+    out.print(_table(comparison))
+    if report and not quiet:
+        err.print(f"report: {report}")
+
+
+def _table(comparison: "Comparison") -> Table:
+    against = comparison.reference_splats
+    extras = sorted({name for model in comparison.models for name in model.extras})
+    table = Table("model", box=None, pad_edge=False)
+    headings = ["splats", *(["kept"] if against else []), "file", "PSNR", "SSIM"]
+    for heading in (*headings, *(["depth"] if against else []), *extras):
+        table.add_column(heading, justify="right")
+    for model in comparison.models:
+        cells = [model.name, f"{model.splats:,}"]
+        cells += [f"{model.splats / against:.2%}"] if against else []
+        cells += [bytes_text(model.file_bytes), number_text(model.psnr), number_text(model.ssim, 4)]
+        cells += [number_text(model.depth, 4)] if against else []
+        table.add_row(*cells, *(number_text(model.extras[name], 4) for name in extras))
+    return table

@@ -1,0 +1,91 @@
+"""Options that several commands share, and the parsing of their values."""
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nanogs.errors import OptionError
+
+VIEWS = "Views (automatic, or from a file)"
+
+Views = Annotated[
+    int, typer.Option("--views", min=1, help="Number of automatic views.", rich_help_panel=VIEWS)
+]
+Size = Annotated[
+    str,
+    typer.Option(help="Pixels of an automatic view: 512 or 1280x720.", rich_help_panel=VIEWS),
+]
+Cameras = Annotated[
+    str,
+    typer.Option(
+        help="auto, orbit (around an object), inside (a room or landscape), or a file or folder: "
+        "transforms.json, cameras.json, COLMAP.",
+        rich_help_panel=VIEWS,
+    ),
+]
+Up = Annotated[
+    str | None,
+    typer.Option(help="Up direction of automatic views: x,y,z.", rich_help_panel=VIEWS),
+]
+BackgroundOption = Annotated[
+    str, typer.Option("--background", help="black, white, or #rrggbb.", rich_help_panel=VIEWS)
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Replace what exists.")]
+Json = Annotated[bool, typer.Option("--json", help="As JSON on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show_default="all")]
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height in pixels from `512` or `1280x720`.
+
+    Raises:
+        OptionError: It is neither, or not between 1 and 16384.
+    """
+    match = re.fullmatch(r"(\d+)(?:x(\d+))?", text.strip().lower())
+    if match:
+        width, height = int(match[1]), int(match[2] or match[1])
+        if min(width, height) >= 1 and max(width, height) <= 16384:
+            return width, height
+    raise OptionError(f"The size must be like 512 or 1280x720, up to 16384, not {text!r}.")
+
+
+def parse_background(text: str) -> tuple[float, float, float]:
+    """RGB in [0, 1] from `black`, `white` or `#rrggbb`.
+
+    Raises:
+        OptionError: It is none of these.
+    """
+    named = {"black": "#000000", "white": "#ffffff"}.get(text.lower(), text)
+    match = re.fullmatch(r"#?([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})", named)
+    if not match:
+        raise OptionError(f"The background must be black, white or #rrggbb, not {text!r}.")
+    red, green, blue = (int(part, 16) / 255 for part in match.groups())
+    return red, green, blue
+
+
+def parse_direction(text: str | None) -> tuple[float, float, float] | None:
+    """A direction from `x,y,z`; None stays None.
+
+    Raises:
+        OptionError: It is not three numbers, or all are zero.
+    """
+    if text is None:
+        return None
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise OptionError(f"A direction is three numbers like 0,-1,0, not {text!r}.") from None
+    if x == y == z == 0:
+        raise OptionError("A direction cannot be 0,0,0.")
+    return x, y, z
+
+
+def parse_named(text: str) -> tuple[str, Path]:
+    """A name and a path from `name=path`; the file's own name where none is given."""
+    name, separator, path = text.partition("=")
+    if separator and name and not Path(text).exists():
+        return name, Path(path)
+    return Path(text).name, Path(text)

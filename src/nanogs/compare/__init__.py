@@ -1,0 +1,1 @@
+"""Comparing models: scores on views, and a page that shows them."""

@@ -1,0 +1,228 @@
+"""Several models held against one reference, on one set of views."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from nanogs.compare.pictures import data_uri, error_map
+from nanogs.compare.scoring import (
+    Background,
+    ModelScore,
+    ReferenceView,
+    ViewScore,
+    reference_views,
+    score,
+    shown,
+)
+from nanogs.errors import OptionError
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import Rendering, prepare
+from nanogs.splats import Splats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NamedModel:
+    """A model and what the user calls it.
+
+    Attributes:
+        name: Its name; models of one name are taken as one method at several sizes.
+        splats: The model.
+        file_bytes: Size of its file, or None.
+    """
+
+    name: str
+    splats: Splats
+    file_bytes: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The result of `compare`.
+
+    Attributes:
+        reference: What the scores are against: a model's name, or the photographs' folder.
+        reference_splats: Splats of the reference model, or None for photographs.
+        width: Width of the first view, pixels.
+        height: Height of the first view, pixels.
+        background: RGB in [0, 1].
+        views: Names of the views that were scored.
+        skipped_views: Names of views in which the reference is not seen; in no mean.
+        models: Scores, in the order given.
+        notes: What the reader of the numbers should know.
+    """
+
+    reference: str
+    reference_splats: int | None
+    width: int
+    height: int
+    background: Background
+    views: tuple[str, ...]
+    skipped_views: tuple[str, ...]
+    models: tuple[ModelScore, ...]
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """Pictures of one view for the page, as `data:` addresses.
+
+    Attributes:
+        view: Name of the view.
+        reference: The reference.
+        results: One rendering for each model.
+        errors: One error map for each model.
+    """
+
+    view: str
+    reference: str
+    results: list[str]
+    errors: list[str]
+
+
+def compare_models(
+    reference: NamedModel,
+    models: Sequence[NamedModel],
+    cameras: Sequence[Camera],
+    *,
+    background: Background = (0.0, 0.0, 0.0),
+    extras: Sequence[str] = (),
+    pictures: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Comparison, list[Sheet]]:
+    """Score models against a reference model.
+
+    Args:
+        reference: The reference.
+        models: At least one.
+        cameras: The views.
+        background: RGB in [0, 1] behind the splats.
+        extras: Further metrics, names in `scoring.EXTRA_METRICS`.
+        pictures: Also make the pictures for a page; otherwise the sheets are empty.
+        progress: Told the name of each model before it is rendered.
+
+    Raises:
+        OptionError: No model is given.
+        ModelError: The reference is seen in none of the views.
+    """
+    tell = progress or (lambda _name: None)
+    tell(reference.name)
+    prepared = prepare(reference.splats)
+    views, skipped = reference_views(prepared, cameras, background)
+    notes = [
+        f"{name}: nothing of the reference is seen; left out of every mean" for name in skipped
+    ]
+    if prepared.skipped:
+        notes.append(f"the reference: {prepared.skipped:,} splats with a NaN were not drawn")
+    notes += _degree_notes(reference, models)
+    scores, sheets = score_models(
+        models, views, background, extras=extras, pictures=pictures, progress=tell
+    )
+    return _comparison(
+        reference.name, len(reference.splats), views, skipped, background, scores, notes
+    ), sheets
+
+
+def compare_with_photographs(
+    source: str,
+    models: Sequence[NamedModel],
+    views: Sequence[ReferenceView],
+    *,
+    background: Background,
+    extras: Sequence[str] = (),
+    pictures: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Comparison, list[Sheet]]:
+    """Score models against photographs.
+
+    Args:
+        source: Where the photographs are from, for the reader.
+        models: At least one.
+        views: Cameras and photographs.
+        background: RGB in [0, 1] behind the splats and the photographs' transparent parts.
+        extras: Further metrics, names in `scoring.EXTRA_METRICS`.
+        pictures: Also make the pictures for a page.
+        progress: Told the name of each model before it is rendered.
+
+    Raises:
+        OptionError: No model or no view is given.
+    """
+    if not views:
+        raise OptionError(f"{source} has no photographs to compare with; choose another split.")
+    scores, sheets = score_models(
+        models, views, background, extras=extras, pictures=pictures, progress=progress
+    )
+    return _comparison(source, None, views, [], background, scores, []), sheets
+
+
+def score_models(
+    models: Sequence[NamedModel],
+    views: Sequence[ReferenceView],
+    background: Background,
+    *,
+    extras: Sequence[str],
+    pictures: bool,
+    progress: Callable[[str], None] | None,
+) -> tuple[list[ModelScore], list[Sheet]]:
+    """Score every model on the same views, and make the pictures on the way if they are wanted."""
+    if not models:
+        raise OptionError("Name at least one model to compare.")
+    sheets = [Sheet(view.camera.name, data_uri(view.image), [], []) for view in views if pictures]
+    scores = []
+    for model in models:
+        if progress:
+            progress(model.name)
+        remaining = iter(sheets)
+
+        def picture(view: ReferenceView, rendering: Rendering, _score: ViewScore) -> None:
+            sheet = next(remaining)  # noqa: B023 - called within this turn of the loop only
+            sheet.results.append(data_uri(shown(rendering.color)))
+            sheet.errors.append(data_uri(error_map(view.image, shown(rendering.color))))
+
+        scores.append(
+            score(
+                model.name,
+                prepare(model.splats),
+                views,
+                background,
+                file_bytes=model.file_bytes,
+                extras=extras,
+                on_view=picture if pictures else None,
+            )
+        )
+    return scores, sheets
+
+
+def _degree_notes(reference: NamedModel, models: Sequence[NamedModel]) -> list[str]:
+    """Lower degrees are rendered as they are; the reader should know what the score includes."""
+    degree = reference.splats.sh_degree
+    return [
+        f"{model.name}: SH degree {model.splats.sh_degree}, the reference has {degree}"
+        for model in models
+        if model.splats.sh_degree != degree
+    ]
+
+
+def _comparison(
+    reference: str,
+    reference_splats: int | None,
+    views: Sequence[ReferenceView],
+    skipped: Sequence[str],
+    background: Background,
+    scores: Sequence[ModelScore],
+    notes: Sequence[str],
+) -> Comparison:
+    return Comparison(
+        reference=reference,
+        reference_splats=reference_splats,
+        width=views[0].camera.width,
+        height=views[0].camera.height,
+        background=background,
+        views=tuple(view.camera.name for view in views),
+        skipped_views=tuple(skipped),
+        models=tuple(scores),
+        notes=tuple(notes),
+    )

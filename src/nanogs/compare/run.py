@@ -1,0 +1,110 @@
+"""A comparison from file names: what `nanogs compare` does."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from nanogs.compare.comparison import (
+    Comparison,
+    NamedModel,
+    compare_models,
+    compare_with_photographs,
+)
+from nanogs.compare.page import render_page
+from nanogs.compare.scoring import Background, ReferenceView
+from nanogs.errors import OptionError
+from nanogs.io import load
+from nanogs.io.atomic import atomic_write
+from nanogs.render.source import cameras_for
+
+
+def compare_files(
+    reference: tuple[str, Path],
+    tests: Sequence[tuple[str, Path]],
+    *,
+    cameras: str = "auto",
+    views: int = 8,
+    width: int = 512,
+    height: int = 512,
+    up: Sequence[float] | None = None,
+    background: Background = (0.0, 0.0, 0.0),
+    extras: Sequence[str] = (),
+    photos: Path | None = None,
+    images: str | None = None,
+    split: str = "test",
+    report: Path | None = None,
+    overwrite: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> Comparison:
+    """Read, score, and write the page if one is asked for.
+
+    Args:
+        reference: Name and file of the original model.
+        tests: Names and files of the models to score.
+        cameras: See `cameras_for`; without effect where photographs are given.
+        views: Number of automatic views.
+        width: Width of automatic views, pixels.
+        height: Height of automatic views, pixels.
+        up: Up direction of automatic views.
+        background: RGB in [0, 1].
+        extras: Further metrics.
+        photos: Data-set folder; the reference is then scored against its photographs too.
+        images: Folder of the photographs in a COLMAP data set.
+        split: Photographs to use, "test" or "train".
+        report: Page to write, or None.
+        overwrite: Replace the page if it exists.
+        progress: Told what is being done.
+
+    Raises:
+        NanogsError: A file or an option is not usable.
+    """
+    tell = progress or (lambda _text: None)
+    models = []
+    for name, path in (reference, *tests):
+        tell(f"read {name}")
+        models.append(NamedModel(name, load(path), path.stat().st_size))
+    options: dict[str, Any] = {
+        "background": background,
+        "extras": extras,
+        "pictures": report is not None,
+        "progress": lambda name: tell(f"render {name}"),
+    }
+    if photos is None:
+        chosen = cameras_for(
+            models[0].splats, cameras, count=views, width=width, height=height, up=up
+        )
+        comparison, sheets = compare_models(models[0], models[1:], chosen, **options)
+    else:
+        frames = photographs(photos, images, split, background)
+        comparison, sheets = compare_with_photographs(str(photos), models, frames, **options)
+    if report:
+        page = render_page(comparison, sheets, f"{reference[0]}: comparison")
+        with atomic_write(report, overwrite=overwrite) as file:
+            file.write(page.encode("utf-8"))
+    return comparison
+
+
+def photographs(
+    folder: Path, images: str | None, split: str, background: Background
+) -> list[ReferenceView]:
+    """Cameras and photographs of a data set's split.
+
+    Args:
+        folder: NeRF-Synthetic or COLMAP data set.
+        images: Folder of the photographs in a COLMAP data set.
+        split: "test" or "train".
+        background: RGB in [0, 1] behind transparent parts.
+
+    Raises:
+        NanogsError: The folder holds no such data set, split or photograph.
+    """
+    from nanogs.datasets.dataset import Split, open_dataset
+
+    splits: dict[str, Split] = {"test": "test", "train": "train"}
+    if split not in splits:
+        raise OptionError(f"The split must be test or train, not {split!r}.")
+    dataset = open_dataset(folder, images=images)
+    return [
+        ReferenceView(frame.camera, dataset.load_photo(frame, background))
+        for frame in dataset.split(splits[split])
+    ]

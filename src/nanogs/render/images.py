@@ -1,0 +1,139 @@
+"""Renderings as PNG files."""
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from nanogs._types import F32, Array
+from nanogs.errors import OptionError, OutputError
+from nanogs.io.atomic import atomic_write
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import Rendering, prepare, render
+from nanogs.splats import Splats
+
+
+def render_images(
+    splats: Splats,
+    cameras: Sequence[Camera],
+    folder: Path,
+    *,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    transparent: bool = False,
+    depth: bool = False,
+    overwrite: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[list[str], list[str]]:
+    """Render each camera into a PNG file named after it.
+
+    Args:
+        splats: The model.
+        cameras: The views; their names become file names.
+        folder: Made if it is missing (not its parents).
+        background: RGB in [0, 1].
+        transparent: Write RGBA with straight alpha and no background.
+        depth: Also write `<name>_depth.png`, 16 bits: 65535 is the nearest depth of the view, 1 the
+            farthest, 0 nothing.
+        overwrite: Replace files that exist.
+        progress: Told the name of each view.
+
+    Returns:
+        The files written, and what the user should know.
+
+    Raises:
+        OptionError: Two cameras give one file name.
+        OutputError: The folder cannot be made, or a file exists or cannot be written.
+    """
+    names = file_names(cameras)
+    make_folder(folder)
+    prepared = prepare(splats)
+    written: list[str] = []
+    notes: dict[str, None] = {}
+    for camera, name in zip(cameras, names, strict=True):
+        if progress:
+            progress(f"render {name}")
+        rendering = render(prepared, camera, background=background, depth=depth)
+        images: dict[str, Array] = {f"{name}.png": color_image(rendering, transparent)}
+        if depth:
+            images[f"{name}_depth.png"] = depth_image(rendering)
+        for file_name, image in images.items():
+            save_png(image, folder / file_name, overwrite=overwrite)
+            written.append(str(folder / file_name))
+        notes.update(dict.fromkeys(rendering.notes))
+        if not rendering.alpha.any():
+            notes[f"{name}: nothing of the model is seen"] = None
+    if prepared.skipped:
+        notes[f"{prepared.skipped:,} splats with a NaN or infinite value were not drawn"] = None
+    return written, list(notes)
+
+
+def file_names(cameras: Sequence[Camera]) -> list[str]:
+    """File names of the cameras, without suffix: what is not a letter, digit, - or . becomes _.
+
+    Raises:
+        OptionError: Two cameras would share a file.
+    """
+    names = [
+        re.sub(r"[^\w.-]+", "_", camera.name).strip("._") or f"view_{index:03d}"
+        for index, camera in enumerate(cameras)
+    ]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise OptionError(f"Two cameras are called {name!r}; give them names of their own.")
+    return names
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder if it is missing.
+
+    Raises:
+        OutputError: Its parent is missing, or it is a file or cannot be made.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or "it cannot be made"
+        raise OutputError(f"{folder}: {reason}; name a folder whose parent exists.") from error
+
+
+def color_image(rendering: Rendering, transparent: bool) -> Array:
+    """(H, W, 3 or 4) uint8; with straight alpha where it is to be transparent.
+
+    A transparent image takes the rendering over black, whose colour is premultiplied.
+    """
+    color: F32 = rendering.color
+    if not transparent:
+        return _to_bytes(color)
+    alpha = rendering.alpha[..., None]
+    straight = np.divide(color, alpha, out=np.zeros_like(color), where=alpha > 0)
+    return _to_bytes(np.concatenate([straight, alpha], axis=2))
+
+
+def depth_image(rendering: Rendering) -> Array:
+    """(H, W) uint16: near is bright, linear in depth; 0 where nothing was hit."""
+    depth = rendering.depth
+    image = np.zeros(rendering.alpha.shape, dtype=np.uint16)
+    if depth is None or not np.isfinite(depth).any():
+        return image
+    hit = np.isfinite(depth)
+    near, far = float(depth[hit].min()), float(depth[hit].max())
+    share = (far - depth[hit]) / (far - near) if far > near else np.ones(int(hit.sum()))
+    image[hit] = np.round(1 + share * 65534).astype(np.uint16)
+    return image
+
+
+def save_png(image: Array, path: Path, *, overwrite: bool) -> None:
+    """Write a PNG file.
+
+    Raises:
+        OutputError: It exists, or cannot be written.
+    """
+    from PIL import Image
+
+    with atomic_write(path, overwrite=overwrite) as file:
+        Image.fromarray(image).save(file, format="PNG")
+
+
+def _to_bytes(values: F32) -> Array:
+    return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)

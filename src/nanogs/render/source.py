@@ -1,0 +1,46 @@
+"""Where cameras come from: found from the model, or read from a file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from nanogs.errors import OptionError
+from nanogs.render.camera import Camera
+from nanogs.render.views import Kind, automatic_cameras
+from nanogs.splats import Splats
+
+AUTOMATIC: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "inside"}
+
+
+def cameras_for(
+    splats: Splats,
+    source: str,
+    *,
+    count: int,
+    width: int,
+    height: int,
+    up: Sequence[float] | None = None,
+) -> list[Camera]:
+    """Cameras for a model.
+
+    Args:
+        splats: The model.
+        source: A name in `AUTOMATIC`, or a camera file or data-set folder; all its cameras.
+        count: Number of automatic views.
+        width: Width of automatic views, pixels.
+        height: Height of automatic views, pixels.
+        up: Up direction of automatic views; found from the model by default.
+
+    Raises:
+        NanogsError: The source is neither, or cannot be read.
+    """
+    if source in AUTOMATIC:
+        return automatic_cameras(
+            splats, count, width=width, height=height, kind=AUTOMATIC[source], up=up, split="test"
+        )
+    if not Path(source).exists():
+        raise OptionError(
+            f"There is no camera file {source!r}; give a file, or one of {', '.join(AUTOMATIC)}."
+        )
+    from nanogs.datasets.dataset import cameras_from_file
+
+    return cameras_from_file(Path(source))

@@ -1,0 +1,242 @@
+"""Comparing models: the numbers, the skips, and the page in a real browser."""
+
+import json
+import math
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs.cli.options import parse_background, parse_direction, parse_size
+from nanogs.compare.comparison import NamedModel, compare_models
+from nanogs.compare.page import rate_distortion_plot
+from nanogs.compare.pictures import error_map
+from nanogs.compare.run import compare_files
+from nanogs.errors import ModelError, OptionError
+from nanogs.render.camera import Camera
+from nanogs.render.images import color_image, file_names
+from nanogs.render.rasterize import render
+from test_cli import assert_refused, run
+
+
+def camera(name="front", *, size=48, away=False):
+    """Looks at the cube of `random_splats` from outside, or away from it."""
+    pose = np.eye(4)
+    pose[2, 3] = -6.0 if away else 6.0
+    return Camera(size, size, size, size, size / 2, size / 2, pose, name)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A model, and two simplifications of it."""
+    folder = tmp_path_factory.mktemp("models")
+    splats = random_splats(2000, degree=1)
+    nanogs.save(splats, folder / "scene.ply")
+    for ratio in (0.1, 0.5):
+        nanogs.save(nanogs.simplify(splats, ratio=ratio)[0], folder / f"small_{ratio}.ply")
+    return folder
+
+
+def test_a_model_equals_itself_and_a_smaller_one_does_not():
+    splats = random_splats(500)
+    small, _ = nanogs.simplify(splats, ratio=0.2)
+    models = [NamedModel("same", splats), NamedModel("small", small)]
+    comparison, _ = compare_models(NamedModel("ref", splats), models, [camera()])
+    same, smaller = comparison.models
+    assert math.isinf(same.psnr)
+    assert same.ssim == pytest.approx(1)
+    assert same.depth == 0
+    assert 10 < smaller.psnr < 60
+    assert smaller.ssim < 1
+
+
+def test_means_are_over_the_views():
+    splats = random_splats(500)
+    small, _ = nanogs.simplify(splats, ratio=0.2)
+    cameras = [camera("a"), camera("b", size=64)]
+    comparison, _ = compare_models(NamedModel("r", splats), [NamedModel("s", small)], cameras)
+    model = comparison.models[0]
+    assert [view.view for view in model.views] == ["a", "b"]
+    assert model.psnr == pytest.approx(np.mean([view.psnr for view in model.views]))
+    assert model.views[0].psnr != model.views[1].psnr
+
+
+def test_an_empty_view_is_left_out_of_the_mean_and_named():
+    splats = random_splats(300)
+    small, _ = nanogs.simplify(splats, ratio=0.2)
+    with_empty, _ = compare_models(
+        NamedModel("r", splats), [NamedModel("s", small)], [camera(), camera("back", away=True)]
+    )
+    without, _ = compare_models(NamedModel("r", splats), [NamedModel("s", small)], [camera()])
+    assert with_empty.skipped_views == ("back",)
+    assert any("back" in note for note in with_empty.notes)
+    assert with_empty.models == without.models
+
+
+def test_only_empty_views_are_refused():
+    splats = random_splats(300)
+    with pytest.raises(ModelError, match="none of the views"):
+        compare_models(NamedModel("r", splats), [NamedModel("s", splats)], [camera(away=True)])
+
+
+def test_other_degrees_and_bad_rows_are_said():
+    splats = random_splats(300, degree=2)
+    flat = random_splats(300, degree=0)
+    flat.means[5] = np.nan
+    comparison, _ = compare_models(NamedModel("r", splats), [NamedModel("s", flat)], [camera()])
+    assert any("SH degree 0" in note for note in comparison.notes)
+    assert any("1 splats" in note for note in comparison.models[0].notes)
+    assert math.isfinite(comparison.models[0].psnr)
+
+
+def test_no_model_and_unknown_metrics_are_refused():
+    splats = random_splats(100)
+    with pytest.raises(OptionError):
+        compare_models(NamedModel("r", splats), [], [camera()])
+    with pytest.raises(OptionError, match="vmaf"):
+        compare_models(
+            NamedModel("r", splats), [NamedModel("s", splats)], [camera()], extras=["vmaf"]
+        )
+
+
+def test_error_map_is_black_where_equal_and_bright_where_not():
+    a = np.zeros((2, 2, 3), np.float32)
+    b = a.copy()
+    b[0, 0] = 1
+    heat = error_map(a, b)
+    assert heat[1, 1].max() < 0.02
+    assert heat[0, 0].min() > 0.5
+
+
+def test_plot_has_a_line_for_each_name_and_leaves_infinity_out():
+    splats = random_splats(400)
+    models = [NamedModel("ours", nanogs.simplify(splats, ratio=r)[0]) for r in (0.5, 0.2, 0.1)] + [
+        NamedModel("all", splats)
+    ]
+    comparison, _ = compare_models(NamedModel("r", splats), models, [camera()])
+    svg = rate_distortion_plot(comparison.models)
+    assert svg.startswith("<svg")
+    assert "ours" in svg
+
+
+@pytest.mark.parametrize(("text", "size"), [("512", (512, 512)), ("1280x720", (1280, 720))])
+def test_sizes(text, size):
+    assert parse_size(text) == size
+
+
+@pytest.mark.parametrize("text", ["", "0", "12x", "x12", "-5", "99999", "1.5", "a"])
+def test_bad_sizes(text):
+    with pytest.raises(OptionError):
+        parse_size(text)
+
+
+def test_backgrounds_and_directions():
+    assert parse_background("white") == (1, 1, 1)
+    assert parse_background("#ff8000") == (1, 128 / 255, 0)
+    assert parse_direction("0,-1,0.5") == (0, -1, 0.5)
+    for bad in ("whit", "#12", "#gggggg"):
+        with pytest.raises(OptionError):
+            parse_background(bad)
+    for bad in ("1,2", "a,b,c", "0,0,0"):
+        with pytest.raises(OptionError):
+            parse_direction(bad)
+
+
+def test_names_that_would_share_a_file_are_refused():
+    assert file_names([camera("a/b"), camera("")]) == ["a_b", "view_001"]
+    with pytest.raises(OptionError, match="a_b"):
+        file_names([camera("a/b"), camera("a?b")])
+
+
+def test_a_transparent_image_over_any_background_is_the_rendering_over_it():
+    splats = random_splats(200)
+    over_black = render(splats, camera())
+    rgba = color_image(over_black, transparent=True) / 255.0
+    composed = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:]) * (1, 1, 1)
+    over_white = np.clip(render(splats, camera(), background=(1, 1, 1)).color, 0, 1)
+    inside = over_black.color.max(axis=2) <= over_black.alpha  # else straight colour exceeds 1
+    assert np.abs(composed - over_white)[inside].max() < 0.01
+
+
+def test_render_writes_pictures(files, tmp_path):
+    from PIL import Image
+
+    result = run("render", files / "scene.ply", tmp_path / "out", "--views", "3", "--size", "64x48",
+                 "--depth", "--json")  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    written = json.loads(result.stdout)["images"]
+    assert len(written) == 6
+    picture = Image.open(written[0])
+    assert picture.size == (64, 48)
+    assert np.asarray(picture).max() > 0
+    again = run("render", files / "scene.ply", tmp_path / "out", "--views", "3", "--size", "64x48")
+    assert_refused(again, "-w")
+
+
+def test_compare_as_json_and_as_a_table(files):
+    models = (files / "scene.ply", files / "small_0.1.ply", f"half={files}/small_0.5.ply")
+    arguments = ("compare", *models, "--views", "2", "--size", "64")
+    report = json.loads(run(*arguments, "--json").stdout)
+    assert [model["name"] for model in report["models"]] == ["small_0.1.ply", "half"]
+    assert report["models"][0]["psnr"] < report["models"][1]["psnr"]
+    assert len(report["models"][0]["views"]) == 2
+    table = run(*arguments)
+    assert table.returncode == 0
+    assert "PSNR" in table.stdout
+    assert "half" in table.stdout
+
+
+def test_compare_refuses(files, tmp_path):
+    scene, small = files / "scene.ply", files / "small_0.1.ply"
+    assert_refused(run("compare", scene, tmp_path / "no.ply"), "no.ply")
+    assert_refused(run("compare", scene, small, "--cameras", "orbitt"), "orbitt")
+    assert_refused(run("compare", scene, small, "--size", "big"), "big")
+    assert_refused(run("compare", scene, small, "--metrics", "vmaf"), "vmaf")
+    (tmp_path / "page.html").write_text("mine")
+    assert_refused(run("compare", scene, small, "--report", tmp_path / "page.html"), "-w")
+    assert (tmp_path / "page.html").read_text() == "mine"
+
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed")
+@pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+@pytest.mark.parametrize("width", [1200, 390])
+def test_the_page_in_a_browser(files, tmp_path, width):
+    """No request leaves it, every picture decodes, and it fits a phone."""
+    from playwright.sync_api import sync_playwright
+
+    page_file = Path(tmp_path / "page.html")
+    tests = [("ours", files / "small_0.1.ply"), ("ours", files / "small_0.5.ply")]
+    compare_files(
+        ("<b>ref</b>", files / "scene.ply"), tests, views=2, width=64, height=64, report=page_file
+    )
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": width, "height": 800})
+        requests = []
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto(page_file.as_uri())
+        pictures = page.evaluate(
+            "Promise.all([...document.images].map(i => i.decode().then(() => i.naturalWidth)))"
+        )
+        heading, fits = page.evaluate(
+            "[document.querySelector('h1').textContent,"
+            " document.documentElement.scrollWidth <= window.innerWidth]"
+        )
+        plots = page.evaluate("document.querySelectorAll('svg').length")
+        if folder := os.environ.get("NANOGS_SCREENSHOTS"):
+            page.screenshot(path=f"{folder}/compare_{width}.png", full_page=True)
+        browser.close()
+    assert [url for url in requests if not url.startswith(("file:", "data:"))] == []
+    assert pictures == [64] * (2 * (1 + 2 + 2))
+    assert "<b>ref</b>" in heading  # a name is text, never markup
+    assert fits
+    assert plots == 1
