@@ -64,7 +64,7 @@ class SimplifyReport:
     """
 
     preset: str
-    parameters: dict[str, float | int]
+    parameters: dict[str, float | int | str]
     input_count: int
     asked_ratio: float | None
     asked_count: int

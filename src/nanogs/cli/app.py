@@ -5,8 +5,11 @@ from typing import Annotated
 import typer
 
 from nanogs._version import __version__
+from nanogs.cli.bench import bench
+from nanogs.cli.compare import compare
 from nanogs.cli.demo import demo
 from nanogs.cli.info import info
+from nanogs.cli.render import render
 from nanogs.cli.simplify import simplify
 
 app = typer.Typer(
@@ -35,4 +38,7 @@ def _nanogs(
 
 app.command()(simplify)
 app.command()(info)
+app.command()(render)
+app.command()(compare)
+app.command()(bench)
 app.command()(demo)

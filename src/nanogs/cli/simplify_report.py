@@ -34,7 +34,7 @@ def print_plan(
         "would read": f"{info.path} ({info.splats:,} splats, SH degree {info.sh_degree})",
         "would write": f"{goal:,} splats ({goal / info.splats:.3%})",
         "preset": preset,
-        "parameters": ", ".join(f"{name} {value:g}" for name, value in parameters.items()),
+        "parameters": ", ".join(f"{name} {value}" for name, value in parameters.items()),
         "peak memory": f"about {bytes_text(memory.peak)}",
     }
     rows |= {f"  {stage}": bytes_text(held) for stage, held in memory.stages.items()}

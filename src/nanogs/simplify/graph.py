@@ -31,6 +31,26 @@ def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
     return _unpack(packed)
 
 
+def random_pairs(n: int, k: int, seed: int) -> I32:
+    """Pairs of rows of which one drew the other: what the graph's nearness is measured against.
+
+    Args:
+        n: Number of rows.
+        k: Partners that each row draws among the others, with replacement.
+        seed: Seed of the draws.
+
+    Returns:
+        (E, 2) int32, i < j in every row, each pair once, ascending.
+    """
+    if n < 2:
+        return np.empty((0, 2), dtype=np.int32)
+    rows = np.repeat(np.arange(n), k)
+    partners = np.random.default_rng(seed).integers(0, n - 1, n * k)
+    partners += partners >= rows  # of the n - 1 others, the row itself left out
+    low, high = np.minimum(rows, partners), np.maximum(rows, partners)
+    return _unpack(np.unique(low.astype(np.uint64) << np.uint64(32) | high.astype(np.uint64)))
+
+
 def _unpack(packed: U64) -> I32:
     """(E, 2) int32 of (E,) packed pairs, in the same memory."""
     pairs = packed.view(np.int32).reshape(-1, 2)

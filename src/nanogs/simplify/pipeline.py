@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from nanogs.report import PassReport, StageClock, StopReason
 from nanogs.simplify.cost import log_masses, pair_costs
 from nanogs.simplify.gaussians import Gaussians
-from nanogs.simplify.graph import neighbour_pairs
+from nanogs.simplify.graph import neighbour_pairs, random_pairs
 from nanogs.simplify.match import match
 from nanogs.simplify.merge import merge
 from nanogs.simplify.presets import PaperParameters
@@ -62,7 +62,10 @@ def _one_pass(
     count, clock = len(gaussians), StageClock()
     progress("graph", count)
     with clock.time("graph"):
-        pairs = neighbour_pairs(gaussians.means, parameters.k, threads)
+        if parameters.graph == "random":
+            pairs = random_pairs(count, parameters.k, parameters.seed)
+        else:
+            pairs = neighbour_pairs(gaussians.means, parameters.k, threads)
     progress("cost", count)
     with clock.time("cost"):
         masses = log_masses(gaussians)

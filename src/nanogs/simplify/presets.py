@@ -8,6 +8,8 @@ from typing import Any
 
 from nanogs.errors import OptionError
 
+GRAPHS = ("knn", "random")
+
 
 @dataclass(frozen=True, slots=True)
 class PaperParameters:
@@ -16,8 +18,10 @@ class PaperParameters:
     Attributes:
         tau: Splats with alpha below min(tau, median alpha) are pruned; 0 prunes none.
         k: Neighbours of each splat in the graph.
+        graph: Which these are: the nearest ("knn"), or drawn at random ("random"; to measure what
+            nearness is worth).
         samples: Monte Carlo samples from each splat of a pair in the divergence.
-        seed: Seed of those samples.
+        seed: Seed of those samples, and of random neighbours.
         lambda_geo: Weight of the divergence of the geometry.
         lambda_app: Weight of the squared distance of the colours.
         merge_cap: Largest share of the splats that may be merged away in one pass.
@@ -25,6 +29,7 @@ class PaperParameters:
 
     tau: float = 0.1
     k: int = 16
+    graph: str = "knn"
     samples: int = 1
     seed: int = 0
     lambda_geo: float = 1.0
@@ -35,6 +40,8 @@ class PaperParameters:
         """Refuse values that mean nothing."""
         _require(0 <= self.tau <= 1, "tau", self.tau, "an opacity from 0 to 1")
         _require(self.k >= 1, "k", self.k, "at least 1")
+        if self.graph not in GRAPHS:
+            raise OptionError(f"graph must be {' or '.join(GRAPHS)}, not {self.graph!r}.")
         _require(self.samples >= 1, "samples", self.samples, "at least 1")
         _require(self.seed >= 0, "seed", self.seed, "0 or more")
         for name in ("lambda_geo", "lambda_app"):

@@ -1,0 +1,160 @@
+"""Produce the table kept in docs/results.md: our methods and other tools on real scenes.
+
+    python benchmarks/quality.py [SCENES] [--out build/quality] [--only biker,skull]
+
+SCENES, or the environment variable NANOGS_SCENES, is the folder of the scenes; by default
+../shared/scenes beside the repository. Node 22 and splat-transform 3.7.0 are installed by npm into
+build/; splat-transform converts every scene to .ply, so that all tools start from the same file,
+and simplifies it, uniformly and adaptively, on the CPU. Its seconds are those of its process,
+reading and writing included; ours are the method's alone.
+
+The table, the rows and a plot are written to --out; the table is the one to keep.
+"""
+
+import argparse
+import json
+import os
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from nanogs.bench.methods import ABLATIONS, all_methods
+from nanogs.bench.output import ResultFolder
+from nanogs.bench.preamble import preamble
+from nanogs.bench.protocol import run_bench
+from nanogs.bench.rows import BenchRow
+from nanogs.bench.scenes import BenchScene
+from nanogs.bench.settings import RATIOS, BenchSettings
+from nanogs.io import inspect
+from nanogs.simplify.target import target_count
+
+ROOT = Path(__file__).resolve().parent.parent
+BUILD = ROOT / "build" / "quality"
+NODE_PACKAGES = ("node@22", "@playcanvas/splat-transform@3.7.0")
+SPLAT_TRANSFORM = {"st-uniform": "--decimate", "st-adaptive": "--decimate-adaptive"}
+PEERS = ("nanogs-ref", "st-uniform", "st-adaptive")  # files that were made beforehand
+SCENES = {
+    "biker": "biker.compressed.ply",
+    "skull": "skull.sog",
+    "plant": "plant.splat",
+    "seal": "seal.splat",
+    "chair": "chair.splat",
+    "flowers": "flowers/lod-meta.json",
+    "guitar": "guitar.compressed.ply",
+    "kitchen": "kitchen.spz",
+    "playbot": "playbot/lod-meta.json",
+}
+PHOTOS = {"chair": "chair_photos"}
+
+
+def main() -> None:
+    """Install, convert, simplify with the other tool, then measure everything."""
+    options = arguments()
+    names = options.only.split(",") if options.only else list(SCENES)
+    install()
+    models = {name: convert(name, options.scenes / SCENES[name]) for name in names}
+    for name, model in models.items():
+        for ratio in RATIOS:
+            for method, flag in SPLAT_TRANSFORM.items():
+                decimate(model, BUILD / f"{name}_{ratio:g}_{method}.ply", ratio, flag)
+    scenes = [BenchScene(name, model) for name, model in models.items()]
+    scenes += [
+        BenchScene(f"{name}-photographs", models[name], options.scenes / folder)
+        for name, folder in PHOTOS.items()
+        if name in models
+    ]
+    measure(scenes, options)
+
+
+def arguments() -> argparse.Namespace:
+    """What the caller wants."""
+    default = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="?", type=Path, default=Path(default))
+    parser.add_argument("--peers", type=Path, help="default: peers beside the scenes")
+    parser.add_argument("--out", type=Path, default=BUILD / "results")
+    parser.add_argument("--only", help="names of scenes, with commas between")
+    parser.add_argument("--ablations", action="store_true")
+    return parser.parse_args()
+
+
+def measure(scenes: list[BenchScene], options: argparse.Namespace) -> None:
+    """Run the protocol, and say on stderr how far it is."""
+    peers = options.peers or options.scenes.parent / "peers"
+    externals = {name: str(BUILD / f"{{model}}_{{ratio}}_{name}.ply") for name in SPLAT_TRANSFORM}
+    externals |= {f"{name}, kept": str(peers / f"{{model}}_{{ratio}}_{name}.ply") for name in PEERS}
+    methods = [*all_methods(), *(ABLATIONS if options.ablations else ())]
+    settings = BenchSettings(methods=tuple(dict.fromkeys(methods)), externals=externals)
+    folder = ResultFolder(options.out, overwrite=True)
+
+    def on_row(row: BenchRow) -> None:
+        folder.add(row)
+        print(row.scene, row.method, f"{row.ratio:g}", row.psnr, row.reason, file=sys.stderr)
+
+    command = shlex.join(["python", "benchmarks/quality.py", *sys.argv[1:]])
+    folder.finish(run_bench(scenes, settings, on_row=on_row), preamble(settings, command))
+    print(folder.path / "results.md")
+
+
+def install() -> None:
+    """Put Node and splat-transform into the build folder, once."""
+    if splat_transform().exists():
+        return
+    BUILD.mkdir(parents=True, exist_ok=True)
+    subprocess.run(["npm", "install", "--prefix", BUILD, "--no-fund", *NODE_PACKAGES], check=True)
+
+
+def splat_transform() -> Path:
+    """The tool's command."""
+    return BUILD / "node_modules" / ".bin" / "splat-transform"
+
+
+def run_tool(*arguments: str | Path) -> tuple[float, int]:
+    """Seconds and peak resident bytes of one call of the tool."""
+    binaries = f"{splat_transform().parent}{os.pathsep}{os.environ['PATH']}"
+    command = [splat_transform(), "-q", "-w", "-g", "cpu", *arguments]
+    start = time.perf_counter()
+    process = subprocess.Popen(command, env={**os.environ, "PATH": binaries}, stdout=sys.stderr)
+    peak = 0
+    while process.poll() is None:
+        peak = max(peak, resident_peak(process.pid))
+        time.sleep(0.02)
+    if process.returncode:
+        sys.exit(f"splat-transform {' '.join(map(str, arguments))}: exit {process.returncode}")
+    return time.perf_counter() - start, peak
+
+
+def resident_peak(pid: int) -> int:
+    """Most resident bytes of a process so far; 0 where the system does not tell."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return 0
+    peaks = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")]
+    return int(peaks[0]) * 1024 if peaks else 0
+
+
+def convert(name: str, source: Path) -> Path:
+    """The scene as .ply, level 0 where there are levels."""
+    target = BUILD / "scenes" / f"{name}.ply"
+    if not target.exists():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        level = ["-L", "0"] if source.name == "lod-meta.json" else []
+        fresh = target.with_name(f"new.{target.name}")
+        run_tool(*level, source, fresh)
+        fresh.replace(target)
+    return target
+
+
+def decimate(model: Path, target: Path, ratio: float, flag: str) -> None:
+    """Simplify with the tool and note seconds and memory where the protocol finds them."""
+    note = target.with_name(target.name + ".json")
+    count = target_count(inspect(model).splats, ratio, None)
+    seconds, peak = run_tool(model, flag, str(count), target)
+    note.write_text(json.dumps({"seconds": seconds, "peak_memory": peak}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""Means over scenes: only over those on which every compared method has a result."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from nanogs.bench.rows import ORIGINAL, BenchRow
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True)
+class RatioMean:
+    """Means at one ratio.
+
+    Attributes:
+        ratio: The compaction ratio.
+        scenes: Scenes that the means are over.
+        left_out: Scenes that are not, each with the methods that have no result there.
+        absent: Methods without a result on any scene, which are not compared.
+        methods: Means by method: one row each, without a scene.
+    """
+
+    ratio: float
+    scenes: tuple[str, ...]
+    left_out: Mapping[str, tuple[str, ...]]
+    absent: tuple[str, ...]
+    methods: Mapping[str, BenchRow]
+
+
+def mean_rows(rows: Sequence[BenchRow]) -> list[RatioMean]:
+    """Means at every ratio, in the order of the rows; the original models are not among them.
+
+    Args:
+        rows: Rows that are held against the same kind of images.
+    """
+    compared = [row for row in rows if row.method != ORIGINAL]
+    return [
+        _ratio_mean(ratio, [row for row in compared if row.ratio == ratio])
+        for ratio in unique(row.ratio for row in compared)
+    ]
+
+
+def _ratio_mean(ratio: float, rows: Sequence[BenchRow]) -> RatioMean:
+    measured = {(row.scene, row.method): row for row in rows if row.measured}
+    present = {method for _, method in measured}
+    methods = unique(row.method for row in rows)
+    compared = [method for method in methods if method in present]
+    missing = {
+        scene: tuple(method for method in compared if (scene, method) not in measured)
+        for scene in unique(row.scene for row in rows)
+    }
+    scenes = tuple(scene for scene, without in missing.items() if not without and compared)
+    return RatioMean(
+        ratio=ratio,
+        scenes=scenes,
+        left_out={scene: without for scene, without in missing.items() if scene not in scenes},
+        absent=tuple(method for method in methods if method not in present),
+        methods={
+            method: _mean_row([measured[scene, method] for scene in scenes])
+            for method in compared
+            if scenes
+        },
+    )
+
+
+def _mean_row(rows: Sequence[BenchRow]) -> BenchRow:
+    extras = [name for name in rows[0].extras if all(name in row.extras for row in rows)]
+    return BenchRow(
+        scene=f"mean of {len(rows)}",
+        method=rows[0].method,
+        ratio=rows[0].ratio,
+        against=rows[0].against,
+        dataset=rows[0].dataset,
+        splats=_rounded(_mean([row.splats for row in rows])),
+        file_bytes=_rounded(_mean([row.file_bytes for row in rows])),
+        seconds=_mean([row.seconds for row in rows]),
+        read_seconds=_mean([row.read_seconds for row in rows]),
+        peak_memory=_rounded(_mean([row.peak_memory for row in rows])),
+        psnr=_mean([row.psnr for row in rows]),
+        ssim=_mean([row.ssim for row in rows]),
+        extras={name: float(np.mean([row.extras[name] for row in rows])) for name in extras},
+        fps=_mean([row.fps for row in rows]),
+        fps_gsplat=_mean([row.fps_gsplat for row in rows]),
+        views=sum(row.views or 0 for row in rows),
+    )
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """The mean, or None where a value is missing: a mean of the rest would be of other scenes."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known and len(known) == len(values) else None
+
+
+def _rounded(value: float | None) -> int | None:
+    return None if value is None else round(value)
+
+
+def unique(values: Iterable[Value]) -> list[Value]:
+    """The values once each, in the order in which they first come."""
+    return list(dict.fromkeys(values))

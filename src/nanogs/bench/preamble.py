@@ -1,0 +1,30 @@
+"""What a reader of the tables must know: how they were made, and what the columns mean."""
+
+import os
+import platform
+
+from nanogs._version import __version__
+from nanogs.bench.settings import BenchSettings
+
+_COLUMNS = """\
+Every method runs in a process of its own. *seconds*: the method alone on warm kernels, without
+reading and writing; for external files what their producer noted, which may hold both. *peak MB*:
+most resident memory of that process, Python and its libraries included. *bytes*: as .ply for what
+ran here, else the file as it came. *frames/s*: of our renderer on the CPU.
+"""
+
+
+def preamble(settings: BenchSettings, command: str = "") -> str:
+    """Markdown to stand above the tables.
+
+    Args:
+        settings: How the rows were made.
+        command: The command line that made them.
+    """
+    views = f"{settings.views} of {settings.size} x {settings.size}"
+    threads = settings.threads or "all"
+    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} CPUs, {threads} threads"
+    lines = [f"```\n{command}\n```\n"] if command else []
+    lines.append(f"nanogs {__version__}, Python {platform.python_version()}, {machine}.")
+    lines.append(f"Views of scenes without photographs: {views}, which no method learns from.\n")
+    return "\n".join([*lines, _COLUMNS]) + "\n"

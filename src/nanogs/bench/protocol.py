@@ -1,0 +1,253 @@
+"""The protocol: every scene, every ratio, every method, each in a process of its own."""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from nanogs.bench.gsplat import gsplat_fps
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, Status
+from nanogs.bench.scenes import BenchScene, SceneViews, fill, scene_of_file, scene_views
+from nanogs.bench.settings import BenchSettings, refuse_twins
+from nanogs.bench.worker import Job, run_job
+from nanogs.compare.scoring import EXTRA_METRICS, score
+from nanogs.errors import NanogsError, OptionError
+from nanogs.io import load
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import PreparedSplats, prepare, render
+from nanogs.simplify.target import target_count
+from nanogs.splats import Splats
+from nanogs.threads import use_threads
+
+OnRow = Callable[[BenchRow], None]
+Progress = Callable[[str], None]
+
+_FPS_VIEWS = 8  # renders behind a figure of frames a second
+
+
+def run_bench(
+    scenes: Sequence[BenchScene],
+    settings: BenchSettings,
+    *,
+    on_row: OnRow | None = None,
+    progress: Progress | None = None,
+) -> list[BenchRow]:
+    """Measure; whatever cannot be measured is a row with the reason.
+
+    Args:
+        scenes: The scenes, of different names.
+        settings: What to measure.
+        on_row: Told of each row as it is done.
+        progress: Told what is done next.
+
+    Returns:
+        Rows by scene, then ratio, then method, the original model first.
+
+    Raises:
+        OptionError: There is no scene, two have the same name, or a setting is out of range.
+    """
+    if not scenes:
+        raise OptionError("Give at least one model to measure on.")
+    refuse_twins("scene", [scene.name for scene in scenes])
+    for pattern in settings.externals.values():
+        fill(pattern, scene="scene", model="model", ratio="0.1")
+    _try_metrics(settings.metrics)
+    rows = []
+    with use_threads(settings.threads):
+        for scene in scenes:
+            for row in _scene_rows(scene, settings, progress or (lambda _what: None)):
+                rows.append(row)
+                if on_row:
+                    on_row(row)
+    return rows
+
+
+def _try_metrics(metrics: Sequence[str]) -> None:
+    """Ask for each metric once, so that a missing package shows now and not after the first run."""
+    image = np.zeros((64, 64, 3), np.float32)
+    for metric in metrics:
+        if metric not in EXTRA_METRICS:
+            known = ", ".join(EXTRA_METRICS)
+            raise OptionError(f"There is no metric {metric!r}; choose from {known}.")
+        EXTRA_METRICS[metric](image, image)
+
+
+def row_count(scenes: Sequence[BenchScene], settings: BenchSettings) -> int:
+    """Rows that `run_bench` will deliver."""
+    methods = len(settings.methods) + len(settings.externals)
+    return len(scenes) * (1 + len(settings.ratios) * methods)
+
+
+def _scene_rows(
+    scene: BenchScene, settings: BenchSettings, progress: Progress
+) -> Iterator[BenchRow]:
+    progress(f"{scene.name}: reading")
+    try:
+        splats = load(scene.model)
+        views = scene_views(scene, splats, settings)
+    except NanogsError as error:
+        yield from _skipped_rows(scene, settings, str(error))
+        return
+    progress(f"{scene.name}: {ORIGINAL}")
+    yield _original_row(scene, splats, views, settings)
+    finite = int(splats.finite().sum())
+    del splats
+    with TemporaryDirectory(prefix="nanogs-bench-") as folder:
+        for ratio in settings.ratios:
+            for method in settings.methods:
+                progress(f"{scene.name}: {method} at {ratio:g}")
+                yield _method_row(scene, method, ratio, views, settings, Path(folder))
+            asked = target_count(finite, ratio, None)
+            for name in settings.externals:
+                progress(f"{scene.name}: {name} at {ratio:g}")
+                yield _external_row(scene, name, ratio, asked, views, settings)
+
+
+def _empty_row(scene: BenchScene, method: str, ratio: float) -> BenchRow:
+    against = Against.ORIGINAL if scene.photos is None else Against.PHOTOGRAPHS
+    return BenchRow(scene.name, method, ratio, against=against, dataset=scene.dataset)
+
+
+def _skipped_rows(scene: BenchScene, settings: BenchSettings, reason: str) -> Iterator[BenchRow]:
+    runs = [(name, ratio) for ratio in settings.ratios for name in _all_names(settings)]
+    for name, ratio in [(ORIGINAL, 1.0), *runs]:
+        yield replace(_empty_row(scene, name, ratio), status=Status.SKIPPED, reason=reason)
+
+
+def _all_names(settings: BenchSettings) -> list[str]:
+    return [*settings.methods, *settings.externals]
+
+
+def _original_row(
+    scene: BenchScene, splats: Splats, views: SceneViews, settings: BenchSettings
+) -> BenchRow:
+    row = replace(
+        _empty_row(scene, ORIGINAL, 1.0),
+        splats=len(splats),
+        file_bytes=scene.model.stat().st_size,
+        views=len(views.views),
+        notes=(*views.notes, *splats.notes),
+    )
+    if views.against is Against.PHOTOGRAPHS:
+        return _scored(row, splats, views, settings)
+    # Against itself it would only score infinity; how fast it is drawn is of interest.
+    return _timed(row, splats, prepare(splats), views)
+
+
+def _method_row(
+    scene: BenchScene,
+    method: str,
+    ratio: float,
+    views: SceneViews,
+    settings: BenchSettings,
+    folder: Path,
+) -> BenchRow:
+    row = _empty_row(scene, method, ratio)
+    output = folder / "result.ply"
+    job = Job(
+        scene.model, method, ratio, output, views.fit_cameras, settings.seed, settings.threads
+    )
+    outcome = run_job(job)
+    if outcome.error:
+        return replace(row, status=Status.FAILED, reason=outcome.error)
+    row = replace(
+        row,
+        file_bytes=output.stat().st_size,
+        seconds=outcome.seconds,
+        read_seconds=outcome.read_seconds,
+        peak_memory=outcome.peak_memory,
+        notes=_count_note(outcome.splats, outcome.asked),
+    )
+    return _scored(row, load(output), views, settings)
+
+
+def _external_row(
+    scene: BenchScene,
+    name: str,
+    ratio: float,
+    asked: int,
+    views: SceneViews,
+    settings: BenchSettings,
+) -> BenchRow:
+    row = _empty_row(scene, name, ratio)
+    pattern, stem = settings.externals[name], scene_of_file(scene.model).name
+    path = Path(fill(pattern, scene=scene.name, model=stem, ratio=f"{ratio:g}"))
+    if not path.exists():
+        return replace(row, status=Status.SKIPPED, reason=f"There is no file {path}.")
+    try:
+        splats = load(path)
+        row = replace(row, file_bytes=path.stat().st_size, **_producer_figures(path))
+    except NanogsError as error:
+        return replace(row, status=Status.FAILED, reason=str(error))
+    row = replace(row, notes=(*_count_note(len(splats), asked), *splats.notes))
+    return _scored(row, splats, views, settings)
+
+
+def _count_note(delivered: int, asked: int) -> tuple[str, ...]:
+    return () if delivered == asked else (f"{delivered:,} splats where {asked:,} were asked for",)
+
+
+def _producer_figures(path: Path) -> dict[str, Any]:
+    """Seconds and peak memory that whoever made the file noted beside it.
+
+    Raises:
+        OptionError: The note is not a JSON object of numbers.
+    """
+    note = path.with_name(path.name + ".json")
+    if not note.exists():
+        return {}
+    try:
+        noted = json.loads(note.read_text(encoding="utf-8"))
+        kinds = {"seconds": float, "peak_memory": int}
+        return {name: kind(noted[name]) for name, kind in kinds.items() if name in noted}
+    except (ValueError, TypeError):
+        raise OptionError(
+            f"{note} must be a JSON object with the numbers seconds and peak_memory."
+        ) from None
+
+
+def _scored(row: BenchRow, splats: Splats, views: SceneViews, settings: BenchSettings) -> BenchRow:
+    """The row with scores and frames a second; a failed one where scoring raises."""
+    prepared = prepare(splats)
+    try:
+        result = score(row.method, prepared, views.views, views.background, extras=settings.metrics)
+    except NanogsError as error:
+        return replace(row, status=Status.FAILED, reason=str(error))
+    row = replace(
+        row,
+        splats=len(splats),
+        psnr=result.psnr,
+        ssim=result.ssim,
+        extras=result.extras,
+        views=len(result.views),
+        notes=(*row.notes, *result.notes),
+    )
+    return _timed(row, splats, prepared, views)
+
+
+def _timed(row: BenchRow, splats: Splats, prepared: PreparedSplats, views: SceneViews) -> BenchRow:
+    cameras = views.cameras[:_FPS_VIEWS]
+    return replace(
+        row,
+        fps=frames_per_second(prepared, cameras),
+        fps_gsplat=gsplat_fps(splats, cameras),
+    )
+
+
+def frames_per_second(prepared: PreparedSplats, cameras: Sequence[Camera]) -> float:
+    """Frames a second of our renderer, one frame after the other, on warm kernels.
+
+    Args:
+        prepared: The model, activated beforehand as a viewer would do once.
+        cameras: At least one.
+    """
+    render(prepared, cameras[0])
+    start = time.perf_counter()
+    for camera in cameras:
+        render(prepared, camera)
+    return len(cameras) / (time.perf_counter() - start)

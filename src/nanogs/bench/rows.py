@@ -1,0 +1,89 @@
+"""One row for each scene, method and ratio, whatever became of it."""
+
+import math
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any
+
+ORIGINAL = "original"
+
+
+class Status(StrEnum):
+    """What became of a row."""
+
+    OK = "ok"
+    SKIPPED = "skipped"  # nothing to measure, for the stated reason
+    FAILED = "failed"  # the method raised, or its process ended early
+
+
+class Against(StrEnum):
+    """What the images are held against."""
+
+    PHOTOGRAPHS = "photographs"
+    ORIGINAL = "the original model"
+
+
+@dataclass(frozen=True, slots=True)
+class BenchRow:
+    """The result of one method on one scene at one ratio; None where there is none.
+
+    Attributes:
+        scene: Name of the scene.
+        method: Name of the method; `ORIGINAL` for the model as it came.
+        ratio: Compaction ratio asked for; 1 for the original.
+        status: What became of it.
+        reason: Why it was skipped or failed, one sentence.
+        against: What PSNR and SSIM are measured against.
+        dataset: The published data set that the scene belongs to.
+        splats: Splats delivered.
+        file_bytes: Size of the result: as .ply for what ran here, else the file as it came.
+        seconds: The method alone on warm kernels, without reading and writing; for an external
+            file what its producer noted, which may hold both.
+        read_seconds: Reading the model, in the method's process.
+        peak_memory: Most resident memory of the method's process, bytes, Python included.
+        psnr: Mean over the views, dB; infinite for equal images.
+        ssim: Mean over the views.
+        extras: Means of further metrics by name.
+        fps: Frames a second of our renderer, one after the other.
+        fps_gsplat: Frames a second of gsplat on the GPU.
+        views: Views that were scored.
+        notes: What the reader of the numbers should know.
+    """
+
+    scene: str
+    method: str
+    ratio: float
+    status: Status = Status.OK
+    reason: str = ""
+    against: Against = Against.ORIGINAL
+    dataset: str | None = None
+    splats: int | None = None
+    file_bytes: int | None = None
+    seconds: float | None = None
+    read_seconds: float | None = None
+    peak_memory: int | None = None
+    psnr: float | None = None
+    ssim: float | None = None
+    extras: dict[str, float] = field(default_factory=dict)
+    fps: float | None = None
+    fps_gsplat: float | None = None
+    views: int | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def measured(self) -> bool:
+        """The row has a score."""
+        return self.status is Status.OK and self.psnr is not None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values; infinities and NaN, which JSON lacks, as strings."""
+        data: dict[str, Any] = {name: _plain(value) for name, value in asdict(self).items()}
+        data["extras"] = {name: _plain(value) for name, value in self.extras.items()}
+        data["notes"] = list(self.notes)
+        return data
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a row holds
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return str(value) if isinstance(value, StrEnum) else value

@@ -1,0 +1,223 @@
+"""Scenes to measure on, and the images that results are held against."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, overload
+
+from nanogs.bench.published import DATASETS, image_folder
+from nanogs.bench.rows import Against
+from nanogs.bench.settings import BenchSettings
+from nanogs.errors import FormatError, OptionError
+from nanogs.render.camera import Camera
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:  # these bring Numba
+    from nanogs.compare.scoring import Background, ReferenceView
+    from nanogs.datasets.dataset import Dataset
+    from nanogs.datasets.frame import Frame
+
+BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+TRAINED_MODEL = "{folder}/{scene}/point_cloud/iteration_30000/point_cloud.ply"
+
+
+@dataclass(frozen=True, slots=True)
+class BenchScene:
+    """A model, and the photographs it was trained on where there are any.
+
+    Attributes:
+        name: What tables call it.
+        model: The model's file.
+        photos: Folder of its data set, or None.
+        dataset: The published data set it belongs to, a key of `published.DATASETS`.
+        images: Folder of the photographs within `photos`; None for the reader's choice.
+    """
+
+    name: str
+    model: Path
+    photos: Path | None = None
+    dataset: str | None = None
+    images: str | None = None
+
+
+def scene_of_file(path: str | Path) -> BenchScene:
+    """The scene of a model file, named after it up to the first dot."""
+    path = Path(path)
+    return BenchScene(path.name.split(".")[0], path)
+
+
+def parse_scene(text: str) -> BenchScene:
+    """The scene that `NAME=MODEL` or `NAME=MODEL:FOLDER` stands for.
+
+    Raises:
+        OptionError: It is of another form.
+    """
+    name, _, rest = text.partition("=")
+    model, _, folder = rest.rpartition(":")
+    if len(model) < 2:  # no colon, or only that of a drive letter
+        model, folder = rest, ""
+    if not name or not model:
+        raise OptionError(f"A scene is NAME=MODEL or NAME=MODEL:FOLDER, not {text!r}.")
+    return BenchScene(name, Path(model), Path(folder) if folder else None)
+
+
+def parse_dataset(text: str, pattern: str = TRAINED_MODEL) -> list[BenchScene]:
+    """The scenes of a published data set: every folder that holds a trained model.
+
+    Args:
+        text: `NAME=FOLDER`, the name a key of `published.DATASETS`.
+        pattern: Path of a scene's model; {folder} and {scene} are replaced.
+
+    Raises:
+        OptionError: It is of another form, or no scene has a model.
+    """
+    name, _, folder = text.partition("=")
+    if name not in DATASETS or not folder:
+        raise OptionError(f"A data set is NAME=FOLDER with a name of {', '.join(DATASETS)}.")
+    root = Path(folder)
+    if not root.is_dir():
+        raise OptionError(
+            f"{root} is not a folder; give the folder that holds the scenes' folders."
+        )
+    scenes = []
+    for entry in sorted(path for path in root.iterdir() if path.is_dir()):
+        model = Path(fill(pattern, folder=folder, scene=entry.name))
+        if model.exists():
+            images = image_folder(name, entry.name)
+            scenes.append(BenchScene(entry.name, model, entry, name, images))
+    if not scenes:
+        wanted = fill(pattern, folder=folder, scene="SCENE")
+        raise OptionError(f"{root} holds no trained model {wanted}; --model-pattern says where.")
+    return scenes
+
+
+def fill(pattern: str, **values: str) -> str:
+    """The pattern with the values in place.
+
+    Raises:
+        OptionError: It holds a placeholder that has no value, or a brace out of place.
+    """
+    try:
+        return pattern.format(**values)
+    except (KeyError, IndexError, ValueError):
+        known = ", ".join(f"{{{name}}}" for name in values)
+        raise OptionError(f"{pattern!r} may hold {known} and no other braces.") from None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneViews:
+    """What a scene's results are held against.
+
+    Attributes:
+        views: The views to score.
+        fit_cameras: Views that methods may learn from, none of them scored.
+        background: RGB in [0, 1].
+        against: What the views show.
+        notes: What the reader of the numbers should know.
+    """
+
+    views: "Sequence[ReferenceView]"
+    fit_cameras: tuple[Camera, ...]
+    background: "Background"
+    against: Against
+    notes: tuple[str, ...] = ()
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """Cameras of the views, without reading a photograph."""
+        if isinstance(self.views, PhotoViews):
+            return self.views.cameras
+        return tuple(view.camera for view in self.views)
+
+
+def scene_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> SceneViews:
+    """Photographs of the test split where the scene has them, else views of the model itself.
+
+    Args:
+        scene: The scene.
+        splats: Its model.
+        settings: Number and size of automatic views.
+
+    Raises:
+        NanogsError: The data set cannot be read, has no test split, or no view shows anything.
+    """
+    if scene.photos is None:
+        return _automatic_views(splats, settings)
+    return _photographs(scene, splats, settings)
+
+
+def _automatic(
+    splats: Splats, settings: BenchSettings, count: int, split: Literal["fit", "test"]
+) -> list[Camera]:
+    from nanogs.render.views import automatic_cameras
+
+    size = settings.size
+    return list(
+        automatic_cameras(
+            splats, count, width=size, height=size, kind=settings.camera_kind, split=split
+        )
+    )
+
+
+def _automatic_views(splats: Splats, settings: BenchSettings) -> SceneViews:
+    from nanogs.compare.scoring import reference_views
+    from nanogs.render.rasterize import prepare
+
+    cameras = _automatic(splats, settings, settings.views, "test")
+    views, empty = reference_views(prepare(splats), cameras, BLACK)
+    notes = (f"{len(empty)} views show nothing and are left out: {', '.join(empty)}",)
+    fit = _automatic(splats, settings, settings.fit_views, "fit")
+    return SceneViews(views, tuple(fit), BLACK, Against.ORIGINAL, notes if empty else ())
+
+
+def _photographs(scene: BenchScene, splats: Splats, settings: BenchSettings) -> SceneViews:
+    from nanogs.datasets.dataset import open_dataset
+
+    folder = scene.photos
+    assert folder is not None  # noqa: S101 - asked by the caller
+    dataset = open_dataset(folder, images=scene.images)
+    frames = dataset.split("test")
+    # The synthetic scenes are shown on white, by a convention as old as they are.
+    background = WHITE if dataset.kind == "blender" else BLACK
+    notes: tuple[str, ...] = ()
+    try:
+        fit = [frame.camera for frame in dataset.split("train")]
+    except FormatError as error:
+        fit = _automatic(splats, settings, settings.fit_views, "fit")
+        notes = (f"methods learn from automatic views, as there are no training views: {error}",)
+    views = PhotoViews(dataset, frames, background)
+    return SceneViews(views, tuple(fit), background, Against.PHOTOGRAPHS, notes)
+
+
+class PhotoViews(Sequence["ReferenceView"]):
+    """Photographs as views, each read when it is asked for: hundreds would fill the memory."""
+
+    def __init__(
+        self, dataset: "Dataset", frames: "Sequence[Frame]", background: "Background"
+    ) -> None:
+        self._dataset = dataset
+        self._frames = tuple(frames)
+        self._background = background
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """Cameras of the views."""
+        return tuple(frame.camera for frame in self._frames)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @overload
+    def __getitem__(self, index: int) -> "ReferenceView": ...
+    @overload
+    def __getitem__(self, index: slice) -> "PhotoViews": ...
+    def __getitem__(self, index: int | slice) -> "ReferenceView | PhotoViews":
+        from nanogs.compare.scoring import ReferenceView
+
+        if isinstance(index, slice):
+            return PhotoViews(self._dataset, self._frames[index], self._background)
+        frame = self._frames[index]
+        return ReferenceView(frame.camera, self._dataset.load_photo(frame, self._background))
+
+    def __iter__(self) -> "Iterator[ReferenceView]":
+        return (self[index] for index in range(len(self)))

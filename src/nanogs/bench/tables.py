@@ -1,0 +1,175 @@
+"""Rows as Markdown and as JSON lines."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+
+from nanogs.bench.means import RatioMean, mean_rows, unique
+from nanogs.bench.methods import ABLATED
+from nanogs.bench.published_table import published_tables
+from nanogs.bench.rows import BenchRow, Status
+
+NONE = "–"  # noqa: RUF001 - a dash for what was not measured
+Column = tuple[str, Callable[[BenchRow], str]]
+
+
+def markdown(rows: Sequence[BenchRow], *, heading: str = "#") -> str:
+    """Everything as Markdown: the published tables' shape, means, ablations, scene by scene.
+
+    Args:
+        rows: From `run_bench`.
+        heading: What the highest headings begin with.
+    """
+    parts = [f"{heading} {title}\n\n{text}" for title, text in published_tables(rows)]
+    for against in unique(row.against for row in rows):
+        group = [row for row in rows if row.against == against]
+        means = mean_rows(group)
+        if means:
+            title = f"Means over scenes, against {against}"
+            parts.append(f"{heading} {title}\n\n{mean_table(means)}")
+        ablations = ablation_table(means)
+        if ablations:
+            title = f"Ablations of {ABLATED}, against {against}"
+            parts.append(f"{heading} {title}\n\n{ablations}")
+    for scene in unique(row.scene for row in rows):
+        group = [row for row in rows if row.scene == scene]
+        parts.append(f"{heading} {_escape(scene)}\n\n{scene_table(group)}")
+    return "\n".join(parts)
+
+
+def json_lines(rows: Sequence[BenchRow]) -> str:
+    """One JSON object a line and row; infinities are strings."""
+    return "".join(json_line(row) for row in rows)
+
+
+def json_line(row: BenchRow) -> str:
+    """A row as one line of JSON."""
+    return json.dumps(row.to_dict(), allow_nan=False) + "\n"
+
+
+def scene_table(rows: Sequence[BenchRow]) -> str:
+    """One scene's rows, and what became of those without numbers.
+
+    Args:
+        rows: Rows of one scene.
+    """
+    views = max((row.views or 0 for row in rows), default=0)
+    intro = f"Against {rows[0].against}, {views} views.\n\n"
+    remarks = [(row, text) for row in rows for text in _remarks(row)]
+    listed = "".join(
+        f"- {_escape(row.method)} at {row.ratio:g}: {_escape(text)}\n" for row, text in remarks
+    )
+    return intro + _table(rows, rows) + (f"\n{listed}" if listed else "")
+
+
+def _remarks(row: BenchRow) -> list[str]:
+    failed = [] if row.status is Status.OK else [f"{row.status}: {row.reason}"]
+    return [*failed, *row.notes]
+
+
+def mean_table(means: Sequence[RatioMean]) -> str:
+    """Means at every ratio, and the scenes and methods that are left out of them."""
+    rows = [row for mean in means for row in mean.methods.values()]
+    text = _table(rows, rows) + "\n" if rows else ""
+    return text + "".join(_coverage(mean) for mean in means)
+
+
+def _coverage(mean: RatioMean) -> str:
+    lines = [
+        f"- At {mean.ratio:g}: mean of {_counted(mean.scenes)} ({_names(mean.scenes)})."
+        if mean.scenes
+        else f"- At {mean.ratio:g}: no scene has results of all methods, so there is no mean."
+    ]
+    for scene, methods in mean.left_out.items():
+        why = f"without a result of {_names(methods)}" if methods else "without any result"
+        lines.append(f"- At {mean.ratio:g}, left out: {_escape(scene)}, {why}.")
+    if mean.absent:
+        lines.append(
+            f"- At {mean.ratio:g}, not compared, without any result: {_names(mean.absent)}."
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _counted(scenes: Sequence[str]) -> str:
+    return f"{len(scenes)} scene" + ("" if len(scenes) == 1 else "s")
+
+
+def ablation_table(means: Sequence[RatioMean]) -> str:
+    """Differences of changed presets to the preset as it is; empty where none was measured.
+
+    Args:
+        means: From `mean_rows`.
+    """
+    lines = []
+    for mean in means:
+        whole = mean.methods.get(ABLATED)
+        for name, row in mean.methods.items():
+            if whole is None or not name.startswith(f"{ABLATED}:"):
+                continue
+            gains = (
+                f"{_difference(row.psnr, whole.psnr, 2)} | {_difference(row.ssim, whole.ssim, 3)}"
+            )
+            values = f"{_number(row.psnr, 2)} | {_number(row.ssim, 3)}"
+            lines.append(f"| {mean.ratio:g} | {_escape(name)} | {values} | {gains} |\n")
+    if not lines:
+        return ""
+    head = f"| ratio | variant | PSNR | SSIM | PSNR − {ABLATED} | SSIM − {ABLATED} |\n"  # noqa: RUF001
+    return head + "|--:|---|--:|--:|--:|--:|\n" + "".join(lines)
+
+
+def _difference(value: float | None, base: float | None, digits: int) -> str:
+    if value is None or base is None or not math.isfinite(value - base):
+        return NONE
+    return f"{value - base:+.{digits}f}"
+
+
+def _table(rows: Sequence[BenchRow], shown: Sequence[BenchRow]) -> str:
+    columns = _columns(shown)
+    head = "| method | ratio | " + " | ".join(name for name, _ in columns) + " |\n"
+    rule = "|---|--:|" + "--:|" * len(columns) + "\n"
+    body = (
+        f"| {_escape(row.method)} | {row.ratio:g} | " + " | ".join(_cells(row, columns)) + " |\n"
+        for row in rows
+    )
+    return head + rule + "".join(body)
+
+
+def _cells(row: BenchRow, columns: Sequence[Column]) -> list[str]:
+    if row.status is Status.OK:
+        return [value(row) for _, value in columns]
+    return [str(row.status), *[NONE] * (len(columns) - 1)]
+
+
+def _columns(rows: Sequence[BenchRow]) -> list[Column]:
+    columns: list[Column] = [
+        ("splats", lambda row: _number(row.splats, 0)),
+        ("bytes", lambda row: _number(row.file_bytes, 0)),
+        ("seconds", lambda row: _number(row.seconds, 2)),
+        ("peak MB", lambda row: _number(row.peak_memory, 0, 1e-6)),
+        ("PSNR", lambda row: _number(row.psnr, 2)),
+        ("SSIM", lambda row: _number(row.ssim, 3)),
+    ]
+    columns += [_extra(name) for name in unique(name for row in rows for name in row.extras)]
+    columns.append(("frames/s", lambda row: _number(row.fps, 1)))
+    if any(row.fps_gsplat is not None for row in rows):
+        columns.append(("gsplat frames/s", lambda row: _number(row.fps_gsplat, 0)))
+    return columns
+
+
+def _extra(name: str) -> Column:
+    return name.upper(), lambda row: _number(row.extras.get(name), 3)
+
+
+def _number(value: float | None, digits: int, factor: float = 1) -> str:
+    if value is None or math.isnan(value):
+        return NONE
+    return "∞" if math.isinf(value) else f"{value * factor:,.{digits}f}"
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(_escape(name) for name in names)
+
+
+def _escape(text: str) -> str:
+    """The text in one line, without what Markdown would take for a column or a tag."""
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")

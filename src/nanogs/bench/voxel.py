@@ -1,0 +1,190 @@
+"""Voxel merging: all splats whose centres share a cell of a cubic grid become one.
+
+The count is made exact in two steps. Bisection on the cell size finds a grid with as many occupied
+cells as possible, but no more than the count; then the fullest cells (ties by cell) are split in
+two halves at the middle member along their widest axis, one after the other, until the count is
+met. Splitting goes by rank, so coincident centres can be told apart too.
+"""
+
+import heapq
+
+import numpy as np
+
+from nanogs._types import F64, I64, F
+from nanogs.simplify.gaussians import Gaussians, activate, scene_origin, store
+from nanogs.splats import Splats
+
+_BISECTIONS = 40
+_FEWEST_CELLS, _MOST_CELLS = 0.5, 2.0**20  # along the widest axis; three of 20 bits make a key
+
+
+def merge_voxels(splats: Splats, rows: I64, count: int) -> Splats:
+    """A model of exactly `count` splats, one for each group of a grid.
+
+    Args:
+        splats: The input.
+        rows: (M,) rows of it to use, all finite, at least `count`.
+        count: Splats to deliver.
+    """
+    origin = scene_origin(splats.means[rows])
+    gaussians = activate(splats, rows, origin)
+    labels = voxel_labels(gaussians.means, count)
+    return store(merge_groups(gaussians, labels), splats, origin)
+
+
+def voxel_labels(means: F64, count: int) -> I64:
+    """Group of every centre: a grid's cells, some of them split, exactly `count` in all.
+
+    Args:
+        means: (N, 3) finite, scene units.
+        count: Groups, at most N.
+
+    Returns:
+        (N,) int64 from 0 to count - 1, every one of them in use.
+    """
+    labels = _finest_grid(means, count)
+    groups = _members(labels)
+    heap = [(-len(group), index) for index, group in enumerate(groups)]
+    heapq.heapify(heap)
+    while len(groups) < count:
+        _, index = heapq.heappop(heap)
+        lower, upper = _halves(means, groups[index])
+        groups[index] = lower
+        groups.append(upper)
+        heapq.heappush(heap, (-len(lower), index))
+        heapq.heappush(heap, (-len(upper), len(groups) - 1))
+        labels[upper] = len(groups) - 1
+    return labels
+
+
+def _finest_grid(means: F64, count: int) -> I64:
+    """(N,) int64: cells of the finest grid found that has no more than `count` of them."""
+    low = means.min(axis=0)
+    width = float((means.max(axis=0) - low).max())
+    best = np.zeros(len(means), dtype=np.int64)
+    if width == 0:
+        return best
+    coarse, fine = np.log(_FEWEST_CELLS), np.log(_MOST_CELLS)
+    most = 1
+    for _ in range(_BISECTIONS):
+        middle = (coarse + fine) / 2
+        labels, cells = _grid(means - low, float(np.exp(middle)) / width)
+        if cells > count:
+            fine = middle
+            continue
+        coarse = middle
+        if cells >= most:  # the number of cells does not quite rise with their fineness
+            best, most = labels, cells
+        if cells == count:
+            break
+    return best
+
+
+def _grid(offsets: F64, cells_per_unit: float) -> tuple[I64, int]:
+    """Compact labels of the cells that hold the offsets (N, 3), and the number of cells."""
+    cells = np.floor(offsets * cells_per_unit).astype(np.int64)
+    keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+    unique, labels = np.unique(keys, return_inverse=True)
+    return labels.astype(np.int64), len(unique)
+
+
+def _members(labels: I64) -> list[I64]:
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+
+
+def _halves(means: F64, group: I64) -> tuple[I64, I64]:
+    """The lower and the upper half of a group of two or more, by rank along its widest axis."""
+    centres = means[group]
+    axis = int(np.argmax(np.ptp(centres, axis=0)))
+    order = group[np.argsort(centres[:, axis], kind="stable")]
+    middle = len(order) // 2
+    return order[:middle], order[middle:]
+
+
+def merge_groups(gaussians: Gaussians, labels: I64) -> Gaussians:
+    """Replace every group by one splat with the same mass-weighted moments.
+
+    With w = alpha s1 s2 s3 and W its sum over the members: mu = Σ w mu_i / W,
+    Sigma = Σ w (Sigma_i + d_i d_iᵀ) / W, and so for the coefficients. The opacity too is the
+    weighted mean: the union of dozens of members would be 1 nearly everywhere. Members that all
+    have no mass count alike.
+
+    Args:
+        gaussians: N splats.
+        labels: (N,) groups from 0 to G - 1, each with a member.
+
+    Returns:
+        G splats in the order of the groups; a single member comes back as it was.
+    """
+    order = np.argsort(labels, kind="stable")
+    ordered, groups = gaussians.take(order), labels[order]
+    starts = np.flatnonzero(np.diff(groups, prepend=-1))
+    sizes = np.diff(starts, append=len(groups))
+    log_weights = _log_masses(ordered)
+    shares = _shares(log_weights, starts, sizes)
+    means = _mean(ordered.means, shares, starts)
+    covariances = _covariances(ordered, ordered.means - np.repeat(means, sizes, axis=0))
+    scales, quats = _axes(_mean(covariances, shares, starts))
+    dominant = _dominant(shares, starts, sizes)
+    result = ordered.take(dominant)
+    many = sizes > 1
+    result.means[many] = means[many]
+    result.scales[many] = scales[many]
+    result.quats[many] = quats[many]
+    result.opacities[many] = np.minimum(_mean(ordered.opacities, shares, starts), 1.0)[many]
+    for column in range(ordered.features.shape[1]):
+        mixed = _mean(ordered.features[:, column], shares, starts)
+        result.features[many, column] = mixed[many]
+    result.merged[many] = True
+    return result
+
+
+def _log_masses(gaussians: Gaussians) -> F64:
+    with np.errstate(divide="ignore"):
+        volumes: F64 = np.log(gaussians.scales, dtype=np.float64).sum(axis=1)
+        return volumes + np.log(gaussians.opacities)
+
+
+def _shares(log_weights: F64, starts: I64, sizes: I64) -> F64:
+    """(N,) each member's share of its group's mass; logarithms first, so that none underflows."""
+    largest = np.maximum.reduceat(log_weights, starts)
+    massless = np.repeat(largest == -np.inf, sizes)
+    relative = np.where(massless, 0.0, log_weights)
+    largest = np.where(largest == -np.inf, 0.0, largest)
+    weights = np.exp(relative - np.repeat(largest, sizes))
+    shares: F64 = weights / np.repeat(np.add.reduceat(weights, starts), sizes)
+    return shares
+
+
+def _mean(values: F, shares: F64, starts: I64) -> F64:
+    weighted = values * shares.reshape(-1, *[1] * (values.ndim - 1))
+    mean: F64 = np.add.reduceat(weighted, starts, axis=0)
+    return mean
+
+
+def _dominant(shares: F64, starts: I64, sizes: I64) -> I64:
+    """(G,) position of the member with the largest share, the first of equals."""
+    groups = np.repeat(np.arange(len(starts)), sizes)
+    order = np.lexsort((-shares, groups))
+    return order[starts]
+
+
+def _covariances(gaussians: Gaussians, offsets: F64) -> F64:
+    """(N, 3, 3) float64: R diag(s²) Rᵀ + d dᵀ."""
+    from scipy.spatial.transform import Rotation
+
+    rotations = Rotation.from_quat(gaussians.quats.astype(np.float64)[:, [1, 2, 3, 0]]).as_matrix()
+    factors = rotations * gaussians.scales.astype(np.float64)[:, None, :]
+    own: F64 = factors @ factors.transpose(0, 2, 1)
+    return own + offsets[:, :, None] * offsets[:, None, :]
+
+
+def _axes(covariances: F64) -> tuple[F64, F64]:
+    """Standard deviations (G, 3) and unit quaternions (G, 4), wxyz, of covariances (G, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    variances, rotations = np.linalg.eigh(covariances)
+    rotations[np.linalg.det(rotations) < 0, :, 0] *= -1
+    quats = Rotation.from_matrix(rotations).as_quat()[:, [3, 0, 1, 2]]
+    return np.sqrt(np.maximum(variances, 0.0)), quats

@@ -1,0 +1,158 @@
+"""One method in a process of its own, so that its seconds and its memory are its own."""
+
+import multiprocessing
+import signal
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+
+from nanogs.bench.baselines import Method, MethodContext
+from nanogs.bench.methods import find_method
+from nanogs.errors import NanogsError
+from nanogs.io import load, save
+from nanogs.render.camera import Camera
+from nanogs.simplify.target import target_count
+from nanogs.splats import Splats
+
+_WARM_UP = 1000  # splats on which the kernels are compiled or read from their cache
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What a process is to do.
+
+    Attributes:
+        model: The model's file.
+        method: Name of the method.
+        ratio: Compaction ratio in (0, 1].
+        output: File for the result, .ply.
+        cameras: Views the method may learn from.
+        seed: Seed of whatever is drawn.
+        threads: Threads to use; None for all.
+    """
+
+    model: Path
+    method: str
+    ratio: float
+    output: Path
+    cameras: tuple[Camera, ...] = ()
+    seed: int = 0
+    threads: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a process did.
+
+    Attributes:
+        error: Why there is no result; empty where there is one.
+        splats: Splats delivered.
+        asked: Splats asked for.
+        seconds: The method alone, on warm kernels.
+        read_seconds: Reading the model.
+        peak_memory: Most resident memory before the result was written, bytes, or None where the
+            system does not tell.
+    """
+
+    error: str = ""
+    splats: int = 0
+    asked: int = 0
+    seconds: float = 0.0
+    read_seconds: float = 0.0
+    peak_memory: int | None = None
+
+
+def run_job(job: Job) -> Outcome:
+    """Do a job in a fresh process and wait for it; whatever goes wrong there is an outcome too."""
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_serve, args=(job, sender), daemon=True)
+    process.start()
+    sender.close()
+    try:
+        outcome = receiver.recv()
+    except EOFError:
+        process.join()
+        outcome = Outcome(
+            error=f"Its process ended without a result ({_ending(process.exitcode)})."
+        )
+    finally:  # the result is written before it is announced
+        receiver.close()
+        process.kill()
+        process.join()
+    assert isinstance(outcome, Outcome)  # noqa: S101 - what `_serve` sends
+    return outcome
+
+
+def _serve(job: Job, sender: Connection) -> None:
+    # An interrupt is the parent's to handle; it ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        outcome = do_job(job)
+    except NanogsError as error:
+        outcome = Outcome(error=str(error))
+    except Exception as error:  # noqa: BLE001,RUF100 - a method that raises is a result
+        outcome = Outcome(error=f"{type(error).__name__}: {error}")
+    sender.send(outcome)
+
+
+def do_job(job: Job) -> Outcome:
+    """Read, warm up, run the method, write; in this process.
+
+    Raises:
+        NanogsError: The model cannot be read or the method refuses.
+    """
+    from nanogs.threads import use_threads
+
+    method = find_method(job.method)
+    context = MethodContext(job.cameras, job.seed)
+    start = time.perf_counter()
+    splats = load(job.model)
+    read_seconds = time.perf_counter() - start
+    asked = target_count(int(splats.finite().sum()), job.ratio, None)
+    with use_threads(job.threads):
+        _warm_up(method, splats, context)
+        start = time.perf_counter()
+        small = method(splats, asked, context)
+        seconds = time.perf_counter() - start
+    peak = peak_memory()
+    save(small, job.output, overwrite=True)
+    return Outcome("", len(small), asked, seconds, read_seconds, peak)
+
+
+def _warm_up(method: Method, splats: Splats, context: MethodContext) -> None:
+    rows = np.flatnonzero(splats.finite())
+    sample = splats.take(rows[:: max(1, len(rows) // _WARM_UP)][:_WARM_UP])
+    # What fails on the sample fails again below, where it counts.
+    with suppress(NanogsError):
+        method(sample, max(1, len(sample) // 10), MethodContext(context.cameras[:1], context.seed))
+
+
+def peak_memory() -> int | None:
+    """Most resident memory this process ever had, bytes, or None where the system does not tell.
+
+    Linux: VmHWM, since ru_maxrss also counts what the process was before it ran this program.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        for line in status.read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most if sys.platform == "darwin" else most * 1024
+
+
+def _ending(code: int | None) -> str:
+    if code is not None and code < 0:
+        out_of_memory = ", often a lack of memory" if code == -9 else ""
+        return f"signal {-code}{out_of_memory}"
+    return f"exit code {code}"

@@ -1,0 +1,253 @@
+"""`nanogs bench`."""
+
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
+
+from nanogs.cli.console import err, print_json, warn
+from nanogs.errors import OptionError
+
+if TYPE_CHECKING:  # these bring Numba, which `--help` does without
+    from nanogs.bench.output import ResultFolder
+    from nanogs.bench.rows import BenchRow
+    from nanogs.bench.scenes import BenchScene
+    from nanogs.bench.settings import BenchSettings
+
+_VIEWS = "Views of scenes without photographs"
+
+
+class Kind(StrEnum):
+    """How automatic cameras stand."""
+
+    auto = "auto"
+    orbit = "orbit"
+    inside = "inside"
+
+
+Models = Annotated[
+    list[Path] | None, typer.Argument(metavar="[MODEL]...", help="Models to measure on.")
+]
+Scenes = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=MODEL[:FOLDER]",
+        help="A model under a name, with the folder of its photographs and cameras.",
+    ),
+]
+Datasets = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=FOLDER",
+        help="A published data set, one folder a scene: nerf-synthetic, mip-nerf-360, "
+        "tanks-and-temples or deep-blending.",
+    ),
+]
+Pattern = Annotated[
+    str | None,
+    typer.Option(
+        help="Where the trained models of data sets are.",
+        show_default="{folder}/{scene}/point_cloud/iteration_30000/point_cloud.ply",
+    ),
+]
+Methods = Annotated[
+    str | None,
+    typer.Option(
+        help="Methods, with commas between; parameters of a preset as paper:tau=0:k=8.",
+        show_default="all presets and baselines",
+    ),
+]
+Externals = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=PATTERN",
+        help="Files of another tool; {scene}, {model} (its file) and {ratio} are replaced.",
+    ),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", help="Folder for results.md, results.jsonl and plot.png."),
+]
+Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show_default="all")]
+
+
+def bench(
+    models: Models = None,
+    scene: Scenes = None,
+    dataset: Datasets = None,
+    model_pattern: Pattern = None,
+    ratios: Annotated[
+        str, typer.Option(help="Compaction ratios, with commas between.")
+    ] = "0.1,0.01,0.001",
+    methods: Methods = None,
+    external: Externals = None,
+    ablations: Annotated[
+        bool, typer.Option("--ablations", help="Also the published method without each part.")
+    ] = False,
+    metrics: Annotated[
+        str, typer.Option(help="Further metrics: lpips, flip; with commas between.")
+    ] = "",
+    views: Annotated[int, typer.Option(min=1, help="Number.", rich_help_panel=_VIEWS)] = 8,
+    size: Annotated[
+        int, typer.Option(min=16, help="Width and height, pixels.", rich_help_panel=_VIEWS)
+    ] = 512,
+    cameras: Annotated[
+        Kind, typer.Option(help="Where they stand.", rich_help_panel=_VIEWS)
+    ] = Kind.auto,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of what methods draw.")] = 0,
+    threads: Threads = None,
+    out: Out = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", "-w", help="Replace results in the folder.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Rows as JSON on stdout.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+) -> None:
+    """Measure methods against each other: quality, time, memory and speed, scene by scene."""
+    from nanogs.bench.settings import BenchSettings
+
+    settings = BenchSettings(
+        ratios=tuple(_number(text) for text in _list(ratios)),
+        methods=_methods(methods, ablations),
+        externals=dict(_external(text) for text in external or []),
+        views=views,
+        size=size,
+        camera_kind=cameras.value,
+        metrics=tuple(_list(metrics)),
+        seed=seed,
+        threads=threads,
+    )
+    scenes = _scenes(models or [], scene or [], dataset or [], model_pattern)
+    _show(scenes, settings, out, overwrite=overwrite, json=json, quiet=quiet or json)
+
+
+def _methods(names: str | None, ablations: bool) -> tuple[str, ...]:
+    from nanogs.bench.methods import ABLATIONS, all_methods
+
+    chosen = _list(names) if names is not None else list(all_methods())
+    if ablations:
+        chosen += [name for name in ABLATIONS if name not in chosen]
+    return tuple(chosen)
+
+
+def _scenes(
+    models: list[Path], named: list[str], datasets: list[str], pattern: str | None
+) -> "list[BenchScene]":
+    from nanogs.bench.scenes import TRAINED_MODEL, parse_dataset, parse_scene, scene_of_file
+
+    scenes = [scene_of_file(model) for model in models]
+    scenes += [parse_scene(text) for text in named]
+    for text in datasets:
+        scenes += parse_dataset(text, pattern or TRAINED_MODEL)
+    return scenes
+
+
+def _show(
+    scenes: "list[BenchScene]",
+    settings: "BenchSettings",
+    out: Path | None,
+    *,
+    overwrite: bool,
+    json: bool,
+    quiet: bool,
+) -> None:
+    """Measure, and write the rows or the tables to stdout."""
+    from nanogs.bench.preamble import preamble
+    from nanogs.bench.tables import markdown
+
+    above = preamble(settings, shlex.join(["nanogs", *sys.argv[1:]]))
+    rows = _run(scenes, settings, out, overwrite, above, quiet)
+    if json:
+        print_json({"rows": [row.to_dict() for row in rows]})
+    else:
+        typer.echo(above + markdown(rows), nl=False)
+
+
+def _run(
+    scenes: "list[BenchScene]",
+    settings: "BenchSettings",
+    out: Path | None,
+    overwrite: bool,
+    above: str,
+    quiet: bool,
+) -> "list[BenchRow]":
+    """Measure, keep rows in the folder as they come, and show on stderr how it goes."""
+    from nanogs.bench.output import ResultFolder
+    from nanogs.bench.protocol import row_count, run_bench
+
+    folder = ResultFolder(out, overwrite=overwrite) if out else None
+    with _progress(row_count(scenes, settings), quiet) as observer:
+        rows = run_bench(
+            scenes,
+            settings,
+            on_row=lambda row: observer.row(row, folder),
+            progress=observer.stage,
+        )
+    if folder:
+        folder.finish(rows, above)
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class _Observer:
+    """What the library calls while it measures."""
+
+    progress: Progress
+    task: TaskID
+    quiet: bool
+
+    def stage(self, what: str) -> None:
+        self.progress.update(self.task, description=what)
+
+    def row(self, row: "BenchRow", folder: "ResultFolder | None") -> None:
+        if folder:
+            folder.add(row)
+        if row.reason and not self.quiet:
+            warn(f"{row.scene}, {row.method} at {row.ratio:g}: {row.status}: {row.reason}")
+        self.progress.advance(self.task)
+
+
+@contextmanager
+def _progress(total: int, quiet: bool) -> Iterator[_Observer]:
+    """A bar over the rows, on a terminal only."""
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False),
+    )
+    shown = err.is_terminal and not quiet
+    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
+        yield _Observer(progress, progress.add_task("", total=total), quiet)
+
+
+def _list(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise OptionError(f"A ratio is a number such as 0.1, not {text!r}.") from None
+
+
+def _external(text: str) -> tuple[str, str]:
+    name, _, pattern = text.partition("=")
+    if not name or not pattern:
+        raise OptionError(f"An external result is NAME=PATTERN, not {text!r}.")
+    return name, pattern

@@ -1,0 +1,410 @@
+"""`bench`: its settings, its processes, its protocol, and the command from outside."""
+
+import contextlib
+import importlib.util
+import json
+import math
+import os
+import subprocess
+import sys
+import types
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import nanogs
+from builders import random_splats
+from nanogs.bench import protocol
+from nanogs.bench.gsplat import gsplat_fps
+from nanogs.bench.methods import ABLATIONS, find_method
+from nanogs.bench.output import ResultFolder
+from nanogs.bench.protocol import row_count, run_bench
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, Status
+from nanogs.bench.scenes import BenchScene, fill, parse_dataset, parse_scene, scene_of_file
+from nanogs.bench.settings import BenchSettings
+from nanogs.bench.worker import Job, Outcome, peak_memory, run_job
+from nanogs.errors import OptionError, OutputError
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import render
+from nanogs.report import StopReason
+from nanogs.simplify.graph import random_pairs
+from nanogs.simplify.presets import parameters
+
+
+def run(*arguments, **kwargs):
+    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, **kwargs)
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bench") / "ball.ply"
+    splats = random_splats(400, degree=1)
+    splats.opacity_logits[:] = 2
+    nanogs.save(splats, path)
+    return path
+
+
+# Names and patterns
+
+
+def test_scenes_are_named():
+    assert scene_of_file("x/biker.compressed.ply").name == "biker"
+    assert parse_scene("g=a/b.ply").photos is None
+    assert parse_scene("g=a/b.ply:data/g").photos.as_posix() == "data/g"
+    for text in ("g", "=a.ply", "g="):
+        with pytest.raises(OptionError, match="NAME=MODEL"):
+            parse_scene(text)
+
+
+def test_data_sets_are_folders_of_scenes(tmp_path):
+    for scene in ("bicycle", "room"):
+        model = tmp_path / scene / "point_cloud" / "iteration_30000" / "point_cloud.ply"
+        model.parent.mkdir(parents=True)
+        model.touch()
+    (tmp_path / "empty").mkdir()
+    scenes = parse_dataset(f"mip-nerf-360={tmp_path}")
+    assert [(scene.name, scene.images) for scene in scenes] == [
+        ("bicycle", "images_4"),
+        ("room", "images_2"),
+    ]
+    with pytest.raises(OptionError, match="holds no trained model"):
+        parse_dataset(f"mip-nerf-360={tmp_path}", "{folder}/{scene}.ply")
+    with pytest.raises(OptionError, match="nerf-synthetic"):
+        parse_dataset(f"mine={tmp_path}")
+
+
+def test_unknown_placeholders_are_refused():
+    assert fill("{scene}_{ratio}.ply", scene="a", ratio="0.1") == "a_0.1.ply"
+    for pattern in ("{name}.ply", "{.ply", "{}"):
+        with pytest.raises(OptionError, match="no other braces"):
+            fill(pattern, scene="a", ratio="0.1")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"ratios": (0.0,)}, "above 0"),
+        ({"ratios": (0.1, 0.1)}, "two of the ratio"),
+        ({"ratios": ()}, "at least one ratio"),
+        ({"methods": ("nope",)}, "no method 'nope'"),
+        ({"methods": ("paper:x=1",)}, "no parameter 'x'"),
+        ({"methods": ("paper:k=many",)}, "takes a number"),
+        ({"methods": ("paper:graph=tree",)}, "knn or random"),
+        ({"methods": ("random",), "externals": {"random": "a"}}, "two of the method"),
+        ({"externals": {ORIGINAL: "a"}}, "two of the method"),
+        ({"views": 0}, "views"),
+        ({"size": 2}, "size"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(options, words):
+    with pytest.raises(OptionError, match=words):
+        BenchSettings(**options)
+
+
+def test_every_ablation_is_a_method():
+    assert len(ABLATIONS) == 5
+    for name in ABLATIONS:
+        assert callable(find_method(name))
+
+
+def test_results_are_not_replaced_unasked(tmp_path):
+    old = BenchRow("a", "x", 0.1, psnr=20.0)
+    ResultFolder(tmp_path).add(old)
+    ResultFolder(tmp_path, overwrite=True).finish([old])
+    with pytest.raises(OutputError, match="-w replaces it"):
+        ResultFolder(tmp_path)
+    before = (tmp_path / "results.md").read_bytes()
+    folder = ResultFolder(tmp_path, overwrite=True)
+    assert (tmp_path / "results.md").read_bytes() == before
+    folder.add(BenchRow("b", "x", 0.1))
+    folder.add(BenchRow("c", "x", 0.1))
+    lines = (tmp_path / "results.jsonl").read_text().splitlines()
+    assert [json.loads(line)["scene"] for line in lines] == ["b", "c"]
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot be written"):
+        ResultFolder(tmp_path / "file")
+
+
+# Random pairs, the ablation of the graph
+
+
+@pytest.mark.parametrize(("n", "k"), [(2, 1), (2, 5), (50, 1), (300, 16)])
+def test_random_pairs_are_pairs_once_each_of_all_rows(n, k):
+    pairs = random_pairs(n, k, 0)
+    assert (pairs[:, 0] < pairs[:, 1]).all()
+    assert pairs.min() == 0
+    assert pairs.max() == n - 1
+    assert set(pairs.ravel().tolist()) == set(range(n))
+    packed = pairs[:, 0].astype(np.int64) << 32 | pairs[:, 1]
+    assert (np.diff(packed) > 0).all()
+    assert n * k / 2 * (n > 50) <= len(pairs) <= n * k
+
+
+def test_random_pairs_come_from_the_seed_and_from_everywhere():
+    assert np.array_equal(random_pairs(100, 4, 1), random_pairs(100, 4, 1))
+    assert not np.array_equal(random_pairs(100, 4, 1), random_pairs(100, 4, 2))
+    distances = np.diff(random_pairs(20_000, 8, 0).astype(np.int64), axis=1)
+    assert distances.mean() == pytest.approx(20_000 / 3, rel=0.02)
+    assert len(random_pairs(1, 4, 0)) == 0
+
+
+def test_the_random_graph_meets_the_count_and_is_another_result():
+    splats = random_splats(500)
+    near, _ = nanogs.simplify(splats, ratio=0.1)
+    far, report = nanogs.simplify(splats, ratio=0.1, graph="random")
+    assert len(far) == 50
+    assert report.stop == StopReason.TARGET
+    assert report.parameters["graph"] == "random"
+    assert far.log_scales.mean() > near.log_scales.mean() + 0.1
+
+
+def test_a_graph_that_there_is_not_is_refused():
+    with pytest.raises(OptionError, match="knn or random"):
+        parameters("paper", {"graph": "tree"})
+
+
+# Processes
+
+
+def test_a_process_reports_its_own_seconds_and_memory(model, tmp_path):
+    ballast = np.ones(1 << 27, dtype=np.uint8)
+    outcome = run_job(Job(model, "opacity", 0.1, tmp_path / "small.ply"))
+    assert outcome.error == ""
+    assert outcome.splats == outcome.asked == 40 == len(nanogs.load(tmp_path / "small.ply"))
+    assert 0 < outcome.seconds < 5
+    assert outcome.read_seconds > 0
+    assert outcome.peak_memory > 20e6
+    assert peak_memory() > outcome.peak_memory
+    assert ballast.sum() == 1 << 27
+
+
+def test_a_method_that_fails_is_an_outcome(model, tmp_path):
+    outcome = run_job(Job(model, "significance", 0.1, tmp_path / "small.ply"))
+    assert "at least one camera" in outcome.error
+    missing = run_job(Job(model.with_name("none.ply"), "opacity", 0.1, tmp_path / "small.ply"))
+    assert "none.ply" in missing.error
+
+
+class Deadly:
+    """Ends the process that reads it."""
+
+    def __reduce__(self):
+        return os._exit, (3,)
+
+
+def test_a_process_that_dies_is_an_outcome(tmp_path):
+    outcome = run_job(Job(Deadly(), "opacity", 0.1, tmp_path / "small.ply"))
+    assert outcome.error == "Its process ended without a result (exit code 3)."
+
+
+# The protocol
+
+
+def test_a_method_that_fails_is_a_row_with_the_error(model, monkeypatch):
+    monkeypatch.setattr(protocol, "run_job", lambda _job: Outcome(error="boom"))
+    settings = BenchSettings(ratios=(0.1,), methods=("opacity",), views=1, size=32)
+    failed = run_bench([scene_of_file(model)], settings)[1]
+    assert (failed.status, failed.reason, failed.psnr) == (Status.FAILED, "boom", None)
+
+
+def test_a_scene_that_cannot_be_read_is_skipped_and_the_next_is_measured(model, tmp_path):
+    scenes = [BenchScene("gone", tmp_path / "gone.ply"), scene_of_file(model)]
+    settings = BenchSettings(ratios=(0.1,), methods=("opacity",), views=1, size=32)
+    seen = []
+    rows = run_bench(scenes, settings, on_row=seen.append)
+    assert rows == seen
+    assert len(rows) == row_count(scenes, settings) == 4
+    assert [entry.status for entry in rows] == [Status.SKIPPED] * 2 + [Status.OK] * 2
+    assert "gone.ply" in rows[0].reason
+
+
+def test_two_scenes_of_one_name_are_refused(model):
+    settings = BenchSettings(ratios=(0.1,), methods=("opacity",))
+    with pytest.raises(OptionError, match="two of the scene 'ball'"):
+        run_bench([scene_of_file(model)] * 2, settings)
+    with pytest.raises(OptionError, match="at least one model"):
+        run_bench([], settings)
+    with pytest.raises(OptionError, match="no metric"):
+        run_bench([scene_of_file(model)], BenchSettings(metrics=("mse",)))
+
+
+def test_a_metric_whose_package_is_missing_is_refused_before_anything_runs(model, monkeypatch):
+    def missing(_reference, _test):
+        raise OptionError("lpips needs a package.")
+
+    monkeypatch.setitem(protocol.EXTRA_METRICS, "lpips", missing)
+    seen = []
+    with pytest.raises(OptionError, match="needs a package"):
+        run_bench([scene_of_file(model)], BenchSettings(metrics=("lpips",)), on_row=seen.append)
+    assert seen == []
+
+
+def test_external_files_are_scored_and_missing_ones_skipped(model, tmp_path):
+    small = nanogs.load(model).take(np.arange(40))
+    nanogs.save(small, tmp_path / "ball_0.1_them.ply")
+    (tmp_path / "ball_0.1_them.ply.json").write_text('{"seconds": 2, "peak_memory": 5000000}')
+    nanogs.save(small.take(np.arange(39)), tmp_path / "ball_0.5_them.ply")
+    (tmp_path / "ball_0.05_them.ply").write_bytes(b"ply\nnonsense")
+    settings = BenchSettings(
+        ratios=(0.1, 0.5, 0.05, 0.01),
+        methods=(),
+        externals={"them": str(tmp_path / "{scene}_{ratio}_them.ply")},
+        views=1,
+        size=32,
+    )
+    _, exact, short, broken, missing = run_bench([scene_of_file(model)], settings)
+    assert (exact.status, exact.splats, exact.seconds) == (Status.OK, 40, 2.0)
+    assert exact.peak_memory == 5_000_000
+    assert exact.notes == ()
+    assert short.notes == ("39 splats where 200 were asked for",)
+    assert broken.status is Status.FAILED
+    assert missing.status is Status.SKIPPED
+    assert "ball_0.01_them.ply" in missing.reason
+
+
+def write_photographs(folder, model, angle=0.8, size=32):
+    """A data set of two views in the layout of NeRF-Synthetic, photographed by our renderer."""
+    frames = []
+    for name, distance in (("near", 4.0), ("far", 6.0)):
+        pose = np.eye(4)
+        pose[2, 3] = distance
+        focal = size / 2 / math.tan(angle / 2)
+        camera = Camera(size, size, focal, focal, size / 2, size / 2, pose, name)
+        color = render(nanogs.load(model), camera, background=(1.0, 1.0, 1.0)).color
+        pixels = np.rint(np.clip(color, 0, 1) * 255).astype(np.uint8)
+        (folder / "test").mkdir(parents=True, exist_ok=True)
+        Image.fromarray(pixels).save(folder / "test" / f"{name}.png")
+        to_world = np.linalg.inv(pose) @ np.diag([1, -1, -1, 1])
+        frames.append({"file_path": f"./test/{name}", "transform_matrix": to_world.tolist()})
+    data = {"camera_angle_x": angle, "frames": frames}
+    (folder / "transforms_test.json").write_text(json.dumps(data))
+
+
+def test_photographs_are_what_counts_where_there_are_any(model, tmp_path):
+    write_photographs(tmp_path, model)
+    scene = BenchScene("ball", model, tmp_path)
+    settings = BenchSettings(ratios=(0.5,), methods=("significance",), size=32, fit_views=2)
+    whole, small = run_bench([scene], settings)
+    assert {whole.against, small.against} == {Against.PHOTOGRAPHS}
+    assert whole.psnr > 45  # nothing but the rounding to 8 bits
+    assert small.psnr < whole.psnr - 3
+    assert (whole.views, small.views) == (2, 2)
+    assert any("no training views" in note for note in whole.notes)
+
+
+def test_a_data_set_without_a_test_split_is_a_stated_skip(model, tmp_path):
+    (tmp_path / "transforms_train.json").write_text('{"camera_angle_x": 1, "frames": []}')
+    scene = BenchScene("ball", model, tmp_path)
+    rows = run_bench([scene], BenchSettings(ratios=(0.5,), methods=("opacity",)))
+    assert [entry.status for entry in rows] == [Status.SKIPPED] * 2
+    assert "test" in rows[0].reason
+
+
+# gsplat, which needs a GPU: a stand-in shows what it is given
+
+
+class OnDevice(np.ndarray):
+    def cuda(self):
+        return self
+
+
+def test_gsplat_is_given_what_it_takes(monkeypatch):
+    calls = []
+    torch = types.SimpleNamespace(
+        cuda=types.SimpleNamespace(is_available=lambda: True, synchronize=lambda: None),
+        no_grad=contextlib.nullcontext,
+        from_numpy=lambda values: values.view(OnDevice),
+    )
+    library = types.SimpleNamespace(rasterization=lambda **given: calls.append(given))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: object())
+    modules = {"torch": torch, "gsplat": library}
+    monkeypatch.setattr(importlib, "import_module", modules.__getitem__)
+    splats = random_splats(20, degree=2)
+    splats.means[3] = np.nan
+    camera = Camera(40, 30, 35.0, 36.0, 20.0, 15.0, np.eye(4), "a")
+    assert gsplat_fps(splats, [camera] * 2) > 0
+    given = calls[-1]
+    shapes = {name: value.shape for name, value in given.items() if hasattr(value, "shape")}
+    assert shapes == {
+        "means": (19, 3), "quats": (19, 4), "scales": (19, 3), "opacities": (19,),
+        "colors": (19, 9, 3), "viewmats": (1, 4, 4), "Ks": (1, 3, 3),
+    }  # fmt: skip
+    assert (given["width"], given["height"], given["sh_degree"]) == (40, 30, 2)
+    assert given["Ks"][0].tolist() == [[35, 0, 20], [0, 36, 15], [0, 0, 1]]
+
+
+def test_without_gsplat_there_is_no_figure(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
+    assert gsplat_fps(random_splats(3), []) is None
+
+
+# The command
+
+
+def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
+    out = tmp_path / "out"
+    options = ("--ratios", "0.1", "--methods", "paper,random", "--size", "64", "--views", "2")
+    missing = f"them={tmp_path}/{{scene}}_{{ratio}}.ply"
+    result = run("bench", model, *options, "--external", missing, "--out", out)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout == (out / "results.md").read_text(encoding="utf-8")
+    assert result.stdout.startswith("```\nnanogs bench ")
+    assert "| paper | 0.1 | 40 |" in result.stdout
+    assert "them at 0.1: skipped: There is no file" in result.stdout
+    assert "them at 0.1: skipped" in result.stderr
+    lines = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+    assert [line["method"] for line in lines] == [ORIGINAL, "paper", "random", "them"]
+    assert lines[1]["psnr"] > lines[2]["psnr"]
+    assert lines[1]["seconds"] > 0
+    assert lines[1]["peak_memory"] > 50e6
+    assert lines[1]["fps"] > 0
+    assert (out / "plot.png").stat().st_size > 5000
+    again = run("bench", model, *options, "--out", out)
+    assert (again.returncode, again.stdout) == (2, "")
+    assert "-w replaces it" in again.stderr
+
+
+def test_json_is_the_rows_and_nothing_else(model):
+    options = ("--ratios", "0.1", "--methods", "opacity", "--size", "32", "--views", "1")
+    result = run("bench", f"--scene=ball={model}", *options, "--json")
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    rows = json.loads(result.stdout)["rows"]
+    assert [entry["scene"] for entry in rows] == ["ball", "ball"]
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--ratios", "many"), "many"),
+        (("--methods", "magic"), "magic"),
+        (("--external", "x"), "NAME=PATTERN"),
+        (("--external", "x={nope}"), "nope"),
+        (("--metrics", "mse"), "mse"),
+        (("--dataset", "mine=x"), "nerf-synthetic"),
+    ],
+)
+def test_bad_options_are_refused_in_one_sentence(model, options, word):
+    result = run("bench", model, *options)
+    assert result.returncode == 2, result
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert word in result.stderr
+
+
+def test_help_needs_no_numba():
+    code = "import sys; sys.modules['numba'] = None; from nanogs.cli import main; main()"
+    result = subprocess.run(
+        [sys.executable, "-c", code, "bench", "--help"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "COLUMNS": "200"},
+    )
+    assert result.returncode == 0, result.stderr
+    assert "--ablations" in result.stdout

@@ -1,0 +1,162 @@
+"""Tables, plots and means of `bench`, from made-up rows."""
+
+import json
+import math
+
+import pytest
+
+from nanogs.bench.means import mean_rows
+from nanogs.bench.plot import curves, save_plot
+from nanogs.bench.published import DATASETS
+from nanogs.bench.published_table import figures_cell, published_table
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, Status
+from nanogs.bench.tables import json_line, markdown, mean_table, scene_table
+from nanogs.errors import OptionError
+
+
+def row(scene="a", method="x", ratio=0.1, psnr=20.0, **values):
+    return BenchRow(scene, method, ratio, psnr=psnr, **{"ssim": 0.9, "views": 2} | values)
+
+
+def skipped(scene, method, ratio=0.1):
+    return BenchRow(scene, method, ratio, Status.SKIPPED, "There is no file | here.")
+
+
+# Means
+
+
+def test_a_mean_is_over_scenes_that_every_method_has():
+    rows = [
+        row("a", "x", psnr=10),
+        row("a", "y", psnr=20),
+        row("b", "x", psnr=30),
+        skipped("b", "y"),
+    ]
+    (mean,) = mean_rows(rows)
+    assert mean.scenes == ("a",)
+    assert mean.methods["x"].psnr == 10
+    assert mean.left_out == {"b": ("y",)}
+    assert "left out: b, without a result of y" in mean_table([mean])
+
+
+def test_a_method_without_any_result_is_named_and_does_not_empty_the_mean():
+    (mean,) = mean_rows([row("a", "x", psnr=10), skipped("a", "y"), row("b", "x", psnr=20)])
+    assert mean.methods["x"].psnr == 15
+    assert mean.absent == ("y",)
+    assert "not compared, without any result: y" in mean_table([mean])
+
+
+def test_no_common_scene_is_said_and_has_no_mean():
+    (mean,) = mean_rows([row("a", "x"), skipped("a", "y"), skipped("b", "x"), row("b", "y")])
+    assert not mean.methods
+    assert "no scene has results of all methods" in mean_table([mean])
+
+
+def test_a_failed_row_with_a_leftover_score_is_no_result():
+    (mean,) = mean_rows([row("a", "x"), row("b", "x", psnr=99, status=Status.FAILED)])
+    assert mean.scenes == ("a",)
+
+
+def test_ratios_have_scenes_of_their_own():
+    rows = [row("a", "x", 0.1), row("b", "x", 0.1), row("a", "x", 0.01), row("b", "x", 0.01)]
+    rows[3] = skipped("b", "x", 0.01)
+    assert [mean.scenes for mean in mean_rows(rows)] == [("a", "b"), ("a",)]
+
+
+def test_the_original_model_is_compared_with_nothing():
+    assert [mean.ratio for mean in mean_rows([row("a", ORIGINAL, 1.0), row("a", "x")])] == [0.1]
+
+
+def test_a_figure_that_a_scene_lacks_has_no_mean():
+    (mean,) = mean_rows([row("a", seconds=1.0), row("b")])
+    assert mean.methods["x"].seconds is None
+    assert mean.methods["x"].psnr == 20
+
+
+def test_photographs_and_originals_are_not_averaged_together():
+    text = markdown([row("a", psnr=10), row("b", psnr=30, against=Against.PHOTOGRAPHS)])
+    assert "Means over scenes, against the original model" in text
+    assert "Means over scenes, against photographs" in text
+    assert "20.00" not in text
+
+
+# Tables
+
+
+def test_equal_images_score_infinity_in_table_and_json():
+    text = scene_table([row(psnr=math.inf)])
+    assert "| ∞ |" in text
+    assert json.loads(json_line(row(psnr=math.inf)))["psnr"] == "inf"
+
+
+def test_skips_and_failures_are_visible_with_their_reason():
+    failed = BenchRow("a", "z", 0.1, Status.FAILED, "boom")
+    text = scene_table([row(), skipped("a", "y"), failed])
+    assert "| y | 0.1 | skipped |" in text
+    assert "- y at 0.1: skipped: There is no file \\| here." in text
+    assert "- z at 0.1: failed: boom" in text
+
+
+def test_tables_are_well_formed():
+    rows = [row(extras={"lpips": 0.1}, fps_gsplat=100.0), skipped("a", "y"), row("b", notes=("n",))]
+    for line in markdown(rows).splitlines():
+        if line.startswith("| method"):
+            columns = line.count("|")
+            assert "LPIPS" in line or columns
+        elif line.startswith("|") and "ratio" not in line:
+            assert line.replace("\\|", "").count("|") == columns
+
+
+def test_ablations_are_differences_to_the_whole():
+    text = markdown([row(method="paper", psnr=30), row(method="paper:tau=0", psnr=29.5, ssim=0.95)])
+    assert "| 0.1 | paper:tau=0 | 29.50 | 0.950 | -0.50 | +0.050 |" in text
+
+
+def test_curves_leave_out_infinity_and_ascend():
+    rows = [row(ratio=0.1, psnr=30), row(ratio=0.01, psnr=20), row(ratio=1, psnr=math.inf)]
+    assert curves(rows) == {"x": ([0.01, 0.1], [20, 30])}
+
+
+@pytest.mark.parametrize("rows", [[row(), row(ratio=0.01)], [skipped("a", "x")], []])
+def test_a_plot_is_drawn_of_whatever_there_is(rows, tmp_path):
+    save_plot(rows, tmp_path / "plot.png")
+    save_plot(rows, tmp_path / "plot.svg")
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(OptionError, match="saved as"):
+        save_plot(rows, tmp_path / "plot.gif")
+
+
+# The published table
+
+
+def published_rows(scenes, dataset="tanks-and-temples"):
+    common = {"dataset": dataset, "against": Against.PHOTOGRAPHS, "extras": {"lpips": 0.4}}
+    for scene in scenes:
+        yield row(scene, ORIGINAL, 1.0, 23.0, **common)
+        for ratio, psnr in ((0.1, 18.0), (0.01, 15.0), (0.001, 13.0)):
+            yield row(scene, "paper", ratio, psnr, seconds=10.0, **common)
+
+
+def test_published_figures_stand_beside_ours():
+    text = published_table(list(published_rows(["train", "truck"])))
+    assert "18.00 / .900 / .400 / 10 s; 15.00; 13.00" in text
+    assert "17.94 / .626 / .413 / 58 s; 15.29; 13.54" in text
+    assert "23.00 / .900 / .400 | 23.61 / .843 / .169" in text
+    assert "of 2 scenes" not in text
+
+
+def test_a_data_set_that_is_not_whole_says_so():
+    rows = [*published_rows(["train"]), skipped("truck", "paper")]
+    rows[-1] = BenchRow(
+        "truck", "paper", 0.1, Status.SKIPPED, "x", Against.PHOTOGRAPHS, "tanks-and-temples"
+    )
+    text = published_table(rows)
+    assert "at 0.1 without truck" in text
+    assert "1 of 2 scenes" in published_table(list(published_rows(["train"])))
+
+
+def test_figures_are_written_as_published():
+    figures = DATASETS["nerf-synthetic"].methods
+    assert figures_cell(figures["NanoGS"]) == "25.81 / .910 / .092 / 11 s; 22.28; 19.04"
+    assert figures_cell(figures["PUP"]) == "20.24; 13.26; 11.31"
+    assert sum(dataset.scenes for dataset in DATASETS.values()) == 21
