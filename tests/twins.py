@@ -84,6 +84,7 @@ def divergence(a, b, normals, jitter):
             ]
             logs.append(np.logaddexp.reduce(terms))
         expected_log_p += share * np.mean(logs)
+    sigma_m += jitter * np.eye(3)
     cross_entropy = 0.5 * (3 * math.log(2 * math.pi) + np.linalg.slogdet(sigma_m)[1] + 3)
     return expected_log_p + cross_entropy
 

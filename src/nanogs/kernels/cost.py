@@ -93,8 +93,11 @@ def published_costs(
             pi, covariance(ri, vi[0], vi[1], vi[2]), pj, covariance(rj, vj[0], vj[1], vj[2]),
             pi * pj, (x, y, z),
         )  # fmt: skip
-        # E_p[-log q] is closed, since q has the mixture's own mean and covariance.
-        kl = 0.5 * (3.0 * LOG_2PI + log_det(merged, jitter) + 3.0)
+        # E_p[-log q] is closed, since q has the mixture's own mean and covariance; it is jittered
+        # like every other covariance.
+        xx, xy, xz, yy, yz, zz = merged
+        single = (xx + jitter, xy, xz, yy + jitter, yz, zz + jitter)
+        kl = 0.5 * (3.0 * LOG_2PI + log_det(single, jitter) + 3.0)
         li, lj = _log(pi), _log(pj)
         if pi > 0.0:
             kl += pi * _expected_log_mixture(ri, vi, di, li, rj, vj, dj, lj, (x, y, z), normals)
