@@ -35,7 +35,7 @@ def print_plan(
         "would write": f"{goal:,} splats ({goal / info.splats:.3%})",
         "preset": preset,
         "parameters": ", ".join(f"{name} {value}" for name, value in parameters.items()),
-        "peak memory": f"about {bytes_text(memory.peak)}",
+        "peak memory": f"about {bytes_text(memory.peak)}, and 150 MB for Python and its libraries",
     }
     rows |= {f"  {stage}": bytes_text(held) for stage, held in memory.stages.items()}
     err.print(key_value_table(rows))
