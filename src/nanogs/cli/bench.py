@@ -19,6 +19,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
+from nanogs.cli import options
 from nanogs.cli.console import err, print_json, warn
 from nanogs.errors import OptionError
 
@@ -82,7 +83,6 @@ Out = Annotated[
     Path | None,
     typer.Option("--out", "-o", help="Folder for results.md, results.jsonl and plot.png."),
 ]
-Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show_default="all")]
 
 
 def bench(
@@ -109,7 +109,7 @@ def bench(
         Kind, typer.Option(help="Where they stand.", rich_help_panel=_VIEWS)
     ] = Kind.auto,
     seed: Annotated[int, typer.Option(min=0, help="Seed of what methods draw.")] = 0,
-    threads: Threads = None,
+    threads: options.Threads = None,
     out: Out = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", "-w", help="Replace results in the folder.")

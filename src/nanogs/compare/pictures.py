@@ -5,14 +5,10 @@ import io
 
 import numpy as np
 
-from nanogs._types import F32, U8
+from nanogs._types import F32
+from nanogs.render.images import to_bytes
 
 ERROR_FULL_SCALE = 0.25  # a mean absolute difference of this much is the map's brightest colour
-
-
-def to_bytes(image: F32) -> U8:
-    """(H, W, 3) uint8 of an image in [0, 1], rounded to nearest."""
-    return (np.clip(image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
 def error_map(reference: F32, image: F32) -> F32:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nanogs._types import F32, Array
+from nanogs._types import F32, U8, Array
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.atomic import atomic_write
 from nanogs.render.camera import Camera
@@ -104,10 +104,10 @@ def color_image(rendering: Rendering, transparent: bool) -> Array:
     """
     color: F32 = rendering.color
     if not transparent:
-        return _to_bytes(color)
+        return to_bytes(color)
     alpha = rendering.alpha[..., None]
     straight = np.divide(color, alpha, out=np.zeros_like(color), where=alpha > 0)
-    return _to_bytes(np.concatenate([straight, alpha], axis=2))
+    return to_bytes(np.concatenate([straight, alpha], axis=2))
 
 
 def depth_image(rendering: Rendering) -> Array:
@@ -135,5 +135,6 @@ def save_png(image: Array, path: Path, *, overwrite: bool) -> None:
         Image.fromarray(image).save(file, format="PNG")
 
 
-def _to_bytes(values: F32) -> Array:
+def to_bytes(values: F32) -> U8:
+    """The values, [0, 1] as a screen shows them, as uint8 of the same shape, rounded to nearest."""
     return (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
