@@ -80,14 +80,33 @@ def test_splits_are_disjoint_and_prefixes_stable(kind):
 
 
 @pytest.mark.parametrize("size", [(512, 512), (640, 200), (200, 640)])
-def test_an_object_fills_its_frame_and_nothing_is_cut_off(size):
-    points = ball() * (0.5, 1.0, 0.4) + (0, 7, 0)
-    for camera in automatic_cameras(cloud(points), 6, width=size[0], height=size[1]):
+def test_an_object_is_seen_from_near_and_from_far_whatever_the_image_shape(size):
+    points = ball() + (0, 7, 0)
+    filled, cut = [], []
+    for camera in automatic_cameras(cloud(points), 24, width=size[0], height=size[1]):
         uv, z = pixels(camera, points)
         assert (z > camera.near).all()
-        outside = ((uv < 0) | (uv > size)).any(axis=1).mean()
-        assert outside < 0.04
-        assert (np.ptp(uv, axis=0) / size).max() > 0.6
+        cut.append(((uv < 0) | (uv > size)).any(axis=1).mean())
+        filled.append((np.ptp(uv, axis=0) / min(size)).max())
+    assert min(cut) == 0, "some show all of it"
+    assert 0.05 < np.mean(cut) < 0.3
+    assert min(filled) > 0.6, "none from so far that little is seen"
+    assert max(filled) > 1.2, "some are near"
+
+
+def test_the_ground_around_a_thing_is_seen_too_and_hardly_from_beneath():
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(-1, 1, (6_000, 3)) * (3.0, 0.01, 3.0)
+    thing = ball(4_000, 0.5, 1) + (0, -0.5, 0)
+    scene = np.concatenate([ground, thing])
+    seen, beneath = [], 0
+    for camera in automatic_cameras(cloud(scene), 24):
+        uv, z = pixels(camera, ground)
+        seen.append(((z > camera.near) & ((uv > 0) & (uv < 512)).all(axis=1)).mean())
+        flat = np.linalg.norm(camera.position[[0, 2]])
+        beneath += camera.position[1] > flat * np.tan(np.radians(16))
+    assert np.mean(seen) > 0.5, "tightly framed, less than half of the ground is seen"
+    assert beneath == 0
 
 
 def test_orbit_directions_surround_the_object():
@@ -96,7 +115,8 @@ def test_orbit_directions_surround_the_object():
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     headings = np.sort(np.arctan2(directions[:, 2], directions[:, 0]))
     assert np.diff(headings).max() < 1.0
-    assert directions[:, 1].min() < -0.5, "some look down from above, y-down"
+    assert directions[:, 1].min() < np.sin(np.radians(-25)), "some look down from above, y-down"
+    assert 0 < directions[:, 1].max() < np.sin(np.radians(16)), "and few a little upwards"
 
 
 def test_cameras_stand_upright_for_the_given_up():

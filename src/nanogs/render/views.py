@@ -40,9 +40,10 @@ def automatic_cameras(
 
     `auto` takes a model for a room, and looks from inside, where its area lies mostly in the six
     outer slabs of a box (turned about `up` as fits best), in four of them or more and in none
-    alone, with some matter well inside; all else is looked at from around its dense core.
-    Surroundings, skies and splats that fly far away do not count (see `occupancy.find_core`). A
-    view that something near the camera blocks is moved nearer to the core and higher.
+    alone, with some matter well inside; all else is looked at from around, from a range of
+    distances: some views cut it off, some show it whole with what surrounds it (see `orbit`). Skies
+    and splats that fly far away do not count (see `occupancy.find_core`). A view that something
+    near the camera blocks is moved nearer and higher.
 
     Args:
         splats: The model, N splats.
