@@ -15,12 +15,12 @@ from nanogs.errors import OptionError
 from nanogs.render import inside, orbit
 from nanogs.render.camera import Camera
 from nanogs.render.occupancy import find_core, sample
+from nanogs.render.up import detect_up
 from nanogs.splats import Splats
 
 Kind = Literal["auto", "orbit", "inside"]
 Split = Literal["fit", "test"]
 
-HABIT_UP = (0.0, -1.0, 0.0)  # how trained models lie; no format but SPZ and glTF says
 ORBIT_FOV = 50.0  # degrees, of the longer side
 INSIDE_FOV = 75.0
 
@@ -51,8 +51,8 @@ def automatic_cameras(
         width: Of the images, in pixels.
         height: Of the images, in pixels.
         kind: `orbit` or `inside` to choose, `auto` to let the model decide.
-        up: (3,) direction in scene coordinates, of any length; by default (0, -1, 0), the habit of
-            trained models, as the model itself does not say.
+        up: (3,) direction in scene coordinates, of any length; by default away from the ground the
+            model stands on where one is clear, else (0, -1, 0) (see `up.detect_up`).
         fov: Field of view along the longer side, in degrees; by default 50 around and 75 inside.
         split: `fit` and `test` give disjoint sets that cover the same ground.
 
@@ -64,9 +64,10 @@ def automatic_cameras(
         OptionError: An argument is out of range.
     """
     _check(count, width, height, kind, fov, split)
-    upward = _upward(up)
+    given = None if up is None else _unit(up)
     matter = sample(splats)
     core = find_core(matter)
+    upward = detect_up(matter, core) if given is None else given
     if kind == "auto":
         kind = "inside" if inside.is_room(matter, core, upward) else "orbit"
     angle = np.radians(fov or (ORBIT_FOV if kind == "orbit" else INSIDE_FOV))
@@ -93,8 +94,8 @@ def _check(count: int, width: int, height: int, kind: str, fov: float | None, sp
         raise OptionError(f"The field of view must be 1 to 170 degrees, not {fov}.")
 
 
-def _upward(up: Sequence[float] | F64 | None) -> F64:
-    given = np.array(HABIT_UP if up is None else up, dtype=np.float64)
+def _unit(up: Sequence[float] | F64) -> F64:
+    given = np.array(up, dtype=np.float64)
     if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
         raise OptionError(f"Up must be three finite numbers, not all zero, not {up}.")
     unit: F64 = given / np.linalg.norm(given)
