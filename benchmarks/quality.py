@@ -1,6 +1,7 @@
 """Produce the table kept in docs/results.md: our methods and other tools on real scenes.
 
     python benchmarks/quality.py [SCENES] [--out build/quality] [--only biker,skull]
+        [--ratios 0.1,0.01]
 
 SCENES, or the environment variable NANOGS_SCENES, is the folder of the scenes; by default
 ../shared/scenes beside the repository. Node 22 and splat-transform 3.7.0 are installed by npm into
@@ -46,6 +47,7 @@ SCENES = {
     "kitchen": "kitchen.spz",
     "playbot": "playbot/lod-meta.json",
 }
+UP = {"chair": (0.0, 0.0, 1.0)}  # where the model itself does not show it
 PHOTOS = {"chair": "chair_photos"}
 
 
@@ -53,19 +55,20 @@ def main() -> None:
     """Install, convert, simplify with the other tool, then measure everything."""
     options = arguments()
     names = options.only.split(",") if options.only else list(SCENES)
+    ratios = tuple(float(text) for text in options.ratios.split(","))
     install()
     models = {name: convert(name, options.scenes / SCENES[name]) for name in names}
     for name, model in models.items():
-        for ratio in RATIOS:
+        for ratio in ratios:
             for method, flag in SPLAT_TRANSFORM.items():
                 decimate(model, BUILD / f"{name}_{ratio:g}_{method}.ply", ratio, flag)
-    scenes = [BenchScene(name, model) for name, model in models.items()]
+    scenes = [BenchScene(name, model, up=UP.get(name)) for name, model in models.items()]
     scenes += [
         BenchScene(f"{name}-photographs", models[name], options.scenes / folder)
         for name, folder in PHOTOS.items()
         if name in models
     ]
-    measure(scenes, options)
+    measure(scenes, ratios, options)
 
 
 def arguments() -> argparse.Namespace:
@@ -76,17 +79,22 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--peers", type=Path, help="default: peers beside the scenes")
     parser.add_argument("--out", type=Path, default=BUILD / "results")
     parser.add_argument("--only", help="names of scenes, with commas between")
+    parser.add_argument("--ratios", default=",".join(map(str, RATIOS)))
     parser.add_argument("--ablations", action="store_true")
     return parser.parse_args()
 
 
-def measure(scenes: list[BenchScene], options: argparse.Namespace) -> None:
+def measure(
+    scenes: list[BenchScene], ratios: tuple[float, ...], options: argparse.Namespace
+) -> None:
     """Run the protocol, and say on stderr how far it is."""
     peers = options.peers or options.scenes.parent / "peers"
     externals = {name: str(BUILD / f"{{model}}_{{ratio}}_{name}.ply") for name in SPLAT_TRANSFORM}
     externals |= {f"{name}, kept": str(peers / f"{{model}}_{{ratio}}_{name}.ply") for name in PEERS}
     methods = [*all_methods(), *(ABLATIONS if options.ablations else ())]
-    settings = BenchSettings(methods=tuple(dict.fromkeys(methods)), externals=externals)
+    settings = BenchSettings(
+        ratios=ratios, methods=tuple(dict.fromkeys(methods)), externals=externals
+    )
     folder = ResultFolder(options.out, overwrite=True)
 
     def on_row(row: BenchRow) -> None:

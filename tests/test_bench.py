@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import types
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,10 +22,18 @@ from nanogs.bench.methods import ABLATIONS, find_method
 from nanogs.bench.output import ResultFolder
 from nanogs.bench.protocol import row_count, run_bench
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow, Status
-from nanogs.bench.scenes import BenchScene, fill, parse_dataset, parse_scene, scene_of_file
+from nanogs.bench.scenes import (
+    BenchScene,
+    fill,
+    parse_dataset,
+    parse_scene,
+    scene_of_file,
+    scene_views,
+)
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.worker import Job, Outcome, peak_memory, run_job
 from nanogs.errors import OptionError, OutputError
+from nanogs.io import load
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import render
 from nanogs.report import StopReason
@@ -367,6 +376,25 @@ def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
     again = run("bench", model, *options, "--out", out)
     assert (again.returncode, again.stdout) == (2, "")
     assert "-w replaces it" in again.stderr
+
+
+def test_the_up_direction_of_views_may_be_given(model):
+    settings = BenchSettings(methods=("opacity",), views=2, fit_views=2, size=32)
+    scene = replace(scene_of_file(model), up=(1.0, 0.0, 0.0))
+    views = scene_views(scene, load(model), settings)
+    for camera in (*views.cameras, *views.fit_cameras):
+        assert camera.world_to_camera[0, 0] == pytest.approx(0, abs=1e-9)
+        assert camera.world_to_camera[1, 0] < 0
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [(("--size", "64x32"), "square"), (("--size", "8"), "16"), (("--up", "0,0,0"), "0,0,0")],
+)
+def test_views_that_cannot_be_are_refused(model, option, says):
+    result = run("bench", model, *option)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert says in result.stderr
 
 
 def test_json_is_the_rows_and_nothing_else(model):

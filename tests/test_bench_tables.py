@@ -12,6 +12,7 @@ from nanogs.bench.published_table import figures_cell, published_table
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow, Status
 from nanogs.bench.tables import json_line, markdown, mean_table, scene_table
 from nanogs.errors import OptionError
+from nanogs.formatting import NONE, number_text
 
 
 def row(scene="a", method="x", ratio=0.1, psnr=20.0, **values):
@@ -160,3 +161,9 @@ def test_figures_are_written_as_published():
     assert figures_cell(figures["NanoGS"]) == "25.81 / .910 / .092 / 11 s; 22.28; 19.04"
     assert figures_cell(figures["PUP"]) == "20.24; 13.26; 11.31"
     assert sum(dataset.scenes for dataset in DATASETS.values()) == 21
+
+
+def test_numbers_read_the_same_everywhere():
+    values = [1_234_567.0, -1.0, None, float("nan"), float("inf")]
+    texts = ["1,234,567.0", "-1.0", NONE, NONE, "∞"]
+    assert [number_text(value, 1) for value in values] == texts

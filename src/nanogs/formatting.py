@@ -6,10 +6,10 @@ NONE = "–"  # noqa: RUF001 - an en dash stands for "no value"
 
 
 def number_text(value: float | None, digits: int = 2) -> str:
-    """A rounded number, the sign of infinity, or a dash for none."""
-    if value is None:
+    """A rounded number with commas at thousands, the sign of infinity, or a dash for none."""
+    if value is None or math.isnan(value):
         return NONE
-    return "∞" if math.isinf(value) else f"{value:.{digits}f}"
+    return "∞" if math.isinf(value) else f"{value:,.{digits}f}"
 
 
 def bytes_text(count: int | None) -> str:

@@ -31,6 +31,7 @@ class BenchScene:
         photos: Folder of its data set, or None.
         dataset: The published data set it belongs to, a key of `published.DATASETS`.
         images: Folder of the photographs within `photos`; None for the reader's choice.
+        up: Up direction of automatic views; None to find it from the model.
     """
 
     name: str
@@ -38,6 +39,7 @@ class BenchScene:
     photos: Path | None = None
     dataset: str | None = None
     images: str | None = None
+    up: tuple[float, float, float] | None = None
 
 
 def scene_of_file(path: str | Path) -> BenchScene:
@@ -142,31 +144,33 @@ def scene_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> S
         NanogsError: The data set cannot be read, has no test split, or no view shows anything.
     """
     if scene.photos is None:
-        return _automatic_views(splats, settings)
+        return _automatic_views(scene, splats, settings)
     return _photographs(scene, splats, settings)
 
 
 def _automatic(
-    splats: Splats, settings: BenchSettings, count: int, split: Literal["fit", "test"]
+    scene: BenchScene,
+    splats: Splats,
+    settings: BenchSettings,
+    count: int,
+    split: Literal["fit", "test"],
 ) -> list[Camera]:
     from nanogs.render.views import automatic_cameras
 
-    size = settings.size
-    return list(
-        automatic_cameras(
-            splats, count, width=size, height=size, kind=settings.camera_kind, split=split
-        )
+    size, kind = settings.size, settings.camera_kind
+    return automatic_cameras(
+        splats, count, width=size, height=size, kind=kind, up=scene.up, split=split
     )
 
 
-def _automatic_views(splats: Splats, settings: BenchSettings) -> SceneViews:
+def _automatic_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> SceneViews:
     from nanogs.compare.scoring import reference_views
     from nanogs.render.rasterize import prepare
 
-    cameras = _automatic(splats, settings, settings.views, "test")
+    cameras = _automatic(scene, splats, settings, settings.views, "test")
     views, empty = reference_views(prepare(splats), cameras, BLACK)
     notes = (f"{len(empty)} views show nothing and are left out: {', '.join(empty)}",)
-    fit = _automatic(splats, settings, settings.fit_views, "fit")
+    fit = _automatic(scene, splats, settings, settings.fit_views, "fit")
     return SceneViews(views, tuple(fit), BLACK, Against.ORIGINAL, notes if empty else ())
 
 
@@ -183,7 +187,7 @@ def _photographs(scene: BenchScene, splats: Splats, settings: BenchSettings) -> 
     try:
         fit = [frame.camera for frame in dataset.split("train")]
     except FormatError as error:
-        fit = _automatic(splats, settings, settings.fit_views, "fit")
+        fit = _automatic(scene, splats, settings, settings.fit_views, "fit")
         notes = (f"methods learn from automatic views, as there are no training views: {error}",)
     views = PhotoViews(dataset, frames, background)
     return SceneViews(views, tuple(fit), background, Against.PHOTOGRAPHS, notes)

@@ -8,8 +8,8 @@ from nanogs.bench.means import RatioMean, mean_rows, unique
 from nanogs.bench.methods import ABLATED
 from nanogs.bench.published_table import published_tables
 from nanogs.bench.rows import BenchRow, Status
+from nanogs.formatting import NONE, number_text
 
-NONE = "–"  # noqa: RUF001 - a dash for what was not measured
 Column = tuple[str, Callable[[BenchRow], str]]
 
 
@@ -109,7 +109,7 @@ def ablation_table(means: Sequence[RatioMean]) -> str:
             gains = (
                 f"{_difference(row.psnr, whole.psnr, 2)} | {_difference(row.ssim, whole.ssim, 3)}"
             )
-            values = f"{_number(row.psnr, 2)} | {_number(row.ssim, 3)}"
+            values = f"{number_text(row.psnr, 2)} | {number_text(row.ssim, 3)}"
             lines.append(f"| {mean.ratio:g} | {_escape(name)} | {values} | {gains} |\n")
     if not lines:
         return ""
@@ -142,28 +142,26 @@ def _cells(row: BenchRow, columns: Sequence[Column]) -> list[str]:
 
 def _columns(rows: Sequence[BenchRow]) -> list[Column]:
     columns: list[Column] = [
-        ("splats", lambda row: _number(row.splats, 0)),
-        ("bytes", lambda row: _number(row.file_bytes, 0)),
-        ("seconds", lambda row: _number(row.seconds, 2)),
-        ("peak MB", lambda row: _number(row.peak_memory, 0, 1e-6)),
-        ("PSNR", lambda row: _number(row.psnr, 2)),
-        ("SSIM", lambda row: _number(row.ssim, 3)),
+        ("splats", lambda row: number_text(row.splats, 0)),
+        ("bytes", lambda row: number_text(row.file_bytes, 0)),
+        ("seconds", lambda row: number_text(row.seconds, 2)),
+        ("peak MB", lambda row: _megabytes(row.peak_memory)),
+        ("PSNR", lambda row: number_text(row.psnr, 2)),
+        ("SSIM", lambda row: number_text(row.ssim, 3)),
     ]
     columns += [_extra(name) for name in unique(name for row in rows for name in row.extras)]
-    columns.append(("frames/s", lambda row: _number(row.fps, 1)))
+    columns.append(("frames/s", lambda row: number_text(row.fps, 1)))
     if any(row.fps_gsplat is not None for row in rows):
-        columns.append(("gsplat frames/s", lambda row: _number(row.fps_gsplat, 0)))
+        columns.append(("gsplat frames/s", lambda row: number_text(row.fps_gsplat, 0)))
     return columns
 
 
 def _extra(name: str) -> Column:
-    return name.upper(), lambda row: _number(row.extras.get(name), 3)
+    return name.upper(), lambda row: number_text(row.extras.get(name), 3)
 
 
-def _number(value: float | None, digits: int, factor: float = 1) -> str:
-    if value is None or math.isnan(value):
-        return NONE
-    return "∞" if math.isinf(value) else f"{value * factor:,.{digits}f}"
+def _megabytes(count: int | None) -> str:
+    return number_text(None if count is None else count * 1e-6, 0)
 
 
 def _names(names: Sequence[str]) -> str:

@@ -4,7 +4,7 @@ import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -28,8 +28,6 @@ if TYPE_CHECKING:  # these bring Numba, which `--help` does without
     from nanogs.bench.rows import BenchRow
     from nanogs.bench.scenes import BenchScene
     from nanogs.bench.settings import BenchSettings
-
-_VIEWS = "Views of scenes without photographs"
 
 
 class Kind(StrEnum):
@@ -79,6 +77,12 @@ Externals = Annotated[
         help="Files of another tool; {scene}, {model} (its file) and {ratio} are replaced.",
     ),
 ]
+Cameras = Annotated[
+    Kind,
+    typer.Option(
+        help="Where the views of scenes without photographs stand.", rich_help_panel=options.VIEWS
+    ),
+]
 Out = Annotated[
     Path | None,
     typer.Option("--out", "-o", help="Folder for results.md, results.jsonl and plot.png."),
@@ -101,21 +105,16 @@ def bench(
     metrics: Annotated[
         str, typer.Option(help="Further metrics: lpips, flip; with commas between.")
     ] = "",
-    views: Annotated[int, typer.Option(min=1, help="Number.", rich_help_panel=_VIEWS)] = 8,
-    size: Annotated[
-        int, typer.Option(min=16, help="Width and height, pixels.", rich_help_panel=_VIEWS)
-    ] = 512,
-    cameras: Annotated[
-        Kind, typer.Option(help="Where they stand.", rich_help_panel=_VIEWS)
-    ] = Kind.auto,
+    views: options.Views = 8,
+    size: options.Size = "512",
+    cameras: Cameras = Kind.auto,
+    up: options.Up = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of what methods draw.")] = 0,
     threads: options.Threads = None,
     out: Out = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", "-w", help="Replace results in the folder.")
-    ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Rows as JSON on stdout.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Measure methods against each other: quality, time, memory and speed, scene by scene."""
     from nanogs.bench.settings import BenchSettings
@@ -125,13 +124,15 @@ def bench(
         methods=_methods(methods, ablations),
         externals=dict(_external(text) for text in external or []),
         views=views,
-        size=size,
+        size=_square(size),
         camera_kind=cameras.value,
         metrics=tuple(_list(metrics)),
         seed=seed,
         threads=threads,
     )
+    direction = options.parse_direction(up)
     scenes = _scenes(models or [], scene or [], dataset or [], model_pattern)
+    scenes = [replace(one, up=direction) for one in scenes]
     _show(scenes, settings, out, overwrite=overwrite, json=json, quiet=quiet or json)
 
 
@@ -244,6 +245,13 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         raise OptionError(f"A ratio is a number such as 0.1, not {text!r}.") from None
+
+
+def _square(text: str) -> int:
+    width, height = options.parse_size(text)
+    if width != height:
+        raise OptionError(f"The views to measure on are square: give one number, not {text!r}.")
+    return width
 
 
 def _external(text: str) -> tuple[str, str]:

@@ -27,7 +27,10 @@ Cameras = Annotated[
 ]
 Up = Annotated[
     str | None,
-    typer.Option(help="Up direction of automatic views: x,y,z.", rich_help_panel=VIEWS),
+    typer.Option(
+        help="Up direction of automatic views: x,y,z; by default away from the ground, or 0,-1,0.",
+        rich_help_panel=VIEWS,
+    ),
 ]
 BackgroundOption = Annotated[
     str, typer.Option("--background", help="black, white, or #rrggbb.", rich_help_panel=VIEWS)
