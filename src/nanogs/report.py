@@ -40,6 +40,27 @@ class PassReport:
 
 
 @dataclass(frozen=True, slots=True)
+class CandidateReport:
+    """One of the results that were rendered and held against the original.
+
+    Attributes:
+        balance: Of its cut, from groups of equal size (0) to groups of equal error (1).
+        reassigned: Whether splats were moved between groups after the cut.
+        psnr: Mean over the views it was judged by, dB.
+        ssim: Mean over these views.
+        quality: What was compared, dB: PSNR and what SSIM is worth.
+        chosen: Whether it is the result.
+    """
+
+    balance: float
+    reassigned: bool
+    psnr: float
+    ssim: float
+    quality: float
+    chosen: bool
+
+
+@dataclass(frozen=True, slots=True)
 class SimplifyReport:
     """What was asked of `simplify`, what it delivered, and why it stopped.
 
@@ -60,11 +81,14 @@ class SimplifyReport:
         seconds: Time by stage over all passes, seconds.
         total_seconds: The whole call, seconds.
         threads: Threads used.
+        candidates: What was rendered to choose the result, in the order tried; none where the
+            method does not measure.
+        refit: What fitting the result to the original gained (see `nanogs.refit`), or None.
         notes: What else the user should know, one sentence each.
     """
 
     preset: str
-    parameters: dict[str, float | int | str]
+    parameters: dict[str, float | int | str | bool]
     input_count: int
     asked_ratio: float | None
     asked_count: int
@@ -78,6 +102,8 @@ class SimplifyReport:
     seconds: dict[str, float]
     total_seconds: float
     threads: int
+    candidates: tuple[CandidateReport, ...] = ()
+    refit: RefitReport | None = None
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:

@@ -76,6 +76,8 @@ class Rendering:
         depth: (H, W) float32, expected depth along the viewing axis in scene units, normalised by
             alpha; +inf where nothing was hit. None unless asked for.
         contributions: (N,) float64, sum over pixels of transmittance x alpha. None unless asked.
+        unhidden: (N,) float64, about what `contributions` would be if nothing stood before the
+            splat; 0 where its centre is outside the image. None unless asked.
         drawn: Splats that can reach a pixel of this view.
         skipped: Rows left out because they hold NaN or an infinity.
         notes: Where the rendering departs from the model's own rasteriser, for the user.
@@ -85,6 +87,7 @@ class Rendering:
     alpha: F32
     depth: F32 | None
     contributions: F64 | None
+    unhidden: F64 | None
     drawn: int
     skipped: int
     notes: tuple[str, ...]
@@ -173,6 +176,7 @@ def render(
         alpha=alpha,
         depth=_expected_depth(image[..., 3], alpha) if depth else None,
         contributions=_totals(len(prepared), view.entries, partial) if contributions else None,
+        unhidden=_unhidden(view, camera) if contributions else None,
         drawn=len(view.order),
         skipped=prepared.skipped,
         notes=(SURFEL_NOTE,) if prepared.render_mode is RenderMode.SURFEL else (),
@@ -237,6 +241,15 @@ def _totals(n: int, entries: I32, partial: F32) -> F64:
     totals = np.zeros(n, np.float64)
     raster.sum_entries(entries, partial, totals)
     return totals
+
+
+def _unhidden(view: Projection, camera: Camera) -> F64:
+    """2 pi alpha sqrt(det) of each Gaussian on the screen, in pixels."""
+    u, v, inv_w, _, inv_yy, _, opacity, _ = view.geometry[view.order].T
+    inside = (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
+    sums = np.zeros(len(view.geometry))
+    sums[view.order] = inside * opacity * (2 * np.pi) / (inv_w * np.sqrt(inv_yy))
+    return sums
 
 
 def _expected_depth(weighted: F32, alpha: F32) -> F32:

@@ -1,18 +1,21 @@
 """`nanogs.simplify`: from a model and a wish to a smaller model and a report."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from nanogs._types import I64
 from nanogs.errors import ModelError
 from nanogs.report import SimplifyReport, StageClock
-from nanogs.simplify.presets import DEFAULT_PRESET, parameters
+from nanogs.simplify.presets import DEFAULT_PRESET, PaperParameters, parameters
 from nanogs.simplify.target import target_count
 from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.render.camera import Camera
 
 NanPolicy = Literal["drop", "error"]
 
@@ -23,6 +26,7 @@ def simplify(
     ratio: float | None = None,
     count: int | None = None,
     preset: str = DEFAULT_PRESET,
+    cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     threads: int | None = None,
     progress: Callable[[str, int], None] | None = None,
@@ -35,6 +39,7 @@ def simplify(
         ratio: Compaction ratio in (0, 1]: ceil(ratio x finite splats) are delivered.
         count: Splats to deliver, in place of a ratio.
         preset: Name of a preset.
+        cameras: Views that matter, for presets that render; by default automatic ones.
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise.
         threads: Threads to use; all by default. The result does not depend on it.
@@ -50,10 +55,7 @@ def simplify(
     """
     start, clock = time.perf_counter(), StageClock()
     chosen = parameters(preset, overrides)
-    # Here and not above: these bring Numba, which `--help` and `info` do without.
-    from nanogs.simplify.gaussians import activate, scene_origin, store
-    from nanogs.simplify.pipeline import merge_to_count
-    from nanogs.simplify.prune import prune
+    # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.threads import use_threads
 
     observe = progress or (lambda _stage, _count: None)
@@ -61,21 +63,18 @@ def simplify(
         with clock.time("check"):
             rows = usable_rows(splats, nan)
             target = target_count(len(rows), ratio, count)
-            _refuse_misaligned_elements(splats, target)
-        observe("prune", len(rows))
-        with clock.time("prune"):
-            pruning = prune(splats.opacities()[rows], chosen.tau, target)
-            kept = rows[pruning.keep]
-        with clock.time("activate"):
-            origin = scene_origin(splats.means[kept])
-            # A list, so that no name here keeps the full set alive while the passes shrink it.
-            working = [activate(splats, kept, origin)]
-        result = merge_to_count(working.pop(), target, chosen, threads_used, observe)
-        observe("store", len(result.gaussians))
-        with clock.time("store"):
-            small = store(result.gaussians, splats, origin)
-    for one_pass in result.passes:
-        clock.add(one_pass.seconds)
+            refuse_misaligned_elements(splats, target)
+        if isinstance(chosen, PaperParameters):
+            from nanogs.simplify.published import simplify_as_published
+
+            outcome = simplify_as_published(
+                splats, rows, target, chosen, threads_used, clock, observe
+            )
+        else:
+            from nanogs.simplify.forest_pipeline import build_forest, deliver
+
+            build = build_forest(splats, rows, chosen, cameras, threads_used, clock, observe)
+            outcome = deliver(build, target, clock, observe)
     report = SimplifyReport(
         preset=preset,
         parameters=asdict(chosen),
@@ -83,18 +82,20 @@ def simplify(
         asked_ratio=ratio,
         asked_count=target,
         dropped_nonfinite=len(splats) - len(rows),
-        pruned=len(rows) - len(kept),
-        prune_threshold=pruning.threshold,
-        prune_limited=pruning.limited,
-        passes=result.passes,
-        achieved_count=len(small),
-        stop=result.stop,
+        pruned=outcome.pruned,
+        prune_threshold=outcome.prune_threshold,
+        prune_limited=outcome.prune_limited,
+        passes=outcome.passes,
+        achieved_count=len(outcome.splats),
+        stop=outcome.stop,
         seconds=clock.seconds,
         total_seconds=time.perf_counter() - start,
         threads=threads_used,
-        notes=tuple(splats.notes),
+        candidates=outcome.candidates,
+        refit=outcome.refit,
+        notes=(*splats.notes, *outcome.notes),
     )
-    return small, report
+    return outcome.splats, report
 
 
 def usable_rows(splats: Splats, nan: NanPolicy) -> I64:
@@ -116,7 +117,7 @@ def usable_rows(splats: Splats, nan: NanPolicy) -> I64:
     return rows
 
 
-def _refuse_misaligned_elements(splats: Splats, target: int) -> None:
+def refuse_misaligned_elements(splats: Splats, target: int) -> None:
     """An element with one row a splat would no longer fit the splats; others are untouched."""
     for element in splats.elements:
         if len(element.rows) == len(splats) > 1 and target < len(splats):

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 from nanogs.errors import OptionError
 
@@ -50,16 +50,54 @@ class PaperParameters:
         _require(0 < self.merge_cap <= 0.5, "merge_cap", self.merge_cap, "above 0, at most 0.5")
 
 
+@dataclass(frozen=True, slots=True)
+class ForestParameters:
+    """The parameters of the default method (`docs/method.md`).
+
+    Attributes:
+        k: Neighbours of each node in the graph.
+        lambda_app: Weight of the colour's error beside the geometry's while the forest grows.
+        balance: Of the cut, from groups of equal size (0) to groups of equal error (1); where
+            results are measured, one of several that are tried.
+        rounds: Rounds of reassignment after the cut.
+        measure: Render the original: weigh splats by what is seen of them, and choose between
+            results by how they look.
+        refit: Fit the result to renders of the original.
+    """
+
+    k: int = 8
+    lambda_app: float = 1.0
+    balance: float = 0.8
+    rounds: int = 3
+    measure: bool = True
+    refit: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse values that mean nothing."""
+        _require(self.k >= 1, "k", self.k, "at least 1")
+        _require(0 <= self.lambda_app < math.inf, "lambda_app", self.lambda_app, "0 or more")
+        _require(0 <= self.balance <= 1, "balance", self.balance, "from 0 to 1")
+        _require(self.rounds >= 0, "rounds", self.rounds, "0 or more")
+
+
+Parameters: TypeAlias = PaperParameters | ForestParameters
+
+
 def _require(ok: bool, name: str, value: float, expected: str) -> None:
     if not ok:
         raise OptionError(f"{name} must be {expected}, not {value:g}.")
 
 
-PRESETS: Mapping[str, PaperParameters] = {"paper": PaperParameters()}
-DEFAULT_PRESET = "paper"
+PRESETS: Mapping[str, Parameters] = {
+    "default": ForestParameters(),
+    "fast": ForestParameters(rounds=0, measure=False),
+    "best": ForestParameters(refit=True),
+    "paper": PaperParameters(),
+}
+DEFAULT_PRESET = "default"
 
 
-def parameters(preset: str, overrides: Mapping[str, Any]) -> PaperParameters:
+def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
     """The preset's parameters with some of them replaced.
 
     Args:
@@ -71,9 +109,11 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> PaperParameters:
     """
     if preset not in PRESETS:
         raise OptionError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
-    known = [entry.name for entry in dataclasses.fields(PaperParameters)]
-    for name in overrides:
-        if name not in known:
-            raise OptionError(f"There is no parameter {name!r}; choose from {', '.join(known)}.")
     given = {name: value for name, value in overrides.items() if value is not None}
+    known = [entry.name for entry in dataclasses.fields(PRESETS[preset])]
+    for name in given:
+        if name not in known:
+            raise OptionError(
+                f"The preset {preset} has no parameter {name!r}; choose from {', '.join(known)}."
+            )
     return dataclasses.replace(PRESETS[preset], **given)

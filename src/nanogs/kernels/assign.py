@@ -1,0 +1,68 @@
+"""Assign splats to clusters: the classification step of hard EM for Gaussian mixtures."""
+
+import math
+
+import numba
+
+from nanogs._types import F32, F64, I32
+from nanogs.kernels.nodes import symmetric
+from nanogs.kernels.policy import inline, parallel_kernel
+from nanogs.kernels.symmetric3 import Symmetric3
+
+
+@inline
+def _inverse(s: Symmetric3) -> tuple[Symmetric3, float]:
+    """Inverse and determinant of a positive definite matrix, by cofactors."""
+    xx, xy, xz, yy, yz, zz = s
+    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    determinant = xx * a + xy * b + xz * c
+    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    r = 1.0 / determinant
+    return (a * r, b * r, c * r, d * r, e * r, f * r), determinant
+
+
+@parallel_kernel
+def invert_covariances(covariances: F64, inverses: F64, log_dets: F64) -> None:
+    """Inverse and log determinant. covariances, inverses: (G, 6); log_dets: (G,)."""
+    for g in numba.prange(len(covariances)):
+        inverse, determinant = _inverse(symmetric(covariances, g))
+        for entry in range(6):
+            inverses[g, entry] = inverse[entry]
+        log_dets[g] = math.log(determinant)
+
+
+@parallel_kernel
+def assign_nearest(
+    labels: I32, candidates: I32, means: F64, covariances: F64, features: F32,
+    centres: F64, inverses: F64, log_dets: F64, colours: F32, lambda_app: float,
+    out: I32, distances: F64,
+) -> None:  # fmt: skip
+    """Give every splat to the best cluster among its own and that one's neighbours.
+
+    Least ½ [(mu - mu_c)^T S (mu - mu_c) + tr(S Sigma) + log |Sigma_c|] + lambda |f - f_c|², with
+    S = Sigma_c^-1: the splat's expected negative log likelihood under the cluster; ties to the
+    earlier candidate.
+    labels: (N,); candidates: (G, k) clusters; means: (N, 3); covariances: (N, 6); features:
+    (N, C); centres: (G, 3); inverses: (G, 6); log_dets: (G,); colours: (G, C); out: (N,) new
+    labels; distances: (N,) the least.
+    """
+    for i in numba.prange(len(labels)):
+        xx, xy, xz, yy, yz, zz = symmetric(covariances, i)
+        own = labels[i]
+        best, chosen = math.inf, own
+        for place in range(-1, candidates.shape[1]):
+            g = own if place < 0 else candidates[own, place]
+            x = means[i, 0] - centres[g, 0]
+            y = means[i, 1] - centres[g, 1]
+            z = means[i, 2] - centres[g, 2]
+            a, b, c, d, e, f = symmetric(inverses, g)
+            spread = a * (xx + x * x) + d * (yy + y * y) + f * (zz + z * z)
+            spread += 2.0 * (b * (xy + x * y) + c * (xz + x * z) + e * (yz + y * z))
+            distance = 0.0
+            for channel in range(features.shape[1]):
+                difference = features[i, channel] - colours[g, channel]
+                distance += difference * difference
+            total = 0.5 * (spread + log_dets[g]) + lambda_app * distance
+            if total < best:
+                best, chosen = total, g
+        out[i], distances[i] = chosen, best

@@ -1,0 +1,97 @@
+"""Kernels of the merge forest: what a merge adds to the error, and sums over subtrees.
+
+Sources: Runnalls, "Kullback-Leibler approach to Gaussian mixture reduction", 2007 [R] for the
+geometry; Ward, "Hierarchical grouping to optimize an objective function", 1963 [W] for the colour.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from nanogs._types import F32, F64, I32, Bool
+from nanogs.kernels.nodes import symmetric
+from nanogs.kernels.policy import inline, kernel, parallel_kernel
+from nanogs.kernels.symmetric3 import Symmetric3, mix
+
+
+@inline
+def _determinant(s: Symmetric3) -> float:
+    xx, xy, xz, yy, yz, zz = s
+    return (
+        xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    )  # fmt: skip
+
+
+@parallel_kernel
+def log_determinants(covariances: F64, out: F64) -> None:
+    """log |Sigma| of every covariance. covariances: (N, 6); out: (N,)."""
+    for i in numba.prange(len(covariances)):
+        out[i] = math.log(_determinant(symmetric(covariances, i)))
+
+
+@parallel_kernel
+def merge_increments(
+    pairs: I32, weights: F64, means: F64, covariances: F64, log_dets: F64, features: F32, out: F32
+) -> None:
+    """What merging each pair adds to the error of colour and of geometry.
+
+    Colour: w_i w_j / (w_i + w_j) |f_i - f_j|² [W]. Geometry: (w_i + w_j) ½ (log |Sigma_m|
+    - pi log |Sigma_i| - (1 - pi) log |Sigma_j|), pi = w_i / (w_i + w_j): the upper bound on the
+    divergence of [R], eq. 21. Both add up over a subtree.
+    pairs: (E, 2); weights: (N,) above 0; means: (N, 3); covariances: (N, 6); log_dets: (N,);
+    features: (N, C); out: (E, 2), colour and geometry.
+    """
+    for edge in numba.prange(len(pairs)):
+        i, j = pairs[edge, 0], pairs[edge, 1]
+        total = weights[i] + weights[j]
+        pi = weights[i] / total
+        pj = 1.0 - pi
+        x = means[i, 0] - means[j, 0]
+        y = means[i, 1] - means[j, 1]
+        z = means[i, 2] - means[j, 2]
+        merged = mix(
+            pi, symmetric(covariances, i), pj, symmetric(covariances, j), pi * pj, (x, y, z)
+        )
+        distance = np.float32(0.0)
+        for c in range(features.shape[1]):
+            difference = features[i, c] - features[j, c]
+            distance += difference * difference
+        out[edge, 0] = total * pi * pj * distance
+        growth = math.log(_determinant(merged)) - pi * log_dets[i] - pj * log_dets[j]
+        out[edge, 1] = total * 0.5 * growth
+
+
+@kernel
+def subtree_sums(children: I32, increments: F64, sums: F64) -> None:
+    """Sum over every merge and the merges below it.
+
+    children: (M, 2) nodes, a splat's row below N, N + merge above, children before parents;
+    increments: (M,); sums: (N + M,) zeros, filled.
+    """
+    first = len(sums) - len(children)
+    for m in range(len(children)):
+        sums[first + m] = increments[m] + sums[children[m, 0]] + sums[children[m, 1]]
+
+
+@kernel
+def raise_to_children(children: I32, scores: F64) -> None:
+    """Make no node's score lower than its children's. scores: (N + M,), in place."""
+    first = len(scores) - len(children)
+    for m in range(len(children)):
+        below = max(scores[children[m, 0]], scores[children[m, 1]])
+        scores[first + m] = max(scores[first + m], below)
+
+
+@kernel
+def root_of_each(children: I32, merged: Bool, roots: I32) -> None:
+    """The highest node above every splat that is reached by chosen merges alone.
+
+    children: (M, 2); merged: (M,), with every chosen merge those below it are chosen; roots:
+    (N + M,) each node's own index, changed: the first N are the answer.
+    """
+    first = len(roots) - len(children)
+    for m in range(len(children) - 1, -1, -1):
+        if merged[m]:
+            roots[children[m, 0]] = roots[first + m]
+            roots[children[m, 1]] = roots[first + m]

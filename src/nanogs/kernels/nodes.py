@@ -1,0 +1,123 @@
+"""Moments of groups of splats: covariances, their sums, and the way back to scales and rotations.
+
+A covariance is a row of six float64 in the order xx, xy, xz, yy, yz, zz.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from nanogs._types import F32, F64, I32, I64
+from nanogs.kernels.policy import inline, kernel, parallel_kernel
+from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
+from nanogs.kernels.symmetric3 import Symmetric3, covariance, eigen
+
+
+@inline
+def symmetric(covariances: F64, row: int) -> Symmetric3:
+    """A row of an (N, 6) array of covariances."""
+    return (
+        covariances[row, 0], covariances[row, 1], covariances[row, 2],
+        covariances[row, 3], covariances[row, 4], covariances[row, 5],
+    )  # fmt: skip
+
+
+@parallel_kernel
+def covariances_of(scales: F32, quats: F32, flattest: float, least: float, out: F64) -> None:
+    """R diag(s²) Rᵀ, no axis thinner than `flattest` times the longest, nor than `least`.
+
+    scales: (N, 3) and least: scene units; quats: (N, 4) wxyz unit; out: (N, 6).
+    """
+    for i in numba.prange(len(scales)):
+        x, y, z = row3(scales, i)
+        floor = max(flattest * max(x, y, z), least)
+        x, y, z = max(x, floor), max(y, floor), max(z, floor)
+        matrix = covariance(rotation_matrix(quats[i]), x * x, y * y, z * z)
+        for entry in range(6):
+            out[i, entry] = matrix[entry]
+
+
+@kernel
+def group_members(labels: I32, starts: I64, members: I32) -> None:
+    """List the rows of every group, ascending.
+
+    labels: (N,) in [0, G); starts: (G + 1,) zeros, filled; members: (N,) filled: group g holds
+    members[starts[g]:starts[g + 1]].
+    """
+    for label in labels:
+        starts[label + 1] += 1
+    for group in range(1, len(starts)):
+        starts[group] += starts[group - 1]
+    place = starts[:-1].copy()
+    for row in range(len(labels)):
+        members[place[labels[row]]] = row
+        place[labels[row]] += 1
+
+
+@parallel_kernel
+def gather_moments(
+    starts: I64, members: I32,
+    weights: F64, coverages: F64, means: F64, covariances: F64, features: F32,
+    new_weights: F64, new_coverages: F64, new_means: F64, new_covariances: F64, new_features: F32,
+) -> None:  # fmt: skip
+    """Weighted mean, covariance and features of every group; sums of weights and coverages.
+
+    mu_m = sum w mu / W, Sigma_m = sum w (Sigma + (mu - mu_m)(mu - mu_m)^T) / W, f_m = sum w f / W.
+    starts (G + 1,) and members (N,): from `group_members`; weights: (N,), all above 0; coverages:
+    (N,); means: (N, 3); covariances: (N, 6); features: (N, C); the new ones have G rows.
+    """
+    channels = features.shape[1]
+    for group in numba.prange(len(starts) - 1):
+        first, end = starts[group], starts[group + 1]
+        anchor = members[first]
+        total = covered = x = y = z = 0.0
+        for place in range(first, end):
+            row = members[place]
+            w = weights[row]
+            total += w
+            covered += coverages[row]
+            # From the first member: the mean keeps its digits far from the origin.
+            x += w * (means[row, 0] - means[anchor, 0])
+            y += w * (means[row, 1] - means[anchor, 1])
+            z += w * (means[row, 2] - means[anchor, 2])
+        x = means[anchor, 0] + x / total
+        y = means[anchor, 1] + y / total
+        z = means[anchor, 2] + z / total
+        xx = xy = xz = yy = yz = zz = 0.0
+        colour = np.zeros(channels, np.float64)
+        for place in range(first, end):
+            row = members[place]
+            share = weights[row] / total
+            dx, dy, dz = means[row, 0] - x, means[row, 1] - y, means[row, 2] - z
+            xx += share * (covariances[row, 0] + dx * dx)
+            xy += share * (covariances[row, 1] + dx * dy)
+            xz += share * (covariances[row, 2] + dx * dz)
+            yy += share * (covariances[row, 3] + dy * dy)
+            yz += share * (covariances[row, 4] + dy * dz)
+            zz += share * (covariances[row, 5] + dz * dz)
+            for c in range(channels):
+                colour[c] += share * features[row, c]
+        new_weights[group], new_coverages[group] = total, covered
+        new_means[group, 0], new_means[group, 1], new_means[group, 2] = x, y, z
+        new_covariances[group, 0], new_covariances[group, 1] = xx, xy
+        new_covariances[group, 2], new_covariances[group, 3] = xz, yy
+        new_covariances[group, 4], new_covariances[group, 5] = yz, zz
+        for c in range(channels):
+            new_features[group, c] = colour[c]
+
+
+@parallel_kernel
+def principal_axes(covariances: F64, scales: F32, quats: F32) -> None:
+    """Standard deviations and rotation of every covariance.
+
+    covariances: (N, 6); scales: (N, 3) out, scene units; quats: (N, 4) out, wxyz unit.
+    """
+    for i in numba.prange(len(covariances)):
+        variances, axes = eigen(symmetric(covariances, i))
+        q = unit_quaternion(axes)
+        for axis in range(3):
+            # Rounding can leave a flat covariance's variance a hair below zero.
+            scales[i, axis] = math.sqrt(max(variances[axis], 0.0))
+        for part in range(4):
+            quats[i, part] = q[part]

@@ -1,0 +1,59 @@
+"""The size of a scene, and of a pixel that it is likely to be seen with."""
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.splats import RenderMode
+
+NOMINAL_PIXELS = 720  # across the scene's core, where it is seen
+_DILATION = 0.3  # pixels², what 3DGS rasterisers add to every variance on the screen
+_SHARE = 0.9  # of the alpha lies within the core's radius
+_ROUNDS = 32
+_SETTLED = 1e-9  # of the radius
+
+
+def core_radius(means: F64, alphas: F64) -> float:
+    """Distance from the centre within which 90 % of the alpha lies, scene units.
+
+    The centre is the geometric median (Weiszfeld 1937): strays do not move it, and it turns and
+    moves with the scene.
+
+    Args:
+        means: (N, 3) float64, scene units.
+        alphas: (N,) float64, weights, 0 or more.
+    """
+    weights = alphas if alphas.sum() > 0 else np.ones(len(means))
+    centre = np.average(means, axis=0, weights=weights)
+    for _ in range(_ROUNDS):
+        distances = np.linalg.norm(means - centre, axis=1)
+        scale = float(np.average(distances, weights=weights))
+        if scale == 0:
+            return 0.0
+        pull = weights / np.maximum(distances, 1e-6 * scale)
+        moved = np.average(means, axis=0, weights=pull)
+        settled = np.linalg.norm(moved - centre) <= _SETTLED * scale
+        centre = moved
+        if settled:
+            break
+    distances = np.linalg.norm(means - centre, axis=1)
+    order = np.argsort(distances, kind="stable")
+    summed = np.cumsum(weights[order])
+    place = min(int(np.searchsorted(summed, _SHARE * summed[-1])), len(order) - 1)
+    return float(distances[order[place]])
+
+
+def dilation(means: F64, alphas: F64, mode: RenderMode) -> float:
+    """Standard deviation that a rasteriser adds to a splat on the screen, scene units.
+
+    It depends on the view; this is that of a view in which the core is `NOMINAL_PIXELS` across. A
+    MIP model's rasteriser takes back from the opacity what it adds to the size: 0.
+
+    Args:
+        means: (N, 3) float64, scene units.
+        alphas: (N,) float64 in [0, 1].
+        mode: The rasteriser the model was trained for.
+    """
+    if mode is RenderMode.MIP:
+        return 0.0
+    pixel = 2 * core_radius(means, alphas) / NOMINAL_PIXELS
+    return float(np.sqrt(_DILATION)) * pixel

@@ -1,0 +1,125 @@
+"""The default method, stage by stage: look, grow, cut, reassign, choose (`docs/method.md`)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from nanogs._types import F64, I32, I64
+from nanogs.errors import ModelError
+from nanogs.render.camera import Camera
+from nanogs.report import CandidateReport, StageClock, StopReason
+from nanogs.simplify.choose import BALANCES, choose_groups
+from nanogs.simplify.cut import cut
+from nanogs.simplify.extent import dilation
+from nanogs.simplify.gaussians import scene_origin
+from nanogs.simplify.nodes import Nodes, activate_nodes, gather, normalised, store_nodes
+from nanogs.simplify.outcome import Outcome
+from nanogs.simplify.pipeline import Progress
+from nanogs.simplify.presets import ForestParameters
+from nanogs.simplify.reassign import reassign
+from nanogs.simplify.tree import Forest, grow_forest
+from nanogs.simplify.visibility import OriginalViews, judge, look, visible_weights
+from nanogs.splats import Splats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Build:
+    """A model's merge forest and all that is needed to deliver any count from it.
+
+    Attributes:
+        splats: The model.
+        rows: (M,) int64, the row of the model that each leaf is.
+        leaves: M nodes, one for each usable splat.
+        forest: Their merges.
+        origin: (3,) what the leaves' centres are relative to, scene units.
+        pixel: See `extent.dilation`, scene units.
+        views: What the original shows, or None where nothing is rendered.
+        parameters: Of the method.
+        threads: Threads for nearest-neighbour queries.
+        notes: What the user should know, one sentence each.
+    """
+
+    splats: Splats
+    rows: I64
+    leaves: Nodes
+    forest: Forest
+    origin: F64
+    pixel: float
+    views: OriginalViews | None
+    parameters: ForestParameters
+    threads: int
+    notes: tuple[str, ...]
+
+
+def build_forest(
+    splats: Splats,
+    rows: I64,
+    parameters: ForestParameters,
+    cameras: Sequence[Camera] | None,
+    threads: int,
+    clock: StageClock,
+    progress: Progress,
+) -> Build:
+    """Look at the model, weigh its splats by what is seen of them, and grow their forest."""
+    notes: tuple[str, ...] = ()
+    views = None
+    if parameters.measure:
+        progress("look", len(rows))
+        with clock.time("look"):
+            try:
+                views = look(splats, cameras)
+            except ModelError as error:
+                notes = (f"Nothing was measured: {error}",)
+    progress("activate", len(rows))
+    with clock.time("activate"):
+        origin = scene_origin(splats.means[rows])
+        alphas = splats.opacities()[rows]
+        pixel = dilation(splats.means[rows] - origin, alphas, splats.render_mode)
+        leaves, rows = activate_nodes(splats, rows, origin, pixel)
+        if views is not None:
+            weights = visible_weights(leaves.coverages, views.visible[rows])
+            leaves = replace(leaves, weights=normalised(weights))
+    forest = grow_forest(leaves, parameters.k, parameters.lambda_app, threads, progress)
+    for one_pass in forest.passes:
+        clock.add(one_pass.seconds)
+    return Build(splats, rows, leaves, forest, origin, pixel, views, parameters, threads, notes)
+
+
+def deliver(build: Build, target: int, clock: StageClock, progress: Progress) -> Outcome:
+    """The model of the asked count, or of the fewest the forest has."""
+    forest = build.forest
+    groups = max(target, forest.fewest)
+    progress("cut", groups)
+    with clock.time("cut" if build.views is None else "choose"):
+        labels, candidates = _group(build, groups)
+    progress("store", groups)
+    with clock.time("store"):
+        small = _model(build, labels, groups)
+    stop = StopReason.TARGET if groups == target else forest.stop
+    return Outcome(small, forest.passes, stop, candidates=candidates, notes=build.notes)
+
+
+def _group(build: Build, groups: int) -> tuple[I32, tuple[CandidateReport, ...]]:
+    """Labels of the leaves; by measurement where the original was looked at."""
+    forest, views, parameters = build.forest, build.views, build.parameters
+    if groups == forest.splats:
+        return cut(forest, groups, parameters.balance), ()
+
+    def regroup(labels: I32) -> I32:
+        return reassign(build.leaves, labels, groups, parameters.rounds, build.threads)
+
+    if views is None:
+        return regroup(cut(forest, groups, parameters.balance)), ()
+    return choose_groups(
+        regroup,
+        lambda balance: cut(forest, groups, balance),
+        lambda labels: _model(build, labels, groups),
+        lambda small: judge(small, views),
+        sorted({*BALANCES, parameters.balance}),
+    )
+
+
+def _model(build: Build, labels: I32, groups: int) -> Splats:
+    merged = gather(build.leaves, labels, groups)
+    return store_nodes(
+        merged, build.leaves, labels, build.rows, build.splats, build.origin, build.pixel
+    )

@@ -1,0 +1,183 @@
+"""Nodes: splats, or groups of splats, by their moments; what the merge forest is made of.
+
+The weight of a node is what it may lose by: its footprint, times the share of it that views see.
+Its coverage is the footprint alone, which a merge must conserve (`store_nodes`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F32, F64, I32, I64
+from nanogs.kernels.nodes import covariances_of, gather_moments, group_members, principal_axes
+from nanogs.simplify.order import morton_order
+from nanogs.splats import Splats
+
+FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
+MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nodes:
+    """N nodes, in an order in which neighbours in space are near.
+
+    Attributes:
+        weights: (N,) float64, above 0; 1 on the mean of all splats.
+        coverages: (N,) float64, alpha times footprint, square scene units.
+        means: (N, 3) float64, scene units, relative to the origin of the run.
+        covariances: (N, 6) float64, xx, xy, xz, yy, yz, zz, square scene units.
+        features: (N, C) float32, all spherical-harmonic coefficients.
+    """
+
+    weights: F64
+    coverages: F64
+    means: F64
+    covariances: F64
+    features: F32
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+def footprints(covariances: F64, pixel: float) -> F64:
+    """(N,) float64: what covers the screen, averaged over directions, square scene units.
+
+    The determinant of a covariance seen along n is nᵀ adj(Sigma) n, whose mean over directions is
+    the sum of the principal 2x2 minors over 3: the same however the scene is turned. As the
+    rasteriser does, the variance of 0.3 pixels² is added first, at the pixel size in mind: what
+    is thinner than a pixel covers no less.
+
+    Args:
+        covariances: (N, 6), square scene units.
+        pixel: Standard deviation of the rasteriser's dilation, scene units.
+    """
+    xx, xy, xz, yy, yz, zz = covariances.T
+    v = pixel * pixel
+    xx, yy, zz = xx + v, yy + v, zz + v
+    minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
+    areas: F64 = 2 * np.pi * np.sqrt(minors / 3)
+    return areas
+
+
+def activate_nodes(splats: Splats, rows: I64, origin: F64, pixel: float) -> tuple[Nodes, I64]:
+    """One node for each splat, all of the splat's footprint visible, in Morton order.
+
+    Args:
+        splats: The input.
+        rows: (M,) rows of it, all finite.
+        origin: (3,) taken off the centres, scene units.
+        pixel: As `footprints` takes it.
+
+    Returns:
+        The nodes, and (M,) int64 the row of the input that each of them is.
+    """
+    means = splats.means[rows] - origin
+    order = morton_order(means)
+    rows = rows[order]
+    chosen = splats.take(rows)
+    scales = chosen.scales()
+    covariances = np.empty((len(rows), 6))
+    covariances_of(scales, chosen.unit_quats(), FLATTEST, _least(scales, means, pixel), covariances)
+    coverages = chosen.opacities() * footprints(covariances, pixel)
+    features = np.ascontiguousarray(chosen.sh.reshape(len(rows), -1))
+    nodes = Nodes(normalised(coverages), coverages, means[order], covariances, features)
+    return nodes, rows
+
+
+def _least(scales: F32, means: F64, pixel: float) -> float:
+    """Thinnest axis of any node, scene units: points have one too; above 0 for every scene."""
+    longest = float(scales.max())
+    extent = float(np.ptp(means, axis=0).max())
+    return 1e-3 * pixel or 1e-6 * longest or 1e-6 * extent or 1.0
+
+
+def normalised(weights: F64) -> F64:
+    """(N,) float64: weights over their mean, and a little for what has none."""
+    mean = float(weights.mean())
+    return np.maximum(weights / mean, 1e-9) if mean > 0 else np.ones(len(weights))
+
+
+def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:
+    """One node for each group: moments matched, weights and coverages added up.
+
+    Args:
+        nodes: N nodes.
+        labels: (N,) int32, each node's group in [0, groups); no group is empty.
+        groups: Their number.
+    """
+    starts, members = member_lists(labels, groups)
+    channels = nodes.features.shape[1]
+    result = Nodes(
+        np.empty(groups),
+        np.empty(groups),
+        np.empty((groups, 3)),
+        np.empty((groups, 6)),
+        np.empty((groups, channels), np.float32),
+    )
+    gather_moments(
+        starts,
+        members,
+        nodes.weights,
+        nodes.coverages,
+        nodes.means,
+        nodes.covariances,
+        nodes.features,
+        result.weights,
+        result.coverages,
+        result.means,
+        result.covariances,
+        result.features,
+    )
+    return result
+
+
+def member_lists(labels: I32, groups: int) -> tuple[I64, I32]:
+    """Where each group starts (groups + 1,), and the members (N,) of one group after the other."""
+    starts = np.zeros(groups + 1, dtype=np.int64)
+    members = np.empty(len(labels), dtype=np.int32)
+    group_members(labels, starts, members)
+    return starts, members
+
+
+def dominant_members(nodes: Nodes, labels: I32, groups: int) -> I64:
+    """(groups,) int64: the member of largest weight of each group, the first of equal ones."""
+    order = np.lexsort((np.arange(len(labels)), -nodes.weights, labels))
+    first = np.searchsorted(labels[order], np.arange(groups))
+    dominant: I64 = order[first]
+    return dominant
+
+
+def store_nodes(
+    merged: Nodes, leaves: Nodes, labels: I32, rows: I64, splats: Splats, origin: F64, pixel: float
+) -> Splats:
+    """Stored values of merged nodes, in the order of their dominant members in the input.
+
+    alpha = min(1, coverage / footprint): the screen stays covered as much as it was. A group of one
+    gets the input's bytes back; a larger one takes its extra columns from its dominant member.
+
+    Args:
+        merged: (G) from `gather`.
+        leaves: (M) nodes, one for each splat.
+        labels: (M,) the group of each.
+        rows: (M,) the row of the input that each is.
+        splats: The input.
+        origin: (3,) what `activate_nodes` took off the centres, scene units.
+        pixel: As `footprints` takes it.
+    """
+    sources = rows[dominant_members(leaves, labels, len(merged))]
+    order = np.argsort(sources)
+    stored = splats.take(sources[order])
+    new = (np.bincount(labels, minlength=len(merged)) > 1)[order]
+    fresh = order[new]
+    scales = np.empty((len(fresh), 3), np.float32)
+    quats = np.empty((len(fresh), 4), np.float32)
+    principal_axes(merged.covariances[fresh], scales, quats)
+    alphas = merged.coverages[fresh] / footprints(merged.covariances[fresh], pixel)
+    alphas = np.minimum(alphas, MOST_OPAQUE)
+    stored.means[new] = merged.means[fresh] + origin
+    stored.quats[new] = quats
+    stored.sh[new] = merged.features[fresh].reshape(len(fresh), *stored.sh.shape[1:])
+    with np.errstate(divide="ignore"):  # alpha 0 is stored as -inf
+        stored.log_scales[new] = np.log(scales)
+        stored.opacity_logits[new] = np.log(alphas) - np.log1p(-alphas)
+    return stored

@@ -1,0 +1,22 @@
+"""What a method hands back, whatever its stages."""
+
+from dataclasses import dataclass
+
+from nanogs.refit.report import RefitReport
+from nanogs.report import CandidateReport, PassReport, StopReason
+from nanogs.splats import Splats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """A smaller model and what its report needs; see `SimplifyReport` for the fields."""
+
+    splats: Splats
+    passes: tuple[PassReport, ...]
+    stop: StopReason
+    pruned: int = 0
+    prune_threshold: float = 0.0
+    prune_limited: bool = False
+    candidates: tuple[CandidateReport, ...] = ()
+    refit: RefitReport | None = None
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,147 @@
+"""The merge forest: full matching passes down to one node, every merge kept.
+
+One forest answers every count: `cut` chooses which of its merges are done.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F32, F64, I32
+from nanogs.kernels.forest import log_determinants, merge_increments
+from nanogs.report import PassReport, StageClock, StopReason
+from nanogs.simplify.graph import neighbour_pairs
+from nanogs.simplify.match import MergePlan, match
+from nanogs.simplify.nodes import Nodes, gather
+from nanogs.simplify.pipeline import Progress
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forest:
+    """Merges of N splats. Node r below N is splat r; node N + m is what merge m made.
+
+    Attributes:
+        splats: N.
+        children: (M, 2) int32, the two nodes of each merge; children come before parents.
+        levels: (M,) int32, the pass that made the merge, from 1.
+        increments: (M, 2) float32, what it added to the error of colour and of geometry.
+        passes: What each pass did.
+        stop: `TARGET` where one node is left, else why not.
+    """
+
+    splats: int
+    children: I32
+    levels: I32
+    increments: F32
+    passes: tuple[PassReport, ...]
+    stop: StopReason
+
+    @property
+    def fewest(self) -> int:
+        """Splats left when every merge is done."""
+        return self.splats - len(self.children)
+
+
+def grow_forest(
+    leaves: Nodes, k: int, lambda_app: float, threads: int, progress: Progress
+) -> Forest:
+    """Match nearly all nodes with a neighbour, merge, and again until one is left.
+
+    Args:
+        leaves: N nodes, one a splat.
+        k: Neighbours of each node in the graph.
+        lambda_app: Weight of the colour's increment beside the geometry's.
+        threads: Threads for the nearest-neighbour query.
+        progress: Told of each stage.
+    """
+    nodes, ids = leaves, np.arange(len(leaves), dtype=np.int32)
+    made = len(leaves)
+    parts: list[tuple[I32, I32, F32]] = []
+    passes: list[PassReport] = []
+    stop = StopReason.TARGET
+    while len(nodes) > 1:
+        plan, increments, report = _one_pass(nodes, k, lambda_app, threads, progress)
+        if len(plan) == 0:
+            none_left = report.candidates == report.without_cost
+            stop = StopReason.NO_CANDIDATES if none_left else StopReason.NO_PROGRESS
+            passes.append(report)
+            break
+        clock = StageClock()
+        with clock.time("merge"):
+            labels = _labels(plan, len(nodes))
+            first, second = plan.pairs[:, 0], plan.pairs[:, 1]
+            parts.append(
+                (
+                    np.stack([ids[first], ids[second]], axis=1),
+                    np.full(len(plan), len(passes) + 1, dtype=np.int32),
+                    increments,
+                )
+            )
+            stays = np.ones(len(nodes), dtype=bool)
+            stays[second] = False
+            ids[first] = np.arange(made, made + len(plan))
+            ids, made = ids[stays], made + len(plan)
+            nodes = gather(nodes, labels, len(ids))
+        passes.append(_with_merge(report, len(nodes), clock))
+    children, levels, errors = _joined(parts)
+    return Forest(len(leaves), children, levels, errors, tuple(passes), stop)
+
+
+def _one_pass(
+    nodes: Nodes, k: int, lambda_app: float, threads: int, progress: Progress
+) -> tuple[MergePlan, F32, PassReport]:
+    """Graph, cost and match; the plan, the increments of its pairs, and what was done."""
+    count, clock = len(nodes), StageClock()
+    progress("graph", count)
+    with clock.time("graph"):
+        pairs = neighbour_pairs(nodes.means, k, threads)
+    progress("cost", count)
+    with clock.time("cost"):
+        dets = np.empty(count)
+        log_determinants(nodes.covariances, dets)
+        increments = _increments(pairs, nodes, dets)
+        costs = np.float32(lambda_app) * increments[:, 0] + increments[:, 1]
+    progress("match", count)
+    with clock.time("match"):
+        plan = match(pairs, costs, count, count // 2)
+        chosen = _increments(plan.pairs, nodes, dets)
+    highest = float(plan.costs[-1]) if len(plan) else None
+    left = count - len(plan)
+    report = PassReport(
+        count, len(pairs), plan.without_cost, len(plan), left, highest, clock.seconds
+    )
+    return plan, chosen, report
+
+
+def _increments(pairs: I32, nodes: Nodes, dets: F64) -> F32:
+    increments = np.empty((len(pairs), 2), dtype=np.float32)
+    merge_increments(
+        pairs, nodes.weights, nodes.means, nodes.covariances, dets, nodes.features, increments
+    )
+    return increments
+
+
+def _labels(plan: MergePlan, count: int) -> I32:
+    """(count,) int32: each row's place after the merges; a pair takes its first row's."""
+    stays = np.ones(count, dtype=bool)
+    stays[plan.pairs[:, 1]] = False
+    labels = (np.cumsum(stays) - 1).astype(np.int32)
+    labels[plan.pairs[:, 1]] = labels[plan.pairs[:, 0]]
+    return labels
+
+
+def _with_merge(report: PassReport, left: int, clock: StageClock) -> PassReport:
+    clock.add(report.seconds)
+    seconds = {name: clock.seconds[name] for name in ("graph", "cost", "match", "merge")}
+    return PassReport(
+        report.count_before, report.candidates, report.without_cost, report.merged, left,
+        report.highest_cost, seconds,
+    )  # fmt: skip
+
+
+def _joined(parts: list[tuple[I32, I32, F32]]) -> tuple[I32, I32, F32]:
+    if not parts:
+        empty = np.empty((0, 2), dtype=np.int32)
+        return empty, empty[:, 0], empty.astype(np.float32)
+    children, levels, increments = zip(*parts, strict=True)
+    return np.concatenate(children), np.concatenate(levels), np.concatenate(increments)

@@ -1,0 +1,89 @@
+"""What views of the original show: how visible each splat is, and what a result is held against."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F32, F64
+from nanogs.metrics import psnr, ssim
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import prepare, render
+from nanogs.render.views import automatic_cameras
+from nanogs.splats import Splats
+
+VIEWS = 12
+SIZE = 256  # pixels; visibility needs no more, and the choice is between models of one kind
+JUDGED = 2  # every second view is also one to choose by
+HIDDEN = 0.01  # weight of a splat that no view sees, over that of one in full sight
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OriginalViews:
+    """The original as some views show it.
+
+    Attributes:
+        visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
+            which it lies; 1 for one that lies in none.
+        cameras: The views to judge by.
+        images: (H, W, 3) float32 in [0, 1] each.
+    """
+
+    visible: F64
+    cameras: tuple[Camera, ...]
+    images: tuple[F32, ...]
+
+
+def look(splats: Splats, cameras: Sequence[Camera] | None = None) -> OriginalViews:
+    """Render the original once.
+
+    Args:
+        splats: N splats.
+        cameras: The views; by default automatic ones.
+
+    Raises:
+        ModelError: No splat is visible.
+    """
+    chosen = cameras or automatic_cameras(splats, VIEWS, width=SIZE, height=SIZE)
+    prepared = prepare(splats)
+    seen, whole = np.zeros(len(splats)), np.zeros(len(splats))
+    images = []
+    for camera in chosen:
+        view = render(prepared, camera, contributions=True)
+        assert view.contributions is not None  # noqa: S101 - asked for
+        assert view.unhidden is not None  # noqa: S101 - asked for
+        seen += view.contributions
+        whole += view.unhidden
+        images.append(np.clip(view.color, 0.0, 1.0))
+    visible = np.ones(len(splats))
+    np.divide(seen, whole, out=visible, where=whole > 0)
+    return OriginalViews(
+        np.minimum(visible, 1.0), tuple(chosen[::JUDGED]), tuple(images[::JUDGED])
+    )
+
+
+def visible_weights(coverages: F64, visible: F64) -> F64:
+    """(N,) float64: footprints, less where they are hidden.
+
+    Args:
+        coverages: (N,) alpha times footprint.
+        visible: (N,) in [0, 1].
+    """
+    weights: F64 = coverages * (HIDDEN + (1 - HIDDEN) * visible)
+    return weights
+
+
+def judge(small: Splats, views: OriginalViews) -> tuple[float, float]:
+    """Mean PSNR (dB, at most 100) and mean SSIM of a result on the views to judge by.
+
+    Args:
+        small: The result.
+        views: From `look`.
+    """
+    prepared = prepare(small)
+    scores = []
+    for camera, image in zip(views.cameras, views.images, strict=True):
+        shown = np.clip(render(prepared, camera).color, 0.0, 1.0)
+        scores.append((min(psnr(image, shown), 100.0), ssim(image, shown)))
+    means = np.mean(scores, axis=0)
+    return float(means[0]), float(means[1])
