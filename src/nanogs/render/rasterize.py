@@ -12,6 +12,7 @@ import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.errors import OptionError
+from nanogs.kernels import project as projection
 from nanogs.kernels import raster
 from nanogs.render.camera import Camera
 from nanogs.splats import RenderMode, Splats
@@ -52,7 +53,7 @@ class Projection:
     """A model as one camera sees it, sorted and listed by tile; colours may be swapped.
 
     Attributes:
-        geometry: (N, 8) float64, see `nanogs.kernels.raster`; junk where not in `order`.
+        geometry: (N, 8) float64, see `nanogs.kernels.project`; junk where not in `order`.
         features: (N, 4) float32: red, green, blue before the background, and depth.
         order: (M,) int64, the splats that can reach a pixel, nearest first.
         starts: (T + 1,) int64, where each tile of 16 x 16 pixels begins in `entries`, row by row.
@@ -101,7 +102,7 @@ def prepare(splats: Splats) -> PreparedSplats:
     """
     finite = splats.finite()
     opacities = splats.opacities().astype(np.float32)
-    keep = finite & (opacities >= raster.MIN_ALPHA)
+    keep = finite & (opacities >= projection.MIN_ALPHA)
     with np.errstate(invalid="ignore", over="ignore"):
         factors = _rotations(splats.unit_quats()) * splats.scales()[:, None, :]
     return PreparedSplats(
@@ -204,7 +205,7 @@ def project(
     features = np.empty((n, 4), np.float32)
     drawn = np.empty(n, np.bool_)
     lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.near)
-    raster.project_splats(
+    projection.project_splats(
         prepared.means,
         prepared.factors,
         prepared.opacities,
