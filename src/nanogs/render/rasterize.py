@@ -7,6 +7,7 @@ Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 20
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from nanogs.kernels import project as projection
 from nanogs.kernels import raster
 from nanogs.render.camera import Camera
 from nanogs.splats import RenderMode, Splats
+
+Floats = TypeVar("Floats", F32, F64)
 
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
 
@@ -104,7 +107,7 @@ def prepare(splats: Splats) -> PreparedSplats:
     opacities = splats.opacities().astype(np.float32)
     keep = finite & (opacities >= projection.MIN_ALPHA)
     with np.errstate(invalid="ignore", over="ignore"):
-        factors = _rotations(splats.unit_quats()) * splats.scales()[:, None, :]
+        factors = rotations(splats.unit_quats()) * splats.scales()[:, None, :]
     return PreparedSplats(
         means=splats.means,
         factors=np.ascontiguousarray(factors),
@@ -117,10 +120,10 @@ def prepare(splats: Splats) -> PreparedSplats:
     )
 
 
-def _rotations(quats: F32) -> F32:
-    """(N, 3, 3) rotation matrices of (N, 4) unit quaternions, wxyz."""
+def rotations(quats: Floats) -> Floats:
+    """(N, 3, 3) rotation matrices of (N, 4) unit quaternions, wxyz; of the same dtype."""
     w, x, y, z = quats.T
-    matrix = np.empty((len(quats), 3, 3), np.float32)
+    matrix = np.empty((len(quats), 3, 3), quats.dtype)
     matrix[:, 0, 0] = 1 - 2 * (y * y + z * z)
     matrix[:, 0, 1] = 2 * (x * y - w * z)
     matrix[:, 0, 2] = 2 * (x * z + w * y)
