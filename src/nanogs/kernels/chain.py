@@ -203,7 +203,7 @@ def chain_colours(
     pulls: F64,
     weights: F64,
 ) -> None:
-    """Add one view's pulls on the spherical-harmonic coefficients, and their weights.
+    """Add one view's pulls on the spherical-harmonic coefficients, and the splats' weights.
 
     A channel that is cut off at black is pulled upwards only.
 
@@ -215,7 +215,7 @@ def chain_colours(
         position: (3,) the camera's centre, scene units.
         degree: Spherical-harmonic degree.
         pulls: (N, K, 3) in and out.
-        weights: (N, K) in and out.
+        weights: (N,) in and out, the curvature of each channel.
     """
     n, coefficients = len(order), (degree + 1) ** 2
     for part in numba.prange((n + BLOCK - 1) // BLOCK):
@@ -227,8 +227,8 @@ def chain_colours(
             dz = np.float64(means[i, 2]) - position[2]
             length = math.sqrt(dx * dx + dy * dy + dz * dz)
             sh_basis(dx / length, dy / length, dz / length, degree, basis)
+            weights[i] += totals[i, 3]
             for k in range(coefficients):
-                weights[i, k] += totals[i, 3] * basis[k] * basis[k]
                 for c in range(3):
                     pull = totals[i, c]
                     if features[i, c] > 0.0 or pull > 0.0:

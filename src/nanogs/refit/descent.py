@@ -32,7 +32,7 @@ class Sums:
         pulls: (N, 10) float64, on the parameters of shape.
         blocks: (N, 55) float64, their curvatures, lower triangles.
         colour_pulls: (N, K, 3) float64.
-        colour_weights: (N, K) float64.
+        colour_weights: (N,) float64.
     """
 
     pulls: F64
@@ -48,7 +48,7 @@ class Sums:
             np.zeros((n, chain.SHAPE)),
             np.zeros((n, chain.PACKED)),
             np.zeros((n, k, 3)),
-            np.zeros((n, k)),
+            np.zeros(n),
         )
 
     def average(self, new: "Sums", momentum: float, memory: float) -> None:
@@ -76,6 +76,7 @@ class Descent:
         self.targets = targets
         self.parameters = parameters
         self.finite: Bool = splats.finite()
+        self._bands = _bands(splats.sh_degree, parameters)
         self.batch = min(parameters.batch, len(targets))
         self._random = np.random.default_rng(parameters.seed)
         self._queue: list[int] = []
@@ -163,14 +164,24 @@ class Descent:
 
     def _colours(self, state: State, unbias: tuple[float, float]) -> F64:
         """(N, K, 3) float64 steps of the coefficients, with their pull back to the input's."""
-        weights = self._mean.colour_weights / unbias[1]
-        ridge = np.full(weights.shape[1], self.parameters.band_ridge)
-        ridge[0] = self.parameters.ridge
-        back = ridge * weights[:, :1]
+        weights = (self._mean.colour_weights / unbias[1])[:, None, None]
+        curvature, ridge = self._bands
         pulls = self._mean.colour_pulls / unbias[0]
-        pulls = pulls - back[..., None] * (state.sh - self.splats.sh)
-        divisor = weights + back
-        seen = np.broadcast_to((weights[:, :1] > 0)[..., None], pulls.shape)
+        pulls = pulls - ridge * weights * (state.sh - self.splats.sh)
         steps = np.zeros_like(pulls)
-        np.divide(pulls, divisor[..., None], out=steps, where=seen & (divisor > 0)[..., None])
+        np.divide(pulls, (curvature + ridge) * weights, out=steps, where=weights > 0)
         return steps
+
+
+def _bands(degree: int, parameters: RefitParameters) -> tuple[F64, F64]:
+    """(K, 1) curvatures and (K, 1) ridges of the coefficients of a splat of weight 1.
+
+    All coefficients move at once, so each takes a share p of the change of colour and the curvature
+    Y² / p: half of it for the base colour, equal parts of the other half for the other bands, and
+    within a band shares as Y², whose sum over the band is (2 l + 1) / 4 pi in every direction.
+    """
+    shares = [1.0] if degree == 0 else [0.5] + [0.5 / degree] * degree
+    sizes = [2 * band + 1 for band in range(degree + 1)]
+    curvature = np.repeat([size / share for size, share in zip(sizes, shares, strict=True)], sizes)
+    ridge = np.repeat([parameters.ridge] + [parameters.band_ridge] * degree, sizes)
+    return curvature[:, None] / (4 * math.pi), ridge[:, None] / (4 * math.pi)

@@ -32,8 +32,8 @@ class RefitParameters:
     rounds: int = 5
     steps: int = 16
     batch: int = 2
-    rate: float = 1.0
-    momentum: float = 0.8
+    rate: float = 0.7
+    momentum: float = 0.5
     damping: float = 0.1
     floor: float = 0.02
     ridge: float = 0.02
