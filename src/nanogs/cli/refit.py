@@ -79,7 +79,7 @@ def _refit_files(
         if cameras != "auto" or up is not None:
             from nanogs.render.source import cameras_for
 
-            count, size = parameters.views + parameters.validation, parameters.size
+            count, size = parameters.views + parameters.held, parameters.size
             views = cameras_for(
                 reference, cameras, count=count, width=size, height=size, up=up, split="fit"
             )

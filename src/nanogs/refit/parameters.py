@@ -12,7 +12,7 @@ class RefitParameters:
 
     Attributes:
         views: Views of the original to fit to; of given cameras, at most so many.
-        validation: Further views that only decide what is accepted.
+        validation: Further views that only decide what is accepted, at most; see `held`.
         size: Pixels along the longer side of a view; larger given cameras are reduced to it.
         rounds: Rounds, each accepted only if it brings the validation views nearer.
         steps: Steps a round.
@@ -39,6 +39,11 @@ class RefitParameters:
     ridge: float = 0.02
     band_ridge: float = 0.3
     seed: int = 0
+
+    @property
+    def held(self) -> int:
+        """Views that decide: a third of those fitted to where these are few."""
+        return min(self.validation, max(1, self.views // 3))
 
     def check(self) -> None:
         """Refuse what makes no sense.

@@ -51,7 +51,7 @@ def view_targets(
 def _cameras(
     original: Splats, cameras: Sequence[Camera] | None, parameters: RefitParameters
 ) -> list[Camera]:
-    count, size = parameters.views + parameters.validation, parameters.size
+    count, size = parameters.views + parameters.held, parameters.size
     if cameras is None:
         return automatic_cameras(original, count, width=size, height=size, split="fit")
     if len(cameras) < 2:
