@@ -1,5 +1,7 @@
 """Small scenes for tests."""
 
+import dataclasses
+
 import numpy as np
 
 from nanogs.simplify.gaussians import Gaussians
@@ -48,3 +50,23 @@ def model_bytes(splats):
     """Every column's bytes, for comparing results bit by bit."""
     columns = (splats.means, splats.log_scales, splats.quats, splats.opacity_logits, splats.sh)
     return b"".join(column.tobytes() for column in (*columns, *splats.extras.values()))
+
+
+def cloud_pair(n=400, seed=1, scale=1.0, degree=1):
+    """A cloud of coloured splats as an original, and every fourth one swollen as a small model."""
+    rng = np.random.default_rng(seed)
+    means = rng.normal(0, 0.4, (n, 3))
+    sh = np.zeros((n, (degree + 1) ** 2, 3))
+    sh[:, 0] = 1.2 * np.sin(3 * means)
+    arrays = {
+        "means": scale * means,
+        "log_scales": np.log(scale) + rng.normal(-2, 0.2, (n, 3)),
+        "quats": rng.normal(size=(n, 4)),
+        "opacity_logits": rng.normal(2, 0.5, n),
+        "sh": sh,
+    }
+    arrays = {name: array.astype(np.float32) for name, array in arrays.items()}
+    original = Splats(**arrays, extras={"label": np.arange(n, dtype=np.int32)})
+    small = original.take(np.arange(0, n, 4))
+    small = dataclasses.replace(small, log_scales=small.log_scales + np.float32(0.3))
+    return original, small

@@ -93,3 +93,21 @@ def spinner(*, quiet: bool) -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
         task = progress.add_task("")
         yield lambda text: progress.update(task, description=text)
+
+
+@contextmanager
+def stage_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """A progress bar that starts anew with each stage, on a terminal only.
+
+    Yields:
+        What the library calls with a stage's name, how many parts are done, and of how many.
+    """
+    columns = (TextColumn("{task.description:<8}"), BarColumn(), TimeElapsedColumn())
+    shown = err.is_terminal and not quiet
+    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
+        task = progress.add_task("read", total=1)
+
+        def update(stage: str, done: int, total: int) -> None:
+            progress.update(task, description=stage, completed=done, total=total)
+
+        yield update

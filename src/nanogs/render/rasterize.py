@@ -7,14 +7,18 @@ Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 20
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.errors import OptionError
+from nanogs.kernels import project as projection
 from nanogs.kernels import raster
 from nanogs.render.camera import Camera
 from nanogs.splats import RenderMode, Splats
+
+Floats = TypeVar("Floats", F32, F64)
 
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
 
@@ -52,7 +56,7 @@ class Projection:
     """A model as one camera sees it, sorted and listed by tile; colours may be swapped.
 
     Attributes:
-        geometry: (N, 8) float64, see `nanogs.kernels.raster`; junk where not in `order`.
+        geometry: (N, 8) float64, see `nanogs.kernels.project`; junk where not in `order`.
         features: (N, 4) float32: red, green, blue before the background, and depth.
         order: (M,) int64, the splats that can reach a pixel, nearest first.
         starts: (T + 1,) int64, where each tile of 16 x 16 pixels begins in `entries`, row by row.
@@ -104,9 +108,9 @@ def prepare(splats: Splats) -> PreparedSplats:
     """
     finite = splats.finite()
     opacities = splats.opacities().astype(np.float32)
-    keep = finite & (opacities >= raster.MIN_ALPHA)
+    keep = finite & (opacities >= projection.MIN_ALPHA)
     with np.errstate(invalid="ignore", over="ignore"):
-        factors = _rotations(splats.unit_quats()) * splats.scales()[:, None, :]
+        factors = rotations(splats.unit_quats()) * splats.scales()[:, None, :]
     return PreparedSplats(
         means=splats.means,
         factors=np.ascontiguousarray(factors),
@@ -119,10 +123,10 @@ def prepare(splats: Splats) -> PreparedSplats:
     )
 
 
-def _rotations(quats: F32) -> F32:
-    """(N, 3, 3) rotation matrices of (N, 4) unit quaternions, wxyz."""
+def rotations(quats: Floats) -> Floats:
+    """(N, 3, 3) rotation matrices of (N, 4) unit quaternions, wxyz; of the same dtype."""
     w, x, y, z = quats.T
-    matrix = np.empty((len(quats), 3, 3), np.float32)
+    matrix = np.empty((len(quats), 3, 3), quats.dtype)
     matrix[:, 0, 0] = 1 - 2 * (y * y + z * z)
     matrix[:, 0, 1] = 2 * (x * y - w * z)
     matrix[:, 0, 2] = 2 * (x * z + w * y)
@@ -208,7 +212,7 @@ def project(
     features = np.empty((n, 4), np.float32)
     drawn = np.empty(n, np.bool_)
     lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.near)
-    raster.project_splats(
+    projection.project_splats(
         prepared.means,
         prepared.factors,
         prepared.opacities,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from nanogs.errors import OptionError
 from nanogs.render.camera import Camera
-from nanogs.render.views import Kind, automatic_cameras
+from nanogs.render.views import Kind, Split, automatic_cameras
 from nanogs.splats import Splats
 
 AUTOMATIC: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "inside"}
@@ -19,6 +19,7 @@ def cameras_for(
     width: int,
     height: int,
     up: Sequence[float] | None = None,
+    split: Split = "test",
 ) -> list[Camera]:
     """Cameras for a model.
 
@@ -29,13 +30,14 @@ def cameras_for(
         width: Width of automatic views, pixels.
         height: Height of automatic views, pixels.
         up: Up direction of automatic views; found from the model by default.
+        split: Of automatic views; `fit` and `test` have none in common.
 
     Raises:
         NanogsError: The source is neither, or cannot be read.
     """
     if source in AUTOMATIC:
         return automatic_cameras(
-            splats, count, width=width, height=height, kind=AUTOMATIC[source], up=up, split="test"
+            splats, count, width=width, height=height, kind=AUTOMATIC[source], up=up, split=split
         )
     if not Path(source).exists():
         raise OptionError(

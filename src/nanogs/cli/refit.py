@@ -1,0 +1,118 @@
+"""`nanogs refit`."""
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from nanogs.cli import options
+from nanogs.cli.console import err, print_json, stage_bar, warn
+from nanogs.formatting import number_text
+from nanogs.io import check_writable, load, save
+from nanogs.refit.api import refit as library_refit
+from nanogs.refit.parameters import RefitParameters
+from nanogs.report import StageClock
+
+_DEFAULTS = RefitParameters()
+
+
+def refit(
+    original: Annotated[Path, typer.Argument(metavar="ORIGINAL", help="The model to look like.")],
+    small: Annotated[
+        Path, typer.Argument(metavar="SMALL", help="The model to fit, from any tool.")
+    ],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
+    views: options.Views = _DEFAULTS.views,
+    size: Annotated[
+        int,
+        typer.Option(
+            help="Pixels along the longer side of a view; larger cameras are reduced to it.",
+            rich_help_panel=options.VIEWS,
+        ),
+    ] = _DEFAULTS.size,
+    cameras: options.Cameras = "auto",
+    up: options.Up = None,
+    rounds: Annotated[
+        int, typer.Option(help="Rounds of steps; more take longer and fit better.")
+    ] = _DEFAULTS.rounds,
+    overwrite: options.Overwrite = False,
+    threads: options.Threads = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Fit a small model to renders of the original: no photographs, no training data."""
+    chosen = RefitParameters(views=views, size=size, rounds=rounds)
+    chosen.check()
+    direction = options.parse_direction(up)
+    check_writable(target, overwrite=overwrite)
+    run = _refit_files(
+        original, small, target, cameras, direction, chosen, threads, overwrite, quiet or json
+    )
+    if json:
+        print_json(run)
+        return
+    for note in run["notes"]:
+        warn(note)
+    if not quiet:
+        _print_report(run)
+
+
+def _refit_files(
+    original: Path,
+    small: Path,
+    target: Path,
+    cameras: str,
+    up: tuple[float, float, float] | None,
+    parameters: RefitParameters,
+    threads: int | None,
+    overwrite: bool,
+    quiet: bool,
+) -> dict[str, Any]:
+    """Read, fit and write; the report with the files' names and the seconds of I/O."""
+    start, clock = time.perf_counter(), StageClock()
+    with stage_bar(quiet=quiet) as progress:
+        with clock.time("read"):
+            reference, model = load(original), load(small)
+        views = None
+        if cameras != "auto" or up is not None:
+            from nanogs.render.source import cameras_for
+
+            count, size = parameters.views + parameters.held, parameters.size
+            views = cameras_for(
+                reference, cameras, count=count, width=size, height=size, up=up, split="fit"
+            )
+        fitted, report = library_refit(
+            reference,
+            model,
+            cameras=views,
+            parameters=parameters,
+            threads=threads,
+            progress=progress,
+        )
+        with clock.time("write"):
+            save(fitted, target, overwrite=overwrite)
+    run = report.to_dict()
+    run["seconds"] = {
+        "read": clock.seconds["read"],
+        **run["seconds"],
+        "write": clock.seconds["write"],
+    }
+    run["total_seconds"] = time.perf_counter() - start
+    return run | {"original": str(original), "input": str(small), "output": str(target)}
+
+
+def _print_report(run: dict[str, Any]) -> None:
+    table = Table("round", "PSNR", "", "seconds", box=None, pad_edge=False)
+    for number, entry in enumerate(run["rounds"], 1):
+        kept = "" if entry["accepted"] else "taken back"
+        table.add_row(
+            str(number), number_text(entry["psnr_after"]), kept, f"{entry['seconds']:.1f}"
+        )
+    err.print(table)
+    err.print(
+        f"{run['output']}: {run['count']:,} splats, {run['psnr_before']:.2f} -> "
+        f"{run['psnr_after']:.2f} dB on {len(run['validation_views'])} views kept apart, "
+        f"{run['total_seconds']:.1f} s"
+    )

@@ -1,0 +1,306 @@
+"""Kernels that carry a view's sums on screen over to the parameters of the splats.
+
+A splat has ten parameters of shape, all without unit:
+
+    0 to 2  its centre along its own axes, in standard deviations along them
+    3 to 5  its log-scales
+    6 to 8  a turn about its own axes, radians
+    9       the logit of its opacity
+
+Projection as in `nanogs.kernels.project`, whose derivatives these are.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from nanogs._types import F32, F64, I64, F
+from nanogs.kernels.harmonics import sh_basis
+from nanogs.kernels.policy import inline, parallel_kernel
+from nanogs.kernels.project import BLOCK, GUARD
+
+SHAPE = 10
+PACKED = 55  # lower triangle of a 10 x 10 matrix, row by row
+SCREEN = 6
+
+# Where the product of two of the monomials 1, p, q, p², pq, q² stands among the moments.
+PRODUCTS = np.array(
+    [
+        [10, 15, 11, 19, 16, 12],
+        [15, 19, 16, 22, 20, 17],
+        [11, 16, 12, 20, 17, 13],
+        [19, 22, 20, 24, 23, 21],
+        [16, 20, 17, 23, 21, 18],
+        [12, 17, 13, 21, 18, 14],
+    ]
+)
+
+
+@inline
+def _to_screen(
+    row: F64,
+    before: F64,
+    mip: bool,
+    du: float,
+    dv: float,
+    xx: float,
+    xy: float,
+    yy: float,
+    out: F64,
+) -> None:
+    """Change of ln alpha as six coefficients of 1, p, q, p², pq, q².
+
+    (du, dv) is the change of the centre in pixels and (xx, xy, yy) that of the covariance in
+    pixels²; before holds the covariance without the dilation (xx, xy, yy).
+    """
+    inv_w, slope, inv_h = row[2], row[3], math.sqrt(row[4])
+    m00 = inv_w * inv_w * (xx - 2.0 * slope * xy + slope * slope * yy)
+    m01 = inv_w * inv_h * (xy - slope * yy)
+    m11 = inv_h * inv_h * yy
+    out[0] = 0.0
+    if mip:  # ln of sqrt(det before / det after)
+        det = before[0] * before[2] - before[1] * before[1]
+        trace = before[2] * xx - 2.0 * before[1] * xy + before[0] * yy
+        out[0] = 0.5 * ((trace / det if det > 0.0 else 0.0) - m00 - m11)
+    out[1] = inv_w * (du - slope * dv)
+    out[2] = inv_h * dv
+    out[3] = 0.5 * m00
+    out[4] = m01
+    out[5] = 0.5 * m11
+
+
+@inline
+def _screen_jacobian(
+    turn: F64, scales: F64, point: F64, row: F64, lens: F64, mip: bool, flat: F64, jacobian: F64
+) -> None:
+    """(9, 6) change of ln alpha for each parameter but the opacity.
+
+    turn: (3, 3) the splat's axes in camera space, in columns. flat: (2, 3) scratch.
+    """
+    fx, fy, cx, cy, width, height = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
+    z = point[2]
+    xz, yz = point[0] / z, point[1] / z
+    margin_x = (GUARD - 1.0) * 0.5 * width / fx
+    margin_y = (GUARD - 1.0) * 0.5 * height / fy
+    tx = min(max(xz, -cx / fx - margin_x), (width - cx) / fx + margin_x)
+    ty = min(max(yz, -cy / fy - margin_y), (height - cy) / fy + margin_y)
+    jx, jy = fx / z, fy / z
+    before = np.zeros(3)
+    for k in range(3):
+        flat[0, k] = jx * (turn[0, k] - tx * turn[2, k])
+        flat[1, k] = jy * (turn[1, k] - ty * turn[2, k])
+        square = scales[k] * scales[k]
+        before[0] += square * flat[0, k] * flat[0, k]
+        before[1] += square * flat[0, k] * flat[1, k]
+        before[2] += square * flat[1, k] * flat[1, k]
+    for k in range(3):
+        s = scales[k]
+        d0, d1, d2 = s * turn[0, k], s * turn[1, k], s * turn[2, k]
+        along_x, along_y = (d0 - xz * d2) / z, (d1 - yz * d2) / z
+        slide_x = along_x if tx == xz else 0.0
+        slide_y = along_y if ty == yz else 0.0
+        xx, xy, yy = -2.0 * d2 / z * before[0], -2.0 * d2 / z * before[1], -2.0 * d2 / z * before[2]
+        for j in range(3):
+            depth = scales[j] * scales[j] * turn[2, j]
+            ax, ay = -jx * slide_x * depth, -jy * slide_y * depth
+            xx += 2.0 * ax * flat[0, j]
+            xy += ax * flat[1, j] + ay * flat[0, j]
+            yy += 2.0 * ay * flat[1, j]
+        _to_screen(row, before, mip, fx * along_x, fy * along_y, xx, xy, yy, jacobian[k])
+        a, b = flat[0, k], flat[1, k]
+        square = 2.0 * s * s
+        xx, xy, yy = square * a * a, square * a * b, square * b * b
+        _to_screen(row, before, mip, 0.0, 0.0, xx, xy, yy, jacobian[3 + k])
+        i, j = (k + 1) % 3, (k + 2) % 3
+        spread = scales[i] * scales[i] - scales[j] * scales[j]
+        xx = 2.0 * spread * flat[0, i] * flat[0, j]
+        xy = spread * (flat[0, i] * flat[1, j] + flat[0, j] * flat[1, i])
+        yy = 2.0 * spread * flat[1, i] * flat[1, j]
+        _to_screen(row, before, mip, 0.0, 0.0, xx, xy, yy, jacobian[6 + k])
+
+
+@inline
+def _add_block(jacobian: F64, sums: F64, product: F64, pull: F64, block: F64) -> None:
+    """Add J g to the pull and to the block the lower triangle of J M Jᵀ."""
+    for a in range(SHAPE):
+        total = 0.0
+        for c in range(SCREEN):
+            total += jacobian[a, c] * sums[4 + c]
+        pull[a] += total
+        for c in range(SCREEN):
+            entry = 0.0
+            for d in range(SCREEN):
+                entry += jacobian[a, d] * sums[PRODUCTS[d, c]]
+            product[c] = entry
+        for b in range(a + 1):
+            entry = 0.0
+            for c in range(SCREEN):
+                entry += product[c] * jacobian[b, c]
+            block[a * (a + 1) // 2 + b] += entry
+
+
+@parallel_kernel
+def chain_shapes(
+    order: I64,
+    geometry: F64,
+    totals: F64,
+    means: F,
+    axes: F32,
+    scales: F32,
+    opacities: F32,
+    rotation: F64,
+    position: F64,
+    lens: F64,
+    mip: bool,
+    pulls: F64,
+    blocks: F64,
+) -> None:
+    """Add one view's pulls and curvatures on the ten parameters of shape.
+
+    Args:
+        order: (M,) rows that were drawn, each once.
+        geometry: (N, 8) rows of projected splats.
+        totals: (N, 25) from `gather_entries`.
+        means: (N, 3), scene units.
+        axes: (N, 3, 3) rotation matrices of the splats.
+        scales: (N, 3), scene units.
+        opacities: (N,) in [0, 1], before any compensation.
+        rotation: (3, 3), world to camera.
+        position: (3,) the camera's centre, scene units.
+        lens: (7,) fx, fy, cx, cy, width, height in pixels and near in scene units.
+        mip: Whether opacities were compensated for the dilation.
+        pulls: (N, 10) in and out.
+        blocks: (N, 55) in and out, lower triangles.
+    """
+    n = len(order)
+    for part in numba.prange((n + BLOCK - 1) // BLOCK):
+        turn, flat = np.empty((3, 3)), np.empty((2, 3))
+        point, size, product = np.empty(3), np.empty(3), np.empty(SCREEN)
+        jacobian = np.zeros((SHAPE, SCREEN))
+        for place in range(part * BLOCK, min(n, (part + 1) * BLOCK)):
+            i = order[place]
+            for r in range(3):
+                point[r] = 0.0
+                for k in range(3):
+                    point[r] += rotation[r, k] * (np.float64(means[i, k]) - position[k])
+                    turn[r, k] = rotation[r, 0] * axes[i, 0, k] + rotation[r, 1] * axes[i, 1, k]
+                    turn[r, k] += rotation[r, 2] * axes[i, 2, k]
+                size[r] = scales[i, r]
+            _screen_jacobian(turn, size, point, geometry[i], lens, mip, flat, jacobian)
+            jacobian[SHAPE - 1, 0] = 1.0 - opacities[i]
+            _add_block(jacobian, totals[i], product, pulls[i], blocks[i])
+
+
+@parallel_kernel
+def chain_colours(
+    order: I64,
+    features: F32,
+    totals: F64,
+    means: F,
+    position: F64,
+    degree: int,
+    pulls: F64,
+    weights: F64,
+) -> None:
+    """Add one view's pulls on the spherical-harmonic coefficients, and the splats' weights.
+
+    A channel that is cut off at black is pulled upwards only.
+
+    Args:
+        order: (M,) rows that were drawn, each once.
+        features: (N, 4) the colours that were blended, channels from 0.
+        totals: (N, 25) from `gather_entries`.
+        means: (N, 3), scene units.
+        position: (3,) the camera's centre, scene units.
+        degree: Spherical-harmonic degree.
+        pulls: (N, K, 3) in and out.
+        weights: (N,) in and out, the curvature of each channel.
+    """
+    n, coefficients = len(order), (degree + 1) ** 2
+    for part in numba.prange((n + BLOCK - 1) // BLOCK):
+        basis = np.empty(25, np.float64)
+        for place in range(part * BLOCK, min(n, (part + 1) * BLOCK)):
+            i = order[place]
+            dx = np.float64(means[i, 0]) - position[0]
+            dy = np.float64(means[i, 1]) - position[1]
+            dz = np.float64(means[i, 2]) - position[2]
+            length = math.sqrt(dx * dx + dy * dy + dz * dz)
+            sh_basis(dx / length, dy / length, dz / length, degree, basis)
+            weights[i] += totals[i, 3]
+            for k in range(coefficients):
+                for c in range(3):
+                    pull = totals[i, c]
+                    if features[i, c] > 0.0 or pull > 0.0:
+                        pulls[i, k, c] += basis[k] * pull
+
+
+@inline
+def _factorise(block: F64, damping: float, lift: float, limits: F64, lower: F64) -> None:
+    """Cholesky's lower factor of a damped block; rows with a limit of 0 are taken out of it."""
+    for a in range(SHAPE):
+        for b in range(a):
+            free = limits[a] > 0.0 and limits[b] > 0.0
+            value = block[a * (a + 1) // 2 + b] if free else 0.0
+            for k in range(b):
+                value -= lower[a, k] * lower[b, k]
+            lower[a, b] = value / lower[b, b]
+        value = (1.0 + damping) * block[a * (a + 3) // 2] + lift
+        for k in range(a):
+            value -= lower[a, k] * lower[a, k]
+        lower[a, a] = math.sqrt(max(value, lift))  # rounding alone could make it less
+
+
+@inline
+def _substitute(lower: F64, step: F64) -> None:
+    """Solve lower lowerᵀ x = step in place."""
+    for a in range(SHAPE):
+        for k in range(a):
+            step[a] -= lower[a, k] * step[k]
+        step[a] /= lower[a, a]
+    for a in range(SHAPE - 1, -1, -1):
+        for k in range(a + 1, SHAPE):
+            step[a] -= lower[k, a] * step[k]
+        step[a] /= lower[a, a]
+
+
+@inline
+def _shorten(limits: F64, step: F64) -> None:
+    """Shorten a step as a whole until no part is beyond its limit."""
+    excess = 1.0
+    for a in range(SHAPE):
+        if limits[a] > 0.0:
+            excess = max(excess, abs(step[a]) / limits[a])
+    for a in range(SHAPE):
+        step[a] /= excess
+
+
+@parallel_kernel
+def damped_steps(
+    pulls: F64, blocks: F64, damping: float, floor: float, limits: F64, steps: F64
+) -> None:
+    """Solve each splat's ten equations (Levenberg and Marquardt) and hold the step to its limits.
+
+    Args:
+        pulls: (N, 10).
+        blocks: (N, 55) lower triangles.
+        damping: Share of the diagonal added to it.
+        floor: Share of a splat's largest curvature added to all of its diagonal, more than 0: what
+            nothing determines stays where it is.
+        limits: (10,) largest steps; 0 freezes a parameter.
+        steps: (N, 10) out; 0 for splats without curvature.
+    """
+    n = len(pulls)
+    for part in numba.prange((n + BLOCK - 1) // BLOCK):
+        lower = np.zeros((SHAPE, SHAPE))
+        for i in range(part * BLOCK, min(n, (part + 1) * BLOCK)):
+            largest = 0.0
+            for a in range(SHAPE):
+                largest = max(largest, blocks[i, a * (a + 3) // 2])
+                steps[i, a] = pulls[i, a] if limits[a] > 0.0 else 0.0
+            if largest > 0.0:
+                _factorise(blocks[i], damping, floor * largest, limits, lower)
+                _substitute(lower, steps[i])
+                _shorten(limits, steps[i])
+            else:
+                steps[i] = 0.0

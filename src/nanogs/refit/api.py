@@ -1,0 +1,89 @@
+"""`nanogs.refit`: a small model, fitted to renders of the original, and a report."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from nanogs.errors import ModelError
+from nanogs.refit.parameters import RefitParameters
+from nanogs.refit.report import RefitReport
+from nanogs.report import StageClock
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.render.camera import Camera
+
+Progress = Callable[[str, int, int], None]
+
+
+def refit(
+    original: Splats,
+    small: Splats,
+    *,
+    cameras: Sequence["Camera"] | None = None,
+    parameters: RefitParameters | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[Splats, RefitReport]:
+    """Fit a small model's centres, scales, rotations, opacities and colours to the original.
+
+    The original is rendered from a few cameras; some of these views are kept apart, and what does
+    not bring them nearer is taken back. So the result is never worse than the input there.
+
+    Args:
+        original: The model to look like.
+        small: The model to fit, from any tool; its count, degree and further columns are kept.
+        cameras: Views of the scene; by default cameras are chosen from the original.
+        parameters: See `RefitParameters`.
+        threads: Threads to use; all by default. The result does not depend on it.
+        progress: Called with a stage's name, how many of its parts are done, and of how many.
+
+    Returns:
+        The fitted model, its rows in the order of the input, and the report.
+
+    Raises:
+        OptionError: An option is out of range, or there are fewer than two cameras.
+        ModelError: A model holds nothing that can be seen, or the two are not of one scene.
+    """
+    begin, clock = time.perf_counter(), StageClock()
+    chosen = parameters or RefitParameters()
+    chosen.check()
+    observe = progress or (lambda _stage, _done, _total: None)
+    _refuse_unusable(original, "original")
+    _refuse_unusable(small, "small")
+    # Here and not above: these bring Numba, which `--help` does without.
+    from nanogs.refit.rounds import fit
+    from nanogs.refit.views import view_targets
+    from nanogs.threads import use_threads
+
+    with use_threads(threads) as threads_used:
+        with clock.time("targets"):
+            fitting, deciding = view_targets(original, small, cameras, chosen, observe)
+        with clock.time("fit"):
+            fitted, outcome = fit(small, fitting, deciding, chosen, observe)
+    report = RefitReport(
+        parameters=asdict(chosen),
+        original_count=len(original),
+        count=len(fitted),
+        fit_views=tuple(target.camera.name for target in fitting),
+        validation_views=tuple(target.camera.name for target in deciding),
+        psnr_before=outcome.psnr_before,
+        psnr_after=outcome.psnr_after,
+        improved=outcome.improved,
+        rounds=outcome.rounds,
+        stop=outcome.stop,
+        seconds=clock.seconds,
+        total_seconds=time.perf_counter() - begin,
+        threads=threads_used,
+        notes=outcome.notes,
+    )
+    return fitted, report
+
+
+def _refuse_unusable(splats: Splats, name: str) -> None:
+    if not splats.finite().any():
+        raise ModelError(
+            f"The {name} model holds no usable splat: it is empty, or each row has a NaN or an "
+            "infinite value; check the file it came from."
+        )

@@ -1,0 +1,78 @@
+"""What a refit did: frozen dataclasses that become JSON as they stand."""
+
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+
+class RefitStop(StrEnum):
+    """Why the rounds ended."""
+
+    ROUNDS = "rounds"  # all of them were made
+    NO_PROGRESS = "no_progress"  # two rounds in turn did not bring the validation views nearer
+
+
+@dataclass(frozen=True, slots=True)
+class RoundReport:
+    """One round of steps.
+
+    Attributes:
+        fitted: Groups of parameters that moved.
+        steps: Steps made.
+        rate: Length of its first step.
+        fit_psnr: Mean over its steps, each measured before the step on its views, dB.
+        psnr_before: On the validation views before it, dB, over black and white alike.
+        psnr_after: On the validation views after it, dB.
+        accepted: Whether its result was kept.
+        seconds: The round, seconds.
+    """
+
+    fitted: tuple[str, ...]
+    steps: int
+    rate: float
+    fit_psnr: float
+    psnr_before: float
+    psnr_after: float
+    accepted: bool
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class RefitReport:
+    """What `refit` was given, what it gained, and why it stopped.
+
+    Attributes:
+        parameters: Every parameter by name.
+        original_count: Splats in the original.
+        count: Splats in the small model, before and after.
+        fit_views: Names of the cameras fitted to.
+        validation_views: Names of the cameras that decided.
+        psnr_before: The input on the validation views, dB, over black and white alike.
+        psnr_after: The result on the validation views, dB; never below `psnr_before`.
+        improved: False where the input was returned as it was.
+        rounds: The rounds in order.
+        stop: Why it stopped.
+        seconds: Time by stage, seconds.
+        total_seconds: The whole call, seconds.
+        threads: Threads used.
+        notes: What else the user should know, one sentence each.
+    """
+
+    parameters: dict[str, float | int]
+    original_count: int
+    count: int
+    fit_views: tuple[str, ...]
+    validation_views: tuple[str, ...]
+    psnr_before: float
+    psnr_after: float
+    improved: bool
+    rounds: tuple[RoundReport, ...]
+    stop: RefitStop
+    seconds: dict[str, float]
+    total_seconds: float
+    threads: int
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        return asdict(self)

@@ -1,0 +1,140 @@
+"""The parameters that a refit moves, and how they become a model again."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F32, F64, Array, Bool
+from nanogs.kernels.project import MIN_ALPHA
+from nanogs.render.rasterize import PreparedSplats, rotations
+from nanogs.splats import Splats
+
+# Alpha is held at 0.99 when drawn: from a logit far above, an opacity would take long to come down,
+# and a splat that falls below 1/255 is not drawn and could never come back.
+HIGHEST_LOGIT = 7.0
+LOWEST_LOGIT = -5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """N splats on their way.
+
+    Attributes:
+        means: (N, 3) float64, scene units.
+        log_scales: (N, 3) float64.
+        quats: (N, 4) float64, wxyz, unit.
+        logits: (N,) float64.
+        sh: (N, K, 3) float32.
+        touched: (N,) bool, which have moved.
+    """
+
+    means: F64
+    log_scales: F64
+    quats: F64
+    logits: F64
+    sh: F32
+    touched: Bool
+
+    def moved(self, steps: F64, colours: F64) -> "State":
+        """The state after a step.
+
+        Args:
+            steps: (N, 10) float64, see `nanogs.kernels.chain`.
+            colours: (N, K, 3) float64, changes of the coefficients.
+        """
+        axes = rotations(self.quats)
+        offsets = np.einsum("nij,nj->ni", axes, np.exp(self.log_scales) * steps[:, :3])
+        lowest = np.minimum(LOWEST_LOGIT, self.logits)
+        logits = np.clip(self.logits + steps[:, 9], lowest, HIGHEST_LOGIT)
+        touched = steps.any(axis=1) | colours.any(axis=(1, 2))
+        return State(
+            means=self.means + offsets,
+            log_scales=self.log_scales + steps[:, 3:6],
+            quats=_turned(self.quats, steps[:, 6:9]),
+            logits=np.where(touched, logits, self.logits),
+            sh=(self.sh + colours).astype(np.float32),
+            touched=self.touched | touched,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Active:
+    """A state as the kernels take it.
+
+    Attributes:
+        model: What `project` takes.
+        axes: (N, 3, 3) float32, rotation matrices.
+        scales: (N, 3) float32, scene units.
+    """
+
+    model: PreparedSplats
+    axes: F32
+    scales: F32
+
+
+def start(splats: Splats) -> State:
+    """The state that a model starts from."""
+    return State(
+        means=splats.means.astype(np.float64),
+        log_scales=splats.log_scales.astype(np.float64),
+        quats=splats.unit_quats().astype(np.float64),
+        logits=np.minimum(splats.opacity_logits.astype(np.float64), HIGHEST_LOGIT),
+        sh=np.ascontiguousarray(splats.sh),
+        touched=np.zeros(len(splats), np.bool_),
+    )
+
+
+def activate(state: State, splats: Splats, finite: Bool) -> Active:
+    """What the kernels take; tags and everything that does not move from `splats`."""
+    axes = rotations(state.quats).astype(np.float32)
+    with np.errstate(over="ignore"):
+        scales = np.exp(state.log_scales).astype(np.float32)
+        opacities = (1.0 / (1.0 + np.exp(-state.logits))).astype(np.float32)
+    model = PreparedSplats(
+        means=state.means,
+        factors=axes * scales[:, None, :],
+        opacities=opacities,
+        sh=state.sh,
+        keep=finite & (opacities >= MIN_ALPHA),
+        sh_degree=splats.sh_degree,
+        render_mode=splats.render_mode,
+        skipped=0,
+    )
+    return Active(model, axes, scales)
+
+
+def store(state: State, splats: Splats) -> Splats:
+    """The model with the state's parameters; rows that never moved keep their bytes."""
+    rows = state.touched
+    columns: dict[str, Array] = {
+        "means": state.means,
+        "log_scales": state.log_scales,
+        "quats": state.quats,
+        "opacity_logits": state.logits,
+        "sh": state.sh,
+    }
+    stored: dict[str, Any] = {}
+    for name, values in columns.items():
+        column: Array = getattr(splats, name).copy()
+        column[rows] = values[rows]
+        stored[name] = column
+    return replace(splats, **stored)
+
+
+def _turned(quats: F64, turns: F64) -> F64:
+    """(N, 4) unit quaternions after a turn (N, 3) about their own axes, radians."""
+    angle = np.linalg.norm(turns, axis=1, keepdims=True)
+    # sin(a / 2) / a, whose limit is a half
+    vector = turns * (0.5 * np.sinc(angle / (2 * np.pi)))
+    a, (b, c, d) = np.cos(angle[:, 0] / 2), vector.T
+    w, x, y, z = quats.T
+    product = [
+        w * a - x * b - y * c - z * d,
+        w * b + x * a + y * d - z * c,
+        w * c - x * d + y * a + z * b,
+        w * d + x * c - y * b + z * a,
+    ]
+    turned: F64 = np.stack(product, axis=1)
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    return turned

@@ -1,0 +1,99 @@
+"""What a refit aims at: renders of the original, and how far a model is from them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F32, F64
+from nanogs.kernels import backward, raster
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import PreparedSplats, Projection, project, render
+
+# Viewers show a model over any background. Over black and white alike the mean squared error of
+# a pixel with errors dc in its colours and da in its alpha is, for each channel,
+# (dc² + (dc - da)²) / 2 = (dc - da / 2)² + (da / 2)².
+WHITE = 0.5  # share of white; colours are blended less this much
+ALPHA = np.float32(np.sqrt(3 * WHITE * (1 - WHITE)))  # the fourth channel: alpha times this
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """One view of the original.
+
+    Attributes:
+        camera: The camera.
+        image: (H, W, 4) float32, the colours as a screen shows them over black, and alpha.
+    """
+
+    camera: Camera
+    image: F32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pull:
+    """How a view's pixels pull at the splats.
+
+    Attributes:
+        view: The projection.
+        totals: (N, 25) float64, see `nanogs.kernels.backward.pull_tiles`; junk where not drawn.
+        error: Mean squared error, as `squared_error` gives it.
+    """
+
+    view: Projection
+    totals: F64
+    error: float
+
+
+def make_target(original: PreparedSplats, camera: Camera) -> Target:
+    """Render the original from a camera."""
+    rendering = render(original, camera)
+    return Target(camera, np.dstack([np.clip(rendering.color, 0, 1), rendering.alpha]))
+
+
+def _blend(model: PreparedSplats, camera: Camera) -> tuple[Projection, F32, F32]:
+    """The projection, what is blended (N, 4), and the image (H, W, 4)."""
+    view = project(model, camera)
+    features = np.zeros_like(view.features)  # rows that are not drawn hold junk
+    features[view.order, :3] = view.features[view.order, :3] - np.float32(WHITE)
+    features[:, 3] = ALPHA
+    image = np.empty((camera.height, camera.width, 4), np.float32)
+    left = np.empty((camera.height, camera.width), np.float32)
+    nothing, none = np.zeros(4, np.float32), np.empty(0, np.float32)
+    raster.blend_tiles(
+        view.geometry, features, view.starts, view.entries, nothing, image, left, none
+    )
+    return view, features, image
+
+
+def _residual(target: Target, image: F32) -> F32:
+    """(H, W, 4) wanted change of the image; none where both are brighter than a screen."""
+    alpha = image[..., 3:] / ALPHA
+    color = image[..., :3] + np.float32(WHITE) * alpha
+    change: F32 = target.image - np.dstack([np.minimum(color, 1), alpha])
+    change[..., :3] -= np.float32(WHITE) * change[..., 3:]
+    change[..., 3] *= ALPHA
+    return change
+
+
+def squared_error(model: PreparedSplats, target: Target) -> float:
+    """Mean squared error of one view over black and white alike, a channel."""
+    return _mean_square(_residual(target, _blend(model, target.camera)[2]))
+
+
+def _mean_square(residual: F32) -> float:
+    total = np.sum(residual * residual, dtype=np.float64)
+    return float(total / (3 * residual.shape[0] * residual.shape[1]))
+
+
+def pull(model: PreparedSplats, target: Target) -> Pull:
+    """Render a view and sum up how it pulls at each splat."""
+    view, features, image = _blend(model, target.camera)
+    residual = _residual(target, image)
+    precision = image[..., 3] / ALPHA
+    partial = np.empty((len(view.entries), backward.SUMS), np.float32)
+    backward.pull_tiles(
+        view.geometry, features, view.starts, view.entries, image, residual, precision, partial
+    )
+    totals = np.empty((len(model), backward.SUMS), np.float64)
+    backward.gather_entries(view.entries, partial, totals)
+    return Pull(view, totals, _mean_square(residual))

@@ -1,0 +1,99 @@
+"""The views of a refit: which cameras, which of them decide, and what the original shows there."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from nanogs.errors import ModelError, OptionError
+from nanogs.refit.parameters import RefitParameters
+from nanogs.refit.targets import Target, make_target
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import prepare, render
+from nanogs.render.views import automatic_cameras
+from nanogs.splats import Splats
+
+OVERLAP = 0.02  # least share of the original's alpha that the small model must cover
+
+
+def view_targets(
+    original: Splats,
+    small: Splats,
+    cameras: Sequence[Camera] | None,
+    parameters: RefitParameters,
+    observe: Callable[[str, int, int], None],
+) -> tuple[list[Target], list[Target]]:
+    """Views to fit to, and views that decide.
+
+    Raises:
+        OptionError: There are fewer than two cameras.
+        ModelError: No two views show the original, or the small model is elsewhere.
+    """
+    chosen = _cameras(original, cameras, parameters)
+    prepared = prepare(original)
+    targets = []
+    for done, camera in enumerate(chosen):
+        observe("render", done, len(chosen))
+        targets.append(make_target(prepared, camera))
+    targets = [target for target in targets if target.image[..., 3].any()]
+    if len(targets) < 2:
+        raise ModelError(
+            "The original is seen in fewer than two views; choose other cameras or let them be "
+            "found."
+        )
+    count = min(parameters.validation, max(1, len(targets) // 4))
+    deciding = _spread(len(targets), count)
+    held = [targets[i] for i in deciding]
+    _refuse_elsewhere(small, held)
+    return [target for i, target in enumerate(targets) if i not in deciding], held
+
+
+def _cameras(
+    original: Splats, cameras: Sequence[Camera] | None, parameters: RefitParameters
+) -> list[Camera]:
+    count, size = parameters.views + parameters.held, parameters.size
+    if cameras is None:
+        return automatic_cameras(original, count, width=size, height=size, split="fit")
+    if len(cameras) < 2:
+        raise OptionError(
+            f"A refit needs two cameras or more, one of which decides, not {len(cameras)}."
+        )
+    return [_reduced(cameras[i], size) for i in _spread(len(cameras), min(count, len(cameras)))]
+
+
+def _spread(n: int, count: int) -> list[int]:
+    """`count` of n places, evenly from the first part to the last."""
+    return ((2 * np.arange(count) + 1) * n // (2 * count)).tolist()
+
+
+def _reduced(camera: Camera, size: int) -> Camera:
+    """The camera with at most `size` pixels along the longer side."""
+    factor = size / max(camera.width, camera.height)
+    if factor >= 1:
+        return camera
+    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
+    along, down = width / camera.width, height / camera.height
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx * along,
+        fy=camera.fy * down,
+        cx=camera.cx * along,
+        cy=camera.cy * down,
+    )
+
+
+def _refuse_elsewhere(small: Splats, targets: Sequence[Target]) -> None:
+    """The small model must be seen where the original is."""
+    prepared = prepare(small)
+    shared = total = 0.0
+    for target in targets:
+        alpha, wanted = render(prepared, target.camera).alpha, target.image[..., 3]
+        shared += float(np.minimum(alpha, wanted).sum(dtype=np.float64))
+        total += float(wanted.sum(dtype=np.float64))
+    if shared < OVERLAP * total:
+        raise ModelError(
+            "The small model is hardly seen where the original is; give two models of the same "
+            "scene, in the same coordinates."
+        )

@@ -1,0 +1,340 @@
+"""Refit: its kernels against their twins, and what it promises on small scenes."""
+
+import dataclasses
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+
+from builders import cloud_pair, model_bytes
+from conftest import peer_path, scene_path
+from nanogs import RefitParameters, refit
+from nanogs.compare.scoring import reference_views, score
+from nanogs.errors import ModelError, OptionError
+from nanogs.io import load
+from nanogs.kernels import backward, chain
+from nanogs.refit.descent import Descent
+from nanogs.refit.report import RefitStop
+from nanogs.refit.state import activate, start
+from nanogs.refit.targets import make_target, squared_error
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import prepare, project
+from nanogs.render.views import automatic_cameras
+from nanogs.splats import RenderMode, Splats
+from refit_twin import blend_twin, moved, pixel_weights, pull_twin
+
+QUICK = RefitParameters(views=6, validation=2, size=64, rounds=2, steps=6)
+
+
+def make_camera(width=37, height=21, focal=30.0):
+    return Camera(width, height, focal, focal, width / 2, height / 2, np.eye(4))
+
+
+def make_splats(n=12, seed=0, degree=0, size=-1.2, mode=RenderMode.DEFAULT):
+    """Splats around (0, 0, 4), large on screen, so that few pixels stand at a threshold."""
+    rng = np.random.default_rng(seed)
+    arrays = {
+        "means": rng.normal((0, 0, 4), (1, 0.6, 0.8), (n, 3)),
+        "log_scales": rng.normal(size, 0.4, (n, 3)),
+        "quats": rng.normal(size=(n, 4)),
+        "opacity_logits": rng.normal(0, 1, n),
+        "sh": rng.normal(0, 0.5, (n, (degree + 1) ** 2, 3)),
+    }
+    arrays = {name: array.astype(np.float32) for name, array in arrays.items()}
+    return Splats(**arrays, render_mode=mode)
+
+
+def pulls_of(splats, camera, residual, precision):
+    """What the kernels sum up, with the features they were given."""
+    view = project(prepare(splats), camera)
+    features = np.zeros_like(view.features)
+    features[view.order, :3] = view.features[view.order, :3] - np.float32(0.5)
+    features[:, 3] = 0.7
+    image = blend_twin(splats, camera, features).astype(np.float32)
+    partial = np.empty((len(view.entries), backward.SUMS), np.float32)
+    backward.pull_tiles(
+        view.geometry, features, view.starts, view.entries, image, residual, precision, partial
+    )
+    totals = np.empty((len(splats), backward.SUMS))
+    backward.gather_entries(view.entries, partial, totals)
+    return features.astype(np.float64), totals
+
+
+def random_pixels(camera, seed=5):
+    rng = np.random.default_rng(seed)
+    residual = rng.normal(size=(camera.height, camera.width, 4)).astype(np.float32)
+    return residual, rng.uniform(0, 1, residual.shape[:2]).astype(np.float32)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("size", [(37, 21), (16, 16), (50, 7)])
+def test_pulls_match_their_twin(seed, size):
+    splats, camera = make_splats(20, seed), make_camera(*size)
+    residual, precision = random_pixels(camera)
+    features, totals = pulls_of(splats, camera, residual, precision)
+    expected = pull_twin(splats, camera, features, residual, precision)
+    scale = np.abs(expected).max(axis=0)
+    assert (np.abs(totals - expected).max(axis=0) < 1e-3 * scale).all()
+
+
+def test_pull_on_colours_is_the_adjoint_of_blending():
+    splats, camera = make_splats(20, 3), make_camera()
+    residual, precision = random_pixels(camera)
+    _, totals = pulls_of(splats, camera, residual, precision)
+    colours = np.random.default_rng(6).normal(size=(20, 3))
+    there = (blend_twin(splats, camera, colours) * residual[..., :3]).sum()
+    assert (colours * totals[:, :3]).sum() == pytest.approx(there, rel=1e-4)
+
+
+def random_features(splats, seed=9):
+    return np.random.default_rng(seed).normal(0, 0.5, (len(splats), 4))
+
+
+def shape_sums(splats, camera, residual, precision):
+    """Pulls and blocks on the parameters of shape, from sums without any threshold of alpha."""
+    view = project(prepare(splats), camera)
+    features = random_features(splats)
+    totals = pull_twin(splats, camera, features, residual, precision, cutoff=0.0)
+    active = activate(start(splats), splats, splats.finite())
+    pulls, blocks = np.zeros((len(splats), 10)), np.zeros((len(splats), 55))
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.near)
+    chain.chain_shapes(
+        view.order, view.geometry, totals, active.model.means, active.axes, active.scales,
+        active.model.opacities, np.eye(3), camera.position, np.array(lens),
+        splats.render_mode is RenderMode.MIP, pulls, blocks,
+    )  # fmt: skip
+    return view.order, pulls, blocks
+
+
+@pytest.mark.parametrize("mode", [RenderMode.DEFAULT, RenderMode.MIP])
+@pytest.mark.parametrize("parameter", range(10))
+def test_shape_pulls_match_finite_differences(mode, parameter):
+    splats, camera = make_splats(8, 2, size=-1.5, mode=mode), make_camera()
+    residual, precision = random_pixels(camera)
+    drawn, pulls, _ = shape_sums(splats, camera, residual, precision)
+    features, step = random_features(splats), 1e-4
+    for i in drawn:
+        ends = [
+            blend_twin(moved(splats, i, parameter, sign * step), camera, features, cutoff=0.0)
+            for sign in (-1, 1)
+        ]
+        slope = ((ends[1] - ends[0]) * residual).sum() / (2 * step)
+        assert pulls[i, parameter] == pytest.approx(slope, rel=1e-3, abs=1e-3)
+
+
+def test_blocks_lie_above_the_true_curvature():
+    """All splats moved at once change no pixel by more than the sum of their blocks says."""
+    splats, camera = make_splats(8, 4), make_camera()
+    _, weights, after = pixel_weights(splats, camera, 0.0)
+    precision = 1 - after[-1]
+    drawn, _, blocks = shape_sums(splats, camera, np.zeros((21, 37, 4)), precision)
+    assert len(weights) == len(drawn)
+    rng, features, step = np.random.default_rng(0), random_features(splats), 1e-4
+    for _ in range(3):
+        direction = np.zeros((8, 10))
+        direction[drawn] = rng.normal(size=(len(drawn), 10))
+        bound = sum(d @ block @ d for d, block in zip(direction, unpack(blocks), strict=True))
+        change = 0.0
+        for i, parameter in itertools.product(drawn, range(10)):
+            ends = [
+                blend_twin(moved(splats, i, parameter, sign * step), camera, features, cutoff=0.0)
+                for sign in (-1, 1)
+            ]
+            change = change + direction[i, parameter] * (ends[1] - ends[0]) / (2 * step)
+        assert (change**2).sum() <= bound
+
+
+def unpack(blocks):
+    full = np.zeros((len(blocks), 10, 10))
+    for a, b in itertools.product(range(10), range(10)):
+        low, high = max(a, b), min(a, b)
+        full[:, a, b] = blocks[:, low * (low + 1) // 2 + high]
+    return full
+
+
+def test_damped_steps_solve_each_block():
+    rng = np.random.default_rng(8)
+    factors = rng.normal(size=(30, 10, 12))
+    full = factors @ factors.transpose(0, 2, 1)
+    blocks = np.array([[m[a, b] for a in range(10) for b in range(a + 1)] for m in full])
+    pulls, steps = rng.normal(size=(30, 10)), np.empty((30, 10))
+    chain.damped_steps(pulls, blocks, 0.1, 0.01, np.full(10, 1e9), steps)
+    for matrix, right, step in zip(full, pulls, steps, strict=True):
+        diagonal = np.diag(matrix)
+        damped = matrix + np.diag(0.1 * diagonal + 0.01 * diagonal.max())
+        np.testing.assert_allclose(damped @ step, right, atol=1e-9)
+
+
+def test_damped_steps_keep_limits_and_freeze():
+    blocks, pulls = np.zeros((2, 55)), np.full((2, 10), 5.0)
+    blocks[0, [a * (a + 3) // 2 for a in range(10)]] = 1.0
+    limits, steps = np.full(10, 0.5), np.empty((2, 10))
+    limits[9] = 0.0
+    chain.damped_steps(pulls, blocks, 0.0, 0.01, limits, steps)
+    np.testing.assert_allclose(steps[0], [0.5] * 9 + [0.0])
+    np.testing.assert_array_equal(steps[1], 0)  # nothing is known of it
+
+
+def test_refit_brings_the_views_nearer_and_keeps_the_rest():
+    original, small = cloud_pair()
+    fitted, report = refit(original, small, parameters=QUICK)
+    assert report.improved
+    assert report.psnr_after > report.psnr_before + 1
+    assert len(fitted) == len(small) == report.count
+    assert fitted.sh_degree == small.sh_degree
+    np.testing.assert_array_equal(fitted.extras["label"], small.extras["label"])
+    assert len(report.fit_views) == 6
+    assert len(report.validation_views) == 2
+    assert not set(report.fit_views) & set(report.validation_views)
+    assert all(name.startswith("fit") for name in report.fit_views + report.validation_views)
+    json.dumps(report.to_dict())
+
+
+def test_a_perfect_model_comes_back_as_it_was():
+    original, _ = cloud_pair()
+    fitted, report = refit(original, original, parameters=QUICK)
+    assert fitted is original
+    assert (report.improved, report.stop) == (False, RefitStop.NO_PROGRESS)
+    assert report.psnr_after > 100
+    assert report.notes
+
+
+def test_what_makes_it_worse_is_taken_back():
+    original, small = cloud_pair()
+    # A colour that overshoots by far in every round.
+    wild = dataclasses.replace(QUICK, rate=60.0, rounds=3)
+    fitted, report = refit(original, small, parameters=wild)
+    assert report.psnr_after >= report.psnr_before
+    assert not report.rounds[0].accepted
+    assert fitted is small or report.improved
+
+
+def test_threads_change_no_byte():
+    original, small = cloud_pair()
+    results = [refit(original, small, parameters=QUICK, threads=t)[0] for t in (1, 2)]
+    assert model_bytes(results[0]) == model_bytes(results[1])
+
+
+def test_unit_of_length_does_not_matter():
+    gains = []
+    for scale in (1.0, 1e3):
+        _, report = refit(*cloud_pair(scale=scale), parameters=QUICK)
+        gains.append((report.psnr_before, report.psnr_after))
+    np.testing.assert_allclose(gains[0], gains[1], atol=0.05)
+
+
+def test_rows_that_cannot_be_seen_keep_their_bytes():
+    original, small = cloud_pair()
+    means, logits, quats = small.means.copy(), small.opacity_logits.copy(), small.quats.copy()
+    means[0] = np.nan
+    logits[1] = -np.inf
+    quats[1] *= 3
+    dirty = dataclasses.replace(small, means=means, opacity_logits=logits, quats=quats)
+    fitted, report = refit(original, dirty, parameters=QUICK)
+    assert report.improved
+    first = np.arange(2)
+    assert model_bytes(fitted.take(first)) == model_bytes(dirty.take(first))
+    assert fitted.take(np.arange(2, len(small))).finite().all()
+
+
+@pytest.mark.parametrize("mode", [RenderMode.MIP, RenderMode.SURFEL])
+def test_other_render_modes_gain_too(mode):
+    pair = [dataclasses.replace(model, render_mode=mode) for model in cloud_pair()]
+    fitted, report = refit(*pair, parameters=QUICK)
+    assert report.psnr_after > report.psnr_before + 1
+    assert fitted.render_mode is mode
+
+
+def test_degrees_may_differ():
+    original, _ = cloud_pair(degree=1)
+    _, small = cloud_pair(degree=0)
+    fitted, report = refit(original, small, parameters=QUICK)
+    assert report.improved
+    assert fitted.sh_degree == 0
+
+
+def test_opaque_without_end_can_come_down():
+    original, small = cloud_pair()
+    endless = dataclasses.replace(small, opacity_logits=np.full(len(small), np.inf, np.float32))
+    fitted, report = refit(original, endless, parameters=QUICK)
+    assert report.improved
+    assert np.isfinite(fitted.opacity_logits).mean() > 0.9
+
+
+def test_alpha_is_fitted_where_colour_cannot_tell():
+    """Black splats over black: only alpha says how opaque they are."""
+    original, small = cloud_pair(degree=0)
+    black = np.full((1, 1, 3), -0.5 / 0.28209479177387814, np.float32)
+    original = dataclasses.replace(original, sh=np.broadcast_to(black, original.sh.shape).copy())
+    small = dataclasses.replace(
+        small,
+        sh=np.broadcast_to(black, small.sh.shape).copy(),
+        opacity_logits=small.opacity_logits - 3,
+    )
+    _, report = refit(original, small, parameters=QUICK)
+    assert report.psnr_after > report.psnr_before + 2
+
+
+def test_given_cameras_are_reduced_and_shared_out():
+    original, small = cloud_pair()
+    cameras = automatic_cameras(original, 5, width=200, height=100)
+    _, report = refit(original, small, cameras=cameras, parameters=QUICK)
+    assert len(report.fit_views) == 4
+    assert len(report.validation_views) == 1
+
+
+def test_steps_follow_their_pull():
+    """One tiny step lowers the error of the views it was made from."""
+    original, small = cloud_pair()
+    camera = automatic_cameras(original, 1, width=64, height=64)[0]
+    target = make_target(prepare(original), camera)
+    descent = Descent(small, [target], QUICK)
+    state, before = descent.step(start(small), 0.2, 0.0)
+    after = squared_error(activate(state, small, small.finite()).model, target)
+    assert after < before
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"views": 0},
+        {"size": 3},
+        {"rate": math.nan},
+        {"momentum": 1.0},
+        {"damping": -1},
+        {"seed": -1},
+    ],
+)
+def test_senseless_parameters_are_refused(change):
+    with pytest.raises(OptionError, match=next(iter(change))):
+        refit(*cloud_pair(), parameters=RefitParameters(**change))
+
+
+def test_unusable_models_are_refused():
+    original, small = cloud_pair()
+    empty = small.take(np.zeros(0, np.int64))
+    broken = dataclasses.replace(small, means=np.full_like(small.means, np.nan))
+    for bad in (empty, broken):
+        with pytest.raises(ModelError, match="small model holds no usable splat"):
+            refit(original, bad, parameters=QUICK)
+        with pytest.raises(ModelError, match="original model holds no usable splat"):
+            refit(bad, small, parameters=QUICK)
+    elsewhere = dataclasses.replace(small, means=small.means + np.float32(500))
+    with pytest.raises(ModelError, match="same scene"):
+        refit(original, elsewhere, parameters=QUICK)
+    with pytest.raises(OptionError, match="two cameras"):
+        refit(original, small, cameras=[make_camera()], parameters=QUICK)
+
+
+def test_real_scene_gains_on_views_it_never_saw():
+    original, small = load(scene_path("plant.splat")), load(peer_path("plant_0.01_st-uniform.ply"))
+    fitted, _ = refit(
+        original, small, parameters=RefitParameters(views=16, size=192, rounds=2, steps=8)
+    )
+    cameras = automatic_cameras(original, 3, width=256, height=256, split="test")
+    views, _ = reference_views(prepare(original), cameras, (0.0, 0.0, 0.0))
+    before, after = (score("", prepare(model), views, (0.0, 0.0, 0.0)) for model in (small, fitted))
+    assert after.psnr > before.psnr + 2
+    assert after.ssim > before.ssim + 0.02
