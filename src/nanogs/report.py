@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from nanogs.refit.report import RefitReport
+
 
 class StopReason(StrEnum):
     """Why the loop of passes ended."""

@@ -25,7 +25,7 @@ def _determinant(s: Symmetric3) -> float:
 
 @parallel_kernel
 def log_determinants(covariances: F64, out: F64) -> None:
-    """log |Sigma| of every covariance. covariances: (N, 6); out: (N,)."""
+    """Log |Sigma| of every covariance. covariances: (N, 6); out: (N,)."""
     for i in numba.prange(len(covariances)):
         out[i] = math.log(_determinant(symmetric(covariances, i)))
 

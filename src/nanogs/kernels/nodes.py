@@ -55,6 +55,18 @@ def group_members(labels: I32, starts: I64, members: I32) -> None:
         place[labels[row]] += 1
 
 
+@kernel
+def heaviest_members(labels: I32, weights: F64, members: I64) -> None:
+    """The first member of largest weight of every group.
+
+    labels: (N,) in [0, G); weights: (N,); members: (G,) all -1, filled.
+    """
+    for row in range(len(labels)):
+        leader = members[labels[row]]
+        if leader < 0 or weights[row] > weights[leader]:
+            members[labels[row]] = row
+
+
 @parallel_kernel
 def gather_moments(
     starts: I64, members: I32,

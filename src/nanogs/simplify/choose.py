@@ -1,4 +1,4 @@
-"""Choose by measurement: of several groupings, the one whose views look most like the original's."""
+"""Choose by measurement: of several groupings, the one that looks most like the original."""
 
 import dataclasses
 from collections.abc import Callable, Sequence

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64
-from nanogs.kernels.nodes import covariances_of, gather_moments, group_members, principal_axes
+from nanogs.kernels.nodes import covariances_of, gather_moments, group_members, heaviest_members, principal_axes
 from nanogs.simplify.order import morton_order
 from nanogs.splats import Splats
 
@@ -141,9 +141,8 @@ def member_lists(labels: I32, groups: int) -> tuple[I64, I32]:
 
 def dominant_members(nodes: Nodes, labels: I32, groups: int) -> I64:
     """(groups,) int64: the member of largest weight of each group, the first of equal ones."""
-    order = np.lexsort((np.arange(len(labels)), -nodes.weights, labels))
-    first = np.searchsorted(labels[order], np.arange(groups))
-    dominant: I64 = order[first]
+    dominant = np.full(groups, -1, dtype=np.int64)
+    heaviest_members(labels, nodes.weights, dominant)
     return dominant
 
 

@@ -57,9 +57,7 @@ def look(splats: Splats, cameras: Sequence[Camera] | None = None) -> OriginalVie
         images.append(np.clip(view.color, 0.0, 1.0))
     visible = np.ones(len(splats))
     np.divide(seen, whole, out=visible, where=whole > 0)
-    return OriginalViews(
-        np.minimum(visible, 1.0), tuple(chosen[::JUDGED]), tuple(images[::JUDGED])
-    )
+    return OriginalViews(np.minimum(visible, 1.0), tuple(chosen[::JUDGED]), tuple(images[::JUDGED]))
 
 
 def visible_weights(coverages: F64, visible: F64) -> F64:
