@@ -32,7 +32,7 @@ class RefitParameters:
     rounds: int = 5
     steps: int = 32
     batch: int = 2
-    rate: float = 1.0
+    rate: float = 0.7
     momentum: float = 0.5
     damping: float = 0.1
     floor: float = 0.02
