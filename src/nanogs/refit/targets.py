@@ -1,10 +1,11 @@
 """What a refit aims at: renders of the original, and how far a model is from them."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs._types import F32, F64
+from nanogs._types import F32, F64, U16
 from nanogs.kernels import backward, raster
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import PreparedSplats, Projection, project, render
@@ -13,7 +14,7 @@ from nanogs.render.rasterize import PreparedSplats, Projection, project, render
 # a pixel with errors dc in its colours and da in its alpha is, for each channel,
 # (dc² + (dc - da)²) / 2 = (dc - da / 2)² + (da / 2)².
 WHITE = 0.5  # share of white; colours are blended less this much
-ALPHA = np.float32(np.sqrt(3 * WHITE * (1 - WHITE)))  # the fourth channel: alpha times this
+ALPHA = math.sqrt(3 * WHITE * (1 - WHITE))  # the fourth channel: alpha times this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,11 +23,12 @@ class Target:
 
     Attributes:
         camera: The camera.
-        image: (H, W, 4) float32, the colours as a screen shows them over black, and alpha.
+        image: (H, W, 4) uint16, the colours as a screen shows them over black, and alpha; 65535
+            for 1: half the memory of float32, and more levels than any screen has.
     """
 
     camera: Camera
-    image: F32
+    image: U16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +49,8 @@ class Pull:
 def make_target(original: PreparedSplats, camera: Camera) -> Target:
     """Render the original from a camera."""
     rendering = render(original, camera)
-    return Target(camera, np.dstack([np.clip(rendering.color, 0, 1), rendering.alpha]))
+    image = np.dstack([np.clip(rendering.color, 0, 1), rendering.alpha])
+    return Target(camera, np.rint(image * np.float32(65535)).astype(np.uint16))
 
 
 def _blend(model: PreparedSplats, camera: Camera) -> tuple[Projection, F32, F32]:
@@ -65,35 +68,28 @@ def _blend(model: PreparedSplats, camera: Camera) -> tuple[Projection, F32, F32]
     return view, features, image
 
 
-def _residual(target: Target, image: F32) -> F32:
-    """(H, W, 4) wanted change of the image; none where both are brighter than a screen."""
-    alpha = image[..., 3:] / ALPHA
-    color = image[..., :3] + np.float32(WHITE) * alpha
-    change: F32 = target.image - np.dstack([np.minimum(color, 1), alpha])
-    change[..., :3] -= np.float32(WHITE) * change[..., 3:]
-    change[..., 3] *= ALPHA
-    return change
+def _weigh(target: Target, image: F32) -> tuple[F32, F32, float]:
+    """(H, W, 4) wanted change of the image, (H, W) its alpha, and the mean squared error."""
+    residual = np.empty_like(image)
+    precision = np.empty(image.shape[:2], np.float32)
+    errors = np.empty(len(image), np.float64)
+    backward.weigh_pixels(image, target.image, WHITE, ALPHA, residual, precision, errors)
+    return residual, precision, float(errors.sum()) / (3 * precision.size)
 
 
 def squared_error(model: PreparedSplats, target: Target) -> float:
     """Mean squared error of one view over black and white alike, a channel."""
-    return _mean_square(_residual(target, _blend(model, target.camera)[2]))
-
-
-def _mean_square(residual: F32) -> float:
-    total = np.sum(residual * residual, dtype=np.float64)
-    return float(total / (3 * residual.shape[0] * residual.shape[1]))
+    return _weigh(target, _blend(model, target.camera)[2])[2]
 
 
 def pull(model: PreparedSplats, target: Target) -> Pull:
     """Render a view and sum up how it pulls at each splat."""
     view, features, image = _blend(model, target.camera)
-    residual = _residual(target, image)
-    precision = image[..., 3] / ALPHA
+    residual, precision, error = _weigh(target, image)
     partial = np.empty((len(view.entries), backward.SUMS), np.float32)
     backward.pull_tiles(
         view.geometry, features, view.starts, view.entries, image, residual, precision, partial
     )
     totals = np.empty((len(model), backward.SUMS), np.float64)
     backward.gather_entries(view.entries, partial, totals)
-    return Pull(view, totals, _mean_square(residual))
+    return Pull(view, totals, error)

@@ -89,7 +89,8 @@ def _refuse_elsewhere(small: Splats, targets: Sequence[Target]) -> None:
     prepared = prepare(small)
     shared = total = 0.0
     for target in targets:
-        alpha, wanted = render(prepared, target.camera).alpha, target.image[..., 3]
+        alpha = render(prepared, target.camera).alpha
+        wanted = target.image[..., 3] / np.float32(65535)
         shared += float(np.minimum(alpha, wanted).sum(dtype=np.float64))
         total += float(wanted.sum(dtype=np.float64))
     if shared < OVERLAP * total:
