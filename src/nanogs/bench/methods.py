@@ -9,8 +9,10 @@ from typing import Any
 from nanogs.bench.baselines import BASELINES, Method, MethodContext
 from nanogs.errors import OptionError
 from nanogs.simplify.api import simplify
-from nanogs.simplify.presets import PRESETS, PaperParameters, parameters
+from nanogs.simplify.presets import PRESETS, parameters
 from nanogs.splats import Splats
+
+_SWITCHES = {"true": True, "false": False}
 
 ABLATED = "paper"
 ABLATIONS = (
@@ -19,8 +21,17 @@ ABLATIONS = (
     f"{ABLATED}:tau=0",
     f"{ABLATED}:lambda_geo=0",
     f"{ABLATED}:lambda_app=0",
+    "default",
+    "default:measure=false",
+    "default:rounds=0",
+    "default:lambda_app=0",
+    "default:k=16",
+    "fast",
+    "fast:balance=0",
+    "fast:balance=1",
+    "best",
 )
-"""What the published method is worth without each of its parts, one at a time."""
+"""What a method is worth without each of its parts, one at a time."""
 
 
 def all_methods() -> tuple[str, ...]:
@@ -42,23 +53,26 @@ def find_method(name: str) -> Method:
     preset, *assignments = name.split(":")
     if preset not in PRESETS:
         raise OptionError(f"There is no method {preset!r}; choose from {', '.join(all_methods())}.")
-    overrides = dict(_parse(assignment) for assignment in assignments)
+    defaults = dataclasses.asdict(PRESETS[preset])
+    overrides = dict(_parse(assignment, defaults) for assignment in assignments)
     parameters(preset, overrides)
 
-    def run(splats: Splats, count: int, _context: MethodContext) -> Splats:
-        small, _report = simplify(splats, count=count, preset=preset, **overrides)
+    def run(splats: Splats, count: int, context: MethodContext) -> Splats:
+        views = context.cameras or None
+        small, _ = simplify(splats, count=count, preset=preset, cameras=views, **overrides)
         return small
 
     return run
 
 
-def _parse(assignment: str) -> tuple[str, Any]:
+def _parse(assignment: str, defaults: dict[str, Any]) -> tuple[str, Any]:
     """Name and value of `name=value`, the value in the type of the parameter's default."""
     name, _, text = assignment.partition("=")
-    defaults = dataclasses.asdict(PaperParameters())
     if name not in defaults:
         raise OptionError(f"There is no parameter {name!r}; choose from {', '.join(defaults)}.")
+    kind = type(defaults[name])
     try:
-        return name, type(defaults[name])(text)
-    except ValueError:
-        raise OptionError(f"{name} takes a number, not {text!r}.") from None
+        return name, _SWITCHES[text.lower()] if kind is bool else kind(text)
+    except (KeyError, ValueError):
+        wanted = "true or false" if kind is bool else "a number"
+        raise OptionError(f"{name} takes {wanted}, not {text!r}.") from None

@@ -39,7 +39,7 @@ class BenchSettings:
     views: int = 8
     size: int = 512
     camera_kind: Literal["auto", "orbit", "inside"] = "auto"
-    fit_views: int = 16
+    fit_views: int = 40
     metrics: tuple[str, ...] = ()
     seed: int = 0
     threads: int | None = None

@@ -9,12 +9,10 @@ from nanogs.cli.console import err, key_value_table, print_json, warn
 from nanogs.formatting import bytes_text
 from nanogs.io import FileInfo
 from nanogs.simplify.memory import plan_memory
-from nanogs.simplify.presets import PaperParameters
+from nanogs.simplify.presets import Parameters
 
 
-def print_plan(
-    info: FileInfo, goal: int, preset: str, chosen: PaperParameters, *, json: bool
-) -> None:
+def print_plan(info: FileInfo, goal: int, preset: str, chosen: Parameters, *, json: bool) -> None:
     """Show what a run would do: on stdout as JSON, or on stderr for people."""
     memory = plan_memory(info.splats, info.sh_degree, info.extra_bytes(), chosen.k)
     parameters = asdict(chosen)
@@ -55,14 +53,35 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
         "input": f"{run['input']}: {before:,} splats, {bytes_text(run['input_bytes'])}",
         "output": f"{run['output']}: {after:,} splats, {bytes_text(run['output_bytes'])}",
         "kept": f"{after / before:.3%} of the splats (asked: {run['asked_count']:,})",
-        "pruned": f"{run['pruned']:,} with alpha below {run['prune_threshold']:.3g}",
         "passes": f"{len(run['passes'])}, stopped by: {run['stop']}",
+        "chosen": _choice_text(run["candidates"]),
+        "refit": _refit_text(run["refit"]),
         "time": f"{run['total_seconds']:.2f} s on {run['threads']} threads",
         "stages (s)": stages,
     }
-    err.print(key_value_table(rows))
+    if run["pruned"]:
+        rows["pruned"] = f"{run['pruned']:,} with alpha below {run['prune_threshold']:.3g}"
+    err.print(key_value_table({name: text for name, text in rows.items() if text}))
     if verbose:
         err.print(_pass_table(run["passes"]))
+
+
+def _choice_text(candidates: list[dict[str, Any]]) -> str:
+    """What was chosen by measurement, and by how much over the next."""
+    if not candidates:
+        return ""
+    first, *others = sorted(candidates, key=lambda entry: -entry["quality"])
+    moved = ", reassigned" if first["reassigned"] else ""
+    lead = f" ({first['quality'] - others[0]['quality']:+.2f} dB over the next)" if others else ""
+    shown = f"{first['psnr']:.2f} dB, SSIM {first['ssim']:.3f} on the views it was chosen by"
+    return f"balance {first['balance']:g}{moved} of {len(candidates)} tried{lead}: {shown}"
+
+
+def _refit_text(refit: dict[str, Any] | None) -> str:
+    if refit is None:
+        return ""
+    before, after = refit["psnr_before"], refit["psnr_after"]
+    return f"{before:.2f} to {after:.2f} dB on the views that decide, stopped by: {refit['stop']}"
 
 
 def _pass_table(passes: list[dict[str, Any]]) -> Table:

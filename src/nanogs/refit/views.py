@@ -1,14 +1,13 @@
 """The views of a refit: which cameras, which of them decide, and what the original shows there."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.targets import Target, make_target
-from nanogs.render.camera import Camera
+from nanogs.render.camera import Camera, spread
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
@@ -42,7 +41,7 @@ def view_targets(
             "found."
         )
     count = min(parameters.validation, max(1, len(targets) // 4))
-    deciding = _spread(len(targets), count)
+    deciding = spread(range(len(targets)), count)
     held = [targets[i] for i in deciding]
     _refuse_elsewhere(small, held)
     return [target for i, target in enumerate(targets) if i not in deciding], held
@@ -58,30 +57,7 @@ def _cameras(
         raise OptionError(
             f"A refit needs two cameras or more, one of which decides, not {len(cameras)}."
         )
-    return [_reduced(cameras[i], size) for i in _spread(len(cameras), min(count, len(cameras)))]
-
-
-def _spread(n: int, count: int) -> list[int]:
-    """`count` of n places, evenly from the first part to the last."""
-    return ((2 * np.arange(count) + 1) * n // (2 * count)).tolist()
-
-
-def _reduced(camera: Camera, size: int) -> Camera:
-    """The camera with at most `size` pixels along the longer side."""
-    factor = size / max(camera.width, camera.height)
-    if factor >= 1:
-        return camera
-    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
-    along, down = width / camera.width, height / camera.height
-    return replace(
-        camera,
-        width=width,
-        height=height,
-        fx=camera.fx * along,
-        fy=camera.fy * down,
-        cx=camera.cx * along,
-        cy=camera.cy * down,
-    )
+    return [camera.reduced(size) for camera in spread(cameras, count)]
 
 
 def _refuse_elsewhere(small: Splats, targets: Sequence[Target]) -> None:

@@ -1,8 +1,12 @@
 """Pinhole cameras."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from nanogs._types import F64
+
+Item = TypeVar("Item")
 
 NEAR = 0.2  # the reference rasteriser culls what is nearer, in scene units
 
@@ -42,3 +46,26 @@ class Camera:
         rotation = self.world_to_camera[:3, :3]
         position: F64 = -rotation.T @ self.world_to_camera[:3, 3]
         return position
+
+    def reduced(self, size: int) -> "Camera":
+        """The same view with at most `size` pixels along the longer side."""
+        factor = size / max(self.width, self.height)
+        if factor >= 1:
+            return self
+        width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        along, down = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * along,
+            fy=self.fy * down,
+            cx=self.cx * along,
+            cy=self.cy * down,
+        )
+
+
+def spread(items: Sequence[Item], count: int) -> list[Item]:
+    """At most `count` of the items, evenly from the first part to the last."""
+    n, count = len(items), min(count, len(items))
+    return [items[(2 * place + 1) * n // (2 * count)] for place in range(count)]

@@ -5,6 +5,9 @@ from dataclasses import dataclass, replace
 
 from nanogs._types import F64, I32, I64
 from nanogs.errors import ModelError
+from nanogs.refit.api import refit
+from nanogs.refit.parameters import RefitParameters
+from nanogs.refit.report import RefitReport  # noqa: TC001 - fields are evaluated
 from nanogs.render.camera import Camera
 from nanogs.report import CandidateReport, StageClock, StopReason
 from nanogs.simplify.choose import BALANCES, choose_groups
@@ -20,6 +23,8 @@ from nanogs.simplify.tree import Forest, grow_forest
 from nanogs.simplify.visibility import OriginalViews, judge, look, visible_weights
 from nanogs.splats import Splats
 
+REFIT = RefitParameters(views=32, steps=16)  # half of what `nanogs refit` takes
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Build:
@@ -33,6 +38,7 @@ class Build:
         origin: (3,) what the leaves' centres are relative to, scene units.
         pixel: See `extent.dilation`, scene units.
         views: What the original shows, or None where nothing is rendered.
+        cameras: The user's, or None for automatic ones.
         parameters: Of the method.
         threads: Threads for nearest-neighbour queries.
         notes: What the user should know, one sentence each.
@@ -45,6 +51,7 @@ class Build:
     origin: F64
     pixel: float
     views: OriginalViews | None
+    cameras: Sequence[Camera] | None
     parameters: ForestParameters
     threads: int
     notes: tuple[str, ...]
@@ -81,7 +88,9 @@ def build_forest(
     forest = grow_forest(leaves, parameters.k, parameters.lambda_app, threads, progress)
     for one_pass in forest.passes:
         clock.add(one_pass.seconds)
-    return Build(splats, rows, leaves, forest, origin, pixel, views, parameters, threads, notes)
+    return Build(
+        splats, rows, leaves, forest, origin, pixel, views, cameras, parameters, threads, notes
+    )
 
 
 def deliver(build: Build, target: int, clock: StageClock, progress: Progress) -> Outcome:
@@ -94,8 +103,19 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
     progress("store", groups)
     with clock.time("store"):
         small = _model(build, labels, groups)
-    stop = StopReason.TARGET if groups == target else forest.stop
-    return Outcome(small, forest.passes, stop, candidates=candidates, notes=build.notes)
+    fitted: RefitReport | None = None
+    if build.parameters.refit and groups < forest.splats:
+        progress("refit", groups)
+        with clock.time("refit"):
+            small, fitted = refit(build.splats, small, cameras=build.cameras, parameters=REFIT)
+    return Outcome(
+        splats=small,
+        passes=forest.passes,
+        stop=StopReason.TARGET if groups == target else forest.stop,
+        candidates=candidates,
+        refit=fitted,
+        notes=build.notes,
+    )
 
 
 def _group(build: Build, groups: int) -> tuple[I32, tuple[CandidateReport, ...]]:

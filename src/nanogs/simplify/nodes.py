@@ -9,7 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64
-from nanogs.kernels.nodes import covariances_of, gather_moments, group_members, heaviest_members, principal_axes
+from nanogs.kernels.nodes import (
+    covariances_of,
+    gather_moments,
+    group_members,
+    heaviest_members,
+    principal_axes,
+)
 from nanogs.simplify.order import morton_order
 from nanogs.splats import Splats
 

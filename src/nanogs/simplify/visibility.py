@@ -7,7 +7,7 @@ import numpy as np
 
 from nanogs._types import F32, F64
 from nanogs.metrics import psnr, ssim
-from nanogs.render.camera import Camera
+from nanogs.render.camera import Camera, spread
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
@@ -44,7 +44,10 @@ def look(splats: Splats, cameras: Sequence[Camera] | None = None) -> OriginalVie
     Raises:
         ModelError: No splat is visible.
     """
-    chosen = cameras or automatic_cameras(splats, VIEWS, width=SIZE, height=SIZE)
+    if cameras:
+        chosen = [camera.reduced(SIZE) for camera in spread(cameras, VIEWS)]
+    else:
+        chosen = automatic_cameras(splats, VIEWS, width=SIZE, height=SIZE)
     prepared = prepare(splats)
     seen, whole = np.zeros(len(splats)), np.zeros(len(splats))
     images = []
