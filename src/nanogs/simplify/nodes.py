@@ -20,6 +20,7 @@ from nanogs.simplify.order import morton_order
 from nanogs.splats import Splats
 
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
+MOST_GROWTH = 1.1  # of the length of a merged splat's axes
 MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
 
 
@@ -152,13 +153,35 @@ def dominant_members(nodes: Nodes, labels: I32, groups: int) -> I64:
     return dominant
 
 
+def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float) -> F64:
+    """(G, 6) float64: covariances, larger where even an opaque splat would cover too little.
+
+    What has to be covered is the members' footprints in proportion to how visible they are,
+    (sum w)² / (sum w²/a) for weights w and coverages a: all of them where all are seen alike, and
+    not those that hide behind others. Groups of one are not to be asked for.
+
+    Args:
+        merged: G nodes from `gather`.
+        leaves: (M) their members.
+        labels: (M,) the group of each.
+        pixel: As `footprints` takes it.
+    """
+    groups = len(merged)
+    with np.errstate(divide="ignore", over="ignore"):
+        squares = leaves.weights**2 / leaves.coverages
+    wanted = merged.weights**2 / np.bincount(labels, squares, groups)
+    growth = np.clip(wanted / footprints(merged.covariances, pixel), 1.0, MOST_GROWTH**2)
+    return merged.covariances * growth[:, None]
+
+
 def store_nodes(
     merged: Nodes, leaves: Nodes, labels: I32, rows: I64, splats: Splats, origin: F64, pixel: float
 ) -> Splats:
     """Stored values of merged nodes, in the order of their dominant members in the input.
 
-    alpha = min(1, coverage / footprint): the screen stays covered as much as it was. A group of one
-    gets the input's bytes back; a larger one takes its extra columns from its dominant member.
+    alpha = min(1, coverage / footprint): the screen stays covered as much as it was; where that
+    asks for more than an opaque splat, it grows (`grown`). A group of one gets the input's bytes
+    back; a larger one takes its extra columns from its dominant member.
 
     Args:
         merged: (G) from `gather`.
@@ -176,8 +199,9 @@ def store_nodes(
     fresh = order[new]
     scales = np.empty((len(fresh), 3), np.float32)
     quats = np.empty((len(fresh), 4), np.float32)
-    principal_axes(merged.covariances[fresh], scales, quats)
-    alphas = merged.coverages[fresh] / footprints(merged.covariances[fresh], pixel)
+    covariances = grown(merged, leaves, labels, pixel)[fresh]
+    principal_axes(covariances, scales, quats)
+    alphas = merged.coverages[fresh] / footprints(covariances, pixel)
     alphas = np.minimum(alphas, MOST_OPAQUE)
     stored.means[new] = merged.means[fresh] + origin
     stored.quats[new] = quats
