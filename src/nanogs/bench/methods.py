@@ -22,14 +22,16 @@ ABLATIONS = (
     f"{ABLATED}:lambda_geo=0",
     f"{ABLATED}:lambda_app=0",
     "default",
-    "default:measure=false",
+    "default:hidden=1",
+    "default:pixels=1e6",
+    "default:growth=1",
     "default:rounds=0",
     "default:lambda_app=0",
     "default:k=16",
     "fast",
     "fast:balance=0",
     "fast:balance=1",
-    "best",
+    "fast:rounds=3",
 )
 """What a method is worth without each of its parts, one at a time."""
 

@@ -5,7 +5,6 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.splats import RenderMode
 
-NOMINAL_PIXELS = 720  # across the scene's core, where it is seen
 _DILATION = 0.3  # pixels², what 3DGS rasterisers add to every variance on the screen
 _SHARE = 0.9  # of the alpha lies within the core's radius
 _SAMPLE = 40_000  # splats looked at; a stride thins larger models
@@ -45,18 +44,19 @@ def core_radius(means: F64, alphas: F64) -> float:
     return float(distances[order[place]])
 
 
-def dilation(means: F64, alphas: F64, mode: RenderMode) -> float:
+def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> float:
     """Standard deviation that a rasteriser adds to a splat on the screen, scene units.
 
-    It depends on the view; this is that of a view in which the core is `NOMINAL_PIXELS` across. A
+    It depends on the view; this is that of a view in which the core is `pixels` across. A
     MIP model's rasteriser takes back from the opacity what it adds to the size: 0.
 
     Args:
         means: (N, 3) float64, scene units.
         alphas: (N,) float64 in [0, 1].
         mode: The rasteriser the model was trained for.
+        pixels: Across the core's diameter.
     """
     if mode is RenderMode.MIP:
         return 0.0
-    pixel = 2 * core_radius(means, alphas) / NOMINAL_PIXELS
+    pixel = 2 * core_radius(means, alphas) / pixels
     return float(np.sqrt(_DILATION)) * pixel

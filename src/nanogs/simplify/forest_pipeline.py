@@ -80,10 +80,10 @@ def build_forest(
     with clock.time("activate"):
         origin = scene_origin(splats.means[rows])
         alphas = splats.opacities()[rows]
-        pixel = dilation(splats.means[rows] - origin, alphas, splats.render_mode)
+        pixel = dilation(splats.means[rows] - origin, alphas, splats.render_mode, parameters.pixels)
         leaves, rows = activate_nodes(splats, rows, origin, pixel)
         if views is not None:
-            weights = visible_weights(leaves.coverages, views.visible[rows])
+            weights = visible_weights(leaves.coverages, views.visible[rows], parameters.hidden)
             leaves = replace(leaves, weights=normalised(weights))
     forest = grow_forest(leaves, parameters.k, parameters.lambda_app, threads, progress)
     for one_pass in forest.passes:
@@ -141,5 +141,12 @@ def _group(build: Build, groups: int) -> tuple[I32, tuple[CandidateReport, ...]]
 def _model(build: Build, labels: I32, groups: int) -> Splats:
     merged = gather(build.leaves, labels, groups)
     return store_nodes(
-        merged, build.leaves, labels, build.rows, build.splats, build.origin, build.pixel
+        merged,
+        build.leaves,
+        labels,
+        build.rows,
+        build.splats,
+        build.origin,
+        build.pixel,
+        build.parameters.growth,
     )

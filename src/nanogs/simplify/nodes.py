@@ -20,7 +20,6 @@ from nanogs.simplify.order import morton_order
 from nanogs.splats import Splats
 
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
-MOST_GROWTH = 1.1  # of the length of a merged splat's axes
 MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
 
 
@@ -153,7 +152,7 @@ def dominant_members(nodes: Nodes, labels: I32, groups: int) -> I64:
     return dominant
 
 
-def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float) -> F64:
+def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float, growth: float) -> F64:
     """(G, 6) float64: covariances, larger where even an opaque splat would cover too little.
 
     What has to be covered is the members' footprints in proportion to how visible they are,
@@ -165,17 +164,25 @@ def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float) -> F64:
         leaves: (M) their members.
         labels: (M,) the group of each.
         pixel: As `footprints` takes it.
+        growth: Most that an axis may grow.
     """
     groups = len(merged)
     with np.errstate(divide="ignore", over="ignore"):
         squares = leaves.weights**2 / leaves.coverages
     wanted = merged.weights**2 / np.bincount(labels, squares, groups)
-    growth = np.clip(wanted / footprints(merged.covariances, pixel), 1.0, MOST_GROWTH**2)
-    return merged.covariances * growth[:, None]
+    factors = np.clip(wanted / footprints(merged.covariances, pixel), 1.0, growth**2)
+    return merged.covariances * factors[:, None]
 
 
 def store_nodes(
-    merged: Nodes, leaves: Nodes, labels: I32, rows: I64, splats: Splats, origin: F64, pixel: float
+    merged: Nodes,
+    leaves: Nodes,
+    labels: I32,
+    rows: I64,
+    splats: Splats,
+    origin: F64,
+    pixel: float,
+    growth: float,
 ) -> Splats:
     """Stored values of merged nodes, in the order of their dominant members in the input.
 
@@ -191,6 +198,7 @@ def store_nodes(
         splats: The input.
         origin: (3,) what `activate_nodes` took off the centres, scene units.
         pixel: As `footprints` takes it.
+        growth: Most that an axis may grow.
     """
     sources = rows[dominant_members(leaves, labels, len(merged))]
     order = np.argsort(sources)
@@ -199,7 +207,7 @@ def store_nodes(
     fresh = order[new]
     scales = np.empty((len(fresh), 3), np.float32)
     quats = np.empty((len(fresh), 4), np.float32)
-    covariances = grown(merged, leaves, labels, pixel)[fresh]
+    covariances = grown(merged, leaves, labels, pixel, growth)[fresh]
     principal_axes(covariances, scales, quats)
     alphas = merged.coverages[fresh] / footprints(covariances, pixel)
     alphas = np.minimum(alphas, MOST_OPAQUE)

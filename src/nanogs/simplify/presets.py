@@ -60,6 +60,11 @@ class ForestParameters:
         balance: Of the cut, from groups of equal size (0) to groups of equal error (1); where
             results are measured, one of several that are tried.
         rounds: Rounds of reassignment after the cut.
+        pixels: Across the model's core where it is likely to be seen: rasterisers widen what is
+            thinner than a pixel, and what is merged must cover as much.
+        hidden: Weight of a splat that no view sees over that of one in full sight, above 0; 1
+            weighs all alike.
+        growth: Most that a merged splat's axes may grow where an opaque one would cover too little.
         measure: Render the original: weigh splats by what is seen of them, and choose between
             results by how they look.
         refit: Fit the result to renders of the original.
@@ -69,6 +74,9 @@ class ForestParameters:
     lambda_app: float = 1.0
     balance: float = 0.8
     rounds: int = 3
+    pixels: float = 720.0
+    hidden: float = 0.01
+    growth: float = 1.1
     measure: bool = True
     refit: bool = False
 
@@ -78,6 +86,9 @@ class ForestParameters:
         _require(0 <= self.lambda_app < math.inf, "lambda_app", self.lambda_app, "0 or more")
         _require(0 <= self.balance <= 1, "balance", self.balance, "from 0 to 1")
         _require(self.rounds >= 0, "rounds", self.rounds, "0 or more")
+        _require(0 < self.pixels < math.inf, "pixels", self.pixels, "above 0, and finite")
+        _require(0 < self.hidden <= 1, "hidden", self.hidden, "above 0, at most 1")
+        _require(1 <= self.growth < math.inf, "growth", self.growth, "1 or more, and finite")
 
 
 Parameters: TypeAlias = PaperParameters | ForestParameters

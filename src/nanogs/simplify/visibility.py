@@ -15,7 +15,6 @@ from nanogs.splats import Splats
 VIEWS = 12
 SIZE = 256  # pixels; visibility needs no more, and the choice is between models of one kind
 JUDGED = 2  # every second view is also one to choose by
-HIDDEN = 0.01  # weight of a splat that no view sees, over that of one in full sight
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,14 +62,15 @@ def look(splats: Splats, cameras: Sequence[Camera] | None = None) -> OriginalVie
     return OriginalViews(np.minimum(visible, 1.0), tuple(chosen[::JUDGED]), tuple(images[::JUDGED]))
 
 
-def visible_weights(coverages: F64, visible: F64) -> F64:
+def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
     """(N,) float64: footprints, less where they are hidden.
 
     Args:
         coverages: (N,) alpha times footprint.
         visible: (N,) in [0, 1].
+        hidden: Weight of what is not seen at all, over that of what is in full sight.
     """
-    weights: F64 = coverages * (HIDDEN + (1 - HIDDEN) * visible)
+    weights: F64 = coverages * (hidden + (1 - hidden) * visible)
     return weights
 
 
