@@ -107,7 +107,9 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
     if build.parameters.refit and groups < forest.splats:
         progress("refit", groups)
         with clock.time("refit"):
-            small, fitted = refit(build.splats, small, cameras=build.cameras, parameters=REFIT)
+            small, fitted = refit(
+                build.splats, small, cameras=build.cameras, parameters=REFIT, threads=build.threads
+            )
     return Outcome(
         splats=small,
         passes=forest.passes,
