@@ -164,8 +164,8 @@ def test_random_pairs_come_from_the_seed_and_from_everywhere():
 
 def test_the_random_graph_meets_the_count_and_is_another_result():
     splats = random_splats(500)
-    near, _ = nanogs.simplify(splats, ratio=0.1)
-    far, report = nanogs.simplify(splats, ratio=0.1, graph="random")
+    near, _ = nanogs.simplify(splats, ratio=0.1, preset="paper")
+    far, report = nanogs.simplify(splats, ratio=0.1, preset="paper", graph="random")
     assert len(far) == 50
     assert report.stop == StopReason.TARGET
     assert report.parameters["graph"] == "random"

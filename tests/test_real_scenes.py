@@ -49,7 +49,9 @@ def test_as_good_as_the_published_code(ratio):
     for name in ("biker", "plant", "seal", "chair"):
         splats = nanogs.load(scene_path(SCENES[name][0]))
         theirs = nanogs.load(peer_path(f"{name}_{ratio:g}_nanogs-ref.ply"))
-        ours = [nanogs.simplify(splats, ratio=ratio, seed=seed)[0] for seed in range(3)]
+        ours = [
+            nanogs.simplify(splats, ratio=ratio, preset="paper", seed=seed)[0] for seed in range(3)
+        ]
         assert all(len(model) == len(theirs) for model in ours)
         up = (0, 0, 1) if name == "chair" else None
         cameras = automatic_cameras(splats, 4, width=192, height=192, up=up, split="test")

@@ -1,23 +1,48 @@
-"""The published method through the library's front door: hazards by name, then properties."""
+"""Every preset through the library's front door: hazards by name, then properties.
+
+What `simplify` promises holds for all presets; what only the published method does says so.
+"""
 
 import itertools
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import ModelError, OptionError
+from nanogs.refit.parameters import RefitParameters
 from nanogs.report import StopReason
+from nanogs.simplify import forest_pipeline, pipeline, visibility
 from nanogs.simplify import match as match_stage
-from nanogs.simplify import pipeline
+from nanogs.simplify.presets import PRESETS
 from nanogs.simplify.prune import prune
 from nanogs.simplify.target import target_count
 from nanogs.splats import ExtraElement, Splats
+
+every_preset = pytest.mark.parametrize("preset", PRESETS)
+# A fit takes a large part of a second, too long for many examples.
+not_fitted = pytest.mark.parametrize("preset", ["default", "fast", "paper"])
+QUICK = settings(max_examples=8)  # for each preset
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_views():
+    """What is rendered and fitted is not the matter here: few and small views do."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(visibility, "VIEWS", 2)
+        patch.setattr(visibility, "SIZE", 32)
+        patch.setattr(forest_pipeline, "REFIT", RefitParameters(views=2, steps=2, size=32))
+        yield
+
+
+def unpruned(preset):
+    """Options for which no splat is dropped for its opacity."""
+    return {"tau": 0} if preset == "paper" else {}
 
 
 def one_place(count):
@@ -30,18 +55,21 @@ def one_place(count):
 # Counts
 
 
+@not_fitted
 @pytest.mark.parametrize("ratio", [1, 0.99, 0.9, 0.5, 0.1, 0.01, 0.001, 1e-9])
-def test_every_ratio_is_met_exactly(ratio):
+def test_every_ratio_is_met_exactly(preset, ratio):
     splats = random_splats(1000)
-    small, report = nanogs.simplify(splats, ratio=ratio)
+    small, report = nanogs.simplify(splats, ratio=ratio, preset=preset)
     assert len(small) == report.achieved_count == math.ceil(ratio * 1000)
     assert report.stop == StopReason.TARGET
 
 
+@not_fitted
+@QUICK
 @given(st.integers(1, 200), st.data())
-def test_every_count_is_met_exactly(n, data):
+def test_every_count_is_met_exactly(preset, n, data):
     count = data.draw(st.integers(1, n))
-    small, report = nanogs.simplify(random_splats(n, seed=n), count=count)
+    small, report = nanogs.simplify(random_splats(n, seed=n), count=count, preset=preset)
     assert len(small) == report.achieved_count == count
 
 
@@ -53,7 +81,7 @@ def test_ratio_is_the_decimal_that_is_written():
 def test_pruning_stops_at_the_count_and_says_so():
     splats = random_splats(100)
     splats.opacity_logits[:] = np.linspace(-8, -3, 100)
-    small, report = nanogs.simplify(splats, ratio=0.9)
+    small, report = nanogs.simplify(splats, ratio=0.9, preset="paper")
     assert len(small) == 90
     assert report.prune_limited
     assert report.pruned == 10
@@ -73,13 +101,15 @@ def test_prune_limited_keeps_the_most_opaque_ties_by_row():
     assert pruning.limited
 
 
-def test_ratio_one_returns_the_same_bytes():
+@every_preset
+def test_ratio_one_returns_the_same_bytes(preset):
     splats = random_splats(50, degree=3)
-    small, report = nanogs.simplify(splats, ratio=1)
+    small, report = nanogs.simplify(splats, ratio=1, preset=preset)
     assert model_bytes(small) == model_bytes(splats)
-    assert report.passes == ()
+    assert report.passes == () or preset != "paper"  # a forest does not know the count
 
 
+@not_fitted
 @pytest.mark.parametrize(
     ("ratio", "count"),
     [
@@ -93,9 +123,9 @@ def test_ratio_one_returns_the_same_bytes():
     ]
     + [(None, 0), (None, -1), (None, 11)],
 )
-def test_wishes_that_make_no_sense_are_refused(ratio, count):
+def test_wishes_that_make_no_sense_are_refused(preset, ratio, count):
     with pytest.raises(OptionError):
-        nanogs.simplify(random_splats(10), ratio=ratio, count=count)
+        nanogs.simplify(random_splats(10), ratio=ratio, count=count, preset=preset)
 
 
 @pytest.mark.parametrize(
@@ -112,96 +142,125 @@ def test_parameters_out_of_range_are_refused(override):
 # Hazards
 
 
-def test_one_splat_and_two_splats():
-    assert len(nanogs.simplify(random_splats(1), ratio=0.1)[0]) == 1
-    small, report = nanogs.simplify(random_splats(2), count=1, tau=0)
+@every_preset
+def test_one_splat_and_two_splats(preset):
+    one, report = nanogs.simplify(random_splats(1), ratio=0.1, preset=preset)
+    assert model_bytes(one) == model_bytes(random_splats(1))
+    assert report.stop == StopReason.TARGET
+    small, report = nanogs.simplify(random_splats(2), count=1, preset=preset, **unpruned(preset))
     assert len(small) == 1
     assert report.passes[0].merged == 1
 
 
-def test_k_larger_than_the_count():
-    assert len(nanogs.simplify(random_splats(5), count=2, k=100)[0]) == 2
+@every_preset
+def test_k_larger_than_the_count(preset):
+    assert len(nanogs.simplify(random_splats(5), count=2, k=100, preset=preset)[0]) == 2
 
 
+@not_fitted
 @pytest.mark.parametrize("count", [2, 10, 40, 3000])
-def test_coincident_centres_merge_down_to_one(count):
-    small, report = nanogs.simplify(one_place(count), count=1)
+def test_coincident_centres_merge_down_to_one(preset, count):
+    small, report = nanogs.simplify(one_place(count), count=1, preset=preset)
     assert len(small) == 1
     assert report.stop == StopReason.TARGET
 
 
-def test_a_hundred_thousand_coincident_centres_finish():
+@pytest.mark.parametrize("preset", ["fast", "paper"])
+def test_a_hundred_thousand_coincident_centres_finish(preset):
     """A k-d tree cannot split them: each query would visit all."""
     splats = one_place(10).take(np.arange(100_000) % 10)
-    assert len(nanogs.simplify(splats, ratio=0.1)[0]) == 10_000
+    assert len(nanogs.simplify(splats, ratio=0.1, preset=preset)[0]) == 10_000
 
 
-def test_zero_scales_and_zero_quaternions():
+@every_preset
+@pytest.mark.parametrize("unit", [1e-12, 1e12])
+def test_scenes_in_tiny_and_huge_units(preset, unit):
+    splats = random_splats(60, spread=unit)
+    small, report = nanogs.simplify(splats, count=7, preset=preset)
+    assert len(small) == 7
+    assert report.stop == StopReason.TARGET
+    assert small.finite().all()
+    assert np.isfinite(small.log_scales).all()
+
+
+@every_preset
+def test_zero_scales_and_zero_quaternions(preset):
     splats = random_splats(60)
     splats.log_scales[:30] = -np.inf
     splats.quats[20:40] = 0
-    small, _ = nanogs.simplify(splats, count=5)
+    small, _ = nanogs.simplify(splats, count=5, preset=preset)
     assert len(small) == 5
     assert small.finite().all()
 
 
-def test_flyaways_a_million_extents_out():
+@every_preset
+def test_flyaways_a_million_extents_out(preset):
     splats = random_splats(500)
     splats.means[:5] *= 1e6
-    small, _ = nanogs.simplify(splats, count=50)
+    small, _ = nanogs.simplify(splats, count=50, preset=preset)
     assert small.finite().all()
 
 
+@every_preset
 @pytest.mark.parametrize("opacity", [np.inf, -np.inf])
-def test_infinite_opacities_are_data(opacity):
+def test_infinite_opacities_are_data(preset, opacity):
     splats = random_splats(40)
     splats.opacity_logits[:] = opacity
-    small, report = nanogs.simplify(splats, count=4)
+    small, report = nanogs.simplify(splats, count=4, preset=preset)
     assert report.dropped_nonfinite == 0
-    assert (small.opacity_logits == opacity).all()
+    assert len(small) == 4
+    assert not np.isnan(small.opacity_logits).any()
+    assert (small.opacities() > 0).all() == (opacity > 0)
+    if preset == "paper" or opacity < 0:
+        assert (small.opacity_logits == opacity).all()
 
 
+@not_fitted
 @pytest.mark.parametrize(
     ("column", "value"),
     [*itertools.product(["means", "log_scales", "quats", "sh"], [np.nan, np.inf])]
     + [("opacity_logits", np.nan)],  # an infinite opacity logit is data
 )
-def test_bad_rows_are_left_out_and_reported(column, value):
+def test_bad_rows_are_left_out_and_reported(preset, column, value):
     splats = random_splats(50)
     array = getattr(splats, column).reshape(50, -1)
     array[7, 0] = value
     array[31, -1] = value
-    small, report = nanogs.simplify(splats, count=5, tau=0)
+    small, report = nanogs.simplify(splats, count=5, preset=preset, **unpruned(preset))
     assert report.dropped_nonfinite == 2
     clean = splats.take(np.delete(np.arange(50), [7, 31]))
-    assert model_bytes(small) == model_bytes(nanogs.simplify(clean, count=5, tau=0)[0])
+    same, _ = nanogs.simplify(clean, count=5, preset=preset, **unpruned(preset))
+    assert model_bytes(small) == model_bytes(same)
 
 
-def test_bad_rows_are_refused_on_request():
+@every_preset
+def test_bad_rows_are_refused_on_request(preset):
     splats = random_splats(50)
     splats.means[7] = np.nan
     with pytest.raises(ModelError, match="row 7"):
-        nanogs.simplify(splats, count=5, nan="error")
+        nanogs.simplify(splats, count=5, nan="error", preset=preset)
 
 
-def test_a_scale_that_overflows_is_a_bad_row():
+@every_preset
+def test_a_scale_that_overflows_is_a_bad_row(preset):
     splats = random_splats(20)
     splats.log_scales[3] = 1000
-    assert nanogs.simplify(splats, count=5)[1].dropped_nonfinite == 1
+    assert nanogs.simplify(splats, count=5, preset=preset)[1].dropped_nonfinite == 1
 
 
-def test_all_opacities_nan():
+@every_preset
+def test_all_opacities_nan(preset):
     splats = random_splats(20)
     splats.opacity_logits[:] = np.nan
     with pytest.raises(ModelError, match="No splat is usable"):
-        nanogs.simplify(splats, ratio=0.5)
+        nanogs.simplify(splats, ratio=0.5, preset=preset)
 
 
 def test_costs_without_a_number_end_the_loop_and_the_report_says_why(monkeypatch):
     monkeypatch.setattr(
         pipeline, "pair_costs", lambda g, pairs, *_: np.full(len(pairs), np.nan, np.float32)
     )
-    small, report = nanogs.simplify(random_splats(20), count=5, tau=0)
+    small, report = nanogs.simplify(random_splats(20), count=5, tau=0, preset="paper")
     assert report.stop == StopReason.NO_CANDIDATES
     assert report.passes[0].without_cost == report.passes[0].candidates > 0
     assert len(small) == 20
@@ -212,11 +271,14 @@ def test_a_pass_that_merges_nothing_ends_the_loop(monkeypatch):
         return match_stage.MergePlan(pairs[:0], costs[:0], 0)
 
     monkeypatch.setattr(pipeline, "match", nothing)
-    assert nanogs.simplify(random_splats(20), count=5)[1].stop == StopReason.NO_PROGRESS
+    assert (
+        nanogs.simplify(random_splats(20), count=5, preset="paper")[1].stop
+        == StopReason.NO_PROGRESS
+    )
 
 
 def test_merge_cap_bounds_every_pass():
-    _, report = nanogs.simplify(random_splats(200), count=20, tau=0, merge_cap=0.1)
+    _, report = nanogs.simplify(random_splats(200), count=20, tau=0, merge_cap=0.1, preset="paper")
     assert len(report.passes) > 10
     assert all(p.merged <= max(1, p.count_before // 10) for p in report.passes)
 
@@ -224,59 +286,67 @@ def test_merge_cap_bounds_every_pass():
 # What is carried
 
 
-def test_extra_columns_come_from_the_dominant_member():
+@every_preset
+def test_extra_columns_come_from_the_dominant_member(preset):
     splats = random_splats(
         2, extras={"label": np.array([7, 9], np.uint8), "id": np.array([2**53 + 1, 5])}
     )
     splats.log_scales[:] = [[-3] * 3, [-1] * 3]
     splats.opacity_logits[:] = 2
-    small, _ = nanogs.simplify(splats, count=1)
+    small, _ = nanogs.simplify(splats, count=1, preset=preset)
     assert small.extras["label"].tolist() == [9]
     assert small.extras["label"].dtype == np.uint8
     assert small.extras["id"].tolist() == [5]
 
 
-def test_tag_comments_and_elements_are_carried():
+@every_preset
+def test_tag_comments_and_elements_are_carried(preset):
     element = ExtraElement("camera", np.array([(1.5,)], dtype=[("fx", "f4")]))
     base = random_splats(20)
     splats = Splats(
         base.means, base.log_scales, base.quats, base.opacity_logits, base.sh,
         render_mode=nanogs.RenderMode.MIP, comments=("by me",), elements=(element,),
     )  # fmt: skip
-    small, _ = nanogs.simplify(splats, count=5)
+    small, _ = nanogs.simplify(splats, count=5, preset=preset)
     assert small.render_mode == nanogs.RenderMode.MIP
     assert small.comments == ("by me",)
     assert small.elements == (element,)
 
 
-def test_an_element_with_a_row_for_each_splat_is_refused():
+@every_preset
+def test_an_element_with_a_row_for_each_splat_is_refused(preset):
     base = random_splats(20)
     element = ExtraElement("sh8", np.zeros(20, dtype=[("a", "u1")]))
     splats = Splats(
         base.means, base.log_scales, base.quats, base.opacity_logits, base.sh, elements=(element,)
     )
     with pytest.raises(ModelError, match="sh8"):
-        nanogs.simplify(splats, count=5)
+        nanogs.simplify(splats, count=5, preset=preset)
 
 
-def test_rows_that_were_not_merged_keep_their_bytes_and_order():
+@not_fitted
+def test_rows_that_were_not_merged_keep_their_bytes_and_order(preset):
     splats = random_splats(300, extras={"row": np.arange(300)})
-    small, _ = nanogs.simplify(splats, ratio=0.9, tau=0)
+    small, _ = nanogs.simplify(splats, ratio=0.9, preset=preset, **unpruned(preset))
     rows = small.extras["row"]
     assert (np.diff(rows) > 0).all()
     same = [model_bytes(small.take(np.array([i]))) == model_bytes(splats.take(np.array([row])))
             for i, row in enumerate(rows)]  # fmt: skip
-    assert sum(same) == 300 - 2 * 30
+    # 30 merges of pairs leave 240; larger groups touch fewer rows of the result.
+    assert 240 <= sum(same) < 270
+    assert preset != "paper" or sum(same) == 240
 
 
-def test_the_input_is_not_changed():
+@every_preset
+def test_the_input_is_not_changed(preset):
     splats = random_splats(100)
     before = model_bytes(splats)
-    nanogs.simplify(splats, ratio=0.1)
+    nanogs.simplify(splats, ratio=0.1, preset=preset)
     assert model_bytes(splats) == before
 
 
-def test_double_centres_keep_their_digits_far_from_zero():
+@every_preset
+def test_double_centres_keep_their_digits_far_from_zero(preset):
     base = random_splats(100)
     far = np.array([5e6, -3e6, 100.0])
     splats = Splats(
@@ -286,8 +356,8 @@ def test_double_centres_keep_their_digits_far_from_zero():
         base.opacity_logits,
         base.sh,
     )
-    small, _ = nanogs.simplify(splats, count=20)
-    near, _ = nanogs.simplify(base, count=20)
+    small, _ = nanogs.simplify(splats, count=20, preset=preset)
+    near, _ = nanogs.simplify(base, count=20, preset=preset)
     assert small.means.dtype == np.float64
     assert np.allclose(small.means - far, near.means, atol=1e-6)
 
@@ -295,10 +365,12 @@ def test_double_centres_keep_their_digits_far_from_zero():
 # Properties
 
 
+@not_fitted
+@QUICK
 @given(st.integers(2, 120), st.floats(0.01, 1), st.integers(0, 3), st.integers(0, 2**31))
-def test_results_are_valid_models(n, ratio, degree, seed):
+def test_results_are_valid_models(preset, n, ratio, degree, seed):
     splats = random_splats(n, degree=degree, seed=seed)
-    small, _ = nanogs.simplify(splats, ratio=ratio)
+    small, _ = nanogs.simplify(splats, ratio=ratio, preset=preset)
     assert small.finite().all()
     assert np.isfinite(small.log_scales).all()
     assert small.sh_degree == degree
@@ -307,10 +379,12 @@ def test_results_are_valid_models(n, ratio, degree, seed):
     assert ((small.opacities() >= 0) & (small.opacities() <= 1)).all()
 
 
+@not_fitted
+@QUICK
 @given(st.integers(5, 60), st.integers(0, 2**31))
-def test_centres_stay_inside_the_hull_of_the_input(n, seed):
+def test_centres_stay_inside_the_hull_of_the_input(preset, n, seed):
     splats = random_splats(n, seed=seed)
-    small, _ = nanogs.simplify(splats, ratio=0.2, tau=0)
+    small, _ = nanogs.simplify(splats, ratio=0.2, preset=preset, **unpruned(preset))
     planes = ConvexHull(splats.means.astype(np.float64)).equations
     assert (small.means @ planes[:, :3].T + planes[:, 3] <= 1e-5).all()
 
@@ -320,7 +394,7 @@ def test_total_mass_and_mean_colour_are_preserved_by_one_merge(n, seed):
     """Every merge conserves the mass-weighted mean of centre and colour, so the whole does."""
     splats = random_splats(2, seed=seed)
     splats.log_scales[:] = np.clip(splats.log_scales, -4, 0)
-    small, _ = nanogs.simplify(splats, count=1, tau=0)
+    small, _ = nanogs.simplify(splats, count=1, tau=0, preset="paper")
     masses = splats.opacities() * np.prod(splats.scales().astype(np.float64), axis=1)
     shares = masses / masses.sum()
     assert np.allclose(small.means[0], shares @ splats.means, atol=1e-5)
@@ -334,27 +408,29 @@ def test_moving_the_scene_moves_the_result(n, seed, offset):
     splats.means[:] = np.round(splats.means * 1024) / 1024
     moved = splats.take(np.arange(n))
     moved.means[:] += np.float32(offset)
-    small, report = nanogs.simplify(splats, ratio=0.3)
-    small_moved, report_moved = nanogs.simplify(moved, ratio=0.3)
+    small, report = nanogs.simplify(splats, ratio=0.3, preset="paper")
+    small_moved, report_moved = nanogs.simplify(moved, ratio=0.3, preset="paper")
     assert [p.merged for p in report.passes] == [p.merged for p in report_moved.passes]
     assert np.allclose(small_moved.means - np.float32(offset), small.means, atol=1e-3)
     assert np.allclose(small_moved.sh, small.sh, atol=1e-6)
 
 
+@every_preset
 @pytest.mark.parametrize("degree", [0, 3])
-def test_the_same_bytes_for_one_and_two_threads(degree):
+def test_the_same_bytes_for_one_and_two_threads(preset, degree):
     import numba
 
     if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("this machine has one core")
     splats = random_splats(5000, degree=degree)
-    one, two = (nanogs.simplify(splats, ratio=0.1, threads=t)[0] for t in (1, 2))
+    one, two = (nanogs.simplify(splats, ratio=0.1, threads=t, preset=preset)[0] for t in (1, 2))
     assert model_bytes(one) == model_bytes(two)
 
 
-def test_the_same_bytes_again():
+@every_preset
+def test_the_same_bytes_again(preset):
     splats = random_splats(2000)
-    first, second = (nanogs.simplify(splats, ratio=0.1)[0] for _ in range(2))
+    first, second = (nanogs.simplify(splats, ratio=0.1, preset=preset)[0] for _ in range(2))
     assert model_bytes(first) == model_bytes(second)
 
 
@@ -369,20 +445,38 @@ def test_the_plan_is_pinned():
         sh=np.zeros((5, 1, 3), np.float32),
         extras={"row": np.arange(5)},
     )
-    small, report = nanogs.simplify(splats, count=3, k=2, samples=16)
+    small, report = nanogs.simplify(splats, count=3, k=2, samples=16, preset="paper")
     assert small.extras["row"].tolist() == [0, 2, 4]
     assert np.allclose(small.means[:, 0], [0.5, 10.75, 30])
     assert [p.merged for p in report.passes] == [2]
 
 
-def test_progress_tells_every_stage_and_the_splats_left():
+@every_preset
+def test_progress_tells_every_stage_and_the_splats_left(preset):
     told = []
     splats = random_splats(100)
-    nanogs.simplify(splats, count=10, progress=lambda stage, left: told.append((stage, left)))
+    nanogs.simplify(
+        splats,
+        count=10,
+        preset=preset,
+        progress=lambda *pair: told.append(pair),
+    )
     stages = [stage for stage, _ in told]
-    assert stages[0] == "prune"
-    assert stages[-1] == "store"
-    assert {"graph", "cost", "match", "merge"} <= set(stages)
-    left = [count for _, count in told]
+    first = {"paper": "prune", "fast": "activate"}.get(preset, "look")
+    assert stages[0] == first
+    assert stages[-1] == ("refit" if preset == "best" else "store")
+    assert {"graph", "cost", "match"} <= set(stages)
+    assert told[-1][1] == 10
+    assert ("merge" if preset == "paper" else "cut") in stages
+    # A forest is grown down to one splat, and then cut at the count: it falls twice.
+    left = [count for _, count in told][: stages.index("cut") if "cut" in stages else None]
     assert left == sorted(left, reverse=True)
-    assert left[-1] == 10
+
+
+def test_a_result_that_cannot_be_fitted_is_delivered_as_it_is():
+    """One splat of two is hardly seen where the two were: the fit refuses, the promise holds."""
+    best, report = nanogs.simplify(random_splats(2), count=1, preset="best")
+    assert len(best) == 1
+    assert report.refit is None
+    assert any("not fitted" in note for note in report.notes)
+    assert model_bytes(best) == model_bytes(nanogs.simplify(random_splats(2), count=1)[0])

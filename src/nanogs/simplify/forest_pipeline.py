@@ -7,7 +7,7 @@ from nanogs._types import F64, I32, I64
 from nanogs.errors import ModelError
 from nanogs.refit.api import refit
 from nanogs.refit.parameters import RefitParameters
-from nanogs.refit.report import RefitReport  # noqa: TC001 - fields are evaluated
+from nanogs.refit.report import RefitReport
 from nanogs.render.camera import Camera
 from nanogs.report import CandidateReport, StageClock, StopReason
 from nanogs.simplify.choose import BALANCES, choose_groups
@@ -103,21 +103,28 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
     progress("store", groups)
     with clock.time("store"):
         small = _model(build, labels, groups)
-    fitted: RefitReport | None = None
+    fitted, notes = None, build.notes
     if build.parameters.refit and groups < forest.splats:
         progress("refit", groups)
         with clock.time("refit"):
-            small, fitted = refit(
-                build.splats, small, cameras=build.cameras, parameters=REFIT, threads=build.threads
-            )
+            small, fitted, unfitted = _fit(build, small)
+            notes += unfitted
     return Outcome(
         splats=small,
         passes=forest.passes,
         stop=StopReason.TARGET if groups == target else forest.stop,
         candidates=candidates,
         refit=fitted,
-        notes=build.notes,
+        notes=notes,
     )
+
+
+def _fit(build: Build, small: Splats) -> tuple[Splats, RefitReport | None, tuple[str, ...]]:
+    """The fitted model, or the same one and why it cannot be fitted."""
+    try:
+        return *refit(build.splats, small, cameras=build.cameras, parameters=REFIT), ()
+    except ModelError as error:  # nothing visible, or a handful of splats that are hardly seen
+        return small, None, (f"The result was not fitted: {error}",)
 
 
 def _group(build: Build, groups: int) -> tuple[I32, tuple[CandidateReport, ...]]:
