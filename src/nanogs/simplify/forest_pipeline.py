@@ -73,7 +73,7 @@ def build_forest(
         progress("look", len(rows))
         with clock.time("look"):
             try:
-                views = look(splats, cameras)
+                views = look(splats, cameras, parameters.views)
             except ModelError as error:
                 notes = (f"Nothing was measured: {error}",)
     progress("activate", len(rows))
@@ -107,7 +107,13 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
     if build.parameters.refit and groups < forest.splats:
         progress("refit", groups)
         with clock.time("refit"):
-            small, fitted = refit(build.splats, small, cameras=build.cameras, parameters=REFIT)
+            small, fitted = refit(
+                build.splats,
+                small,
+                cameras=build.cameras,
+                parameters=REFIT,
+                threads=build.threads,
+            )
     return Outcome(
         splats=small,
         passes=forest.passes,
