@@ -139,3 +139,8 @@ def refuse_psnr(preset: str) -> None:
             f"The preset {preset} cannot be asked for a PSNR, since each count tried would be a "
             "run of its own; choose another preset."
         )
+
+
+def renders(chosen: Parameters) -> bool:
+    """Whether a method looks at views of the original."""
+    return isinstance(chosen, ForestParameters) and (chosen.measure or chosen.refit)
