@@ -87,7 +87,7 @@ def parameters_text(parameters: dict[str, Any]) -> str:
 
 
 def memory_rows(memory: MemoryPlan) -> dict[str, str]:
-    """The peak, and what each stage adds to what is held throughout."""
+    """The peak, and what each stage holds, the model with it."""
     rows = {
         "peak memory": f"about {bytes_text(memory.peak)}, and {bytes_text(LIBRARIES)} for Python "
         "and its libraries"

@@ -26,8 +26,8 @@ class MemoryPlan:
     Attributes:
         input_columns: The model as loaded.
         working_set: Activated values of the splats.
-        stages: What each stage holds beside these two.
-        peak: Highest sum.
+        stages: All that each stage holds, the model with it.
+        peak: The most that any stage holds.
     """
 
     input_columns: int
@@ -60,13 +60,14 @@ def plan_memory(
     neighbours = min(parameters.k, max(count - 1, 0))
     if isinstance(parameters, PaperParameters):
         working_set = count * (_GEOMETRY + features)
-        stages = _paper_stages(count, row, working_set, neighbours)
+        beside = _paper_stages(count, row, working_set, neighbours)
+        held = {stage: working_set + more for stage, more in beside.items()}
     else:
-        working_set, stages = forest_stages(
+        working_set, held = forest_stages(
             count, row, features, neighbours, parameters, target, judged=judged
         )
-    peak = count * row + max(working_set + held for held in stages.values())
-    return MemoryPlan(count * row, working_set, stages, peak)
+    stages = {stage: count * row + more for stage, more in held.items()}
+    return MemoryPlan(count * row, working_set, stages, max(stages.values()))
 
 
 def _paper_stages(count: int, row: int, working_set: int, k: int) -> dict[str, int]:

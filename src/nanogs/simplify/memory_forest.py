@@ -12,6 +12,7 @@ _LEFT = 0.56  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0
 _TILES = 3  # tiles of a 256-pixel view that a splat lies in, on average at most
 _PREPARED = 9 * _F4 + _F4 + 1  # factors, alpha and mask, as the rasteriser reads them
 _DRAWN = 8 * _F8 + 4 * _F4 + 1 + 2 * _I8 + _TILES * _I4  # one view's projection, order and lists
+_GROUPS = 12  # see `reassign.NEIGHBOURS`
 _FIT_VIEWS, _FIT_PIXELS, _FIT_TILES = 38, 512 * 512, 6  # see `forest_pipeline.REFIT`
 _FIT_SUMS = 10 + 55 + 1  # of each splat in double precision, twice, beside its colour
 
@@ -26,7 +27,7 @@ def forest_stages(
     *,
     judged: bool,
 ) -> tuple[int, dict[str, int]]:
-    """Bytes held from activation to delivery, and what each stage holds beside them.
+    """Bytes held from activation to delivery, and what each stage holds, these among it.
 
     Args:
         count: Splats in the input.
@@ -40,34 +41,38 @@ def forest_stages(
     node, grown = _NODE + features, count * _MERGE
     leaves = count * (node + _I8 + _F8)  # with their rows, and what is visible of each
     looked = parameters.measure or judged
-    look = count * (_PREPARED + _DRAWN + 8 * _F8 + 5 * _F8 + _TILES * _F4)
+    look = count * (_PREPARED + _DRAWN + 13 * _F8 + _TILES * _F4) if looked else 0
     # Later passes have fewer nodes, but two generations of them beside the leaves.
     second = int(_LEFT * (node + _MERGE) * count)
     result = target * (node + row + 4 * _F8)
     drawing = target * (row + _PREPARED + _DRAWN) if looked else 0
-    stages = {
-        "look": look - leaves if looked else 0,
-        "activate": count * (row + 17 * _F8) - leaves + count * node,
+    match = int(count * (_PAIRS * k * (2 * _I4 + 2 * _F4 + _F4 + _F8) + 2 * _F8))
+    beside = {
         "graph": _graph(count, k),
-        "match": int(count * (_PAIRS * k * (2 * _I4 + 2 * _F4 + _F4 + _F8) + 2 * _F8)),
+        "match": max(match, second + int(_LEFT * match)),
         "merge": second + int(_LEFT * second),
         "cut": grown + count * (6 * _F8 + 4 * _I4 + 2 * _I8),
         "reassign": _reassign(count, target, node, grown) if parameters.rounds else 0,
         "store": grown + count * (5 * _I4) + max(result, drawing),
         "refit": grown + _refit(count, target, features) if parameters.refit else 0,
     }
-    stages["match"] = max(stages["match"], second + int(_LEFT * stages["match"]))
-    return leaves, {name: max(held, 0) for name, held in stages.items() if held}
+    stages = {"look": look, "activate": count * (row + 17 * _F8 + node)}
+    stages |= {stage: leaves + held for stage, held in beside.items() if held}
+    return leaves, {stage: held for stage, held in stages.items() if held}
 
 
 def _graph(count: int, k: int) -> int:
-    queried = min(count, _BLOCK) * (k + 1) * (2 * _I8 + _F8 + 4)  # a block's answer, and its rows
-    tree = count * (_TREE + k * _I4 + 6 * _F8) + queried
+    tree = count * (_TREE + k * _I4 + 6 * _F8) + _query(count, k)
     return max(tree, int(count * (k * _I4 + _F8 * _PAIRS * k)))
 
 
+def _query(count: int, k: int) -> int:
+    """A block's answer: distances, rows in the tree, rows, and which of them is its own."""
+    return min(count, _BLOCK) * (k + 1) * (_F8 + 2 * _I8 + 4)
+
+
 def _reassign(count: int, target: int, node: int, grown: int) -> int:
-    merged = target * (node + 7 * _F8 + 12 * _I4 + _TREE)
+    merged = target * (node + 7 * _F8 + _GROUPS * _I4 + _TREE) + _query(target, _GROUPS)
     return grown + merged + count * (5 * _I4 + 3 * _F8)
 
 
