@@ -3,6 +3,7 @@
 from nanogs._version import __version__
 from nanogs.errors import NanogsError
 from nanogs.io import load, save
+from nanogs.lod.levels import levels
 
 # These functions take the names of their packages here, so they must be bound now: a later, lazy
 # import of any module in them would bind the package instead. They import Numba when called.
@@ -21,6 +22,7 @@ __all__ = [
     "SimplifyReport",
     "Splats",
     "__version__",
+    "levels",
     "load",
     "refit",
     "save",

@@ -11,11 +11,13 @@ from nanogs.refit.report import RefitReport
 
 
 class StopReason(StrEnum):
-    """Why the loop of passes ended."""
+    """Why the loop of passes, or the search for a PSNR, ended."""
 
     TARGET = "target"  # the asked count is reached
     NO_CANDIDATES = "no_candidates"  # no pair is left whose cost is a number
     NO_PROGRESS = "no_progress"  # a pass merged nothing although candidates were left
+    UNREACHED = "unreached"  # only the whole model reaches the asked PSNR; it was delivered
+    PROBES = "probes"  # enough counts were tried; a smaller one may reach the asked PSNR too
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,19 @@ class CandidateReport:
 
 
 @dataclass(frozen=True, slots=True)
+class ProbeReport:
+    """A count that was tried on the way to an asked PSNR.
+
+    Attributes:
+        count: Splats of the result.
+        psnr: Its mean over the views it was judged by, dB, at most 100.
+    """
+
+    count: int
+    psnr: float
+
+
+@dataclass(frozen=True, slots=True)
 class SimplifyReport:
     """What was asked of `simplify`, what it delivered, and why it stopped.
 
@@ -70,8 +85,9 @@ class SimplifyReport:
         preset: Name of the preset.
         parameters: Every parameter of the method by name.
         input_count: Splats in the input.
-        asked_ratio: The compaction ratio asked for, or None where a count was.
-        asked_count: The count asked for; for a ratio, ceil(ratio x finite splats).
+        asked_ratio: The compaction ratio asked for, or None.
+        asked_count: The count asked for, or what a ratio (ceil(ratio x finite splats)), a size or
+            a PSNR comes to.
         dropped_nonfinite: Splats left out since a value is NaN or infinite.
         pruned: Splats dropped by the opacity threshold.
         prune_threshold: Alpha below which splats were pruned, in [0, 1].
@@ -87,6 +103,11 @@ class SimplifyReport:
             method does not measure.
         refit: What fitting the result to the original gained (see `nanogs.refit`), or None.
         notes: What else the user should know, one sentence each.
+        asked_size: The largest size of the file asked for, bytes, or None.
+        asked_psnr: The PSNR asked for, dB, or None.
+        achieved_psnr: The result's mean over the views it was judged by, dB, at most 100; None
+            where no PSNR was asked for.
+        probes: The counts tried for a PSNR, in order.
     """
 
     preset: str
@@ -107,6 +128,10 @@ class SimplifyReport:
     candidates: tuple[CandidateReport, ...] = ()
     refit: RefitReport | None = None
     notes: tuple[str, ...] = ()
+    asked_size: int | None = None
+    asked_psnr: float | None = None
+    achieved_psnr: float | None = None
+    probes: tuple[ProbeReport, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""

@@ -9,6 +9,7 @@ from nanogs.cli.bench import bench
 from nanogs.cli.compare import compare
 from nanogs.cli.demo import demo
 from nanogs.cli.info import info
+from nanogs.cli.lod import lod
 from nanogs.cli.refit import refit
 from nanogs.cli.render import render
 from nanogs.cli.simplify import simplify
@@ -38,6 +39,7 @@ def _nanogs(
 
 
 app.command()(simplify)
+app.command()(lod)
 app.command()(refit)
 app.command()(info)
 app.command()(render)

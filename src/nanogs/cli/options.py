@@ -1,6 +1,7 @@
 """Options that several commands share, and the parsing of their values."""
 
 import re
+from fractions import Fraction
 from pathlib import Path
 from typing import Annotated
 
@@ -53,6 +54,40 @@ def parse_size(text: str) -> tuple[int, int]:
         if min(width, height) >= 1 and max(width, height) <= 16384:
             return width, height
     raise OptionError(f"The size must be like 512 or 1280x720, up to 16384, not {text!r}.")
+
+
+_UNITS = {
+    "": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9,
+    "kib": 2**10, "mib": 2**20, "gib": 2**30,
+}  # fmt: skip
+
+
+def parse_bytes(text: str) -> int:
+    """Bytes from `20MB`, `1.5 GiB` or `4096`; kB, MB, GB count in thousands, KiB and so on in 1024.
+
+    Raises:
+        OptionError: It is no such size.
+    """
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text.strip().lower())
+    if match is None or match[2] not in _UNITS:
+        raise OptionError(
+            f"The size must be like 20MB, with B, kB, MB, GB, KiB, MiB or GiB, not {text!r}."
+        )
+    return int(Fraction(match[1]) * _UNITS[match[2]])
+
+
+def parse_ratios(text: str) -> tuple[float, ...]:
+    """Ratios from `0.5,0.25,0.1`.
+
+    Raises:
+        OptionError: One of them is no number.
+    """
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise OptionError(
+            f"Levels are ratios with commas between, like 0.5,0.1, not {text!r}."
+        ) from None
 
 
 def parse_background(text: str) -> tuple[float, float, float]:

@@ -1,28 +1,22 @@
 """`nanogs simplify`."""
 
 import time
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from nanogs.cli import method, options
 from nanogs.cli.console import count_down, print_json, warn
-from nanogs.cli.simplify_report import print_plan, print_report
-from nanogs.io import check_writable, inspect, load, save
+from nanogs.cli.simplify_report import Plan, print_plan, print_report, stop_text
+from nanogs.io import check_writable, inspect, load, registry, save
 from nanogs.report import StageClock, StopReason
 from nanogs.simplify.api import simplify as library_simplify
-from nanogs.simplify.presets import DEFAULT_PRESET, PRESETS, parameters
-from nanogs.simplify.target import target_count
-
-_METHOD = "Parameters of the method (each replaces the preset's value)"
-
-
-class Nan(StrEnum):
-    """What to do with splats that hold a NaN or an infinite value."""
-
-    drop = "drop"
-    error = "error"
+from nanogs.simplify.api import target_of
+from nanogs.simplify.cameras import refuse_unused_views, requested_cameras
+from nanogs.simplify.job import usable_rows
+from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters, refuse_psnr
+from nanogs.simplify.target import Goal
 
 
 def simplify(
@@ -34,86 +28,123 @@ def simplify(
     count: Annotated[
         int | None, typer.Option("--count", "-n", help="Number of splats to keep.")
     ] = None,
-    preset: Annotated[str, typer.Option(help=f"Method: {', '.join(PRESETS)}.")] = DEFAULT_PRESET,
-    nan: Annotated[
-        Nan, typer.Option(help="Splats with a NaN or infinite value: leave out, or stop.")
-    ] = Nan.drop,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", "-w", help="Replace OUT if it exists.")
+    size: Annotated[
+        str | None,
+        typer.Option(help="Largest size of OUT, e.g. 20MB or 20MiB: as many splats as fit."),
+    ] = None,
+    psnr: Annotated[
+        float | None,
+        typer.Option(help="dB to reach on views of the original, e.g. 35: the fewest that do."),
+    ] = None,
+    preset: method.Preset = DEFAULT_PRESET,
+    nan: method.NanOption = method.Nan.drop,
+    overwrite: options.Overwrite = False,
+    threads: options.Threads = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Show every pass and probe.")
     ] = False,
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="Threads to use.", show_default="all")
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Report as JSON on stdout.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show every pass.")] = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be done and how much memory it takes.")
-    ] = False,
-    tau: Annotated[
-        float | None, typer.Option(help="Prune alpha below this.", rich_help_panel=_METHOD)
-    ] = None,
-    k: Annotated[
-        int | None, typer.Option(help="Neighbours in the graph.", rich_help_panel=_METHOD)
-    ] = None,
-    samples: Annotated[
-        int | None, typer.Option(help="Samples in the divergence.", rich_help_panel=_METHOD)
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(help="Seed of the samples.", rich_help_panel=_METHOD)
-    ] = None,
-    lambda_geo: Annotated[
-        float | None, typer.Option(help="Weight of the geometry.", rich_help_panel=_METHOD)
-    ] = None,
-    lambda_app: Annotated[
-        float | None, typer.Option(help="Weight of the colours.", rich_help_panel=_METHOD)
-    ] = None,
-    merge_cap: Annotated[
-        float | None, typer.Option(help="Largest share merged in a pass.", rich_help_panel=_METHOD)
-    ] = None,
+    dry_run: method.DryRun = False,
+    views: method.Views = None,
+    cameras: options.Cameras = "auto",
+    up: options.Up = None,
+    k: method.K = None,
+    lambda_app: method.LambdaApp = None,
+    balance: method.Balance = None,
+    rounds: method.Rounds = None,
+    refit: method.Refit = False,
+    tau: method.Tau = None,
+    samples: method.Samples = None,
+    seed: method.Seed = None,
+    lambda_geo: method.LambdaGeo = None,
+    merge_cap: method.MergeCap = None,
 ) -> None:
-    """Make a smaller model of the same scene, with exactly the count asked for."""
-    overrides = {
-        "tau": tau, "k": k, "samples": samples, "seed": seed,
-        "lambda_geo": lambda_geo, "lambda_app": lambda_app, "merge_cap": merge_cap,
+    """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
+    overrides: dict[str, Any] = {
+        "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,
+        "refit": refit or None, "views": views, "tau": tau, "samples": samples, "seed": seed,
+        "lambda_geo": lambda_geo, "merge_cap": merge_cap,
     }  # fmt: skip
     # Whatever can be refused is refused here, before minutes of computing.
     chosen = parameters(preset, overrides)
-    info = inspect(source)
-    goal = target_count(info.splats, ratio, count)
-    check_writable(target, overwrite=overwrite)
+    goal = Goal(ratio, count, None if size is None else options.parse_bytes(size), psnr)
+    if psnr is not None:
+        refuse_psnr(preset)
+    direction = options.parse_direction(up)
+    asked_views = views is not None or cameras != "auto" or direction is not None
+    refuse_unused_views(preset, chosen, given=asked_views, judged=psnr is not None)
+    plan = _plan(source, target, goal, preset, chosen, nan, overwrite=overwrite, dry_run=dry_run)
     if dry_run:
-        print_plan(info, goal, preset, chosen, json=json)
+        print_plan(plan, json=json)
         return
-    options: dict[str, Any] = {"ratio": ratio, "count": count, "preset": preset, **overrides}
-    options |= {"nan": nan.value, "threads": threads}
-    run = _simplify_file(source, target, overwrite, options, info.splats, goal, quiet or json)
+    given = {name: value for name, value in overrides.items() if value is not None}
+    given |= {"preset": preset, "nan": nan.value, "threads": threads}
+    run = _simplify_file(plan, target, overwrite, cameras, direction, given, quiet or json)
     if json:
         print_json(run)
     elif not quiet:
         print_report(run, verbose=verbose)
     if run["stop"] != StopReason.TARGET:
-        warn(f"Stopped before the asked count: {run['stop']}.")
+        warn(stop_text(run))
         raise typer.Exit(3)
 
 
-def _simplify_file(
+def _plan(
     source: Path,
     target: Path,
+    goal: Goal,
+    preset: str,
+    chosen: Parameters,
+    nan: method.Nan,
+    *,
     overwrite: bool,
-    options: dict[str, Any],
-    count: int,
-    goal: int,
+    dry_run: bool,
+) -> Plan:
+    """Check the files and the goal; the count that it comes to, where that is known yet."""
+    info = inspect(source)
+    check_writable(target, overwrite=overwrite)
+    if goal.size is None:
+        count = goal.target(info.splats, lambda _count: 0)
+    elif dry_run:  # what a row takes is only known from the columns
+        splats = load(source)
+        count = target_of(goal, splats, len(usable_rows(splats, nan.value)), _suffix(target))
+    else:
+        count = None
+    return Plan(info, goal, count, preset, chosen)
+
+
+def _suffix(target: Path) -> str:
+    known = registry.find(target)
+    return known.suffix if known else target.suffix
+
+
+def _simplify_file(
+    plan: Plan,
+    target: Path,
+    overwrite: bool,
+    cameras: str,
+    up: tuple[float, float, float] | None,
+    given: dict[str, Any],
     quiet: bool,
 ) -> dict[str, Any]:
     """Read, simplify and write; the report with the files' names and the seconds of I/O."""
-    start = time.perf_counter()
-    clock = StageClock()
-    with count_down(count, goal, quiet=quiet) as progress:
-        progress("read", count)
+    start, clock, goal, source = time.perf_counter(), StageClock(), plan.goal, plan.info.path
+    with count_down(plan.info.splats, plan.count or 1, quiet=quiet) as progress:
+        progress("read", plan.info.splats)
         with clock.time("read"):
             splats = load(source)
-        small, report = library_simplify(splats, progress=progress, **options)
+        small, report = library_simplify(
+            splats,
+            ratio=goal.ratio,
+            count=goal.count,
+            size=goal.size,
+            psnr=goal.psnr,
+            format=_suffix(target),
+            cameras=requested_cameras(splats, cameras, up, plan.parameters),
+            progress=progress,
+            **given,
+        )
         progress("write", len(small))
         with clock.time("write"):
             save(small, target, overwrite=overwrite)

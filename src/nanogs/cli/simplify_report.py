@@ -1,6 +1,6 @@
 """How `nanogs simplify` shows its plan and its report."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from rich.table import Table
@@ -8,35 +8,106 @@ from rich.table import Table
 from nanogs.cli.console import err, key_value_table, print_json, warn
 from nanogs.formatting import bytes_text
 from nanogs.io import FileInfo
-from nanogs.simplify.memory import plan_memory
+from nanogs.report import StopReason
+from nanogs.simplify.memory import LIBRARIES, MemoryPlan, plan_memory
 from nanogs.simplify.presets import Parameters
+from nanogs.simplify.target import Goal
 
 
-def print_plan(info: FileInfo, goal: int, preset: str, chosen: Parameters, *, json: bool) -> None:
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a run is going to do.
+
+    Attributes:
+        info: The input.
+        goal: What is asked.
+        count: What that comes to, or None where it is not known beforehand.
+        preset: Name of the preset.
+        parameters: Of the method.
+    """
+
+    info: FileInfo
+    goal: Goal
+    count: int | None
+    preset: str
+    parameters: Parameters
+
+    def memory(self) -> MemoryPlan:
+        """What it takes; an unknown count takes what the whole model would."""
+        info = self.info
+        most = self.count or info.splats
+        return plan_memory(
+            info.splats, info.sh_degree, info.extra_bytes(), self.parameters, most,
+            judged=self.goal.psnr is not None,
+        )  # fmt: skip
+
+
+def print_plan(plan: Plan, *, json: bool) -> None:
     """Show what a run would do: on stdout as JSON, or on stderr for people."""
-    memory = plan_memory(info.splats, info.sh_degree, info.extra_bytes(), chosen.k)
-    parameters = asdict(chosen)
+    info, memory, parameters = plan.info, plan.memory(), asdict(plan.parameters)
     if json:
+        asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
+        asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
         print_json(
             {
                 "input": str(info.path),
                 "input_count": info.splats,
-                "asked_count": goal,
-                "preset": preset,
+                **asked,
+                "preset": plan.preset,
                 "parameters": parameters,
                 "memory_bytes": asdict(memory),
             }
         )
         return
+    if plan.count is None:
+        goal = f"as few splats as reach {plan.goal.psnr:g} dB on views of the original"
+    else:
+        goal = f"{plan.count:,} splats ({plan.count / info.splats:.3%})"
+    err.print(
+        key_value_table(
+            {
+                "would read": reading_text(info),
+                "would write": goal,
+                "preset": plan.preset,
+                "parameters": parameters_text(parameters),
+                **memory_rows(memory),
+            }
+        )
+    )
+
+
+def reading_text(info: FileInfo) -> str:
+    """The input in a line."""
+    return f"{info.path} ({info.splats:,} splats, SH degree {info.sh_degree})"
+
+
+def parameters_text(parameters: dict[str, Any]) -> str:
+    """Every parameter of the method in a line."""
+    return ", ".join(f"{name} {value}" for name, value in parameters.items())
+
+
+def memory_rows(memory: MemoryPlan) -> dict[str, str]:
+    """The peak, and what each stage holds, the model with it."""
     rows = {
-        "would read": f"{info.path} ({info.splats:,} splats, SH degree {info.sh_degree})",
-        "would write": f"{goal:,} splats ({goal / info.splats:.3%})",
-        "preset": preset,
-        "parameters": ", ".join(f"{name} {value}" for name, value in parameters.items()),
-        "peak memory": f"about {bytes_text(memory.peak)}, and 150 MB for Python and its libraries",
+        "peak memory": f"about {bytes_text(memory.peak)}, and {bytes_text(LIBRARIES)} for Python "
+        "and its libraries"
     }
-    rows |= {f"  {stage}": bytes_text(held) for stage, held in memory.stages.items()}
-    err.print(key_value_table(rows))
+    return rows | {f"  {stage}": bytes_text(held) for stage, held in memory.stages.items()}
+
+
+def stop_text(run: dict[str, Any]) -> str:
+    """Why a result is not what was asked for, in one sentence."""
+    if run["stop"] == StopReason.UNREACHED:
+        return (
+            f"No smaller model reaches {run['asked_psnr']:g} dB, so the whole one was written: "
+            f"{run['stop']}."
+        )
+    if run["stop"] == StopReason.PROBES:
+        return (
+            f"The search for the fewest splats ended after {len(run['probes'])} counts; what was "
+            f"written reaches {run['asked_psnr']:g} dB, and fewer may too: {run['stop']}."
+        )
+    return f"Stopped before the asked count: {run['stop']}."
 
 
 def print_report(run: dict[str, Any], *, verbose: bool) -> None:
@@ -52,10 +123,11 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
     rows = {
         "input": f"{run['input']}: {before:,} splats, {bytes_text(run['input_bytes'])}",
         "output": f"{run['output']}: {after:,} splats, {bytes_text(run['output_bytes'])}",
-        "kept": f"{after / before:.3%} of the splats (asked: {run['asked_count']:,})",
+        "kept": f"{after / before:.3%} of the splats (asked: {_asked_text(run)})",
         "passes": f"{len(run['passes'])}, stopped by: {run['stop']}",
         "chosen": _choice_text(run["candidates"]),
         "refit": _refit_text(run["refit"]),
+        "reached": _reached_text(run),
         "time": f"{run['total_seconds']:.2f} s on {run['threads']} threads",
         "stages (s)": stages,
     }
@@ -64,6 +136,23 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
     err.print(key_value_table({name: text for name, text in rows.items() if text}))
     if verbose:
         err.print(_pass_table(run["passes"]))
+        if run["probes"]:
+            err.print(_probe_table(run["probes"]))
+
+
+def _asked_text(run: dict[str, Any]) -> str:
+    if run["asked_size"] is not None:
+        return f"at most {run['asked_size']:,} B"
+    if run["asked_psnr"] is not None:
+        return f"{run['asked_psnr']:g} dB"
+    return f"{run['asked_count']:,}"
+
+
+def _reached_text(run: dict[str, Any]) -> str:
+    if run["achieved_psnr"] is None:
+        return ""
+    tried = f"{len(run['probes'])} counts tried"
+    return f"{run['achieved_psnr']:.2f} dB on views of the original, {tried}"
 
 
 def _choice_text(candidates: list[dict[str, Any]]) -> str:
@@ -96,4 +185,11 @@ def _pass_table(passes: list[dict[str, Any]]) -> Table:
             "-" if highest is None else f"{highest:.4g}",
             f"{sum(entry['seconds'].values()):.2f}",
         )
+    return table
+
+
+def _probe_table(probes: list[dict[str, Any]]) -> Table:
+    table = Table("splats", "PSNR", box=None, pad_edge=False)
+    for entry in probes:
+        table.add_row(f"{entry['count']:,}", f"{entry['psnr']:.2f}")
     return table

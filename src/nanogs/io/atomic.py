@@ -38,7 +38,7 @@ def atomic_write(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
         _take_place(temporary, target, path, overwrite=overwrite)
     except OSError as error:
-        raise _output_error(path, error) from error
+        raise output_error(path, error) from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -57,7 +57,7 @@ def check_writable(path: Path, *, overwrite: bool = False) -> None:
         probe.open("xb").close()
         probe.unlink()
     except OSError as error:
-        raise _output_error(path, error) from error
+        raise output_error(path, error) from error
 
 
 def _target(path: Path, *, overwrite: bool) -> Path:
@@ -66,7 +66,7 @@ def _target(path: Path, *, overwrite: bool) -> Path:
         target = Path(os.path.realpath(path))
         _check_target(path, target, overwrite=overwrite)
     except OSError as error:
-        raise _output_error(path, error) from error
+        raise output_error(path, error) from error
     return target
 
 
@@ -95,7 +95,8 @@ def _take_place(temporary: Path, target: Path, path: Path, *, overwrite: bool) -
     temporary.replace(target)
 
 
-def _output_error(path: Path, error: OSError) -> OutputError:
+def output_error(path: Path, error: OSError) -> OutputError:
+    """What the system's refusal means for the user."""
     if error.errno in _FULL:
         return OutputError(f"{path}: the disk or quota is full; free some space and run again.")
     if error.errno in _DENIED:

@@ -20,15 +20,42 @@ def write(splats: Splats, file: BinaryIO) -> None:
         OutputError: The model holds something that PLY cannot; nothing has been written then.
         OSError: The system refuses to write.
     """
+    tables = _tables(splats)
+    file.write(_header(splats, tables, len(splats)))
+    for table in tables.values():
+        file.writelines(block.data for block in _blocks(table))
+
+
+def file_bytes(splats: Splats, count: int) -> int:
+    """Bytes of the file of a model of `count` splats that is like this one in all else.
+
+    Args:
+        splats: What the columns, comments and further elements are taken from.
+        count: Splats, 1 or more.
+
+    Raises:
+        OutputError: As for `write`.
+    """
+    tables = _tables(splats)
+    rows = {name: len(next(iter(table.values()), ())) for name, table in tables.items()}
+    rows["vertex"] = count
+    header = _header(splats, tables, count)
+    return len(header) + sum(rows[name] * _row_bytes(table) for name, table in tables.items())
+
+
+def _row_bytes(table: Mapping[str, Array]) -> int:
+    return sum(column.dtype.itemsize for column in table.values())
+
+
+def _tables(splats: Splats) -> dict[str, dict[str, Array]]:
+    """The columns of every element by its name, `vertex` first."""
     tables = {"vertex": _vertex(splats)}
     for element in splats.elements:
         if element.name in tables:
             raise OutputError(f"Two elements are called {element.name!r}; rename one of them.")
         names = element.rows.dtype.names or ()
         tables[element.name] = {name: element.rows[name] for name in names}
-    file.write(_header(splats, tables))
-    for table in tables.values():
-        file.writelines(block.data for block in _blocks(table))
+    return tables
 
 
 def _vertex(splats: Splats) -> dict[str, Array]:
@@ -48,14 +75,14 @@ def _vertex(splats: Splats) -> dict[str, Array]:
     return table | extras
 
 
-def _header(splats: Splats, tables: Mapping[str, Mapping[str, Array]]) -> bytes:
+def _header(splats: Splats, tables: Mapping[str, Mapping[str, Array]], splat_count: int) -> bytes:
     lines = [b"ply", b"format binary_little_endian 1.0"]
     comments = render_tag.tagged(splats.comments, splats.render_mode)
     lines += [_comment(text) for text in comments]
     for name, table in tables.items():
         if not table:
             raise OutputError(f"Element {name!r} has no columns; leave it out.")
-        count = len(next(iter(table.values())))
+        count = splat_count if name == "vertex" else len(next(iter(table.values())))
         lines.append(b"element %s %d" % (_word(name), count))
         lines += [b"property %s %s" % (_type(n, c), _word(n)) for n, c in table.items()]
     header = b"\n".join([*lines, b"end_header", b""])

@@ -11,22 +11,28 @@ from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
 Writer = Callable[[Splats, BinaryIO], None]
+Sizer = Callable[[Splats, int], int]
+"""Bytes of the file of a model of so many splats that is like the given one in all else."""
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One format: what its files are called, and how they are read and written."""
+    """One format: what its files are called, and how they are read and written.
+
+    `file_bytes` tells the size of a file before it is written; never smaller for more splats.
+    """
 
     suffix: str
     read: Callable[[Path], Splats]
     inspect: Callable[[Path], FileInfo]
     write: Writer | None = None
+    file_bytes: Sizer | None = None
 
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
 FORMATS = (
     Format(".compressed.ply", ply.read, ply.inspect),
-    Format(".ply", ply.read, ply.inspect, ply_write.write),
+    Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes),
     Format(".splat", splat.read, splat.inspect),
 )
 
@@ -57,8 +63,27 @@ def writer(path: Path) -> Writer:
     Raises:
         OptionError: nanogs does not write the format that the suffix stands for.
     """
+    return _writable(path)[1]
+
+
+def sizer(path: Path) -> Sizer:
+    """The function that tells how large a file of that suffix will be.
+
+    Raises:
+        OptionError: As for `writer`, or the size of such files is not known beforehand.
+    """
+    known, _ = _writable(path)
+    if known.file_bytes is None:
+        raise OptionError(
+            f"{path}: the size of a {known.suffix} file is only known once it is written; "
+            "give a ratio or a count."
+        )
+    return known.file_bytes
+
+
+def _writable(path: Path) -> tuple[Format, Writer]:
     known = find(path)
     if known is None or known.write is None:
         suffixes = ", ".join(known.suffix for known in FORMATS if known.write)
         raise OptionError(f"{path}: nanogs does not write this format; it writes {suffixes}.")
-    return known.write
+    return known, known.write

@@ -2,22 +2,20 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from nanogs._types import I64
-from nanogs.errors import ModelError
+from nanogs.io import registry
 from nanogs.report import SimplifyReport, StageClock
-from nanogs.simplify.presets import DEFAULT_PRESET, PaperParameters, parameters
-from nanogs.simplify.target import target_count
+from nanogs.simplify.job import Job, NanPolicy, prepare_job, refuse_misaligned_elements
+from nanogs.simplify.outcome import Outcome
+from nanogs.simplify.presets import DEFAULT_PRESET, ForestParameters, parameters, refuse_psnr
+from nanogs.simplify.target import Goal
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.render.camera import Camera
-
-NanPolicy = Literal["drop", "error"]
 
 
 def simplify(
@@ -25,6 +23,9 @@ def simplify(
     *,
     ratio: float | None = None,
     count: int | None = None,
+    size: int | None = None,
+    psnr: float | None = None,
+    format: str = ".ply",  # noqa: A002 - what it is called everywhere
     preset: str = DEFAULT_PRESET,
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
@@ -32,14 +33,21 @@ def simplify(
     progress: Callable[[str, int], None] | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[Splats, SimplifyReport]:
-    """A smaller model of the same scene, with exactly the count asked for.
+    """A smaller model of the same scene: of the ratio, the count, the size or the PSNR asked for.
+
+    Exactly one of the four is given. A ratio and a count are met exactly.
 
     Args:
         splats: The model; it is not changed.
         ratio: Compaction ratio in (0, 1]: ceil(ratio x finite splats) are delivered.
-        count: Splats to deliver, in place of a ratio.
+        count: Splats to deliver.
+        size: Bytes that the saved file may have: as many splats as fit are delivered.
+        psnr: dB that the result must reach on views of the original: the smallest count that
+            does, to about 1 %, is found by bisection (see `reach`). The views are automatic ones
+            or from `cameras`, 256 pixels along the longer side; the mean over them counts.
+        format: Suffix of the file that `size` is about.
         preset: Name of a preset.
-        cameras: Views that matter, for presets that render; by default automatic ones.
+        cameras: Views that matter, for presets that render and for `psnr`; by default automatic.
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise.
         threads: Threads to use; all by default. The result does not depend on it.
@@ -50,78 +58,58 @@ def simplify(
         The smaller model, its rows in the order of the input, and the report.
 
     Raises:
-        OptionError: An option is out of range.
-        ModelError: No splat is usable, or `nan="error"` and one is not.
+        OptionError: An option is out of range, or the size is less than one splat takes.
+        ModelError: No splat is usable, `nan="error"` and one is not, or a PSNR is asked for and
+            nothing is visible.
     """
     start, clock = time.perf_counter(), StageClock()
-    chosen = parameters(preset, overrides)
+    goal = Goal(ratio, count, size, psnr)
+    parameters(preset, overrides)
+    if psnr is not None:
+        refuse_psnr(preset)
     # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.threads import use_threads
 
-    observe = progress or (lambda _stage, _count: None)
     with use_threads(threads) as threads_used:
         with clock.time("check"):
-            rows = usable_rows(splats, nan)
-            target = target_count(len(rows), ratio, count)
-            refuse_misaligned_elements(splats, target)
-        if isinstance(chosen, PaperParameters):
-            from nanogs.simplify.published import simplify_as_published
-
-            outcome = simplify_as_published(
-                splats, rows, target, chosen, threads_used, clock, observe
-            )
+            job = prepare_job(splats, preset, overrides, cameras, nan, progress)
+            target = target_of(goal, splats, len(job.rows), format)
+            refuse_misaligned_elements(splats, 1 if target is None else target)
+        if target is None:
+            outcome = _reach(job, goal.psnr or 0.0, threads_used, clock)
+            target = len(outcome.splats)
         else:
-            from nanogs.simplify.forest_pipeline import build_forest, deliver
-
-            build = build_forest(splats, rows, chosen, cameras, threads_used, clock, observe)
-            outcome = deliver(build, target, clock, observe)
-    report = SimplifyReport(
-        preset=preset,
-        parameters=asdict(chosen),
-        input_count=len(splats),
-        asked_ratio=ratio,
-        asked_count=target,
-        dropped_nonfinite=len(splats) - len(rows),
-        pruned=outcome.pruned,
-        prune_threshold=outcome.prune_threshold,
-        prune_limited=outcome.prune_limited,
-        passes=outcome.passes,
-        achieved_count=len(outcome.splats),
-        stop=outcome.stop,
-        seconds=clock.seconds,
-        total_seconds=time.perf_counter() - start,
-        threads=threads_used,
-        candidates=outcome.candidates,
-        refit=outcome.refit,
-        notes=(*splats.notes, *outcome.notes),
-    )
-    return outcome.splats, report
+            outcome = job.deliverer(threads_used, clock)(target, clock)
+    if size is not None and target == len(job.rows):
+        whole = "The whole model fits into the size asked for; nothing was merged."
+        outcome = replace(outcome, notes=(*outcome.notes, whole))
+    return outcome.splats, job.report(goal, target, outcome, threads_used, clock, start)
 
 
-def usable_rows(splats: Splats, nan: NanPolicy) -> I64:
-    """(M,) int64: rows that are finite, ascending.
+def target_of(goal: Goal, splats: Splats, available: int, format: str) -> int | None:  # noqa: A002
+    """The count that a wish comes to; None where only measuring can tell.
+
+    Args:
+        goal: What is asked.
+        splats: The model.
+        available: Its usable splats.
+        format: Suffix of the output file.
 
     Raises:
-        ModelError: None is, or one is not and the policy is "error".
+        OptionError: It cannot be had from this model, or not in this format.
     """
-    finite = splats.finite()
-    rows = np.flatnonzero(finite)
-    if len(rows) == 0:
-        raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
-    if nan == "error" and len(rows) < len(splats):
-        first = int(np.flatnonzero(~finite)[0])
-        raise ModelError(
-            f"{len(splats) - len(rows)} splats hold a NaN or an infinite value, the first in row "
-            f"{first}; --nan drop leaves them out."
-        )
-    return rows
+    if goal.size is None:
+        return goal.target(available, lambda _count: 0)
+    file_bytes = registry.sizer(Path(f"model.{format.lstrip('.')}"))
+    return goal.target(available, lambda count: file_bytes(splats, count))
 
 
-def refuse_misaligned_elements(splats: Splats, target: int) -> None:
-    """An element with one row a splat would no longer fit the splats; others are untouched."""
-    for element in splats.elements:
-        if len(element.rows) == len(splats) > 1 and target < len(splats):
-            raise ModelError(
-                f"The element {element.name!r} has one row for each splat and would not fit the "
-                "smaller model; remove it from the file first."
-            )
+def _reach(job: Job, psnr: float, threads: int, clock: StageClock) -> Outcome:
+    from nanogs.simplify.forest_pipeline import build_forest
+    from nanogs.simplify.reach import reach_psnr
+
+    assert isinstance(job.parameters, ForestParameters)  # noqa: S101 - refused above
+    build = build_forest(
+        job.splats, job.rows, job.parameters, job.cameras, threads, clock, job.progress
+    )
+    return reach_psnr(build, psnr, clock, job.progress)

@@ -73,7 +73,7 @@ def build_forest(
         progress("look", len(rows))
         with clock.time("look"):
             try:
-                views = look(splats, cameras)
+                views = look(splats, cameras, parameters.views)
             except ModelError as error:
                 notes = (f"Nothing was measured: {error}",)
     progress("activate", len(rows))
@@ -122,7 +122,10 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
 def _fit(build: Build, small: Splats) -> tuple[Splats, RefitReport | None, tuple[str, ...]]:
     """The fitted model, or the same one and why it cannot be fitted."""
     try:
-        return *refit(build.splats, small, cameras=build.cameras, parameters=REFIT), ()
+        fitted, report = refit(
+            build.splats, small, cameras=build.cameras, parameters=REFIT, threads=build.threads
+        )
+        return fitted, report, ()
     except ModelError as error:  # nothing visible, or a handful of splats that are hardly seen
         return small, None, (f"The result was not fitted: {error}",)
 

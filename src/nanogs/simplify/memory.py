@@ -5,9 +5,14 @@ No Numba here: `--dry-run` uses it without compiling anything.
 
 from dataclasses import dataclass
 
+from nanogs.simplify.memory_forest import forest_stages
+from nanogs.simplify.presets import PaperParameters, Parameters
+
+LIBRARIES = 190_000_000  # bytes, measured, of Python and its libraries, which the plan leaves out
+
 # Pairs for each splat and neighbour: both directions of most neighbours coincide. Measured 0.55 to
 # 0.66 on trained scenes at k = 8 to 16; the plan takes the upper end.
-_PAIRS_PER_NEIGHBOUR = 0.66
+PAIRS_PER_NEIGHBOUR = 0.66
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I8 + 1  # Gaussians without the features
@@ -16,13 +21,13 @@ _TREE = 3 * _F8 + _I8 + 20  # cKDTree: its copy of the centres, its index, nodes
 
 @dataclass(frozen=True, slots=True)
 class MemoryPlan:
-    """Bytes that a simplification keeps, stage by stage; Python and its libraries add about 150 MB.
+    """Bytes that a simplification keeps, stage by stage; see `LIBRARIES` for what comes on top.
 
     Attributes:
         input_columns: The model as loaded.
         working_set: Activated values of the splats.
-        stages: What each stage holds beside these two.
-        peak: Highest sum.
+        stages: All that each stage holds, the model with it.
+        peak: The most that any stage holds.
     """
 
     input_columns: int
@@ -31,28 +36,48 @@ class MemoryPlan:
     peak: int
 
 
-def plan_memory(count: int, sh_degree: int, extra_bytes: int, k: int) -> MemoryPlan:
-    """Memory of `simplify` before pruning takes anything away.
+def plan_memory(
+    count: int,
+    sh_degree: int,
+    extra_bytes: int,
+    parameters: Parameters,
+    target: int,
+    *,
+    judged: bool = False,
+) -> MemoryPlan:
+    """Memory of `simplify` before anything is pruned or merged.
 
     Args:
         count: Splats in the input.
         sh_degree: Degree of its spherical harmonics.
         extra_bytes: Bytes of extra columns for each splat.
-        k: Neighbours in the graph.
+        parameters: Of the method.
+        target: Splats in the largest result.
+        judged: Whether results are held against views of the original whatever the preset.
     """
     features = 3 * (sh_degree + 1) ** 2 * _F4
-    input_columns = count * (11 * _F4 + features + extra_bytes)
-    working_set = count * (_GEOMETRY + features)
-    pairs = _PAIRS_PER_NEIGHBOUR * min(k, max(count - 1, 0))
-    neighbours = min(k, max(count - 1, 0)) * _I4
+    row = 11 * _F4 + features + extra_bytes
+    neighbours = min(parameters.k, max(count - 1, 0))
+    if isinstance(parameters, PaperParameters):
+        working_set = count * (_GEOMETRY + features)
+        beside = _paper_stages(count, row, working_set, neighbours)
+        held = {stage: working_set + more for stage, more in beside.items()}
+    else:
+        working_set, held = forest_stages(
+            count, row, features, neighbours, parameters, target, judged=judged
+        )
+    stages = {stage: count * row + more for stage, more in held.items()}
+    return MemoryPlan(count * row, working_set, stages, max(stages.values()))
+
+
+def _paper_stages(count: int, row: int, working_set: int, k: int) -> dict[str, int]:
+    pairs, neighbours = PAIRS_PER_NEIGHBOUR * k, k * _I4
     held = 2 * _I4 * pairs + _F4 * pairs + _F8  # pairs, costs and masses
-    stages = {
-        "activate": count * (11 * _F4 + features + extra_bytes + 4 * _F8),
+    return {
+        "activate": count * (row + 4 * _F8),
         "graph": int(count * max(_TREE + neighbours + 3 * _F8, neighbours + 2 * _F8 * pairs)),
         "cost": int(count * (held + 2 * _F8)),
         "match": int(count * (held + _F8 * pairs + _I8 + 1)),
         # The result of a merge has at least half the splats.
         "merge": int(count * held + working_set),
     }
-    peak = input_columns + working_set + max(stages.values())
-    return MemoryPlan(input_columns, working_set, stages, peak)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from nanogs.refit.report import RefitReport
-from nanogs.report import CandidateReport, PassReport, StopReason
+from nanogs.report import CandidateReport, PassReport, ProbeReport, StopReason
 from nanogs.splats import Splats
 
 
@@ -20,3 +20,5 @@ class Outcome:
     candidates: tuple[CandidateReport, ...] = ()
     refit: RefitReport | None = None
     notes: tuple[str, ...] = ()
+    achieved_psnr: float | None = None
+    probes: tuple[ProbeReport, ...] = ()

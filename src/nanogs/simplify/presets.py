@@ -68,6 +68,7 @@ class ForestParameters:
         measure: Render the original: weigh splats by what is seen of them, and choose between
             results by how they look.
         refit: Fit the result to renders of the original.
+        views: Views of the original to render, where it is.
     """
 
     k: int = 8
@@ -79,6 +80,7 @@ class ForestParameters:
     growth: float = 1.1
     measure: bool = True
     refit: bool = False
+    views: int = 12
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
@@ -89,6 +91,7 @@ class ForestParameters:
         _require(0 < self.pixels < math.inf, "pixels", self.pixels, "above 0, and finite")
         _require(0 < self.hidden <= 1, "hidden", self.hidden, "above 0, at most 1")
         _require(1 <= self.growth < math.inf, "growth", self.growth, "1 or more, and finite")
+        _require(self.views >= 1, "views", self.views, "at least 1")
 
 
 Parameters: TypeAlias = PaperParameters | ForestParameters
@@ -104,6 +107,12 @@ PRESETS: Mapping[str, Parameters] = {
     "fast": ForestParameters(rounds=0, measure=False),
     "best": ForestParameters(refit=True),
     "paper": PaperParameters(),
+}
+SUMMARIES: Mapping[str, str] = {
+    "default": "one merge forest; of several cuts, the one that looks most like the original",
+    "fast": "the same forest, one cut, nothing rendered",
+    "best": "default, then fitted to renders of the original; takes minutes",
+    "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
 
@@ -128,3 +137,21 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
                 f"The preset {preset} has no parameter {name!r}; choose from {', '.join(known)}."
             )
     return dataclasses.replace(PRESETS[preset], **given)
+
+
+def refuse_psnr(preset: str) -> None:
+    """Only a forest answers many counts for the price of one.
+
+    Raises:
+        OptionError: The preset grows none.
+    """
+    if not isinstance(PRESETS[preset], ForestParameters):
+        raise OptionError(
+            f"The preset {preset} cannot be asked for a PSNR, since each count tried would be a "
+            "run of its own; choose another preset."
+        )
+
+
+def renders(chosen: Parameters) -> bool:
+    """Whether a method looks at views of the original."""
+    return isinstance(chosen, ForestParameters) and (chosen.measure or chosen.refit)

@@ -1,9 +1,61 @@
 """From what the user asks to an exact count. No Numba here: `--dry-run` uses it too."""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from fractions import Fraction
 
 from nanogs.errors import OptionError
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """What is asked for: exactly one of four.
+
+    Attributes:
+        ratio: Compaction ratio in (0, 1].
+        count: Splats.
+        size: Largest size of the file, bytes.
+        psnr: What the result must reach on views of the original, dB.
+
+    Raises:
+        OptionError: Not exactly one is given, or it is out of any range.
+    """
+
+    ratio: float | None = None
+    count: int | None = None
+    size: int | None = None
+    psnr: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse none, several, and values that mean nothing."""
+        given = [v for v in (self.ratio, self.count, self.size, self.psnr) if v is not None]
+        if len(given) != 1:
+            raise OptionError("Give exactly one of a ratio, a count, a size or a PSNR.")
+        if self.ratio is not None and not 0 < self.ratio <= 1:
+            raise OptionError(f"The ratio must be above 0 and at most 1, not {self.ratio:g}.")
+        if self.count is not None and self.count < 1:
+            raise OptionError(f"The count must be at least 1, not {self.count}.")
+        if self.size is not None and self.size < 1:
+            raise OptionError(f"The size must be at least 1 byte, not {self.size}.")
+        if self.psnr is not None and not 0 < self.psnr < math.inf:
+            raise OptionError(f"The PSNR must be above 0 dB and finite, not {self.psnr:g}.")
+
+    def target(self, available: int, file_bytes: Callable[[int], int]) -> int | None:
+        """Splats to deliver; None where only measuring can tell.
+
+        Args:
+            available: Splats that can be used.
+            file_bytes: Size of the output file for a count.
+
+        Raises:
+            OptionError: It is more than the model has, or less than one splat's file takes.
+        """
+        if self.psnr is not None:
+            return None
+        if self.size is not None:
+            return count_for_size(available, self.size, file_bytes)
+        return target_count(available, self.ratio, self.count)
 
 
 def target_count(available: int, ratio: float | None, count: int | None) -> int:
@@ -19,17 +71,39 @@ def target_count(available: int, ratio: float | None, count: int | None) -> int:
     Raises:
         OptionError: Not exactly one of both is given, or it is out of range.
     """
-    if ratio is not None and count is None:
-        if not 0 < ratio <= 1:
-            raise OptionError(f"The ratio must be above 0 and at most 1, not {ratio:g}.")
-        return math.ceil(Fraction(str(float(ratio))) * available)
-    if count is None or ratio is not None:
-        raise OptionError("Give either a ratio or a count.")
-    if count < 1:
-        raise OptionError(f"The count must be at least 1, not {count}.")
+    Goal(ratio=ratio, count=count)
+    if count is None:
+        return math.ceil(Fraction(str(float(ratio or 0))) * available)
     if count > available:
         raise OptionError(
             f"The count {count} is above the {available} usable splats of the input; "
             "nanogs makes models smaller."
         )
     return count
+
+
+def count_for_size(available: int, size: int, file_bytes: Callable[[int], int]) -> int:
+    """The largest count whose file is no larger than asked, at most what is available.
+
+    Args:
+        available: Splats that can be used.
+        size: Bytes.
+        file_bytes: Size of the file for a count; never smaller for a larger count.
+
+    Raises:
+        OptionError: Not even one splat fits.
+    """
+    smallest = file_bytes(1)
+    if size < smallest:
+        raise OptionError(
+            f"The size {size:,} B is too small: a file of one splat of this model takes "
+            f"{smallest:,} B."
+        )
+    fits, too_many = 1, available + 1
+    while too_many - fits > 1:
+        middle = (fits + too_many) // 2
+        if file_bytes(middle) <= size:
+            fits = middle
+        else:
+            too_many = middle
+    return fits

@@ -12,7 +12,6 @@ from nanogs.render.rasterize import prepare, render
 from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
 
-VIEWS = 12
 SIZE = 256  # pixels; visibility needs no more, and the choice is between models of one kind
 JUDGED = 2  # every second view is also one to choose by
 
@@ -33,20 +32,21 @@ class OriginalViews:
     images: tuple[F32, ...]
 
 
-def look(splats: Splats, cameras: Sequence[Camera] | None = None) -> OriginalViews:
+def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 12) -> OriginalViews:
     """Render the original once.
 
     Args:
         splats: N splats.
         cameras: The views; by default automatic ones.
+        count: How many of them at most.
 
     Raises:
         ModelError: No splat is visible.
     """
     if cameras:
-        chosen = [camera.reduced(SIZE) for camera in spread(cameras, VIEWS)]
+        chosen = [camera.reduced(SIZE) for camera in spread(cameras, count)]
     else:
-        chosen = automatic_cameras(splats, VIEWS, width=SIZE, height=SIZE)
+        chosen = automatic_cameras(splats, count, width=SIZE, height=SIZE)
     prepared = prepare(splats)
     seen, whole = np.zeros(len(splats)), np.zeros(len(splats))
     images = []

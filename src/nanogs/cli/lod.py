@@ -1,0 +1,171 @@
+"""`nanogs lod`."""
+
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from nanogs.cli import method, options
+from nanogs.cli.console import count_down, err, key_value_table, print_json, warn
+from nanogs.cli.simplify_report import Plan, memory_rows, parameters_text, reading_text
+from nanogs.formatting import bytes_text, number_text
+from nanogs.io import inspect, load
+from nanogs.io.folder import check_folder_writable
+from nanogs.lod.levels import check_ratios
+from nanogs.lod.manifest import made_files
+from nanogs.lod.write import write_levels
+from nanogs.report import StopReason
+from nanogs.simplify.cameras import refuse_unused_views, requested_cameras
+from nanogs.simplify.presets import DEFAULT_PRESET, parameters
+from nanogs.simplify.target import Goal, target_count
+
+
+def lod(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
+    folder: Annotated[Path, typer.Argument(metavar="OUT_DIR", help="Folder to make.")],
+    levels: Annotated[
+        str, typer.Option(help="Ratios from the finest level to the coarsest, commas between.")
+    ] = "0.5,0.25,0.1,0.01",
+    preset: method.Preset = DEFAULT_PRESET,
+    nan: method.NanOption = method.Nan.drop,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", "-w", help="Replace OUT_DIR if nanogs lod made it.")
+    ] = False,
+    threads: options.Threads = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    dry_run: method.DryRun = False,
+    views: method.Views = None,
+    cameras: options.Cameras = "auto",
+    up: options.Up = None,
+    k: method.K = None,
+    lambda_app: method.LambdaApp = None,
+    balance: method.Balance = None,
+    rounds: method.Rounds = None,
+    refit: method.Refit = False,
+    tau: method.Tau = None,
+    samples: method.Samples = None,
+    seed: method.Seed = None,
+    lambda_geo: method.LambdaGeo = None,
+    merge_cap: method.MergeCap = None,
+) -> None:
+    """Make levels of detail from one build: OUT_DIR/level_0.ply, the finest, and so on.
+
+    Each is the file that `nanogs simplify --ratio` writes; levels.json says what is in the folder.
+    """
+    overrides: dict[str, Any] = {
+        "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,
+        "refit": refit or None, "views": views, "tau": tau, "samples": samples, "seed": seed,
+        "lambda_geo": lambda_geo, "merge_cap": merge_cap,
+    }  # fmt: skip
+    # Whatever can be refused is refused here, before minutes of computing.
+    chosen = parameters(preset, overrides)
+    ratios = options.parse_ratios(levels)
+    check_ratios(ratios)
+    direction = options.parse_direction(up)
+    asked_views = views is not None or cameras != "auto" or direction is not None
+    refuse_unused_views(preset, chosen, given=asked_views, judged=False)
+    info = inspect(source)
+    check_folder_writable(folder, made_files, overwrite=overwrite)
+    finest = target_count(info.splats, ratios[0], None)
+    plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen)
+    if dry_run:
+        _print_plan(plan, folder, ratios, json=json)
+        return
+    given = {name: value for name, value in overrides.items() if value is not None}
+    given |= {"preset": preset, "nan": nan.value, "threads": threads}
+    run = _write(plan, folder, ratios, overwrite, cameras, direction, given, quiet or json)
+    if json:
+        print_json(run)
+    elif not quiet:
+        _print_report(run)
+    _exit_if_short(run)
+
+
+def _write(
+    plan: Plan,
+    folder: Path,
+    ratios: tuple[float, ...],
+    overwrite: bool,
+    cameras: str,
+    up: tuple[float, float, float] | None,
+    given: dict[str, Any],
+    quiet: bool,
+) -> dict[str, Any]:
+    """Read, and make every level; the manifest with the files' names and the reports."""
+    start, info = time.perf_counter(), plan.info
+    with count_down(info.splats, 1, quiet=quiet) as progress:
+        progress("read", info.splats)
+        splats = load(info.path)
+        manifest, reports = write_levels(
+            splats,
+            folder,
+            ratios,
+            source=info.path.name,
+            overwrite=overwrite,
+            cameras=requested_cameras(splats, cameras, up, plan.parameters),
+            progress=progress,
+            **given,
+        )
+    run = manifest.to_dict() | {"input": str(info.path), "output": str(folder)}
+    run["dropped_nonfinite"] = reports[0].dropped_nonfinite
+    run["reports"] = [report.to_dict() for report in reports]
+    return run | {"total_seconds": time.perf_counter() - start}
+
+
+def _print_plan(plan: Plan, folder: Path, ratios: tuple[float, ...], *, json: bool) -> None:
+    info, memory = plan.info, plan.memory()
+    counts = [target_count(info.splats, ratio, None) for ratio in ratios]
+    parameters = asdict(plan.parameters)
+    if json:
+        print_json(
+            {
+                "input": str(info.path),
+                "input_count": info.splats,
+                "levels": [{"ratio": r, "count": c} for r, c in zip(ratios, counts, strict=True)],
+                "preset": plan.preset,
+                "parameters": parameters,
+                "memory_bytes": asdict(memory),
+            }
+        )
+        return
+    rows = {
+        "would read": reading_text(info),
+        "would write": f"{folder}: levels of {', '.join(f'{c:,}' for c in counts)} splats",
+        "preset": plan.preset,
+        "parameters": parameters_text(parameters),
+    }
+    err.print(key_value_table(rows | memory_rows(memory)))
+
+
+def _print_report(run: dict[str, Any]) -> None:
+    for note in run["notes"]:
+        warn(note)
+    if run["dropped_nonfinite"]:
+        warn(f"{run['dropped_nonfinite']:,} splats hold a NaN or infinite value and were left out.")
+    table = Table("level", box=None, pad_edge=False)
+    for heading in ("asked", "splats", "file", "PSNR", "SSIM", "seconds"):
+        table.add_column(heading, justify="right")
+    for level in run["levels"]:
+        table.add_row(
+            level["file"],
+            f"{level['ratio']:g}",
+            f"{level['count']:,}",
+            bytes_text(level["bytes"]),
+            number_text(level["psnr"]),
+            number_text(level["ssim"], 4),
+            f"{level['seconds']:.2f}",
+        )
+    err.print(table)
+    err.print(f"{run['output']}: {len(run['levels'])} levels, {run['total_seconds']:.2f} s")
+
+
+def _exit_if_short(run: dict[str, Any]) -> None:
+    short = [level for level in run["levels"] if level["stop"] != StopReason.TARGET]
+    for level in short:
+        warn(f"{level['file']}: stopped before the asked count: {level['stop']}.")
+    if short:
+        raise typer.Exit(3)

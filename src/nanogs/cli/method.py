@@ -1,0 +1,79 @@
+"""Options of the method, shared by the commands that simplify."""
+
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+from nanogs.cli import options
+from nanogs.simplify.presets import SUMMARIES
+
+_ALL = "Parameters of every preset (each replaces the preset's value)"
+_FOREST = "Parameters of the presets default, fast and best"
+_PAPER = "Parameters of the preset paper"
+
+
+class Nan(StrEnum):
+    """What to do with splats that hold a NaN or an infinite value."""
+
+    drop = "drop"
+    error = "error"
+
+
+def _summaries() -> str:
+    return "\n\n".join(f"{name}: {text}." for name, text in SUMMARIES.items())
+
+
+Preset = Annotated[str, typer.Option(help=f"The method.\n\n{_summaries()}")]
+NanOption = Annotated[
+    Nan,
+    typer.Option("--nan", help="Splats with a NaN or infinite value: leave out, or stop."),
+]
+DryRun = Annotated[
+    bool,
+    typer.Option("--dry-run", help="Say what would be done and how much memory it takes."),
+]
+Refit = Annotated[
+    bool,
+    typer.Option(
+        "--refit",
+        help="Fit the result to renders of the original (on in best).",
+        rich_help_panel=_FOREST,
+    ),
+]
+Views = Annotated[
+    int | None,
+    typer.Option(
+        "--views",
+        min=1,
+        help="Views of the original to render.",
+        show_default="12",
+        rich_help_panel=options.VIEWS,
+    ),
+]
+K = Annotated[int | None, typer.Option(help="Neighbours in the graph.", rich_help_panel=_ALL)]
+LambdaApp = Annotated[
+    float | None, typer.Option(help="Weight of the colours.", rich_help_panel=_ALL)
+]
+Balance = Annotated[
+    float | None,
+    typer.Option(
+        help="From groups of equal size (0) to groups of equal error (1).",
+        rich_help_panel=_FOREST,
+    ),
+]
+Rounds = Annotated[
+    int | None,
+    typer.Option(help="Rounds of reassignment after the cut.", rich_help_panel=_FOREST),
+]
+Tau = Annotated[float | None, typer.Option(help="Prune alpha below this.", rich_help_panel=_PAPER)]
+Samples = Annotated[
+    int | None, typer.Option(help="Samples in the divergence.", rich_help_panel=_PAPER)
+]
+Seed = Annotated[int | None, typer.Option(help="Seed of the samples.", rich_help_panel=_PAPER)]
+LambdaGeo = Annotated[
+    float | None, typer.Option(help="Weight of the geometry.", rich_help_panel=_PAPER)
+]
+MergeCap = Annotated[
+    float | None, typer.Option(help="Largest share merged in a pass.", rich_help_panel=_PAPER)
+]

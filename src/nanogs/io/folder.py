@@ -1,0 +1,111 @@
+"""Output folders that appear whole or not at all; see `atomic` for files.
+
+The files go to a temporary folder beside the target, which then takes the target's place. An
+existing folder is only replaced if it holds nothing but files that its own manifest names.
+"""
+
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from nanogs.errors import OutputError
+from nanogs.io.atomic import output_error
+
+Ours = Callable[[Path], frozenset[str] | None]
+"""Names of the files that nanogs made in a folder, or None for a folder that it did not make."""
+
+
+@contextmanager
+def atomic_folder(path: Path, ours: Ours, *, overwrite: bool = False) -> Iterator[Path]:
+    """A folder to fill; it becomes `path` when the block ends without an exception.
+
+    Args:
+        path: The folder to make.
+        ours: Says what may be deleted of an existing folder.
+        overwrite: Whether an existing folder may be replaced; an empty one always is.
+
+    Raises:
+        OutputError: The folder exists and may not be replaced, or it cannot be made.
+    """
+    target = _target(path, ours, overwrite=overwrite)
+    temporary = _beside(target)
+    try:
+        temporary.mkdir()
+        yield temporary
+        # Looked at again: minutes may have passed.
+        _take_place(temporary, _target(path, ours, overwrite=overwrite), ours)
+    except OSError as error:
+        raise output_error(path, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_folder_writable(path: Path, ours: Ours, *, overwrite: bool = False) -> None:
+    """Fail now if `atomic_folder` would fail later, short of a full disk.
+
+    Raises:
+        OutputError: As for `atomic_folder`.
+    """
+    probe = _beside(_target(path, ours, overwrite=overwrite))
+    try:
+        probe.mkdir()
+        probe.rmdir()
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def _beside(target: Path) -> Path:
+    return target.with_name(f".nanogs-{secrets.token_hex(8)}.tmp")
+
+
+def _target(path: Path, ours: Ours, *, overwrite: bool) -> Path:
+    """The folder to make, links resolved, after every check that changes nothing."""
+    try:
+        target = Path(os.path.realpath(path))
+        _check_target(path, target, ours, overwrite=overwrite)
+    except OSError as error:
+        raise output_error(path, error) from error
+    return target
+
+
+def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> None:
+    if not target.parent.is_dir():
+        raise OutputError(f"The folder {target.parent} does not exist; create it first.")
+    if not target.exists():
+        return
+    if not target.is_dir():
+        raise OutputError(f"{path} is a file; name a folder as the output.")
+    present = {entry.name for entry in target.iterdir()}
+    if not present:
+        return
+    known = ours(target)
+    if known is None:
+        raise OutputError(f"{path} holds files that nanogs did not make; choose another folder.")
+    if not overwrite:
+        raise OutputError(f"{path} exists already; add -w to replace it.")
+    if foreign := sorted(present - known):
+        raise OutputError(
+            f"{path} also holds {foreign[0]!r}, which nanogs did not make; move it away or choose "
+            "another folder."
+        )
+
+
+def _take_place(temporary: Path, target: Path, ours: Ours) -> None:
+    """Rename; an older folder steps aside first and is deleted last."""
+    if not target.exists():
+        temporary.replace(target)
+        return
+    old = _beside(target)
+    target.replace(old)
+    try:
+        temporary.replace(target)
+    except BaseException:
+        old.replace(target)
+        raise
+    # By name and not as a tree: what came into it meanwhile is not ours to delete.
+    for name in ours(old) or ():
+        (old / name).unlink(missing_ok=True)
+    old.rmdir()

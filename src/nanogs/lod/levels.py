@@ -1,0 +1,102 @@
+"""`nanogs.levels`: several ratios of one model, from one build."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+from nanogs.errors import OptionError
+from nanogs.report import SimplifyReport, StageClock
+from nanogs.simplify.job import Deliver, Job, NanPolicy, prepare_job, refuse_misaligned_elements
+from nanogs.simplify.presets import DEFAULT_PRESET, parameters
+from nanogs.simplify.target import Goal, target_count
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.render.camera import Camera
+
+
+def levels(
+    splats: Splats,
+    ratios: Sequence[float],
+    *,
+    preset: str = DEFAULT_PRESET,
+    cameras: Sequence["Camera"] | None = None,
+    nan: NanPolicy = "drop",
+    threads: int | None = None,
+    progress: Callable[[str, int], None] | None = None,
+    **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
+) -> Iterator[tuple[Splats, SimplifyReport]]:
+    """Levels of detail, one after the other, each the same as `simplify` gives for its ratio.
+
+    What every ratio needs is computed once, when the first level is asked for; the seconds are in
+    its report. A level is made when it is asked for, so only those the caller keeps take memory.
+
+    Args:
+        splats: The model; it is not changed.
+        ratios: Compaction ratios in (0, 1], from the finest level to the coarsest.
+        preset: Name of a preset; `paper` grows no forest, so that each level is a run of its own.
+        cameras: Views that matter, for presets that render; by default automatic ones.
+        nan: As `simplify` takes it.
+        threads: Threads to use; all by default. The result does not depend on it.
+        progress: Called before each stage with its name and the number of splats left.
+        **overrides: Parameters of the preset to replace, such as `k=8`.
+
+    Returns:
+        An iterator over (model, report), in the order of the ratios. All arguments have been
+        checked when it is returned.
+
+    Raises:
+        OptionError: An option is out of range.
+        ModelError: No splat is usable, or `nan="error"` and one is not.
+    """
+    check_ratios(ratios)
+    parameters(preset, overrides)
+    job = prepare_job(splats, preset, overrides, cameras, nan, progress)
+    refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
+    return _deliver(job, tuple(ratios), threads)
+
+
+def check_ratios(ratios: Sequence[float]) -> None:
+    """Refuse what is no list of levels.
+
+    Raises:
+        OptionError: It is empty, a ratio is out of range, or they do not fall from one to the next.
+    """
+    if len(ratios) == 0:
+        raise OptionError("Give at least one ratio for the levels.")
+    for ratio in ratios:
+        Goal(ratio=ratio)
+    for finer, coarser in pairwise(ratios):
+        if finer == coarser:
+            raise OptionError(f"The ratio {finer:g} is given twice; give each level once.")
+        if finer < coarser:
+            raise OptionError(
+                f"Levels go from fine to coarse, and {coarser:g} comes after {finer:g}; order them "
+                "from the largest ratio to the smallest."
+            )
+
+
+def _deliver(
+    job: Job, ratios: Sequence[float], threads: int | None
+) -> Iterator[tuple[Splats, SimplifyReport]]:
+    deliver: Deliver | None = None
+    for ratio in ratios:
+        start, clock = time.perf_counter(), StageClock()
+        # Here and not above: this brings Numba. Around each level and not around all of them: the
+        # number of threads is the caller's own between two levels.
+        from nanogs.threads import use_threads
+
+        with use_threads(threads) as threads_used:
+            deliver = deliver or job.deliverer(threads_used, clock)
+            result = _level(job, deliver, ratio, threads_used, clock, start)
+        yield result
+        del result  # or it would be kept while the next one is made
+
+
+def _level(
+    job: Job, deliver: Deliver, ratio: float, threads: int, clock: StageClock, start: float
+) -> tuple[Splats, SimplifyReport]:
+    target = target_count(len(job.rows), ratio, None)
+    outcome = deliver(target, clock)
+    return outcome.splats, job.report(Goal(ratio), target, outcome, threads, clock, start)

@@ -1,0 +1,115 @@
+"""`levels.json`: what a folder of levels holds."""
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from nanogs.report import SimplifyReport, StopReason
+
+NAME = "levels.json"
+FORMAT = "nanogs-levels"
+VERSION = 1
+_BLOCK = 1 << 20  # bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """One level of detail.
+
+    Attributes:
+        file: Name of its file in the folder.
+        ratio: The compaction ratio asked for.
+        count: Splats in it.
+        bytes: Size of its file.
+        sha256: Of its file, hexadecimal.
+        psnr: Mean over the views it was chosen by, dB, or None where nothing was measured or the
+            result was fitted afterwards.
+        ssim: Mean over the same views, or None.
+        stop: Why its merging stopped.
+        seconds: Making and writing it; the first level's hold what all levels share.
+    """
+
+    file: str
+    ratio: float
+    count: int
+    bytes: int
+    sha256: str
+    psnr: float | None
+    ssim: float | None
+    stop: StopReason
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """What `levels.json` says, besides its format and version.
+
+    Attributes:
+        generator: The program and its version.
+        source: Name of the model's file, without its folder.
+        source_count: Splats in it.
+        preset: Name of the preset.
+        parameters: Every parameter of the method by name.
+        levels: From the finest to the coarsest.
+        notes: What else the user should know, one sentence each.
+    """
+
+    generator: str
+    source: str
+    source_count: int
+    preset: str
+    parameters: dict[str, float | int | str | bool]
+    levels: tuple[Level, ...]
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        return {"format": FORMAT, "version": VERSION, **asdict(self)}
+
+
+def describe_level(file: Path, ratio: float, report: SimplifyReport, seconds: float) -> Level:
+    """One entry, from the file as it was written."""
+    chosen = next((entry for entry in report.candidates if entry.chosen), None)
+    if report.refit is not None:
+        chosen = None  # measured before the fit
+    return Level(
+        file=file.name,
+        ratio=ratio,
+        count=report.achieved_count,
+        bytes=file.stat().st_size,
+        sha256=_sha256(file),
+        psnr=chosen.psnr if chosen else None,
+        ssim=chosen.ssim if chosen else None,
+        stop=report.stop,
+        seconds=seconds,
+    )
+
+
+def made_files(folder: Path) -> frozenset[str] | None:
+    """Names of the files of a folder of levels, its manifest among them; None for other folders."""
+    try:
+        data = json.loads((folder / NAME).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        return None
+    names = {NAME, *_files(data.get("levels"))}
+    # Plain names only: a manifest that someone changed must not lead out of its folder.
+    return frozenset(name for name in names if Path(name).name == name)
+
+
+def _files(levels: object) -> Iterable[str]:
+    entries = levels if isinstance(levels, list) else []
+    files = (entry.get("file") for entry in entries if isinstance(entry, dict))
+    return (name for name in files if isinstance(name, str))
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()

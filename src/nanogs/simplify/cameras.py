@@ -1,0 +1,55 @@
+"""The views that the user asks for, for presets that render. No Numba before they are wanted."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from nanogs.errors import OptionError
+from nanogs.simplify.presets import ForestParameters, Parameters, renders
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.render.camera import Camera
+
+
+def requested_cameras(
+    splats: Splats, source: str, up: Sequence[float] | None, chosen: Parameters
+) -> "list[Camera] | None":
+    """Cameras from a file or of a kind; None where the method chooses its own.
+
+    Args:
+        splats: The model.
+        source: As `render.source.cameras_for` takes it.
+        up: Up direction of automatic views, or None.
+        chosen: Parameters of the method.
+
+    Raises:
+        NanogsError: The source is no camera file, or cannot be read.
+    """
+    if (source == "auto" and up is None) or not isinstance(chosen, ForestParameters):
+        return None
+    from nanogs.render.source import cameras_for
+    from nanogs.simplify.forest_pipeline import REFIT
+
+    # Looking takes as many of them as it wants; a refit wants more.
+    count = max(chosen.views, REFIT.views + REFIT.held if chosen.refit else 0)
+    size = REFIT.size  # looking reduces them
+    return cameras_for(splats, source, count=count, width=size, height=size, up=up, split="fit")
+
+
+def refuse_unused_views(preset: str, chosen: Parameters, *, given: bool, judged: bool) -> None:
+    """Views mean nothing where nothing is rendered.
+
+    Args:
+        preset: Its name.
+        chosen: Its parameters.
+        given: Whether the user asked for certain views.
+        judged: Whether results are rendered whatever the preset.
+
+    Raises:
+        OptionError: They are given, and nothing is rendered.
+    """
+    if given and not judged and not renders(chosen):
+        raise OptionError(
+            f"The preset {preset} renders nothing here, so that --views, --cameras and --up mean "
+            "nothing to it; leave them out or choose another preset."
+        )

@@ -1,0 +1,157 @@
+"""A simplification that has been checked: what `simplify` and `levels` share."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from nanogs._types import I64
+from nanogs.errors import ModelError
+from nanogs.report import SimplifyReport, StageClock
+from nanogs.simplify.outcome import Outcome
+from nanogs.simplify.presets import PaperParameters, Parameters, parameters
+from nanogs.simplify.target import Goal
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.render.camera import Camera
+
+NanPolicy = Literal["drop", "error"]
+Deliver = Callable[[int, StageClock], Outcome]
+"""The result of a count, the seconds of its stages added to the clock."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """A model, and how it is to be simplified.
+
+    Attributes:
+        splats: The model.
+        rows: (M,) int64, its usable rows, ascending.
+        preset: Name of the preset.
+        parameters: Of the method.
+        cameras: The user's views, or None for automatic ones.
+        progress: Called before each stage with its name and the number of splats left.
+    """
+
+    splats: Splats
+    rows: I64
+    preset: str
+    parameters: Parameters
+    cameras: "Sequence[Camera] | None"
+    progress: Callable[[str, int], None]
+
+    def deliverer(self, threads: int, clock: StageClock) -> Deliver:
+        """Do once what every count needs, and return what delivers each of them.
+
+        Args:
+            threads: Threads in use.
+            clock: Gets the seconds of what is done once.
+        """
+        chosen = self.parameters
+        if isinstance(chosen, PaperParameters):
+            from nanogs.simplify.published import simplify_as_published
+
+            return lambda target, clock: simplify_as_published(
+                self.splats, self.rows, target, chosen, threads, clock, self.progress
+            )
+        from nanogs.simplify.forest_pipeline import build_forest, deliver
+
+        build = build_forest(
+            self.splats, self.rows, chosen, self.cameras, threads, clock, self.progress
+        )
+        return lambda target, clock: deliver(build, target, clock, self.progress)
+
+    def report(
+        self,
+        goal: Goal,
+        asked_count: int,
+        outcome: Outcome,
+        threads: int,
+        clock: StageClock,
+        start: float,
+    ) -> SimplifyReport:
+        """What was asked, delivered and spent.
+
+        Args:
+            goal: What was asked.
+            asked_count: What it comes to.
+            outcome: What was delivered.
+            threads: Threads used.
+            clock: The seconds of the stages.
+            start: `time.perf_counter()` at the start.
+        """
+        return SimplifyReport(
+            preset=self.preset,
+            parameters=asdict(self.parameters),
+            input_count=len(self.splats),
+            asked_ratio=goal.ratio,
+            asked_count=asked_count,
+            asked_size=goal.size,
+            asked_psnr=goal.psnr,
+            achieved_psnr=outcome.achieved_psnr,
+            probes=outcome.probes,
+            dropped_nonfinite=len(self.splats) - len(self.rows),
+            pruned=outcome.pruned,
+            prune_threshold=outcome.prune_threshold,
+            prune_limited=outcome.prune_limited,
+            passes=outcome.passes,
+            achieved_count=len(outcome.splats),
+            stop=outcome.stop,
+            seconds=clock.seconds,
+            total_seconds=time.perf_counter() - start,
+            threads=threads,
+            candidates=outcome.candidates,
+            refit=outcome.refit,
+            notes=(*self.splats.notes, *outcome.notes),
+        )
+
+
+def prepare_job(
+    splats: Splats,
+    preset: str,
+    overrides: dict[str, Any],
+    cameras: "Sequence[Camera] | None",
+    nan: NanPolicy,
+    progress: Callable[[str, int], None] | None,
+) -> Job:
+    """Check all that can be checked before anything is computed.
+
+    Raises:
+        OptionError: There is no such preset or parameter.
+        ModelError: No splat is usable, or `nan="error"` and one is not.
+    """
+    chosen = parameters(preset, overrides)
+    observe = progress or (lambda _stage, _count: None)
+    return Job(splats, usable_rows(splats, nan), preset, chosen, cameras, observe)
+
+
+def usable_rows(splats: Splats, nan: NanPolicy) -> I64:
+    """(M,) int64: rows that are finite, ascending.
+
+    Raises:
+        ModelError: None is, or one is not and the policy is "error".
+    """
+    finite = splats.finite()
+    rows = np.flatnonzero(finite)
+    if len(rows) == 0:
+        raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
+    if nan == "error" and len(rows) < len(splats):
+        first = int(np.flatnonzero(~finite)[0])
+        raise ModelError(
+            f"{len(splats) - len(rows)} splats hold a NaN or an infinite value, the first in row "
+            f"{first}; --nan drop leaves them out."
+        )
+    return rows
+
+
+def refuse_misaligned_elements(splats: Splats, target: int) -> None:
+    """An element with one row a splat would no longer fit the splats; others are untouched."""
+    for element in splats.elements:
+        if len(element.rows) == len(splats) > 1 and target < len(splats):
+            raise ModelError(
+                f"The element {element.name!r} has one row for each splat and would not fit the "
+                "smaller model; remove it from the file first."
+            )

@@ -1,0 +1,84 @@
+"""Memory of the presets that grow a forest: bytes a splat, stage by stage."""
+
+from nanogs.simplify.presets import ForestParameters
+
+_F4, _F8, _I4, _I8 = 4, 8, 4, 8
+_NODE = 2 * _F8 + 3 * _F8 + 6 * _F8  # weights and coverages, means, covariances; no features
+_MERGE = 2 * _I4 + _I4 + 2 * _F4  # children, level and increments, one a merge
+_TREE = 3 * _F8 + _I8 + 20  # cKDTree: its copy of the centres, its index, nodes of 16
+_PAIRS = 0.66  # pairs for each splat and neighbour, see `memory`
+_BLOCK = 1 << 16  # rows that one query of the tree is for
+_LEFT = 0.56  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
+_TILES = 3  # tiles of a 256-pixel view that a splat lies in, on average at most
+_PREPARED = 9 * _F4 + _F4 + 1  # factors, alpha and mask, as the rasteriser reads them
+_DRAWN = 8 * _F8 + 4 * _F4 + 1 + 2 * _I8 + _TILES * _I4  # one view's projection, order and lists
+_GROUPS = 12  # see `reassign.NEIGHBOURS`
+_FIT_VIEWS, _FIT_PIXELS, _FIT_TILES = 38, 512 * 512, 6  # see `forest_pipeline.REFIT`
+_FIT_SUMS = 10 + 55 + 1  # of each splat in double precision, twice, beside its colour
+
+
+def forest_stages(
+    count: int,
+    row: int,
+    features: int,
+    k: int,
+    parameters: ForestParameters,
+    target: int,
+    *,
+    judged: bool,
+) -> tuple[int, dict[str, int]]:
+    """Bytes held from activation to delivery, and what each stage holds, these among it.
+
+    Args:
+        count: Splats in the input.
+        row: Bytes of a stored splat.
+        features: Bytes of its harmonics.
+        k: Neighbours in the graph.
+        parameters: Of the method.
+        target: Splats in the largest result.
+        judged: Whether results are rendered whatever the preset.
+    """
+    node, grown = _NODE + features, count * _MERGE
+    leaves = count * (node + _I8 + _F8)  # with their rows, and what is visible of each
+    looked = parameters.measure or judged
+    look = count * (_PREPARED + _DRAWN + 13 * _F8 + _TILES * _F4) if looked else 0
+    # Later passes have fewer nodes, but two generations of them beside the leaves.
+    second = int(_LEFT * (node + _MERGE) * count)
+    result = target * (node + row + 4 * _F8)
+    drawing = target * (row + _PREPARED + _DRAWN) if looked else 0
+    match = int(count * (_PAIRS * k * (2 * _I4 + 2 * _F4 + _F4 + _F8) + 2 * _F8))
+    beside = {
+        "graph": _graph(count, k),
+        "match": max(match, second + int(_LEFT * match)),
+        "merge": second + int(_LEFT * second),
+        "cut": grown + count * (6 * _F8 + 4 * _I4 + 2 * _I8),
+        "reassign": _reassign(count, target, node, grown) if parameters.rounds else 0,
+        "store": grown + count * (5 * _I4) + max(result, drawing),
+        "refit": grown + _refit(count, target, features) if parameters.refit else 0,
+    }
+    stages = {"look": look, "activate": count * (row + 17 * _F8 + node)}
+    stages |= {stage: leaves + held for stage, held in beside.items() if held}
+    return leaves, {stage: held for stage, held in stages.items() if held}
+
+
+def _graph(count: int, k: int) -> int:
+    tree = count * (_TREE + k * _I4 + 6 * _F8) + _query(count, k)
+    return max(tree, int(count * (k * _I4 + _F8 * _PAIRS * k)))
+
+
+def _query(count: int, k: int) -> int:
+    """A block's answer: distances, rows in the tree, rows, and which of them is its own."""
+    return min(count, _BLOCK) * (k + 1) * (_F8 + 2 * _I8 + 4)
+
+
+def _reassign(count: int, target: int, node: int, grown: int) -> int:
+    merged = target * (node + 7 * _F8 + _GROUPS * _I4 + _TREE) + _query(target, _GROUPS)
+    return grown + merged + count * (5 * _I4 + 3 * _F8)
+
+
+def _refit(count: int, target: int, features: int) -> int:
+    images = _FIT_VIEWS * _FIT_PIXELS * 4 * 2
+    drawing = count * (_PREPARED + _DRAWN + 8 * _F8)
+    state = 2 * (11 * _F8 + features) + 2 * (_FIT_SUMS * _F8 + 2 * features)
+    pulls = 25 * _F8 + _FIT_TILES * 25 * _F4 + 10 * _F8 + 2 * features
+    return images + max(drawing, target * (_PREPARED + _DRAWN + features + state + pulls))
