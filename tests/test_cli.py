@@ -59,19 +59,61 @@ def test_json_is_the_report_and_nothing_else(scene, tmp_path):
     assert report["stop"] == "target"
     assert report["passes"][0]["count_before"] == 500 - report["pruned"]
     assert set(report["passes"][0]["seconds"]) == {"graph", "cost", "match", "merge"}
-    assert {"read", "prune", "graph", "write"} <= set(report["seconds"])
+    assert {"read", "look", "graph", "choose", "write"} <= set(report["seconds"])
     assert report["output_bytes"] == (tmp_path / "small.ply").stat().st_size
 
 
 def test_the_command_and_the_library_give_the_same_bytes(scene, tmp_path):
-    options = ("--ratio", "0.2", "--k", "8", "--seed", "3", "--tau", "0", "--lambda-app", "0.5")
-    options += ("--preset", "paper")
-    assert run("simplify", scene, tmp_path / "a.ply", *options, "-q").returncode == 0
-    small, _ = nanogs.simplify(
-        nanogs.load(scene), ratio=0.2, preset="paper", k=8, seed=3, tau=0, lambda_app=0.5
-    )
-    nanogs.save(small, tmp_path / "b.ply")
-    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    splats = nanogs.load(scene)
+    every = {"preset": "paper", "k": 8, "lambda_app": 0.5}
+    for given in (
+        every | {"seed": 3, "tau": 0, "samples": 2, "lambda_geo": 2, "merge_cap": 0.3},
+        every | {"preset": "default", "balance": 0.3, "rounds": 1, "views": 4},
+    ):
+        flags = [(f"--{name.replace('_', '-')}", value) for name, value in given.items()]
+        options = [part for flag in flags for part in flag]
+        result = run("simplify", scene, tmp_path / "a.ply", "-r", "0.2", *options, "-q", "-w")
+        assert result.returncode == 0, result.stderr
+        small, _ = nanogs.simplify(splats, ratio=0.2, **given)
+        nanogs.save(small, tmp_path / "b.ply", overwrite=True)
+        assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+@pytest.mark.parametrize("size", ["20kB", "19.5 KiB", "20000"])
+def test_a_size_is_never_exceeded(scene, tmp_path, size):
+    small = tmp_path / "small.ply"
+    options = ("--size", size, "--preset", "fast", "--json")
+    report = json.loads(run("simplify", scene, small, *options).stdout)
+    asked = 19_968 if "KiB" in size else 20_000
+    row = 26 * 4
+    assert report["asked_size"] == asked
+    assert asked - row < small.stat().st_size <= asked
+    plan = json.loads(run("simplify", scene, tmp_path / "x.ply", *options, "--dry-run").stdout)
+    assert plan["asked_count"] == report["achieved_count"] == len(nanogs.load(small))
+
+
+def test_a_psnr_is_reached_or_it_is_said(scene, tmp_path):
+    options = ("--preset", "fast", "--json", "--views", "4")
+    reached = run("simplify", scene, tmp_path / "a.ply", "--psnr", "22", *options)
+    report = json.loads(reached.stdout)
+    assert (reached.returncode, report["stop"], reached.stderr) == (0, "target", "")
+    assert report["achieved_psnr"] >= report["asked_psnr"] == 22
+    assert {"count": report["achieved_count"], "psnr": report["achieved_psnr"]} in report["probes"]
+    missed = run("simplify", scene, tmp_path / "b.ply", "--psnr", "100", *options)
+    report = json.loads(missed.stdout)
+    assert (missed.returncode, report["stop"]) == (3, "unreached")
+    assert "No smaller model reaches 100 dB" in missed.stderr
+    assert len(nanogs.load(tmp_path / "b.ply")) == 500
+
+
+def test_views_and_refit_reach_the_method(scene, tmp_path):
+    options = ("-r", "0.1", "--preset", "fast", "--refit", "--cameras", "orbit", "--up", "0,0,1")
+    result = run("simplify", scene, tmp_path / "a.ply", *options, "--json")
+    report = json.loads(result.stdout)
+    assert report["parameters"]["refit"] is True
+    assert report["refit"]["psnr_after"] >= report["refit"]["psnr_before"]
+    again, _ = nanogs.simplify(nanogs.load(scene), ratio=0.1, preset="fast", refit=True)
+    assert not np.array_equal(nanogs.load(tmp_path / "a.ply").means, again.means)
 
 
 def test_quiet_says_nothing_and_verbose_shows_the_passes(scene, tmp_path):
@@ -151,7 +193,13 @@ def test_help_and_info_never_import_numba(scene):
         "try: main()\n"
         "finally: assert 'numba' not in sys.modules"
     )
-    for arguments in (["--help"], ["simplify", "--help"], ["--version"], ["info", str(scene)]):
+    for arguments in (
+        ["--help"],
+        ["simplify", "--help"],
+        ["lod", "-h"],
+        ["--version"],
+        ["info", str(scene)],
+    ):
         result = subprocess.run(
             [sys.executable, "-c", code, *arguments], capture_output=True, text=True
         )
@@ -161,7 +209,7 @@ def test_help_and_info_never_import_numba(scene):
 def test_the_api_is_what_it_says():
     code = (
         "import nanogs.simplify.presets, nanogs\n"
-        "for name in ('load', 'save', 'simplify', 'Splats', 'SimplifyReport'):\n"
+        "for name in ('load', 'save', 'simplify', 'levels', 'Splats', 'SimplifyReport'):\n"
         "    assert callable(getattr(nanogs, name)), name\n"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -233,7 +281,16 @@ def test_missing_file_and_directory_and_unknown_format(tmp_path):
         ([], "ratio"),
         (["--ratio", "0.5", "--count", "5"], "ratio"),
         (["--ratio", "0.5", "--preset", "papr"], "papr"),
-        (["--ratio", "0.5", "--preset", "paper", "--tau", "2"], "tau must be"),
+        (["--ratio", "0.5", "--tau", "2"], "tau"),
+        (["--ratio", "0.5", "--preset", "paper", "--tau", "2"], "tau"),
+        (["--ratio", "0.5", "--preset", "paper", "--refit"], "refit"),
+        (["--ratio", "0.5", "--preset", "paper", "--views", "4"], "views"),
+        (["--ratio", "0.5", "--preset", "fast", "--cameras", "orbit"], "--cameras"),
+        (["--ratio", "0.5", "--size", "5MB"], "exactly one"),
+        (["--size", "5XB"], "5XB"),
+        (["--size", "300"], "300 B"),
+        (["--psnr", "-3"], "PSNR"),
+        (["--psnr", "30", "--preset", "paper"], "paper"),
         (["--ratio", "0.5", "--threads", "9999"], "threads"),
     ],
 )

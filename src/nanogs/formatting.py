@@ -18,7 +18,7 @@ def bytes_text(count: int | None) -> str:
         return NONE
     value = float(count)
     for unit in ("B", "KB", "MB"):
-        if value < 1000:
+        if value < 999.95:  # and not 1000.0 of a unit
             return f"{value:.0f} {unit}" if unit == "B" else f"{value:.1f} {unit}"
         value /= 1000
     return f"{value:.1f} GB"

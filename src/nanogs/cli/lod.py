@@ -82,7 +82,7 @@ def lod(
         print_json(run)
     elif not quiet:
         _print_report(run)
-    _exit_if_short(run)
+    exit_if_short(run)
 
 
 def _write(
@@ -163,7 +163,8 @@ def _print_report(run: dict[str, Any]) -> None:
     err.print(f"{run['output']}: {len(run['levels'])} levels, {run['total_seconds']:.2f} s")
 
 
-def _exit_if_short(run: dict[str, Any]) -> None:
+def exit_if_short(run: dict[str, Any]) -> None:
+    """Name the levels that have more splats than asked for, and leave with exit code 3."""
     short = [level for level in run["levels"] if level["stop"] != StopReason.TARGET]
     for level in short:
         warn(f"{level['file']}: stopped before the asked count: {level['stop']}.")

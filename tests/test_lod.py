@@ -1,0 +1,301 @@
+"""Levels of detail: `nanogs.levels`, and the folder that `nanogs lod` makes."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import weakref
+
+import pytest
+import typer
+
+import nanogs
+from builders import model_bytes, random_splats
+from nanogs.cli.lod import exit_if_short
+from nanogs.errors import OptionError, OutputError
+from nanogs.io.folder import atomic_folder
+from nanogs.lod.manifest import made_files
+from nanogs.lod.write import write_levels
+from nanogs.report import StopReason
+from test_cli import assert_refused, run
+
+RATIOS = (0.5, 0.1, 0.02)
+LEVELS = ["level_0.ply", "level_1.ply", "level_2.ply", "levels.json"]
+
+
+@pytest.fixture(scope="module")
+def splats():
+    return random_splats(400, degree=1)
+
+
+@pytest.fixture(scope="module")
+def scene(splats, tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(splats, path)
+    return path
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+# The library
+
+
+@pytest.mark.parametrize("preset", ["default", "fast", "paper"])
+def test_every_level_is_what_simplify_gives(splats, preset):
+    made = list(nanogs.levels(splats, RATIOS, preset=preset))
+    assert [report.asked_ratio for _, report in made] == list(RATIOS)
+    for ratio, (small, report) in zip(RATIOS, made, strict=True):
+        alone, expected = nanogs.simplify(splats, ratio=ratio, preset=preset)
+        assert model_bytes(small) == model_bytes(alone)
+        assert report.asked_count == report.achieved_count == expected.achieved_count
+        assert (report.stop, report.candidates) == (StopReason.TARGET, expected.candidates)
+
+
+def test_one_build_serves_all_levels(splats, monkeypatch):
+    from nanogs.simplify import forest_pipeline
+
+    built = []
+    grow = forest_pipeline.grow_forest
+    monkeypatch.setattr(
+        forest_pipeline, "grow_forest", lambda *given: built.append(1) or grow(*given)
+    )
+    assert len(list(nanogs.levels(splats, RATIOS, preset="fast"))) == 3
+    assert built == [1]
+
+
+def test_one_level_is_kept_at_a_time(splats):
+    """The iterator holds nothing of a level once the next is asked for."""
+    made = nanogs.levels(splats, RATIOS, preset="fast")
+    small, _ = next(made)
+    array = weakref.ref(small.sh)
+    del small, _
+    next(made)
+    assert array() is None
+
+
+def test_threads_are_the_callers_between_levels(splats):
+    import numba
+
+    before = numba.get_num_threads()
+    made = nanogs.levels(splats, RATIOS, preset="fast", threads=1)
+    next(made)
+    assert numba.get_num_threads() == before
+
+
+@pytest.mark.parametrize(
+    ("ratios", "word"),
+    [([], "at least one"), ([0.1, 0.5], "fine to coarse"), ([0.5, 0.5], "twice"), ([1.5], "1.5")],
+)
+def test_bad_ratios_are_refused_at_once(splats, ratios, word):
+    with pytest.raises(OptionError, match=word):
+        nanogs.levels(splats, ratios)
+
+
+# The folder
+
+
+@pytest.mark.parametrize("preset", ["default", "fast", "paper"])
+def test_every_file_is_what_the_command_simplify_writes(scene, tmp_path, preset):
+    folder = tmp_path / "levels"
+    options = ["--preset", preset, "-q"]
+    result = run("lod", scene, folder, "--levels", "0.5,0.1,0.02", *options)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    assert names(folder) == LEVELS
+    for level, ratio in enumerate(RATIOS):
+        alone = tmp_path / f"{level}.ply"
+        assert run("simplify", scene, alone, "-r", ratio, *options).returncode == 0
+        assert (folder / f"level_{level}.ply").read_bytes() == alone.read_bytes()
+
+
+def test_the_manifest_describes_the_files(scene, tmp_path):
+    result = run("lod", scene, tmp_path / "levels", "--levels", "0.5,0.1,0.02", "--json")
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    manifest = json.loads((tmp_path / "levels" / "levels.json").read_text())
+    assert json.loads(result.stdout)["levels"] == manifest["levels"]
+    assert (manifest["format"], manifest["version"]) == ("nanogs-levels", 1)
+    assert (manifest["source"], manifest["source_count"]) == ("scene.ply", 400)
+    assert manifest["preset"] == "default"
+    assert [level["ratio"] for level in manifest["levels"]] == list(RATIOS)
+    assert [level["count"] for level in manifest["levels"]] == [200, 40, 8]
+    for level in manifest["levels"]:
+        content = (tmp_path / "levels" / level["file"]).read_bytes()
+        assert level["bytes"] == len(content)
+        assert level["sha256"] == hashlib.sha256(content).hexdigest()
+        assert 0 < level["psnr"] <= 100
+        assert 0 < level["ssim"] <= 1
+        assert level["seconds"] > 0
+
+
+def test_nothing_is_measured_where_nothing_is_rendered(splats, tmp_path):
+    manifest, _ = write_levels(splats, tmp_path / "l", [0.1], source="a.ply", preset="fast")
+    assert manifest.levels[0].psnr is manifest.levels[0].ssim is None
+
+
+def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
+    result = run("lod", scene, tmp_path / "levels", "--dry-run")
+    assert result.returncode == 0
+    assert "200, 100, 40, 4 splats" in result.stderr
+    assert "peak memory" in result.stderr
+    plan = json.loads(run("lod", scene, tmp_path / "levels", "--dry-run", "--json").stdout)
+    assert [level["count"] for level in plan["levels"]] == [200, 100, 40, 4]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_older_folder_is_replaced_with_its_flag_only(splats, tmp_path):
+    folder = tmp_path / "levels"
+    write_levels(splats, folder, RATIOS, source="a.ply", preset="fast")
+    with pytest.raises(OutputError, match="add -w"):
+        write_levels(splats, folder, [0.1], source="a.ply", preset="fast")
+    assert names(folder) == LEVELS
+    write_levels(splats, folder, [0.1], source="a.ply", preset="fast", overwrite=True)
+    assert names(folder) == ["level_0.ply", "levels.json"]
+    assert names(tmp_path) == ["levels"]
+
+
+def test_an_empty_folder_is_filled(splats, tmp_path):
+    (tmp_path / "levels").mkdir()
+    write_levels(splats, tmp_path / "levels", [0.1], source="a.ply", preset="fast")
+    assert names(tmp_path / "levels") == ["level_0.ply", "levels.json"]
+    assert names(tmp_path) == ["levels"]
+
+
+def test_a_link_to_a_folder_stays_a_link(splats, tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    write_levels(splats, tmp_path / "link", [0.1], source="a.ply", preset="fast")
+    assert (tmp_path / "link").is_symlink()
+    assert names(tmp_path / "real") == ["level_0.ply", "levels.json"]
+
+
+def test_what_others_made_is_never_deleted(splats, tmp_path):
+    folder = tmp_path / "levels"
+    folder.mkdir()
+    (folder / "mine.txt").write_text("mine")
+    with pytest.raises(OutputError, match="did not make"):
+        write_levels(splats, folder, [0.1], source="a.ply", preset="fast", overwrite=True)
+    (folder / "levels.json").write_text('{"format": "something else"}')
+    with pytest.raises(OutputError, match="did not make"):
+        write_levels(splats, folder, [0.1], source="a.ply", preset="fast", overwrite=True)
+    assert names(folder) == ["levels.json", "mine.txt"]
+    assert names(tmp_path) == ["levels"]
+
+
+def test_a_file_beside_older_levels_is_never_deleted(splats, tmp_path):
+    folder = tmp_path / "levels"
+    write_levels(splats, folder, [0.1], source="a.ply", preset="fast")
+    (folder / "mine.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"mine\.txt"):
+        write_levels(splats, folder, [0.5], source="a.ply", preset="fast", overwrite=True)
+    assert names(folder) == ["level_0.ply", "levels.json", "mine.txt"]
+
+
+def test_a_changed_manifest_leads_to_no_file_elsewhere(tmp_path):
+    entries = [{"file": name} for name in ("../mine.txt", "/etc/passwd", "a.ply")] + [{}, 3]
+    manifest = {"format": "nanogs-levels", "levels": [*entries, {"file": 3}]}
+    (tmp_path / "levels.json").write_text(json.dumps(manifest))
+    assert made_files(tmp_path) == {"levels.json", "a.ply"}
+
+
+def test_a_failure_half_way_leaves_what_was(splats, tmp_path, monkeypatch):
+    folder = tmp_path / "levels"
+    write_levels(splats, folder, RATIOS, source="a.ply", preset="fast")
+    before = (folder / "level_0.ply").read_bytes()
+
+    def progress(stage, count):
+        if stage == "write" and count == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_levels(
+            splats, folder, [0.1, 0.01], source="a.ply", preset="fast", overwrite=True,
+            progress=progress,
+        )  # fmt: skip
+    assert names(folder) == LEVELS
+    assert (folder / "level_0.ply").read_bytes() == before
+    assert names(tmp_path) == ["levels"]
+
+
+def test_a_folder_that_appears_meanwhile_is_kept(tmp_path):
+    def make():
+        with atomic_folder(tmp_path / "levels", made_files) as temporary:
+            (temporary / "level_0.ply").write_text("new")
+            (tmp_path / "levels").mkdir()
+            (tmp_path / "levels" / "mine.txt").write_text("mine")
+
+    with pytest.raises(OutputError, match="did not make"):
+        make()
+    assert names(tmp_path) == ["levels"]
+    assert names(tmp_path / "levels") == ["mine.txt"]
+
+
+# What the command refuses
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--levels", "0.1,0.5"], ["fine to coarse"]),
+        (["--levels", "0.5,0.5"], ["twice"]),
+        (["--levels", "0.5,x"], ["0.5,x"]),
+        (["--levels", ""], ["Levels are ratios"]),
+        (["--levels", "2,0.5"], ["at most 1", "2"]),
+        (["--levels", "0.5,nan"], ["ratio"]),
+        (["--preset", "fast", "--tau", "0.1"], ["fast", "tau"]),
+        (["--preset", "fast", "--views", "5"], ["fast", "--views"]),
+        (["--preset", "best", "--up", "1,2"], ["1,2"]),
+    ],
+)
+def test_bad_option(scene, tmp_path, options, words):
+    assert_refused(run("lod", scene, tmp_path / "levels", *options), *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(scene, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    assert_refused(run("lod", scene, tmp_path / "file"), "file")
+    assert_refused(run("lod", scene, tmp_path / "missing" / "levels"), "missing")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("mine")
+    assert_refused(run("lod", scene, tmp_path / "full", "-w"), "full")
+    assert names(tmp_path / "full") == ["mine.txt"]
+
+
+def test_a_level_that_stops_early_is_said(capsys):
+    levels = [{"file": "level_0.ply", "stop": "target"}, {"file": "level_1.ply", "stop": "target"}]
+    exit_if_short({"levels": levels})
+    levels[1]["stop"] = "no_candidates"
+    with pytest.raises(typer.Exit) as stopped:
+        exit_if_short({"levels": levels})
+    assert stopped.value.exit_code == 3
+    said = capsys.readouterr().err
+    assert "level_1.ply" in said
+    assert "level_0.ply" not in said
+
+
+def test_full_disk_leaves_no_folder(scene, tmp_path):
+    """A limit on the size of files stands in for a full disk: the write fails half-way."""
+    resource = pytest.importorskip("resource")
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, 5_000))
+
+    code = (
+        "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "from nanogs.cli import main; main()"
+    )
+    command = [sys.executable, "-c", code, "lod", scene, tmp_path / "l", "--preset", "fast"]
+    result = subprocess.run(
+        list(map(str, command)), capture_output=True, text=True, preexec_fn=limit, env=os.environ
+    )
+    assert_refused(result, "full")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ratios_of_one_splat():
+    """Every level has at least one splat, however small the ratio."""
+    made = nanogs.levels(random_splats(3), [0.5, 0.1, 0.001], preset="fast")
+    assert [len(small) for small, _ in made] == [2, 1, 1]
