@@ -200,6 +200,20 @@ def test_increments_are_those_of_the_merged_nodes():
         assert np.allclose(increment, expected, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.parametrize(("lambda_app", "together"), [(0.0, {1}), (10.0, {2})])
+def test_colour_decides_who_merges_where_it_weighs(lambda_app, together):
+    """Four spheres in a row: near ones differ in colour, alike ones are two steps apart."""
+    splats = random_splats(1, degree=0).take(np.zeros(4, np.int64))
+    splats.means[:] = np.array([[0.0, 0, 0], [1, 0, 0], [2.1, 0, 0], [3.1, 0, 0]])
+    splats.log_scales[:] = 0
+    splats.sh[:, 0] = np.array([[0.0], [5], [0], [5]])
+    nodes, rows = nodes_of(splats)
+    forest = grow_forest(nodes, 3, lambda_app, 1, silent)
+    pairs = rows[forest.children[forest.levels == 1]]
+    assert set(np.abs(np.diff(pairs, axis=1)).ravel().tolist()) == together
+    assert forest.levels.tolist() == [1, 1, 2]
+
+
 @SOME
 @given(st.integers(2, 60), st.sampled_from([0.0, 0.5, 0.8, 1.0]), st.integers(0, 2**31))
 def test_every_target_is_met_by_nested_cuts(n, balance, seed):
@@ -252,6 +266,11 @@ def test_increments_below_zero_count_as_none():
     scores = merge_scores(small_forest([(-1e-9, 0), (4, 0), (0, 0)]), 1.0)
     assert np.isfinite(scores).all()
     assert scores[0] < scores[1] == scores[2]
+
+
+def test_increments_below_zero_take_nothing_from_a_sum():
+    scores = merge_scores(small_forest([(-4, 0), (4, 0), (1, 0)]), 1.0)
+    assert scores[2] - scores[1] == pytest.approx(np.log2(5 / 4))
 
 
 @pytest.fixture
@@ -351,6 +370,14 @@ def test_empty_groups_take_the_worst_fitting_that_can_be_spared():
     reassign._refill(labels, np.array([1.0, 5.0, 2.0, 3.0, 4.0, 9.0]), 6)
     # Splat 5 fits worst, but is alone in its group; then come 1, 4 (which leaves 3 alone) and 2.
     assert labels.tolist() == [0, 1, 5, 3, 4, 2]
+
+
+def test_the_worst_fitting_are_told_by_their_weight_too(monkeypatch):
+    leaves, _ = nodes_of(random_splats(30, seed=10))
+    told, labels = [], np.zeros(30, np.int32)
+    monkeypatch.setattr(reassign, "_refill", lambda _new, misfits, _groups: told.append(misfits))
+    reassign.reassign(leaves, labels, 1, 1, 1)
+    assert told[0].sum() == pytest.approx(-log_likelihood(leaves, labels, 1))
 
 
 def test_a_group_that_all_leave_is_filled_again():
