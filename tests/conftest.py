@@ -27,3 +27,17 @@ def peer_path(name: str) -> Path:
     if not path.exists():
         pytest.skip(f"the file {name} is absent: set NANOGS_PEERS to the folder of peers' results")
     return path
+
+
+@pytest.fixture(scope="module")
+def small_views():
+    """Presets that render and fit do so with few and small views."""
+    # Here and not above: this brings Numba, which the tests of reading and writing do without.
+    from nanogs.refit.parameters import RefitParameters
+    from nanogs.simplify import forest_pipeline, visibility
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(visibility, "VIEWS", 2)
+        patch.setattr(visibility, "SIZE", 32)
+        patch.setattr(forest_pipeline, "REFIT", RefitParameters(views=2, steps=2, size=32))
+        yield

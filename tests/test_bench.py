@@ -38,7 +38,7 @@ from nanogs.render.camera import Camera
 from nanogs.render.rasterize import render
 from nanogs.report import StopReason
 from nanogs.simplify.graph import random_pairs
-from nanogs.simplify.presets import parameters
+from nanogs.simplify.presets import PRESETS, parameters
 
 
 def run(*arguments, **kwargs):
@@ -113,7 +113,8 @@ def test_settings_that_mean_nothing_are_refused(options, words):
 
 
 def test_every_ablation_is_a_method():
-    assert len(ABLATIONS) == 5
+    assert len(set(ABLATIONS)) == len(ABLATIONS) == 14
+    assert set(PRESETS) <= set(ABLATIONS)
     for name in ABLATIONS:
         assert callable(find_method(name))
 

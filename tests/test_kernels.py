@@ -12,7 +12,22 @@ from hypothesis import strategies as st
 
 import twins
 from builders import gaussians_of, random_splats, row
+from nanogs.kernels.assign import assign_nearest, invert_covariances
+from nanogs.kernels.forest import (
+    log_determinants,
+    merge_increments,
+    raise_to_children,
+    root_of_each,
+    subtree_sums,
+)
 from nanogs.kernels.mass import mass_fraction
+from nanogs.kernels.nodes import (
+    covariances_of,
+    gather_moments,
+    group_members,
+    heaviest_members,
+    principal_axes,
+)
 from nanogs.kernels.quaternion import rotation_matrix, unit_quaternion
 from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix
 from nanogs.simplify.cost import JITTER, log_masses, pair_costs
@@ -21,11 +36,6 @@ from nanogs.simplify.match import MergePlan, match
 from nanogs.simplify.merge import merge
 from nanogs.simplify.order import morton_codes
 from nanogs.simplify.presets import PaperParameters
-
-
-def unpack(six):
-    xx, xy, xz, yy, yz, zz = six
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def random_quats(count, seed=0):
@@ -57,7 +67,7 @@ def test_covariance_and_mix_are_the_second_moment():
     ]
     share = twins.fraction(a, b)
     mixed = mix(share, sigmas[0], 1 - share, sigmas[1], share * (1 - share), a["mean"] - b["mean"])
-    assert np.allclose(unpack(mixed), twins.moments(a, b)[1], rtol=1e-6)
+    assert np.allclose(twins.unpack(mixed), twins.moments(a, b)[1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1e-2, 1e-4, 1e-6])
@@ -66,10 +76,10 @@ def test_eigen_takes_thin_splats_apart(ratio):
         sigma = covariance(rotation_matrix(quat), 1.0, 0.5, ratio**2)
         values, axes = eigen(sigma)
         axes = np.array(axes)
-        assert np.allclose(axes @ np.diag(values) @ axes.T, unpack(sigma), atol=1e-14)
+        assert np.allclose(axes @ np.diag(values) @ axes.T, twins.unpack(sigma), atol=1e-14)
         assert np.allclose(axes.T @ axes, np.eye(3), atol=1e-14)
         assert np.linalg.det(axes) == pytest.approx(1)
-        assert np.allclose(np.sort(values), np.linalg.eigvalsh(unpack(sigma)), atol=1e-15)
+        assert np.allclose(np.sort(values), np.linalg.eigvalsh(twins.unpack(sigma)), atol=1e-15)
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=6, max_size=6), st.sampled_from([1e-30, 1, 1e30]))
@@ -78,7 +88,7 @@ def test_eigen_holds_for_any_symmetric_matrix_in_any_unit(entries, unit):
     values, axes = eigen(sigma)
     axes = np.array(axes)
     largest = max(map(abs, sigma))
-    assert np.allclose(axes @ np.diag(values) @ axes.T, unpack(sigma), atol=1e-13 * largest)
+    assert np.allclose(axes @ np.diag(values) @ axes.T, twins.unpack(sigma), atol=1e-13 * largest)
 
 
 def test_eigen_of_equal_diagonals_turns_by_45_degrees():
@@ -90,7 +100,9 @@ def test_eigen_of_equal_diagonals_turns_by_45_degrees():
 def test_log_det_equals_the_determinant():
     for quat in random_quats(20, seed=5):
         sigma = covariance(rotation_matrix(quat), 1.0, 0.01, 1e-4)
-        assert log_det(sigma, 1e-8) == pytest.approx(np.linalg.slogdet(unpack(sigma))[1], abs=1e-9)
+        assert log_det(sigma, 1e-8) == pytest.approx(
+            np.linalg.slogdet(twins.unpack(sigma))[1], abs=1e-9
+        )
 
 
 def test_log_det_of_a_singular_matrix_stops_at_its_floor():
@@ -268,6 +280,210 @@ def test_flyaways_do_not_put_all_others_into_one_cell():
     means = np.random.default_rng(16).uniform(size=(1000, 3))
     means[:5] *= 1e6
     assert len(np.unique(morton_codes(means))) > 950
+
+
+# The merge forest
+
+
+def random_covariances(count, seed=0):
+    """(count, 6) of splats a hundred times as long as they are thin, and a rounder few."""
+    rng = np.random.default_rng(seed)
+    scales = np.exp(rng.uniform(-4, 0.5, (count, 3)))
+    quats = random_quats(count, seed)
+    return np.array(
+        [twins.pack(twins.covariance(s, q)) for s, q in zip(scales, quats, strict=True)]
+    )
+
+
+def random_moments(count, channels=12, seed=0):
+    """Weights, coverages, means, covariances and features of nodes far from the origin."""
+    rng = np.random.default_rng(seed)
+    return (
+        np.exp(rng.normal(0, 2, count)),
+        np.exp(rng.normal(0, 2, count)),
+        rng.normal(size=(count, 3)) + (100, -50, 3),
+        random_covariances(count, seed),
+        rng.normal(size=(count, channels)).astype(np.float32),
+    )
+
+
+def random_forest(count, seed=0):
+    """(M, 2) children of a tree in which any two roots were merged, down to two roots."""
+    rng = np.random.default_rng(seed)
+    roots, children = list(range(count)), []
+    while len(roots) > 2:
+        pair = rng.choice(len(roots), 2, replace=False)
+        children.append([roots[p] for p in pair])
+        roots = [r for p, r in enumerate(roots) if p not in pair] + [count + len(children) - 1]
+    return np.array(children, dtype=np.int32)
+
+
+@pytest.mark.parametrize(("flattest", "least"), [(1e-3, 1e-9), (0.2, 1e-9), (1e-3, 0.15)])
+def test_covariances_have_the_axes_of_the_splats_and_a_floor(flattest, least):
+    g = gaussians_of(random_splats(50, seed=20))
+    g.scales[0] = 0
+    g.scales[1, 2] = 0
+    out = np.empty((50, 6))
+    covariances_of(g.scales, g.quats, flattest, least, out)
+    for row_of, scales, quat in zip(out, g.scales, g.quats, strict=True):
+        expected = twins.floored_covariance(scales, quat, flattest, least)
+        assert np.allclose(twins.unpack(row_of), expected, rtol=1e-5, atol=1e-6 * expected.max())
+        assert np.linalg.eigvalsh(twins.unpack(row_of))[0] >= 0.999 * least**2
+
+
+def test_group_members_and_heaviest_members():
+    rng = np.random.default_rng(21)
+    labels = rng.permutation(np.r_[np.arange(7), rng.integers(0, 7, 40)]).astype(np.int32)
+    weights = rng.integers(0, 4, 47).astype(np.float64)  # many are equal
+    starts, members = np.zeros(8, np.int64), np.empty(47, np.int32)
+    heaviest = np.full(7, -1, np.int64)
+    group_members(labels, starts, members)
+    heaviest_members(labels, weights, heaviest)
+    for group in range(7):
+        expected = np.flatnonzero(labels == group)
+        assert members[starts[group] : starts[group + 1]].tolist() == expected.tolist()
+        assert heaviest[group] == expected[np.argmax(weights[expected])]  # the first of equal ones
+
+
+def test_gathered_moments_equal_the_twin():
+    nodes = random_moments(40, seed=22)
+    labels = np.r_[np.arange(9), np.random.default_rng(22).integers(0, 9, 31)].astype(np.int32)
+    starts, members = np.zeros(10, np.int64), np.empty(40, np.int32)
+    group_members(labels, starts, members)
+    new = (np.empty(9), np.empty(9), np.empty((9, 3)), np.empty((9, 6)), np.empty((9, 12), "f4"))
+    gather_moments(starts, members, *nodes, *new)
+    weights, coverages, means, covariances, features = nodes
+    sigmas = np.array([twins.unpack(six) for six in covariances])
+    for group in range(9):
+        own = labels == group
+        weight, coverage, mean, sigma, colour = twins.group_moments(
+            weights[own], coverages[own], means[own], sigmas[own], features[own]
+        )
+        assert new[0][group] == pytest.approx(weight)
+        assert new[1][group] == pytest.approx(coverage)
+        assert np.allclose(new[2][group], mean, rtol=1e-13)
+        assert np.allclose(twins.unpack(new[3][group]), sigma, rtol=1e-10, atol=1e-12)
+        assert np.allclose(new[4][group], colour, rtol=1e-5, atol=1e-6)
+
+
+def test_principal_axes_make_the_covariance_again():
+    covariances = random_covariances(40, seed=23)
+    covariances[0] = (1, 0, 0, 1, 0, -1e-18)  # flat, and rounding took it below zero
+    scales, quats = np.empty((40, 3), np.float32), np.empty((40, 4), np.float32)
+    principal_axes(covariances, scales, quats)
+    for six, s, q in zip(covariances, scales, quats, strict=True):
+        assert np.linalg.norm(q) == pytest.approx(1, abs=1e-6)
+        assert np.allclose(twins.covariance(s, q), twins.unpack(six), atol=2e-6 * six.max())
+
+
+def test_log_determinants_and_inverses_equal_the_twin():
+    covariances = random_covariances(40, seed=24)
+    dets, inverses, dets_too = np.empty(40), np.empty((40, 6)), np.empty(40)
+    log_determinants(covariances, dets)
+    invert_covariances(covariances, inverses, dets_too)
+    for six, inverse, det, det_too in zip(covariances, inverses, dets, dets_too, strict=True):
+        sigma = twins.unpack(six)
+        assert det == pytest.approx(np.linalg.slogdet(sigma)[1], abs=1e-8)
+        assert det_too == pytest.approx(det, abs=1e-8)
+        assert np.allclose(twins.unpack(inverse) @ sigma, np.eye(3), atol=1e-8)
+
+
+def increments_of(pairs, weights, means, covariances, features):
+    dets, out = np.empty(len(means)), np.empty((len(pairs), 2), np.float32)
+    log_determinants(covariances, dets)
+    merge_increments(pairs, weights, means, covariances, dets, features, out)
+    return out
+
+
+def test_merge_increments_equal_the_twin():
+    weights, _, means, covariances, features = random_moments(20, seed=25)
+    pairs = np.array([(i, j) for i in range(20) for j in range(i + 1, 20)], dtype=np.int32)
+    found = increments_of(pairs, weights, means, covariances, features)
+    sigmas = np.array([twins.unpack(six) for six in covariances])
+    for pair, increment in zip(pairs, found, strict=True):
+        expected = twins.merge_increment(weights[pair], means[pair], sigmas[pair], features[pair])
+        assert np.allclose(increment, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.3, 1.0, 4.0])
+def test_the_increment_of_geometry_bounds_the_divergence(apart):
+    """Runnalls' bound: above the true KL, and weights times it; 0 for two equal nodes."""
+    weights = np.array([2.0, 0.5])
+    means = np.array([[0, 0, 0], [apart, 0, 0]])
+    covariances = random_covariances(1, seed=26)[[0, 0]] * np.array([[1.0], [1 + apart]])
+    sigmas = np.array([twins.unpack(six) for six in covariances])
+    found = increments_of(
+        np.array([[0, 1]], np.int32), weights, means, covariances, np.zeros((2, 3), np.float32)
+    )
+    divergence = twins.divergence_from_merged(weights, means, sigmas, 20_000, seed=26)
+    assert found[0, 1] / weights.sum() >= divergence - 0.02
+    assert found[0, 0] == 0
+    assert (abs(found[0, 1]) < 1e-6) == (apart == 0)
+
+
+def test_sums_and_raised_scores_of_subtrees():
+    children, rng = random_forest(30, seed=27), np.random.default_rng(27)
+    increments = rng.uniform(size=len(children))
+    sums, scores = np.zeros(30 + len(children)), np.full(30 + len(children), -np.inf)
+    scores[30:] = increments
+    subtree_sums(children, increments, sums)
+    raise_to_children(children, scores)
+    assert (sums[:30] == 0).all()
+    for node in range(30, len(sums)):
+        below = twins.merges_below(children, node, 30)
+        assert sums[node] == pytest.approx(increments[below].sum())
+        assert scores[node] == increments[below].max()
+
+
+@pytest.mark.parametrize("merged", [0, 1, 13, 28])
+def test_root_of_each_is_the_highest_node_by_chosen_merges(merged):
+    children = random_forest(30, seed=28)
+    done = np.arange(len(children)) < merged  # children come first, so any prefix is a cut
+    roots = np.arange(30 + len(children), dtype=np.int32)
+    root_of_each(children, done, roots)
+    expected = np.arange(30)
+    for merge_number in range(merged):  # later merges overrule those below them
+        expected[twins.leaves_below(children, 30 + merge_number, 30)] = 30 + merge_number
+    assert roots[:30].tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("lambda_app", [0.0, 0.2, 5.0])
+def test_assignment_equals_the_twin(lambda_app):
+    _, _, means, covariances, features = random_moments(60, channels=3, seed=29)
+    rng = np.random.default_rng(29)
+    clusters = rng.choice(60, 8, replace=False)
+    labels = rng.integers(0, 8, 60).astype(np.int32)
+    candidates = np.array([np.delete(np.arange(8), g)[:5] for g in range(8)], dtype=np.int32)
+    inverses, dets = np.empty((8, 6)), np.empty(8)
+    invert_covariances(covariances[clusters], inverses, dets)
+    moved, least = np.empty(60, np.int32), np.empty(60)
+    assign_nearest(
+        labels, candidates, means, covariances, features, means[clusters], inverses, dets,
+        features[clusters], lambda_app, moved, least,
+    )  # fmt: skip
+    sigmas = np.array([twins.unpack(six) for six in covariances])
+    for i in range(60):
+        allowed = [labels[i], *candidates[labels[i]]]
+        misfits = [
+            twins.misfit(
+                means[i], sigmas[i], features[i], means[c], sigmas[c], features[c], lambda_app
+            )
+            for c in clusters[allowed]
+        ]
+        assert moved[i] == allowed[int(np.argmin(misfits))]
+        assert least[i] == pytest.approx(min(misfits), rel=1e-6, abs=1e-6)
+
+
+def test_equal_clusters_keep_their_own():
+    same = np.tile(np.array([1.0, 0, 0, 1, 0, 1]), (3, 1))
+    origin, grey = np.zeros((3, 3)), np.zeros((3, 1), np.float32)
+    labels, moved, least = np.array([2, 0, 1], np.int32), np.empty(3, np.int32), np.empty(3)
+    others = np.array([[1, 2], [0, 2], [0, 1]], np.int32)
+    assign_nearest(
+        labels, others, origin, same, grey, origin, same, np.zeros(3), grey, 1.0, moved, least
+    )
+    assert moved.tolist() == labels.tolist()
+    assert least == pytest.approx([1.5] * 3)  # half the trace of the identity
 
 
 def test_kernels_run_uncompiled_too():

@@ -15,29 +15,21 @@ from scipy.spatial import ConvexHull
 import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import ModelError, OptionError
-from nanogs.refit.parameters import RefitParameters
 from nanogs.report import StopReason
-from nanogs.simplify import forest_pipeline, pipeline, visibility
 from nanogs.simplify import match as match_stage
+from nanogs.simplify import pipeline
 from nanogs.simplify.presets import PRESETS
 from nanogs.simplify.prune import prune
 from nanogs.simplify.target import target_count
 from nanogs.splats import ExtraElement, Splats
 
+# What is rendered and fitted is not the matter here.
+pytestmark = pytest.mark.usefixtures("small_views")
+
 every_preset = pytest.mark.parametrize("preset", PRESETS)
 # A fit takes a large part of a second, too long for many examples.
 not_fitted = pytest.mark.parametrize("preset", ["default", "fast", "paper"])
 QUICK = settings(max_examples=8)  # for each preset
-
-
-@pytest.fixture(scope="module", autouse=True)
-def small_views():
-    """What is rendered and fitted is not the matter here: few and small views do."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(visibility, "VIEWS", 2)
-        patch.setattr(visibility, "SIZE", 32)
-        patch.setattr(forest_pipeline, "REFIT", RefitParameters(views=2, steps=2, size=32))
-        yield
 
 
 def unpruned(preset):

@@ -120,3 +120,81 @@ def morton_code(cell):
     """Interleave the bits of three cell numbers, x lowest."""
     bits = itertools.product(range(21), range(3))
     return sum(((int(cell[axis]) >> bit) & 1) << (3 * bit + axis) for bit, axis in bits)
+
+
+# The merge forest
+
+
+def unpack(six):
+    xx, xy, xz, yy, yz, zz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def pack(matrix):
+    return matrix[np.triu_indices(3)]
+
+
+def floored_covariance(scales, quat, flattest, least):
+    scales = np.asarray(scales, dtype=np.float64)
+    return covariance(np.maximum(scales, max(flattest * scales.max(), least)), quat)
+
+
+def group_moments(weights, coverages, means, sigmas, features):
+    """One group's total weight and coverage, mean, covariance (3, 3) and features."""
+    shares = weights / weights.sum()
+    mean = shares @ means
+    offsets = means - mean
+    sigma = np.einsum("n,nij->ij", shares, sigmas) + (offsets.T * shares) @ offsets
+    return weights.sum(), coverages.sum(), mean, sigma, shares @ features.astype(np.float64)
+
+
+def merge_increment(weights, means, sigmas, features):
+    """Colour and geometry that the merge of two nodes adds; each argument has two rows."""
+    total, _, _, merged_sigma, _ = group_moments(weights, weights, means, sigmas, features)
+    centre = (weights @ features.astype(np.float64)) / total
+    colour = sum(w * np.sum((f - centre) ** 2) for w, f in zip(weights, features, strict=True))
+    before = sum(w * np.linalg.slogdet(s)[1] for w, s in zip(weights, sigmas, strict=True))
+    return colour, 0.5 * (total * np.linalg.slogdet(merged_sigma)[1] - before)
+
+
+def divergence_from_merged(weights, means, sigmas, samples, seed):
+    """Monte Carlo KL of a two-part mixture from the normal of its moments, nats."""
+    shares = weights / weights.sum()
+    _, _, mean, sigma, _ = group_moments(weights, weights, means, sigmas, np.zeros((2, 1)))
+    rng = np.random.default_rng(seed)
+    parts = rng.choice(2, samples, p=shares)
+    roots = np.linalg.cholesky(sigmas)
+    x = means[parts] + np.einsum("nij,nj->ni", roots[parts], rng.normal(size=(samples, 3)))
+
+    def log_density(mean, sigma):
+        offsets = x - mean
+        squares = np.einsum("ni,ij,nj->n", offsets, np.linalg.inv(sigma), offsets)
+        return -0.5 * (3 * math.log(2 * math.pi) + np.linalg.slogdet(sigma)[1] + squares)
+
+    logs = [math.log(p) + log_density(m, s) for p, m, s in zip(shares, means, sigmas, strict=True)]
+    return np.mean(np.logaddexp(*logs) - log_density(mean, sigma))
+
+
+def leaves_below(children, node, count):
+    """The splats below a node of a forest over `count` splats."""
+    if node < count:
+        return [int(node)]
+    first, second = children[node - count]
+    return leaves_below(children, first, count) + leaves_below(children, second, count)
+
+
+def merges_below(children, node, count):
+    """The merges of a node's subtree, its own included."""
+    if node < count:
+        return []
+    first, second = children[node - count]
+    below = merges_below(children, first, count) + merges_below(children, second, count)
+    return [*below, int(node - count)]
+
+
+def misfit(mean, sigma, features, centre, cluster_sigma, colour, lambda_app):
+    """Expected negative log likelihood of a splat under a cluster, less the constant."""
+    inverse, offset = np.linalg.inv(cluster_sigma), mean - centre
+    fit = offset @ inverse @ offset + np.trace(inverse @ sigma)
+    geometry = 0.5 * (fit + np.linalg.slogdet(cluster_sigma)[1])
+    return geometry + lambda_app * np.sum((features.astype(np.float64) - colour) ** 2)

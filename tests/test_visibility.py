@@ -1,0 +1,88 @@
+"""What views of the original show, and what it does to a result."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs.errors import ModelError
+from nanogs.render.views import automatic_cameras
+from nanogs.report import StopReason
+from nanogs.simplify import visibility
+from nanogs.splats import Splats
+
+
+def box_with_something_inside():
+    """Opaque walls of flat splats about a small splat, which is the last row."""
+    side = np.linspace(-1, 1, 13)
+    u, v = (part.ravel() for part in np.meshgrid(side, side))
+    walls = [np.insert(np.c_[u, v], axis, at, axis=1) for axis in range(3) for at in (-1.0, 1.0)]
+    means = np.r_[np.concatenate(walls), np.zeros((1, 3))].astype(np.float32)
+    count = len(means)
+    return Splats(
+        means=means,
+        log_scales=np.full((count, 3), np.log(0.12), np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        opacity_logits=np.full(count, 8.0, np.float32),
+        sh=np.random.default_rng(6).normal(size=(count, 1, 3)).astype(np.float32),
+    )
+
+
+def test_what_is_hidden_counts_little_and_what_no_view_holds_counts_whole():
+    splats = box_with_something_inside()
+    views = visibility.look(splats)
+    assert views.visible[-1] < 0.005
+    assert np.median(views.visible[:-1]) > 0.05  # the splats of a wall hide each other too
+    assert (views.visible <= 1).all()
+    away = [dataclasses.replace(camera, world_to_camera=np.diag([-1.0, 1, -1, 1])
+            @ camera.world_to_camera) for camera in automatic_cameras(splats, 1)]  # fmt: skip
+    assert (visibility.look(splats, away).visible == 1).all()
+
+
+def test_weights_of_hidden_splats_are_a_hundredth():
+    weights = visibility.visible_weights(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.0]))
+    assert weights == pytest.approx([2.0, 1.01, 0.02])
+
+
+def test_the_original_is_judged_as_perfect_and_every_second_view_judges():
+    splats = box_with_something_inside()
+    views = visibility.look(splats)
+    assert len(views.cameras) == len(views.images) == visibility.VIEWS // visibility.JUDGED
+    assert visibility.judge(splats, views) == (100.0, pytest.approx(1.0))
+    assert visibility.judge(splats.take(np.arange(100)), views)[0] < 30
+
+
+def test_the_users_cameras_are_the_ones_looked_through():
+    splats = box_with_something_inside()
+    cameras = automatic_cameras(splats, 3, width=1000, height=500)
+    views = visibility.look(splats, cameras)
+    assert {(camera.width, camera.height) for camera in views.cameras} == {(256, 128)}
+
+
+def test_hidden_splats_are_merged_first():
+    """Of a box and a ball of as many splats inside it, the ball gives way."""
+    box = box_with_something_inside()
+    outside = len(box) - 1
+    means = np.random.default_rng(7).uniform(-0.4, 0.4, (400, 3)).astype(np.float32)
+    both = box.take(np.r_[np.arange(outside), np.full(400, outside)])
+    both.means[outside:] = means
+    both.sh[outside:, 0] = np.random.default_rng(8).normal(size=(400, 3))
+    small, _ = nanogs.simplify(both, ratio=0.3)
+    blind, _ = nanogs.simplify(both, ratio=0.3, preset="fast")
+    inside = [(np.abs(model.means) < 0.6).all(axis=1).sum() for model in (small, blind)]
+    assert inside[0] < 0.9 * inside[1]
+
+
+def test_nothing_visible_is_said_and_the_count_still_met():
+    splats = random_splats(100)
+    splats.opacity_logits[:] = -7  # alpha 0.0009
+    with pytest.raises(ModelError):
+        visibility.look(splats)
+    small, report = nanogs.simplify(splats, count=13)
+    assert len(small) == 13
+    assert report.stop == StopReason.TARGET
+    assert report.candidates == ()
+    assert any(note.startswith("Nothing was measured: ") for note in report.notes)
+    assert nanogs.simplify(splats, count=13, preset="fast")[1].notes == ()
