@@ -16,9 +16,10 @@ from nanogs.kernels.mass import mass_fraction
 from nanogs.kernels.quaternion import rotation_matrix, unit_quaternion
 from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix
 from nanogs.simplify.cost import JITTER, log_masses, pair_costs
-from nanogs.simplify.graph import coincident_groups, nearest_neighbours, neighbour_pairs
+from nanogs.simplify.graph import neighbour_pairs
 from nanogs.simplify.match import MergePlan, match
 from nanogs.simplify.merge import merge
+from nanogs.simplify.neighbours import coincident_groups, nearest_neighbours
 from nanogs.simplify.order import morton_codes
 from nanogs.simplify.presets import PaperParameters
 
@@ -229,8 +230,9 @@ def test_centres_so_close_that_squares_underflow_are_not_their_own_neighbours():
 
 def test_coincident_groups_are_found_among_near_ones():
     means = np.repeat(np.array([[0.0, 0, 0], [0, 0, 1e-12], [5, 5, 5]]), (9, 3, 8), axis=0)
-    groups = coincident_groups(means, 4)
-    assert [group.tolist() for group in groups] == [list(range(9)), list(range(12, 20))]
+    order, bounds = coincident_groups(means)
+    assert order.tolist() == list(range(20))
+    assert bounds.tolist() == [0, 9, 12, 20]
 
 
 def test_pairs_are_the_union_of_both_directions_once_each():

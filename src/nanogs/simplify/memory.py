@@ -11,7 +11,7 @@ _PAIRS_PER_NEIGHBOUR = 0.66
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I8 + 1  # Gaussians without the features
-_TREE = 3 * _F8 + _I8 + 20  # cKDTree: its copy of the centres, its index, nodes of 16
+_TREE = 2 * 3 * _F8 + _I4 + 12 + 1  # scaled centres, reordered ones and their rows, boxes, a flag
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ def plan_memory(count: int, sh_degree: int, extra_bytes: int, k: int) -> MemoryP
     held = 2 * _I4 * pairs + _F4 * pairs + _F8  # pairs, costs and masses
     stages = {
         "activate": count * (11 * _F4 + features + extra_bytes + 4 * _F8),
-        "graph": int(count * max(_TREE + neighbours + 3 * _F8, neighbours + 2 * _F8 * pairs)),
+        "graph": int(count * max(_TREE + neighbours, neighbours + 2 * _F8 * pairs)),
         "cost": int(count * (held + 2 * _F8)),
         "match": int(count * (held + _F8 * pairs + _I8 + 1)),
         # The result of a merge has at least half the splats.
