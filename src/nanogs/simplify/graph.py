@@ -4,9 +4,10 @@ import sys
 
 import numpy as np
 
-from nanogs._types import F64, I32, U64
+from nanogs._types import F64, I32, I64, U64, Bool
 from nanogs.kernels.pairs import count_pairs, fill_pairs
 from nanogs.simplify.neighbours import nearest_neighbours
+from nanogs.threads import use_threads
 
 _BLOCK = 1 << 16  # pairs swapped at a time
 
@@ -23,11 +24,13 @@ def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
         (E, 2) int32, i < j in every row, each pair once, ascending.
     """
     neighbours = nearest_neighbours(means, k, threads)
-    packed: U64 = np.empty(count_pairs(neighbours), dtype=np.uint64)
-    fill_pairs(neighbours, packed)
-    del neighbours
-    packed.sort()
-    return _unpack(packed)
+    one_sided: Bool = np.empty(neighbours.shape, dtype=bool)
+    starts: I64 = np.empty(len(neighbours) + 1, dtype=np.int64)
+    with use_threads(threads):
+        count_pairs(neighbours, one_sided, starts)
+        pairs = np.empty((starts[-1], 2), dtype=np.int32)
+        fill_pairs(neighbours, one_sided, starts, starts[:-1].copy(), pairs)
+    return pairs
 
 
 def random_pairs(n: int, k: int, seed: int) -> I32:

@@ -45,12 +45,13 @@ def plan_memory(count: int, sh_degree: int, extra_bytes: int, k: int) -> MemoryP
     working_set = count * (_GEOMETRY + features)
     pairs = _PAIRS_PER_NEIGHBOUR * min(k, max(count - 1, 0))
     neighbours = min(k, max(count - 1, 0)) * _I4
+    marked = neighbours + min(k, max(count - 1, 0))  # and a flag for each neighbour
     held = 2 * _I4 * pairs + _F4 * pairs + _F8  # pairs, costs and masses
     stages = {
         "activate": count * (11 * _F4 + features + extra_bytes + 4 * _F8),
-        "graph": int(count * max(_TREE + neighbours, neighbours + 2 * _F8 * pairs)),
+        "graph": int(count * max(_TREE + neighbours, marked + 2 * _I8 + 2 * _I4 * pairs)),
         "cost": int(count * (held + 2 * _F8)),
-        "match": int(count * (held + _F8 * pairs + _I8 + 1)),
+        "match": int(count * (held + 2 * _I8 * pairs + _I8 + 1)),
         # The result of a merge has at least half the splats.
         "merge": int(count * held + working_set),
     }
