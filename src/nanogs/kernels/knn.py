@@ -116,12 +116,13 @@ def _push(stack: I64, waiting: int, node: int, first: int, last: int) -> int:
 
 @exact_inline
 def _push_children(
-    boxes: F64, home: int, node: int, first: int, last: int, stack: I64, waiting: int
+    boxes: F64, home: int, node: int, first: int, last: int, stack: I64, gaps: F64, waiting: int
 ) -> int:
-    """Stack a node's children, the nearer one on top."""
+    """Stack a node's children and their distances, the nearer one on top."""
     middle = (first + last) // 2
     left = _box_to_box(boxes, home, 2 * node)
     right = _box_to_box(boxes, home, 2 * node + 1)
+    gaps[waiting], gaps[waiting + 1] = max(left, right), min(left, right)
     if left > right:
         waiting = _push(stack, waiting, 2 * node, first, middle)
         return _push(stack, waiting, 2 * node + 1, middle, last)
@@ -181,23 +182,25 @@ def _search_chunk(
     found = np.empty(LANES * room, dtype=np.int32)
     counts = np.empty(LANES, dtype=np.int64)
     full = np.empty(room)
-    bits = full.view(np.int64)
     ids = np.empty(2 * room, dtype=np.int32)
     stack = np.empty(3 * _DEEPEST, dtype=np.int64)
+    gaps = np.empty(_DEEPEST)
+    gap_bits = gaps.view(np.int64)
     for leaf in range(first_leaf, last_leaf):
         begin = leaf * LANES
         lanes = _load_queries(leaf, points, rows, queries, lists, counts)
         waiting = _path_to(leaf, leaves, stack)
         home = stack[3 * waiting - 3]
+        for place in range(waiting):
+            gaps[place] = _box_to_box(boxes, home, stack[3 * place])
         bound, notes = _FAR, 0
         while waiting > 0:
             waiting -= 1
             node, first, last = stack[3 * waiting], stack[3 * waiting + 1], stack[3 * waiting + 2]
-            full[0] = _box_to_box(boxes, home, node)
-            if bits[0] >> 32 > bound:
+            if gap_bits[waiting] >> 32 > bound:
                 continue
             if last - first > 1:
-                waiting = _push_children(boxes, home, node, first, last, stack, waiting)
+                waiting = _push_children(boxes, home, node, first, last, stack, gaps, waiting)
                 continue
             box_keys(queries, boxes, node, near)
             if within(near, 0, lists) == 0:
