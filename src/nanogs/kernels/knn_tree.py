@@ -13,6 +13,8 @@ from nanogs._types import F64, I32
 from nanogs.kernels.lanes import LANES
 from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
 
+_SAMPLE = 31  # points of which a pivot is chosen where many are split
+
 
 @exact_inline
 def _swap(points: F64, rows: I32, i: int, j: int) -> None:
@@ -24,32 +26,39 @@ def _swap(points: F64, rows: I32, i: int, j: int) -> None:
 
 
 @exact_inline
-def _middle_of(a: float, b: float, c: float) -> float:
-    low, high = min(a, b), max(a, b)
-    return max(low, min(high, c))
+def _pivot(points: F64, low: int, high: int, middle: int, sample: F64) -> float:
+    """A value that is likely a little beyond the one that belongs in the middle.
+
+    Of a sorted sample of [low, high], the one whose rank in it is that of the middle, one nearer
+    to the sample's own: the part kept is then the smaller one (Floyd and Rivest 1975).
+    """
+    span = high - low
+    size = 3 if span < 64 else (7 if span < 1024 else _SAMPLE)
+    for i in range(size):
+        value = points[low + span * i // (size - 1)]
+        hole = i
+        while hole > 0 and sample[hole - 1] > value:
+            sample[hole] = sample[hole - 1]
+            hole -= 1
+        sample[hole] = value
+    rank = ((middle - low) * (size - 1) + span // 2) // span
+    half = (size - 1) // 2
+    if rank < half:
+        rank += 1
+    elif rank > half:
+        rank -= 1
+    return sample[rank]
 
 
 @exact_inline
-def _pivot(points: F64, low: int, high: int) -> float:
-    """Median of three, or of three medians of three, spread over [low, high]."""
-    middle = (low + high) // 2
-    step = (high - low) // 8
-    if step < 16:
-        return _middle_of(points[low], points[middle], points[high])
-    return _middle_of(
-        _middle_of(points[low], points[low + step], points[low + 2 * step]),
-        _middle_of(points[middle - step], points[middle], points[middle + step]),
-        _middle_of(points[high - 2 * step], points[high - step], points[high]),
-    )
-
-
-@exact_inline
-def _select(points: F64, rows: I32, axis: int, low: int, high: int, middle: int) -> None:
+def _select(
+    points: F64, rows: I32, axis: int, low: int, high: int, middle: int, sample: F64
+) -> None:
     """Reorder points [low, high) by one coordinate around the one in the middle (Hoare's find)."""
     base = axis * len(rows)
     high -= 1
     while low < high:
-        pivot = _pivot(points, base + low, base + high)
+        pivot = _pivot(points, base + low, base + high, base + middle, sample)
         i, j = low, high
         while i <= j:
             while points[base + i] < pivot:
@@ -69,30 +78,33 @@ def _select(points: F64, rows: I32, axis: int, low: int, high: int, middle: int)
 
 
 @exact_inline
-def _bound(points: F64, low: int, high: int, boxes: F64, node: int, axis: int) -> float:
-    """Write the node's interval on one axis; returns its length."""
-    least = most = points[low]
+def _bound(points: F64, n: int, low: int, high: int, boxes: F64, node: int) -> None:
+    """Box of points [low, high). All axes in one loop: minima in a chain wait for each other."""
+    x0 = x1 = points[low]
+    y0 = y1 = points[n + low]
+    z0 = z1 = points[2 * n + low]
     for i in range(low + 1, high):
-        least = min(least, points[i])
-        most = max(most, points[i])
-    boxes[node, axis] = least
-    boxes[node, 3 + axis] = most
-    return float(most - least)
+        x, y, z = points[i], points[n + i], points[2 * n + i]
+        x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
+        x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
+    boxes[node, 0], boxes[node, 1], boxes[node, 2] = x0, y0, z0
+    boxes[node, 3], boxes[node, 4], boxes[node, 5] = x1, y1, z1
 
 
 @exact_inline
-def _split(points: F64, rows: I32, boxes: F64, node: int, first: int, last: int) -> None:
+def _split(
+    points: F64, rows: I32, boxes: F64, node: int, first: int, last: int, sample: F64
+) -> None:
     """Box of a node, and its points reordered into those of its two children."""
-    n = len(rows)
-    low, high = first * LANES, min(last * LANES, n)
+    low, high = first * LANES, min(last * LANES, len(rows))
+    _bound(points, len(rows), low, high, boxes, node)
     widest, axis = 0.0, -1
     for candidate in range(3):
-        start = candidate * n
-        width = _bound(points, start + low, start + high, boxes, node, candidate)
+        width = boxes[node, 3 + candidate] - boxes[node, candidate]
         if width > widest:
             widest, axis = width, candidate
     if last - first > 1 and axis >= 0:
-        _select(points, rows, axis, low, high, (first + last) // 2 * LANES)
+        _select(points, rows, axis, low, high, (first + last) // 2 * LANES, sample)
 
 
 @exact_inline
@@ -115,6 +127,7 @@ def _leaves_below(node: int, leaves: int) -> tuple[int, int]:
 @exact_inline
 def _split_all(points: F64, rows: I32, boxes: F64, node: int, first: int, last: int) -> None:
     """Split a node and all nodes below it."""
+    sample = np.empty(_SAMPLE)
     nodes = np.empty(64, dtype=np.int64)
     firsts = np.empty(64, dtype=np.int64)
     lasts = np.empty(64, dtype=np.int64)
@@ -123,7 +136,7 @@ def _split_all(points: F64, rows: I32, boxes: F64, node: int, first: int, last: 
     while waiting > 0:
         waiting -= 1
         node, first, last = nodes[waiting], firsts[waiting], lasts[waiting]
-        _split(points, rows, boxes, node, first, last)
+        _split(points, rows, boxes, node, first, last, sample)
         if last - first > 1:
             middle = (first + last) // 2
             nodes[waiting], firsts[waiting], lasts[waiting] = 2 * node + 1, middle, last
@@ -141,10 +154,11 @@ def build_tree(points: F64, rows: I32, boxes: F64, top: int) -> None:
     other, before the 2^top subtrees below them are split in parallel. It changes no result.
     """
     leaves = (len(rows) + LANES - 1) // LANES
+    sample = np.empty(_SAMPLE)
     for node in range(1, 1 << top):
         first, last = _leaves_below(node, leaves)
         if last > first:
-            _split(points, rows, boxes, node, first, last)
+            _split(points, rows, boxes, node, first, last, sample)
     for node in numba.prange(1 << top, 2 << top):
         first, last = _leaves_below(node, leaves)
         if last > first:
