@@ -131,8 +131,8 @@ def _push_children(
 
 
 @exact_inline
-def _path_to(leaf: int, leaves: int, stack: I64) -> int:
-    """Stack the siblings of all nodes from the root to a leaf, and the leaf; returns how many."""
+def _path_to(leaf: int, leaves: int, boxes: F64, stack: I64, gaps: F64) -> int:
+    """Stack the siblings of all nodes from the root to a leaf, and the leaf; how many."""
     node, first, last, waiting = 1, 0, leaves, 0
     while last - first > 1:
         middle = (first + last) // 2
@@ -142,7 +142,10 @@ def _path_to(leaf: int, leaves: int, stack: I64) -> int:
         else:
             waiting = _push(stack, waiting, 2 * node, first, middle)
             node, first = 2 * node + 1, middle
-    return _push(stack, waiting, node, leaf, leaf + 1)
+    waiting = _push(stack, waiting, node, leaf, leaf + 1)
+    for place in range(waiting):
+        gaps[place] = _box_to_box(boxes, node, stack[3 * place])
+    return waiting
 
 
 @exact_inline
@@ -189,10 +192,8 @@ def _search_chunk(
     for leaf in range(first_leaf, last_leaf):
         begin = leaf * LANES
         lanes = _load_queries(leaf, points, rows, queries, lists, counts)
-        waiting = _path_to(leaf, leaves, stack)
+        waiting = _path_to(leaf, leaves, boxes, stack, gaps)
         home = stack[3 * waiting - 3]
-        for place in range(waiting):
-            gaps[place] = _box_to_box(boxes, home, stack[3 * place])
         bound, notes = _FAR, 0
         while waiting > 0:
             waiting -= 1

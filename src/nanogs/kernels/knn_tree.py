@@ -47,7 +47,7 @@ def _pivot(points: F64, low: int, high: int, middle: int, sample: F64) -> float:
         rank += 1
     elif rank > half:
         rank -= 1
-    return sample[rank]
+    return float(sample[rank])
 
 
 @exact_inline
