@@ -28,12 +28,14 @@ from nanogs.kernels.nodes import (
     heaviest_members,
     principal_axes,
 )
+from nanogs.kernels.pairs import cost_keys, count_pairs, fill_pairs, radix_sort
 from nanogs.kernels.quaternion import rotation_matrix, unit_quaternion
 from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix
 from nanogs.simplify.cost import JITTER, log_masses, pair_costs
-from nanogs.simplify.graph import coincident_groups, nearest_neighbours, neighbour_pairs
+from nanogs.simplify.graph import neighbour_pairs
 from nanogs.simplify.match import MergePlan, match
 from nanogs.simplify.merge import merge
+from nanogs.simplify.neighbours import coincident_groups, nearest_neighbours
 from nanogs.simplify.order import morton_codes
 from nanogs.simplify.presets import PaperParameters
 
@@ -241,14 +243,37 @@ def test_centres_so_close_that_squares_underflow_are_not_their_own_neighbours():
 
 def test_coincident_groups_are_found_among_near_ones():
     means = np.repeat(np.array([[0.0, 0, 0], [0, 0, 1e-12], [5, 5, 5]]), (9, 3, 8), axis=0)
-    groups = coincident_groups(means, 4)
-    assert [group.tolist() for group in groups] == [list(range(9)), list(range(12, 20))]
+    order, bounds = coincident_groups(means)
+    assert order.tolist() == list(range(20))
+    assert bounds.tolist() == [0, 9, 12, 20]
 
 
 def test_pairs_are_the_union_of_both_directions_once_each():
     means = np.random.default_rng(14).normal(size=(200, 3))
     pairs = neighbour_pairs(means, 6, threads=1)
     assert list(map(tuple, pairs.tolist())) == twins.pairs_of(nearest_neighbours(means, 6, 1))
+
+
+def test_pairs_of_a_row_that_all_others_have_as_their_neighbour():
+    """Its list of pairs is long, and most of it comes from the others."""
+    neighbours = np.stack([(np.arange(400) + 1) % 400, np.full(400, 200)], axis=1).astype(np.int32)
+    neighbours[199:201, 1] = [5, 7]
+    one_sided, starts = np.empty((400, 2), dtype=bool), np.empty(401, dtype=np.int64)
+    count_pairs(neighbours, one_sided, starts)
+    pairs = np.empty((starts[-1], 2), dtype=np.int32)
+    fill_pairs(neighbours, one_sided, starts, starts[:-1].copy(), pairs)
+    assert list(map(tuple, pairs.tolist())) == twins.pairs_of(neighbours)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-3, 15.0])
+def test_cost_keys_sort_like_costs_and_pairs(spread):
+    rng = np.random.default_rng(19)
+    costs = (rng.choice([-1, 1], 3000) * np.exp(spread * rng.normal(size=3000))).astype(np.float32)
+    keys = np.empty(3000, dtype=np.uint64)
+    assert cost_keys(costs, keys) == 3000
+    other = np.empty_like(keys)
+    found = other if radix_sort(keys, other) else keys
+    assert (found & np.uint64(0xFFFFFFFF)).tolist() == np.argsort(costs, kind="stable").tolist()
 
 
 @given(

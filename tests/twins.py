@@ -94,6 +94,22 @@ def cost(a, b, normals, jitter, lambda_geo=1.0, lambda_app=1.0):
     return lambda_geo * divergence(a, b, normals, jitter) + lambda_app * colour
 
 
+def nearest_neighbours(means, k):
+    """The k others first by (squared distance, row); among more than k coincident, the next k."""
+    k, found = min(k, len(means) - 1), []
+    for i, mean in enumerate(means):
+        x, y, z = (means - mean).T
+        squares = x * x + y * y + z * z
+        group = [j for j in range(len(means)) if (means[j] == mean).all()]
+        if len(group) > k:
+            place = group.index(i)
+            found.append([group[(place + step) % len(group)] for step in range(1, k + 1)])
+        else:
+            others = (j for j in range(len(means)) if j != i)
+            found.append(sorted(others, key=lambda j: (squares[j], j))[:k])
+    return found
+
+
 def neighbour_distances(means, k):
     """(N, k) distances to the nearest other rows, by comparing all with all."""
     distances = np.linalg.norm(means[:, None] - means[None], axis=2)

@@ -1,51 +1,79 @@
 """From neighbour lists to candidate pairs, and from costs to a matching."""
 
+import numba
 import numpy as np
 
 from nanogs._types import F32, I32, I64, U64, Bool
-from nanogs.kernels.policy import inline, kernel
+from nanogs.kernels.policy import inline, kernel, parallel_kernel
 
 
 @inline
-def _contains(row: I32, value: int) -> bool:
-    for position in range(len(row)):  # noqa: SIM110 - kernels hold no generators
-        if row[position] == value:
-            return True
-    return False
+def _lists(neighbours: I32, row: int, value: int) -> bool:
+    """Whether a row's neighbours hold a value; without an early exit, the loop is vectorised."""
+    hits = 0
+    for place in range(neighbours.shape[1]):
+        hits += neighbours[row, place] == value
+    return hits != 0
 
 
-@kernel
-def count_pairs(neighbours: I32) -> int:
-    """Number of unordered pairs in the union of both directions of (N, k) neighbour lists."""
-    count = 0
-    for i in range(neighbours.shape[0]):
-        for position in range(neighbours.shape[1]):
-            j = neighbours[i, position]
-            if i < j or not _contains(neighbours[j], i):
-                count += 1
-    return count
+@parallel_kernel
+def count_pairs(neighbours: I32, one_sided: Bool, starts: I64) -> None:
+    """Find where the pairs of each row start; a pair belongs to its smaller row.
+
+    neighbours: (N, k); one_sided: (N, k), filled: the neighbour is the smaller row and does not
+    have this row among its own; starts: (N + 1,), filled, the last is the number of pairs.
+    """
+    n, k = neighbours.shape
+    for i in numba.prange(n):
+        larger = 0
+        for place in range(k):
+            j = neighbours[i, place]
+            larger += i < j
+            one_sided[i, place] = j < i and not _lists(neighbours, j, i)
+        starts[i + 1] = larger
+    for i in range(n):
+        for place in range(k):
+            if one_sided[i, place]:
+                starts[neighbours[i, place] + 1] += 1
+    starts[0] = 0
+    for i in range(n):
+        starts[i + 1] += starts[i]
 
 
-@kernel
-def fill_pairs(neighbours: I32, packed: U64) -> None:
-    """Each unordered pair once, as (smaller row << 32 | larger row); unsorted."""
-    count = 0
-    for i in range(neighbours.shape[0]):
-        for position in range(neighbours.shape[1]):
-            j = neighbours[i, position]
+@parallel_kernel
+def fill_pairs(neighbours: I32, one_sided: Bool, starts: I64, nexts: I64, pairs: I32) -> None:
+    """Each unordered pair of the union of both directions once, ascending.
+
+    neighbours, one_sided, starts: see `count_pairs`; nexts: (N,) a copy of the starts, changed;
+    pairs: (E, 2), filled, smaller row first.
+    """
+    n, k = neighbours.shape
+    for i in range(n):  # the rows i ascend, and so do those given to each j
+        for place in range(k):
+            if one_sided[i, place]:
+                j = neighbours[i, place]
+                pairs[nexts[j], 1] = i
+                nexts[j] += 1
+    for i in numba.prange(n):
+        count = nexts[i]
+        for place in range(k):
+            j = neighbours[i, place]
             if i < j:
-                packed[count] = np.uint64(i) << np.uint64(32) | np.uint64(j)
+                hole = count
+                while hole > starts[i] and pairs[hole - 1, 1] > j:
+                    pairs[hole, 1] = pairs[hole - 1, 1]
+                    hole -= 1
+                pairs[hole, 1] = j
                 count += 1
-            elif not _contains(neighbours[j], i):
-                packed[count] = np.uint64(j) << np.uint64(32) | np.uint64(i)
-                count += 1
+        for pair in range(starts[i], count):
+            pairs[pair, 0] = i
 
 
 @kernel
 def greedy_matching(pairs: I32, keys: U64, taken: Bool, limit: int, chosen: I64) -> int:
     """Walk the pairs in order and choose those whose ends are both free, at most `limit`.
 
-    pairs: (E, 2); keys: (E',) from `sort_keys`, sorted; taken: (N,) all False, changed;
+    pairs: (E, 2); keys: (E',) from `cost_keys`, sorted; taken: (N,) all False, changed;
     chosen: (limit,) rows of pairs, filled in order. Returns how many were chosen.
     """
     count = 0
@@ -64,7 +92,7 @@ def greedy_matching(pairs: I32, keys: U64, taken: Bool, limit: int, chosen: I64)
 
 
 @kernel
-def sort_keys(costs: F32, keys: U64) -> int:
+def cost_keys(costs: F32, keys: U64) -> int:
     """Integers that sort like (cost, row of the pair); pairs whose cost is NaN are left out.
 
     costs: (E,); keys: (E,), the first of which are filled. Returns how many.
@@ -80,3 +108,32 @@ def sort_keys(costs: F32, keys: U64) -> int:
         keys[count] = np.uint64(b) << np.uint64(32) | np.uint64(edge)
         count += 1
     return count
+
+
+@kernel
+def radix_sort(keys: U64, other: U64) -> bool:
+    """Sort by the upper 32 bits, in three stable passes from the lowest digit (Knuth 5.2.5).
+
+    keys: (E,), whose lower halves ascend: they break ties; other: (E,) scratch. Returns whether
+    the result is in `other`.
+    """
+    counts = np.zeros((3, 2048), dtype=np.int64)
+    for key in keys:
+        for digit in range(3):
+            counts[digit, (key >> np.uint64(32 + 11 * digit)) & np.uint64(2047)] += 1
+    source, target = keys, other
+    moved = False
+    for digit in range(3):
+        shift = np.uint64(32 + 11 * digit)
+        total = 0
+        for value in range(2048):
+            count = counts[digit, value]
+            counts[digit, value] = total
+            total += count
+        for key in source:
+            value = (key >> shift) & np.uint64(2047)
+            target[counts[digit, value]] = key
+            counts[digit, value] += 1
+        source, target = target, source
+        moved = not moved
+    return moved

@@ -34,3 +34,15 @@ def inline(function: Kernel) -> Kernel:
     """Compile a small function that LLVM is to inline into the kernels that call it."""
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
     return cast("Kernel", numba.njit(function, fastmath=FASTMATH, forceinline=True, **options))
+
+
+def exact_parallel_kernel(function: Kernel) -> Kernel:
+    """Compile a parallel kernel whose floating-point operations are those written, as in IEEE."""
+    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+    return cast("Kernel", numba.njit(function, parallel=True, **options))
+
+
+def exact_inline(function: Kernel) -> Kernel:
+    """Compile a small function to be inlined, without any liberty: for `exact_parallel_kernel`."""
+    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+    return cast("Kernel", numba.njit(function, forceinline=True, **options))

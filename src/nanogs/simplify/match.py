@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, I32, I64, U64
-from nanogs.kernels.pairs import greedy_matching, sort_keys
+from nanogs.kernels.pairs import cost_keys, greedy_matching, radix_sort
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,8 +36,10 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
         limit: Most pairs to take.
     """
     keys: U64 = np.empty(len(costs), dtype=np.uint64)
-    keys = keys[: sort_keys(costs, keys)]
-    keys.sort()
+    keys = keys[: cost_keys(costs, keys)]
+    other: U64 = np.empty_like(keys)
+    if radix_sort(keys, other):
+        keys = other
     chosen: I64 = np.empty(limit, dtype=np.int64)
     count = greedy_matching(pairs, keys, np.zeros(rows, dtype=bool), limit, chosen)
     chosen = chosen[:count]

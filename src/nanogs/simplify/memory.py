@@ -5,18 +5,13 @@ No Numba here: `--dry-run` uses it without compiling anything.
 
 from dataclasses import dataclass
 
-from nanogs.simplify.memory_forest import forest_stages
+from nanogs.simplify.memory_forest import PAIRS_PER_NEIGHBOUR, TREE, forest_stages
 from nanogs.simplify.presets import PaperParameters, Parameters
 
 LIBRARIES = 190_000_000  # bytes, measured, of Python and its libraries, which the plan leaves out
 
-# Pairs for each splat and neighbour: both directions of most neighbours coincide. Measured 0.55 to
-# 0.66 on trained scenes at k = 8 to 16; the plan takes the upper end.
-PAIRS_PER_NEIGHBOUR = 0.66
-
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I8 + 1  # Gaussians without the features
-_TREE = 3 * _F8 + _I8 + 20  # cKDTree: its copy of the centres, its index, nodes of 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +67,13 @@ def plan_memory(
 
 def _paper_stages(count: int, row: int, working_set: int, k: int) -> dict[str, int]:
     pairs, neighbours = PAIRS_PER_NEIGHBOUR * k, k * _I4
+    marked = neighbours + k  # and a flag for each neighbour
     held = 2 * _I4 * pairs + _F4 * pairs + _F8  # pairs, costs and masses
     return {
         "activate": count * (row + 4 * _F8),
-        "graph": int(count * max(_TREE + neighbours + 3 * _F8, neighbours + 2 * _F8 * pairs)),
+        "graph": int(count * max(TREE + neighbours, marked + 2 * _I8 + 2 * _I4 * pairs)),
         "cost": int(count * (held + 2 * _F8)),
-        "match": int(count * (held + _F8 * pairs + _I8 + 1)),
+        "match": int(count * (held + 2 * _I8 * pairs + _I8 + 1)),
         # The result of a merge has at least half the splats.
         "merge": int(count * held + working_set),
     }

@@ -4,7 +4,7 @@ import numpy as np
 
 from nanogs._types import F64, I32
 from nanogs.kernels.assign import assign_nearest, invert_covariances
-from nanogs.simplify.graph import nearest_neighbours
+from nanogs.simplify.neighbours import nearest_neighbours
 from nanogs.simplify.nodes import Nodes, gather
 
 NEIGHBOURS = 12  # groups beside its own that a splat may move to

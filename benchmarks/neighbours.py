@@ -1,0 +1,106 @@
+"""Time the nearest neighbours against scipy's k-d tree, on real scenes and on uniform points.
+
+    python benchmarks/neighbours.py [SCENES] [--only biker,uniform] [--repeats 7] [--threads 2]
+
+SCENES, or the environment variable NANOGS_SCENES, is the folder of the scenes; by default
+../shared/scenes beside the repository. Both build their tree and query it with all points, which
+are in Morton order; they take turns, so that what else the machine does disturbs both. The table
+on stdout gives the median seconds of each, and the median of the ratios of neighbouring turns.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import nanogs
+from nanogs._types import F64, I32
+from nanogs.simplify.neighbours import nearest_neighbours
+from nanogs.simplify.order import morton_order
+
+ROOT = Path(__file__).resolve().parent.parent
+SCENES = {
+    "biker": "biker.compressed.ply",
+    "guitar": "guitar.compressed.ply",
+    "plant": "plant.splat",
+    "seal": "seal.splat",
+    "chair": "chair.splat",
+}
+UNIFORM = 1_000_000  # points in the unit cube
+FLYAWAYS = 0.001  # share of them that is put up to a million extents away
+
+
+def main() -> None:
+    """Print one row for each set of points and k."""
+    options = arguments()
+    only = options.only.split(",") if options.only else [*SCENES, "uniform", "flyaways"]
+    print("| points | number | k | cKDTree (s) | nanogs (s) | ratio |")
+    print("|---|--:|--:|--:|--:|--:|")
+    for name, means in point_sets(options.scenes, only):
+        ordered = means[morton_order(means)]
+        for k in (8, 16):
+            theirs, ours, ratio = compare(ordered, k, options.threads, options.repeats)
+            print(
+                f"| {name} | {len(means):,} | {k} | {theirs:.3f} | {ours:.3f} | {ratio:.2f} |",
+                flush=True,
+            )
+
+
+def arguments() -> argparse.Namespace:
+    """What the caller wants."""
+    default = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="?", type=Path, default=Path(default))
+    parser.add_argument("--only", help="names of scenes, uniform, flyaways, with commas between")
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--threads", type=int, default=os.cpu_count())
+    return parser.parse_args()
+
+
+def point_sets(folder: Path, names: list[str]) -> Iterator[tuple[str, F64]]:
+    """The centres of each scene that is there, and points drawn at random."""
+    for name in names:
+        if name in SCENES:
+            if not (folder / SCENES[name]).exists():
+                print(f"{name}: no {folder / SCENES[name]}", file=sys.stderr)
+                continue
+            means = nanogs.load(folder / SCENES[name]).means.astype(np.float64)
+            yield name, means[np.isfinite(means).all(axis=1)]
+        else:
+            rng = np.random.default_rng(0)
+            means = rng.uniform(size=(UNIFORM, 3))
+            if name == "flyaways":
+                far = int(FLYAWAYS * UNIFORM)
+                means[:far] = rng.normal(size=(far, 3)) * 1e6
+            yield name, means
+
+
+def compare(means: F64, k: int, threads: int, repeats: int) -> tuple[float, float, float]:
+    """Median seconds of the k-d tree and of ours, and the median of their ratios."""
+
+    def theirs() -> I32:
+        return cKDTree(means, leafsize=16).query(means, k + 1, workers=threads)[1]
+
+    def ours() -> I32:
+        return nearest_neighbours(means, k, threads)
+
+    nearest_neighbours(means[:100], k, threads)  # compiles
+    turns = np.array([(seconds(theirs), seconds(ours)) for _ in range(repeats)])
+    ratio = np.median(turns[:, 0] / turns[:, 1])
+    return (*np.median(turns, axis=0).tolist(), float(ratio))
+
+
+def seconds(work: Callable[[], I32]) -> float:
+    """Wall-clock time of one call."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+if __name__ == "__main__":
+    main()

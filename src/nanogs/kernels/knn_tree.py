@@ -1,0 +1,165 @@
+"""A balanced kd-tree over runs of 16 points, in place (Bentley 1975, boxes as in Samet 2006).
+
+Node 1 is the root and covers all leaves; node i that covers leaves [first, last) has the children
+2 i over [first, middle) and 2 i + 1 over [middle, last), middle = (first + last) // 2. Leaf l holds
+points [16 l, 16 l + 16) of the reordered arrays. Every node has the tight box of its points, so
+that a few points far away cost only the nodes that hold them.
+"""
+
+import numba
+import numpy as np
+
+from nanogs._types import F64, I32
+from nanogs.kernels.lanes import LANES
+from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
+
+_SAMPLE = 31  # points of which a pivot is chosen where many are split
+
+
+@exact_inline
+def _swap(points: F64, rows: I32, i: int, j: int) -> None:
+    n = len(rows)
+    points[i], points[j] = points[j], points[i]
+    points[n + i], points[n + j] = points[n + j], points[n + i]
+    points[2 * n + i], points[2 * n + j] = points[2 * n + j], points[2 * n + i]
+    rows[i], rows[j] = rows[j], rows[i]
+
+
+@exact_inline
+def _pivot(points: F64, low: int, high: int, middle: int, sample: F64) -> float:
+    """A value that is likely a little beyond the one that belongs in the middle.
+
+    Of a sorted sample of [low, high], the one whose rank in it is that of the middle, one nearer
+    to the sample's own: the part kept is then the smaller one (Floyd and Rivest 1975).
+    """
+    span = high - low
+    size = 3 if span < 64 else (7 if span < 1024 else _SAMPLE)
+    for i in range(size):
+        value = points[low + span * i // (size - 1)]
+        hole = i
+        while hole > 0 and sample[hole - 1] > value:
+            sample[hole] = sample[hole - 1]
+            hole -= 1
+        sample[hole] = value
+    rank = ((middle - low) * (size - 1) + span // 2) // span
+    half = (size - 1) // 2
+    if rank < half:
+        rank += 1
+    elif rank > half:
+        rank -= 1
+    return float(sample[rank])
+
+
+@exact_inline
+def _select(
+    points: F64, rows: I32, axis: int, low: int, high: int, middle: int, sample: F64
+) -> None:
+    """Reorder points [low, high) by one coordinate around the one in the middle (Hoare's find)."""
+    base = axis * len(rows)
+    high -= 1
+    while low < high:
+        pivot = _pivot(points, base + low, base + high, base + middle, sample)
+        i, j = low, high
+        while i <= j:
+            while points[base + i] < pivot:
+                i += 1
+            while points[base + j] > pivot:
+                j -= 1
+            if i <= j:
+                _swap(points, rows, i, j)
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            return
+
+
+@exact_inline
+def _bound(points: F64, n: int, low: int, high: int, boxes: F64, node: int) -> None:
+    """Box of points [low, high). All axes in one loop: minima in a chain wait for each other."""
+    x0 = x1 = points[low]
+    y0 = y1 = points[n + low]
+    z0 = z1 = points[2 * n + low]
+    for i in range(low + 1, high):
+        x, y, z = points[i], points[n + i], points[2 * n + i]
+        x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
+        x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
+    boxes[node, 0], boxes[node, 1], boxes[node, 2] = x0, y0, z0
+    boxes[node, 3], boxes[node, 4], boxes[node, 5] = x1, y1, z1
+
+
+@exact_inline
+def _split(
+    points: F64, rows: I32, boxes: F64, node: int, first: int, last: int, sample: F64
+) -> None:
+    """Box of a node, and its points reordered into those of its two children."""
+    low, high = first * LANES, min(last * LANES, len(rows))
+    _bound(points, len(rows), low, high, boxes, node)
+    widest, axis = 0.0, -1
+    for candidate in range(3):
+        width = boxes[node, 3 + candidate] - boxes[node, candidate]
+        if width > widest:
+            widest, axis = width, candidate
+    if last - first > 1 and axis >= 0:
+        _select(points, rows, axis, low, high, (first + last) // 2 * LANES, sample)
+
+
+@exact_inline
+def _leaves_below(node: int, leaves: int) -> tuple[int, int]:
+    """First and last leaf of a node, or (0, 0) where a node above it is a leaf already."""
+    first, last, level = 0, leaves, 0
+    while node >> level > 1:
+        level += 1
+    for bit in range(level - 1, -1, -1):
+        if last - first < 2:
+            return 0, 0
+        middle = (first + last) // 2
+        if node >> bit & 1:
+            first = middle
+        else:
+            last = middle
+    return first, last
+
+
+@exact_inline
+def _split_all(points: F64, rows: I32, boxes: F64, node: int, first: int, last: int) -> None:
+    """Split a node and all nodes below it."""
+    sample = np.empty(_SAMPLE)
+    nodes = np.empty(64, dtype=np.int64)
+    firsts = np.empty(64, dtype=np.int64)
+    lasts = np.empty(64, dtype=np.int64)
+    nodes[0], firsts[0], lasts[0] = node, first, last
+    waiting = 1
+    while waiting > 0:
+        waiting -= 1
+        node, first, last = nodes[waiting], firsts[waiting], lasts[waiting]
+        _split(points, rows, boxes, node, first, last, sample)
+        if last - first > 1:
+            middle = (first + last) // 2
+            nodes[waiting], firsts[waiting], lasts[waiting] = 2 * node + 1, middle, last
+            waiting += 1
+            nodes[waiting], firsts[waiting], lasts[waiting] = 2 * node, first, middle
+            waiting += 1
+
+
+@exact_parallel_kernel
+def build_tree(points: F64, rows: I32, boxes: F64, top: int) -> None:
+    """Sort points into leaves; fill the boxes of all nodes.
+
+    points: (3 N,) all x, all y, all z, reordered; rows: (N,) int32, reordered alike; boxes:
+    (nodes, 6) lowest x, y, z and highest x, y, z, filled; top: levels split one node after the
+    other, before the 2^top subtrees below them are split in parallel. It changes no result.
+    """
+    leaves = (len(rows) + LANES - 1) // LANES
+    sample = np.empty(_SAMPLE)
+    for node in range(1, 1 << top):
+        first, last = _leaves_below(node, leaves)
+        if last > first:
+            _split(points, rows, boxes, node, first, last, sample)
+    for node in numba.prange(1 << top, 2 << top):
+        first, last = _leaves_below(node, leaves)
+        if last > first:
+            _split_all(points, rows, boxes, node, first, last)

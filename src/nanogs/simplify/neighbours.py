@@ -1,0 +1,89 @@
+"""Nearest neighbours of every centre: exact, and the same for any number of threads."""
+
+import numpy as np
+
+from nanogs._types import F64, I32, I64, Bool
+from nanogs.kernels.knn import search_tree
+from nanogs.kernels.knn_tree import build_tree
+from nanogs.kernels.lanes import LANES
+from nanogs.threads import use_threads
+
+_EXPONENT = 500  # coordinates are scaled to 2^500: their squares fit, and so do those of 2^-1000
+
+
+def nearest_neighbours(means: F64, k: int, threads: int) -> I32:
+    """Exact nearest neighbours of every row among the others.
+
+    They are the k first by (squared distance in float64, row), with one exception: in a group of
+    more than k rows with the same centre, all would have the same k partners. There the
+    neighbours of a row are the next k rows of the group, around its end.
+
+    Args:
+        means: (N, 3) finite, scene units.
+        k: Neighbours wanted; fewer where N - 1 is less.
+        threads: Threads for the search.
+
+    Returns:
+        (N, min(k, N - 1)) int32 rows, nearest first, never the row itself.
+    """
+    n = len(means)
+    k = min(k, n - 1)
+    neighbours = np.empty((n, max(k, 0)), dtype=np.int32)
+    if k <= 0:
+        return neighbours
+    scaled = _scaled(means)
+    crowded = np.empty(n, dtype=bool)
+    _search(scaled, threads, neighbours, crowded)
+    if crowded.any():
+        _uncrowd(scaled, np.flatnonzero(crowded), neighbours)
+    return neighbours
+
+
+def coincident_groups(means: F64) -> tuple[I64, I64]:
+    """Rows sorted by centre.
+
+    Args:
+        means: (N, 3) finite.
+
+    Returns:
+        (N,) int64, rows with the same centre beside each other, ascending; and (G + 1,) int64,
+        where each of the G groups starts, and N.
+    """
+    order = np.lexsort(means.T)
+    starts = (np.diff(means[order], axis=0) != 0).any(axis=1)
+    return order, np.concatenate([[0], np.flatnonzero(starts) + 1, [len(means)]])
+
+
+def _scaled(means: F64) -> F64:
+    """(3, N) coordinates times a power of two, which changes no order of distances."""
+    highest = max(-float(means.min()), float(means.max()))
+    return np.ldexp(means.T, _EXPONENT - int(np.frexp(highest)[1]), order="C")
+
+
+def _search(scaled: F64, threads: int, neighbours: I32, crowded: Bool) -> None:
+    rows = np.arange(len(neighbours), dtype=np.int32)
+    leaves = -(-len(rows) // LANES)
+    boxes = np.empty((2 << (leaves - 1).bit_length(), 6))
+    points = scaled.reshape(-1).copy()
+    with use_threads(threads):
+        build_tree(points, rows, boxes, (threads - 1).bit_length())
+        search_tree(points, rows, boxes, neighbours, crowded)
+
+
+def _uncrowd(scaled: F64, rows: I64, neighbours: I32) -> None:
+    """Fill the neighbours of rows that have k others at distance zero."""
+    k = neighbours.shape[1]
+    order, bounds = coincident_groups(scaled[:, rows].T)
+    sizes = np.diff(bounds)
+    group = np.repeat(np.arange(len(sizes)), sizes)
+    place = np.arange(len(order)) - bounds[group]
+    large = sizes[group] > k
+    for step in range(1, k + 1):
+        following = (place + step) % sizes[group] + bounds[group]
+        neighbours[rows[order[large]], step - 1] = rows[order[following[large]]]
+    # The others are not equal, but squares of their distances underflow. No float32 can do that.
+    for row in rows[order[~large]]:
+        offsets = scaled - scaled[:, row, None]
+        squares = offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2
+        squares[row] = np.inf
+        neighbours[row] = np.argsort(squares, kind="stable")[:k]

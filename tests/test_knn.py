@@ -1,0 +1,112 @@
+"""The nearest neighbours against their definition: sort all the others by (distance, row)."""
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+import twins
+from nanogs.kernels import lanes
+from nanogs.simplify.neighbours import nearest_neighbours
+
+
+def outliers(rng, n):
+    means = rng.normal(size=(n, 3))
+    means[rng.random(n) < 0.1] *= 1e6
+    return means
+
+
+PLACES = {
+    "uneven": lambda rng, n: rng.normal(size=(n, 3)) * np.exp(3 * rng.normal(size=(n, 1))),
+    "grid": lambda rng, n: rng.integers(0, 4, (n, 3)) * 0.1,
+    "line": lambda rng, n: rng.integers(0, n, (n, 1)) * np.array([[0.1, 0.2, -0.3]]),
+    "coincident": lambda rng, n: rng.normal(size=(4, 3))[rng.integers(0, 4, n)],
+    "one place": lambda rng, n: np.full((n, 3), 0.3),
+    "outliers": outliers,
+    "offset": lambda rng, n: 1e8 + rng.normal(size=(n, 3)),
+    "tiny": lambda rng, n: 1e-30 * rng.normal(size=(n, 3)),
+    "huge": lambda rng, n: 1e200 * rng.normal(size=(n, 3)),
+}
+
+
+@given(
+    st.sampled_from(list(PLACES)),
+    st.integers(1, 150),
+    st.integers(1, 20),
+    st.integers(0, 2**32 - 1),
+)
+def test_neighbours_are_the_first_by_distance_and_row(places, n, k, seed):
+    means = PLACES[places](np.random.default_rng(seed), n)
+    scale = 2.0 ** {"tiny": 100, "huge": -600}.get(places, 0)
+    expected = twins.nearest_neighbours(means * scale, k)
+    assert nearest_neighbours(means, k, threads=1).tolist() == expected
+
+
+def test_distances_are_those_of_another_tree():
+    rng = np.random.default_rng(2)
+    means = rng.normal(size=(20_000, 3)) * np.exp(2 * rng.normal(size=(20_000, 1)))
+    found = nearest_neighbours(means, 16, threads=1)
+    distances = np.linalg.norm(means[found] - means[:, None], axis=2)
+    expected, _ = cKDTree(means).query(means, 17)
+    assert np.allclose(distances, expected[:, 1:], rtol=1e-12)
+
+
+@pytest.mark.parametrize("places", ["uneven", "grid", "coincident"])
+def test_the_thread_count_changes_nothing(places):
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("needs two threads")
+    means = PLACES[places](np.random.default_rng(3), 5000)
+    one, two = (nearest_neighbours(means, 8, threads) for threads in (1, 2))
+    assert np.array_equal(one, two)
+
+
+def test_many_coincident_centres_take_the_next_of_their_group():
+    means = np.random.default_rng(4).normal(size=(60_000, 3))
+    group = np.sort(np.random.default_rng(5).permutation(60_000)[:50_000])
+    means[group] = means[0]
+    group = np.flatnonzero((means == means[0]).all(axis=1))
+    found = nearest_neighbours(means, 8, threads=1)
+    places = (np.arange(len(group))[:, None] + np.arange(1, 9)) % len(group)
+    assert np.array_equal(found[group], group[places])
+    alone = np.setdiff1d(np.arange(60_000), group)[:50]
+    for row in alone:
+        squares = ((means - means[row]) ** 2).sum(axis=1)
+        squares[row] = np.inf
+        nearest = np.sort(squares)[:8]
+        assert np.allclose(((means[found[row]] - means[row]) ** 2).sum(axis=1), nearest)
+
+
+def test_centres_that_differ_by_less_than_squares_can_tell_still_have_neighbours():
+    means = np.zeros((40, 3))
+    means[:, 0] = np.arange(40) * 5e-324
+    means[0] = 1.0
+    found = nearest_neighbours(means, 4, threads=1)
+    assert all(len({row, *others}) == 5 for row, others in enumerate(found.tolist()))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
+def test_lanes_compiled_do_as_their_plain_python_says(seed, k):
+    rng = np.random.default_rng(seed)
+    points, boxes = rng.normal(size=48), np.sort(rng.normal(size=(2, 2, 3)), axis=1).reshape(2, 6)
+    lists = np.sort(rng.integers(0, 1 << 31, (k, 16)).astype(np.int32), axis=0)[::-1].ravel()
+    results = []
+    for run in (all_operations, numba.njit(all_operations)):
+        keys, own = np.zeros(48, np.int32), lists.copy()
+        masks = np.zeros(3, np.int64)
+        run(points, boxes, keys, own, masks, k)
+        results.append((keys.tolist(), own.tolist(), masks.tolist()))
+    assert results[0] == results[1]
+    assert results[0][0][16] == (points[0::16] ** 2).sum().view(np.int64) >> 32
+
+
+def all_operations(points, boxes, keys, lists, masks, k):
+    lanes.distance_keys(points, 0.0, 0.0, 0.0, keys, 16)
+    lanes.distance_keys(points, 0.5, -0.1, 0.2, keys, 32)
+    lanes.box_keys(points, boxes, 1, keys)
+    masks[0] = lanes.within(keys, 16, keys)
+    masks[1] = lanes.within(keys, 16, lists)
+    masks[2] = lanes.lowest_bit(masks[0] | 1 << 9)
+    lanes.insert(lists, keys, 16, k)
+    lanes.insert(lists, keys, 32, k)
