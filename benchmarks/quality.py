@@ -1,6 +1,6 @@
 """Produce the table kept in docs/results.md: our methods and other tools on real scenes.
 
-    python benchmarks/quality.py [SCENES] [--out build/quality] [--only biker,skull]
+    python benchmarks/quality.py [SCENES] [--out build/quality] [--only biker,skull] [--ablations]
         [--ratios 0.1,0.01]
 
 SCENES, or the environment variable NANOGS_SCENES, is the folder of the scenes; by default
@@ -80,7 +80,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=BUILD / "results")
     parser.add_argument("--only", help="names of scenes, with commas between")
     parser.add_argument("--ratios", default=",".join(map(str, RATIOS)))
-    parser.add_argument("--ablations", action="store_true")
+    parser.add_argument("--methods", help="of ours, with commas between; default: all")
+    parser.add_argument("--kept", default=",".join(PEERS), help="which peers, with commas between")
+    parser.add_argument("--ablations", action="store_true", help="in place of all methods")
     return parser.parse_args()
 
 
@@ -90,11 +92,12 @@ def measure(
     """Run the protocol, and say on stderr how far it is."""
     peers = options.peers or options.scenes.parent / "peers"
     externals = {name: str(BUILD / f"{{model}}_{{ratio}}_{name}.ply") for name in SPLAT_TRANSFORM}
-    externals |= {f"{name}, kept": str(peers / f"{{model}}_{{ratio}}_{name}.ply") for name in PEERS}
-    methods = [*all_methods(), *(ABLATIONS if options.ablations else ())]
-    settings = BenchSettings(
-        ratios=ratios, methods=tuple(dict.fromkeys(methods)), externals=externals
-    )
+    kept = [name for name in options.kept.split(",") if name]
+    externals |= {f"{name}, kept": str(peers / f"{{model}}_{{ratio}}_{name}.ply") for name in kept}
+    methods = ABLATIONS if options.ablations else all_methods()
+    if options.methods:
+        methods = tuple(options.methods.split(","))
+    settings = BenchSettings(ratios=ratios, methods=methods, externals=externals)
     folder = ResultFolder(options.out, overwrite=True)
 
     def on_row(row: BenchRow) -> None:

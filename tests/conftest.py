@@ -1,6 +1,7 @@
 """Settings and helpers shared by all tests."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import hypothesis
@@ -34,10 +35,14 @@ def small_views():
     """Presets that render and fit do so with few and small views."""
     # Here and not above: this brings Numba, which the tests of reading and writing do without.
     from nanogs.refit.parameters import RefitParameters
-    from nanogs.simplify import forest_pipeline, visibility
+    from nanogs.simplify import forest_pipeline, presets, visibility
 
+    few = {
+        name: replace(chosen, views=2) if isinstance(chosen, presets.ForestParameters) else chosen
+        for name, chosen in presets.PRESETS.items()
+    }
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(visibility, "VIEWS", 2)
+        patch.setattr(presets, "PRESETS", few)
         patch.setattr(visibility, "SIZE", 32)
         patch.setattr(forest_pipeline, "REFIT", RefitParameters(views=2, steps=2, size=32))
         yield

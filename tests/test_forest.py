@@ -83,8 +83,8 @@ def test_the_pixel_is_that_of_a_view_of_the_core():
     means[:100] += 1e6  # strays
     assert core_radius(means, alphas) == pytest.approx(7 * np.cbrt(0.92), rel=0.02)
     expected = np.sqrt(0.3) * 2 * core_radius(means, alphas) / 720
-    assert dilation(means, alphas, RenderMode.DEFAULT) == pytest.approx(expected)
-    assert dilation(means, alphas, RenderMode.MIP) == 0
+    assert dilation(means, alphas, RenderMode.DEFAULT, 720) == pytest.approx(expected)
+    assert dilation(means, alphas, RenderMode.MIP, 720) == 0
 
 
 def test_the_core_follows_alpha_and_stands_without_any():
@@ -128,7 +128,7 @@ def test_stored_groups_cover_what_their_members_did(n, seed, pixel):
     labels = (np.arange(n) // 2).astype(np.int32)
     groups = int(labels[-1]) + 1
     merged = gather(nodes, labels, groups)
-    small = store_nodes(merged, nodes, labels, rows, splats, np.zeros(3), pixel)
+    small = store_nodes(merged, nodes, labels, rows, splats, np.zeros(3), pixel, 1.0)
     assert len(small) == groups
     alphas = small.opacities()
     sigmas = [twins.pack(twins.covariance(s, q)) for s, q in

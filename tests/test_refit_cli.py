@@ -24,7 +24,7 @@ def files(tmp_path_factory):
 def test_command_fits_and_reports(files, tmp_path):
     out = tmp_path / "out.ply"
     given = [files / "original.ply", files / "small.ply", out]
-    quick = ["--views", "4", "--size", "64", "--rounds", "1"]
+    quick = ["--views", "4", "--size", "128", "--rounds", "2"]
     result = run("refit", *given, *quick, "--json")
     assert (result.returncode, result.stderr) == (0, "")
     report = json.loads(result.stdout)

@@ -9,7 +9,9 @@ import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import ply_write, registry
+from nanogs.refit.parameters import RefitParameters
 from nanogs.report import StopReason
+from nanogs.simplify import forest_pipeline
 from nanogs.simplify.reach import MOST_PROBES, TOLERANCE, search_count
 from nanogs.simplify.target import Goal, count_for_size
 from nanogs.splats import ExtraElement, RenderMode
@@ -102,7 +104,11 @@ def test_the_format_must_be_one_whose_size_is_known(splats, monkeypatch):
 @pytest.mark.parametrize(
     ("preset", "overrides"), [("fast", {}), ("default", {}), ("fast", {"refit": True})]
 )
-def test_the_result_reaches_the_psnr_and_is_that_of_its_count(splats, preset, overrides):
+def test_the_result_reaches_the_psnr_and_is_that_of_its_count(
+    splats, preset, overrides, monkeypatch
+):
+    few = RefitParameters(views=3, steps=2, rounds=1, size=48)
+    monkeypatch.setattr(forest_pipeline, "REFIT", few)  # a fit for every probe
     asked = 24.0
     small, report = nanogs.simplify(splats, psnr=asked, preset=preset, **overrides)
     assert report.stop is StopReason.TARGET

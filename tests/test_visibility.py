@@ -42,14 +42,14 @@ def test_what_is_hidden_counts_little_and_what_no_view_holds_counts_whole():
 
 
 def test_weights_of_hidden_splats_are_a_hundredth():
-    weights = visibility.visible_weights(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.0]))
+    weights = visibility.visible_weights(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.0]), 0.01)
     assert weights == pytest.approx([2.0, 1.01, 0.02])
 
 
 def test_the_original_is_judged_as_perfect_and_every_second_view_judges():
     splats = box_with_something_inside()
-    views = visibility.look(splats)
-    assert len(views.cameras) == len(views.images) == visibility.VIEWS // visibility.JUDGED
+    views = visibility.look(splats, count=12)
+    assert len(views.cameras) == len(views.images) == 6
     assert visibility.judge(splats, views) == (100.0, pytest.approx(1.0))
     assert visibility.judge(splats.take(np.arange(100)), views)[0] < 30
 

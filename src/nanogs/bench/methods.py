@@ -32,6 +32,7 @@ ABLATIONS = (
     "fast:balance=0",
     "fast:balance=1",
     "fast:rounds=3",
+    "best",
 )
 """What a method is worth without each of its parts, one at a time."""
 
