@@ -61,7 +61,9 @@ def main() -> None:
     for name, model in models.items():
         for ratio in ratios:
             for method, flag in SPLAT_TRANSFORM.items():
-                decimate(model, BUILD / f"{name}_{ratio:g}_{method}.ply", ratio, flag)
+                target = BUILD / f"{name}_{ratio:g}_{method}.ply"
+                if not (options.reuse and target.exists()):
+                    decimate(model, target, ratio, flag)
     scenes = [BenchScene(name, model, up=UP.get(name)) for name, model in models.items()]
     scenes += [
         BenchScene(f"{name}-photographs", models[name], options.scenes / folder)
@@ -80,6 +82,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=BUILD / "results")
     parser.add_argument("--only", help="names of scenes, with commas between")
     parser.add_argument("--ratios", default=",".join(map(str, RATIOS)))
+    parser.add_argument(
+        "--reuse", action="store_true", help="take the other tool's files of an earlier run"
+    )
     parser.add_argument("--methods", help="of ours, with commas between; default: all")
     parser.add_argument("--kept", default=",".join(PEERS), help="which peers, with commas between")
     parser.add_argument("--ablations", action="store_true", help="in place of all methods")

@@ -50,6 +50,7 @@ class CandidateReport:
     Attributes:
         balance: Of its cut, from groups of equal size (0) to groups of equal error (1).
         reassigned: Whether splats were moved between groups after the cut.
+        growth: Most that the axes of a splat could grow that cannot be opaque enough.
         psnr: Mean over the views it was judged by, dB.
         ssim: Mean over these views.
         quality: What was compared, dB: PSNR and what SSIM is worth.
@@ -58,6 +59,7 @@ class CandidateReport:
 
     balance: float
     reassigned: bool
+    growth: float
     psnr: float
     ssim: float
     quality: float

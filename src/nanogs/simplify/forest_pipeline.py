@@ -10,7 +10,7 @@ from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import RefitReport
 from nanogs.render.camera import Camera
 from nanogs.report import CandidateReport, StageClock, StopReason
-from nanogs.simplify.choose import BALANCES, choose_groups
+from nanogs.simplify.choose import BALANCES, GROWTHS, choose_groups
 from nanogs.simplify.cut import cut
 from nanogs.simplify.extent import dilation
 from nanogs.simplify.gaussians import scene_origin
@@ -99,10 +99,10 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
     groups = max(target, forest.fewest)
     progress("cut", groups)
     with clock.time("cut" if build.views is None else "choose"):
-        labels, candidates = _group(build, groups)
+        labels, growth, candidates = _group(build, groups)
     progress("store", groups)
     with clock.time("store"):
-        small = _model(build, labels, groups)
+        small = _model(build, labels, growth)
     fitted, notes = None, build.notes
     if build.parameters.refit and groups < forest.splats:
         progress("refit", groups)
@@ -130,28 +130,30 @@ def _fit(build: Build, small: Splats) -> tuple[Splats, RefitReport | None, tuple
         return small, None, (f"The result was not fitted: {error}",)
 
 
-def _group(build: Build, groups: int) -> tuple[I32, tuple[CandidateReport, ...]]:
-    """Labels of the leaves; by measurement where the original was looked at."""
+def _group(build: Build, groups: int) -> tuple[I32, float, tuple[CandidateReport, ...]]:
+    """Labels of the leaves and growth; by measurement where the original was looked at."""
     forest, views, parameters = build.forest, build.views, build.parameters
     if groups == forest.splats:
-        return cut(forest, groups, parameters.balance), ()
+        return cut(forest, groups, parameters.balance), parameters.growth, ()
 
     def regroup(labels: I32) -> I32:
         return reassign(build.leaves, labels, groups, parameters.rounds, build.threads)
 
     if views is None:
-        return regroup(cut(forest, groups, parameters.balance)), ()
+        labels = regroup(cut(forest, groups, parameters.balance))
+        return labels, parameters.growth, ()
     return choose_groups(
         regroup,
         lambda balance: cut(forest, groups, balance),
-        lambda labels: _model(build, labels, groups),
+        lambda labels, growth: _model(build, labels, growth),
         lambda small: judge(small, views),
         sorted({*BALANCES, parameters.balance}),
+        tuple(dict.fromkeys((parameters.growth, *GROWTHS))),
     )
 
 
-def _model(build: Build, labels: I32, groups: int) -> Splats:
-    merged = gather(build.leaves, labels, groups)
+def _model(build: Build, labels: I32, growth: float) -> Splats:
+    merged = gather(build.leaves, labels, int(labels.max()) + 1)
     return store_nodes(
         merged,
         build.leaves,
@@ -160,5 +162,5 @@ def _model(build: Build, labels: I32, groups: int) -> Splats:
         build.splats,
         build.origin,
         build.pixel,
-        build.parameters.growth,
+        growth,
     )

@@ -80,7 +80,7 @@ class ForestParameters:
     growth: float = 1.1
     measure: bool = True
     refit: bool = False
-    views: int = 12
+    views: int = 8
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""

@@ -13,6 +13,7 @@ from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
 
 SIZE = 256  # pixels; visibility needs no more, and the choice is between models of one kind
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; a third of the work
 JUDGED = 2  # every second view is also one to choose by
 
 
@@ -32,7 +33,7 @@ class OriginalViews:
     images: tuple[F32, ...]
 
 
-def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 12) -> OriginalViews:
+def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 8) -> OriginalViews:
     """Render the original once.
 
     Args:
@@ -75,7 +76,7 @@ def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
 
 
 def judge(small: Splats, views: OriginalViews) -> tuple[float, float]:
-    """Mean PSNR (dB, at most 100) and mean SSIM of a result on the views to judge by.
+    """Mean PSNR (dB, at most 100) and mean SSIM of the luma of a result on the views to judge by.
 
     Args:
         small: The result.
@@ -85,6 +86,7 @@ def judge(small: Splats, views: OriginalViews) -> tuple[float, float]:
     scores = []
     for camera, image in zip(views.cameras, views.images, strict=True):
         shown = np.clip(render(prepared, camera).color, 0.0, 1.0)
-        scores.append((min(psnr(image, shown), 100.0), ssim(image, shown)))
+        grey = ssim(image @ LUMA, shown @ LUMA)
+        scores.append((min(psnr(image, shown), 100.0), grey))
     means = np.mean(scores, axis=0)
     return float(means[0]), float(means[1])
