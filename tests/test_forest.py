@@ -393,31 +393,39 @@ def test_a_group_that_all_leave_is_filled_again():
 # Choice
 
 
-@pytest.mark.parametrize(("qualities", "winner"), [
-    ([10, 30, 20, 25], 1), ([10, 20, 30, 35], 3), ([30, 30, 20, 30], 0), ([1, 2, 3, 2.9], 2),
+# Three balances, the best of them reassigned, then two other growths of the best of these four.
+@pytest.mark.parametrize(("qualities", "usual", "winner"), [
+    ([10, 30, 20, 25, 0, 0], 1, 1), ([10, 20, 30, 35, 30, 30], 3, 3),
+    ([30, 30, 20, 30, 0, 0], 0, 0),
+    ([1, 2, 3, 2.9, 0, 0], 2, 2), ([10, 30, 20, 25, 30.4, 30.5], 1, 1),
+    ([10, 30, 20, 25, 30.6, 30], 1, 4), ([10, 20, 30, 35, 36, 37], 3, 5),
 ])  # fmt: skip
-def test_the_best_judged_is_chosen_and_marked_once(qualities, winner):
-    regrouped, scores = [], iter(qualities)
+def test_the_best_judged_is_chosen_and_marked_once(qualities, usual, winner):
+    regrouped, stored, scores = [], [], iter(qualities)
 
     def regroup(labels):
         regrouped.append(int(labels[0]))
         return labels + 100
 
-    labels, reports = choose_groups(
+    labels, growth, reports = choose_groups(
         regroup,
         lambda balance: np.array([round(10 * balance)], np.int32),
-        lambda labels: labels,
+        lambda labels, growth: stored.append((int(labels[0]), growth)),
         lambda _model: (next(scores), 0.0),
         (0.5, 0.8, 1.0),
+        (1.1, 1.0, 1.3),
     )
-    leader = int(np.argmax(qualities[:3]))
     balances = [0.5, 0.8, 1.0]
+    leader = int(np.argmax(qualities[:3]))
     assert regrouped == [round(10 * balances[leader])]
-    assert [report.balance for report in reports] == [*balances, balances[leader]]
-    assert [report.reassigned for report in reports] == [False] * 3 + [True]
-    assert [report.chosen for report in reports] == [place == winner for place in range(4)]
-    expected = round(10 * balances[winner]) if winner < 3 else round(10 * balances[leader]) + 100
+    assert [report.balance for report in reports] == [*balances, *[balances[leader]] * 3]
+    assert [report.reassigned for report in reports] == [False] * 3 + [True] + [usual == 3] * 2
+    assert [report.growth for report in reports] == [1.1] * 4 + [1.0, 1.3]
+    assert [report.chosen for report in reports] == [place == winner for place in range(6)]
+    assert growth == reports[winner].growth
+    expected = round(10 * balances[leader]) + (100 if usual == 3 else 0)
     assert labels.tolist() == [expected]
+    assert stored[4:] == [(expected, 1.0), (expected, 1.3)]
 
 
 def test_a_fiftieth_of_ssim_is_worth_a_decibel():
@@ -427,9 +435,9 @@ def test_a_fiftieth_of_ssim_is_worth_a_decibel():
 
 def test_the_report_lists_the_candidates_with_the_balance_asked_for():
     _, report = nanogs.simplify(random_splats(60), count=10, balance=0.3)
-    assert [c.balance for c in report.candidates[:-1]] == [0.3, 0.5, 0.8, 1.0]
+    assert [c.balance for c in report.candidates[:4]] == [0.3, 0.5, 0.8, 1.0]
     assert sum(c.chosen for c in report.candidates) == 1
-    best = max(report.candidates, key=lambda c: c.quality)
+    best = max(report.candidates[:5], key=lambda c: c.quality)
     assert best.chosen
     assert best.quality == pytest.approx(best.psnr + 50 * best.ssim)
     assert nanogs.simplify(random_splats(60), count=10, preset="fast")[1].candidates == ()
