@@ -80,7 +80,7 @@ class ForestParameters:
     growth: float = 1.1
     measure: bool = True
     refit: bool = False
-    views: int = 8
+    views: int = 12
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""

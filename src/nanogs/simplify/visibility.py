@@ -33,7 +33,7 @@ class OriginalViews:
     images: tuple[F32, ...]
 
 
-def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 8) -> OriginalViews:
+def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 12) -> OriginalViews:
     """Render the original once.
 
     Args:
