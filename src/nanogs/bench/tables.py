@@ -37,13 +37,8 @@ def markdown(rows: Sequence[BenchRow], *, heading: str = "#") -> str:
     return "\n".join(parts)
 
 
-def json_lines(rows: Sequence[BenchRow]) -> str:
-    """One JSON object a line and row; infinities are strings."""
-    return "".join(json_line(row) for row in rows)
-
-
 def json_line(row: BenchRow) -> str:
-    """A row as one line of JSON."""
+    """A row as one line of JSON; infinities are strings."""
     return json.dumps(row.to_dict(), allow_nan=False) + "\n"
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +12,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
+
+from nanogs.report import StageClock
 
 err = Console(stderr=True, highlight=False)
 out = Console(highlight=False)
@@ -46,6 +49,19 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a report holds
     if isinstance(value, float) and (value != value or value in (float("inf"), -float("inf"))):
         return str(value)
     return value
+
+
+def with_file_seconds(run: dict[str, Any], clock: StageClock, start: float) -> dict[str, Any]:
+    """A report with the seconds of reading and writing the files around it.
+
+    Args:
+        run: The report as a dictionary.
+        clock: Holds the stages "read" and "write".
+        start: `time.perf_counter()` at the start of the command.
+    """
+    read, write = clock.seconds["read"], clock.seconds["write"]
+    seconds = {"read": read, **run["seconds"], "write": write}
+    return run | {"seconds": seconds, "total_seconds": time.perf_counter() - start}
 
 
 def key_value_table(rows: dict[str, str]) -> Table:

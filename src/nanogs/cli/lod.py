@@ -1,7 +1,6 @@
 """`nanogs lod`."""
 
 import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,8 +8,8 @@ import typer
 from rich.table import Table
 
 from nanogs.cli import method, options
-from nanogs.cli.console import count_down, err, key_value_table, print_json, warn
-from nanogs.cli.simplify_report import Plan, memory_rows, parameters_text, reading_text
+from nanogs.cli.console import count_down, err, print_json, warn
+from nanogs.cli.simplify_report import Plan, show_plan, warn_of_input
 from nanogs.formatting import bytes_text, number_text
 from nanogs.io import inspect, load
 from nanogs.io.folder import check_folder_writable
@@ -18,7 +17,7 @@ from nanogs.lod.levels import check_ratios
 from nanogs.lod.manifest import made_files
 from nanogs.lod.write import write_levels
 from nanogs.report import StopReason
-from nanogs.simplify.cameras import refuse_unused_views, requested_cameras
+from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters
 from nanogs.simplify.target import Goal, target_count
 
@@ -65,9 +64,7 @@ def lod(
     chosen = parameters(preset, overrides)
     ratios = options.parse_ratios(levels)
     check_ratios(ratios)
-    direction = options.parse_direction(up)
-    asked_views = views is not None or cameras != "auto" or direction is not None
-    refuse_unused_views(preset, chosen, given=asked_views, judged=False)
+    direction = method.check_views(preset, chosen, views, cameras, up, judged=False)
     info = inspect(source)
     check_folder_writable(folder, made_files, overwrite=overwrite)
     finest = target_count(info.splats, ratios[0], None)
@@ -117,35 +114,14 @@ def _write(
 
 
 def _print_plan(plan: Plan, folder: Path, ratios: tuple[float, ...], *, json: bool) -> None:
-    info, memory = plan.info, plan.memory()
-    counts = [target_count(info.splats, ratio, None) for ratio in ratios]
-    parameters = asdict(plan.parameters)
-    if json:
-        print_json(
-            {
-                "input": str(info.path),
-                "input_count": info.splats,
-                "levels": [{"ratio": r, "count": c} for r, c in zip(ratios, counts, strict=True)],
-                "preset": plan.preset,
-                "parameters": parameters,
-                "memory_bytes": asdict(memory),
-            }
-        )
-        return
-    rows = {
-        "would read": reading_text(info),
-        "would write": f"{folder}: levels of {', '.join(f'{c:,}' for c in counts)} splats",
-        "preset": plan.preset,
-        "parameters": parameters_text(parameters),
-    }
-    err.print(key_value_table(rows | memory_rows(memory)))
+    counts = [target_count(plan.info.splats, ratio, None) for ratio in ratios]
+    asked = [{"ratio": r, "count": c} for r, c in zip(ratios, counts, strict=True)]
+    text = f"{folder}: levels of {', '.join(f'{c:,}' for c in counts)} splats"
+    show_plan(plan, {"levels": asked}, text, json=json)
 
 
 def _print_report(run: dict[str, Any]) -> None:
-    for note in run["notes"]:
-        warn(note)
-    if run["dropped_nonfinite"]:
-        warn(f"{run['dropped_nonfinite']:,} splats hold a NaN or infinite value and were left out.")
+    warn_of_input(run)
     table = Table("level", box=None, pad_edge=False)
     for heading in ("asked", "splats", "file", "PSNR", "SSIM", "seconds"):
         table.add_column(heading, justify="right")

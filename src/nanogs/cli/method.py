@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 from nanogs.cli import options
-from nanogs.simplify.presets import SUMMARIES
+from nanogs.simplify.cameras import refuse_unused_views
+from nanogs.simplify.presets import SUMMARIES, Parameters
 
 _ALL = "Parameters of every preset (each replaces the preset's value)"
 _FOREST = "Parameters of the presets default, fast and best"
@@ -77,3 +78,23 @@ LambdaGeo = Annotated[
 MergeCap = Annotated[
     float | None, typer.Option(help="Largest share merged in a pass.", rich_help_panel=_PAPER)
 ]
+
+
+def check_views(
+    preset: str,
+    chosen: Parameters,
+    views: int | None,
+    cameras: str,
+    up: str | None,
+    *,
+    judged: bool,
+) -> tuple[float, float, float] | None:
+    """The up direction asked for; views are refused where the preset renders nothing.
+
+    Raises:
+        OptionError: Views are given and nothing is rendered, or the direction is none.
+    """
+    direction = options.parse_direction(up)
+    given = views is not None or cameras != "auto" or direction is not None
+    refuse_unused_views(preset, chosen, given=given, judged=judged)
+    return direction

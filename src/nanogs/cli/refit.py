@@ -8,12 +8,13 @@ import typer
 from rich.table import Table
 
 from nanogs.cli import options
-from nanogs.cli.console import err, print_json, stage_bar, warn
+from nanogs.cli.console import err, print_json, stage_bar, warn, with_file_seconds
 from nanogs.formatting import number_text
 from nanogs.io import check_writable, load, save
 from nanogs.refit.api import refit as library_refit
 from nanogs.refit.parameters import RefitParameters
 from nanogs.report import StageClock
+from nanogs.simplify.cameras import fit_cameras
 
 _DEFAULTS = RefitParameters()
 
@@ -75,14 +76,8 @@ def _refit_files(
     with stage_bar(quiet=quiet) as progress:
         with clock.time("read"):
             reference, model = load(original), load(small)
-        views = None
-        if cameras != "auto" or up is not None:
-            from nanogs.render.source import cameras_for
-
-            count, size = parameters.views + parameters.held, parameters.size
-            views = cameras_for(
-                reference, cameras, count=count, width=size, height=size, up=up, split="fit"
-            )
+        count = parameters.views + parameters.held
+        views = fit_cameras(reference, cameras, up, count, parameters.size)
         fitted, report = library_refit(
             reference,
             model,
@@ -93,13 +88,7 @@ def _refit_files(
         )
         with clock.time("write"):
             save(fitted, target, overwrite=overwrite)
-    run = report.to_dict()
-    run["seconds"] = {
-        "read": clock.seconds["read"],
-        **run["seconds"],
-        "write": clock.seconds["write"],
-    }
-    run["total_seconds"] = time.perf_counter() - start
+    run = with_file_seconds(report.to_dict(), clock, start)
     return run | {"original": str(original), "input": str(small), "output": str(target)}
 
 

@@ -7,13 +7,13 @@ from typing import Annotated, Any
 import typer
 
 from nanogs.cli import method, options
-from nanogs.cli.console import count_down, print_json, warn
+from nanogs.cli.console import count_down, print_json, warn, with_file_seconds
 from nanogs.cli.simplify_report import Plan, print_plan, print_report, stop_text
 from nanogs.io import check_writable, inspect, load, registry, save
 from nanogs.report import StageClock, StopReason
 from nanogs.simplify.api import simplify as library_simplify
 from nanogs.simplify.api import target_of
-from nanogs.simplify.cameras import refuse_unused_views, requested_cameras
+from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.job import usable_rows
 from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters, refuse_psnr
 from nanogs.simplify.target import Goal
@@ -71,9 +71,7 @@ def simplify(
     goal = Goal(ratio, count, None if size is None else options.parse_bytes(size), psnr)
     if psnr is not None:
         refuse_psnr(preset)
-    direction = options.parse_direction(up)
-    asked_views = views is not None or cameras != "auto" or direction is not None
-    refuse_unused_views(preset, chosen, given=asked_views, judged=psnr is not None)
+    direction = method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None)
     plan = _plan(source, target, goal, preset, chosen, nan, overwrite=overwrite, dry_run=dry_run)
     if dry_run:
         print_plan(plan, json=json)
@@ -148,13 +146,7 @@ def _simplify_file(
         progress("write", len(small))
         with clock.time("write"):
             save(small, target, overwrite=overwrite)
-    run = report.to_dict()
-    run["seconds"] = {
-        "read": clock.seconds["read"],
-        **run["seconds"],
-        "write": clock.seconds["write"],
-    }
-    run["total_seconds"] = time.perf_counter() - start
+    run = with_file_seconds(report.to_dict(), clock, start)
     run |= {"input": str(source), "output": str(target)}
     run |= {"input_bytes": source.stat().st_size, "output_bytes": target.stat().st_size}
     return run

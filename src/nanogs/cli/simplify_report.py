@@ -44,10 +44,26 @@ class Plan:
 
 def print_plan(plan: Plan, *, json: bool) -> None:
     """Show what a run would do: on stdout as JSON, or on stderr for people."""
+    asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
+    asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
+    if plan.count is None:
+        text = f"as few splats as reach {plan.goal.psnr:g} dB on views of the original"
+    else:
+        text = f"{plan.count:,} splats ({plan.count / plan.info.splats:.3%})"
+    show_plan(plan, asked, text, json=json)
+
+
+def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> None:
+    """Show a plan, for one result or for several.
+
+    Args:
+        plan: What a run is going to do.
+        asked: What was asked, for JSON.
+        text: What would be written, for people.
+        json: On stdout as JSON, else on stderr for people.
+    """
     info, memory, parameters = plan.info, plan.memory(), asdict(plan.parameters)
     if json:
-        asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
-        asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
         print_json(
             {
                 "input": str(info.path),
@@ -59,34 +75,16 @@ def print_plan(plan: Plan, *, json: bool) -> None:
             }
         )
         return
-    if plan.count is None:
-        goal = f"as few splats as reach {plan.goal.psnr:g} dB on views of the original"
-    else:
-        goal = f"{plan.count:,} splats ({plan.count / info.splats:.3%})"
-    err.print(
-        key_value_table(
-            {
-                "would read": reading_text(info),
-                "would write": goal,
-                "preset": plan.preset,
-                "parameters": parameters_text(parameters),
-                **memory_rows(memory),
-            }
-        )
-    )
+    rows = {
+        "would read": f"{info.path} ({info.splats:,} splats, SH degree {info.sh_degree})",
+        "would write": text,
+        "preset": plan.preset,
+        "parameters": ", ".join(f"{name} {value}" for name, value in parameters.items()),
+    }
+    err.print(key_value_table(rows | _memory_rows(memory)))
 
 
-def reading_text(info: FileInfo) -> str:
-    """The input in a line."""
-    return f"{info.path} ({info.splats:,} splats, SH degree {info.sh_degree})"
-
-
-def parameters_text(parameters: dict[str, Any]) -> str:
-    """Every parameter of the method in a line."""
-    return ", ".join(f"{name} {value}" for name, value in parameters.items())
-
-
-def memory_rows(memory: MemoryPlan) -> dict[str, str]:
+def _memory_rows(memory: MemoryPlan) -> dict[str, str]:
     """The peak, and what each stage holds, the model with it."""
     rows = {
         "peak memory": f"about {bytes_text(memory.peak)}, and {bytes_text(LIBRARIES)} for Python "
@@ -110,12 +108,17 @@ def stop_text(run: dict[str, Any]) -> str:
     return f"Stopped before the asked count: {run['stop']}."
 
 
-def print_report(run: dict[str, Any], *, verbose: bool) -> None:
-    """Show on stderr what was asked, what was delivered, and where the time went."""
+def warn_of_input(run: dict[str, Any]) -> None:
+    """Pass on the notes, and say what was left out."""
     for note in run["notes"]:
         warn(note)
     if run["dropped_nonfinite"]:
         warn(f"{run['dropped_nonfinite']:,} splats hold a NaN or infinite value and were left out.")
+
+
+def print_report(run: dict[str, Any], *, verbose: bool) -> None:
+    """Show on stderr what was asked, what was delivered, and where the time went."""
+    warn_of_input(run)
     if run["prune_limited"]:
         warn("Pruning alone would have gone below the asked count; the most opaque were kept.")
     before, after = run["input_count"], run["achieved_count"]

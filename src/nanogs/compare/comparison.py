@@ -12,7 +12,6 @@ from nanogs.compare.scoring import (
     ViewScore,
     reference_views,
     score,
-    shown,
 )
 from nanogs.errors import OptionError
 from nanogs.render.camera import Camera
@@ -179,8 +178,8 @@ def score_models(
 
         def picture(view: ReferenceView, rendering: Rendering, _score: ViewScore) -> None:
             sheet = next(remaining)  # noqa: B023 - called within this turn of the loop only
-            sheet.results.append(data_uri(shown(rendering.color)))
-            sheet.errors.append(data_uri(error_map(view.image, shown(rendering.color))))
+            sheet.results.append(data_uri(rendering.shown()))
+            sheet.errors.append(data_uri(error_map(view.image, rendering.shown())))
 
         scores.append(
             score(

@@ -84,11 +84,6 @@ class ModelScore:
         return asdict(self)
 
 
-def shown(color: F32) -> F32:
-    """(H, W, 3) float32: the colours as a screen shows them, held to [0, 1]."""
-    return np.clip(color, 0.0, 1.0)
-
-
 def reference_views(
     reference: PreparedSplats, cameras: Iterable[Camera], background: Background
 ) -> tuple[list[ReferenceView], list[str]]:
@@ -109,7 +104,7 @@ def reference_views(
     for camera in cameras:
         rendering = render(reference, camera, background=background, depth=True)
         if rendering.alpha.any():
-            views.append(ReferenceView(camera, shown(rendering.color), rendering))
+            views.append(ReferenceView(camera, rendering.shown(), rendering))
         else:
             empty.append(camera.name)
     if not views:
@@ -173,7 +168,7 @@ def score(
 
 
 def _score_view(view: ReferenceView, rendering: Rendering, extras: Sequence[str]) -> ViewScore:
-    image = shown(rendering.color)
+    image = rendering.shown()
     return ViewScore(
         view=view.camera.name,
         psnr=psnr(view.image, image),

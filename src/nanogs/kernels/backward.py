@@ -23,11 +23,19 @@ import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U16
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.raster import CHECK, STRIDE, TILE, Single, blend_row, count_open, start_tile
+from nanogs.kernels.raster import (
+    CHECK,
+    STRIDE,
+    TILE,
+    Single,
+    blend_row,
+    count_open,
+    scattered,
+    start_tile,
+)
 
 CHANNELS = 4
 SUMS = 25  # what `pull_tiles` writes for an entry: see there
-MOMENTS = 10  # where the moments begin in it
 SPLIT = 8  # ranges of splats summed independently; fixed, so that threads do not matter
 SATURATED = 98.9  # T alpha over what is left of T: beyond it alpha is held at 0.99
 
@@ -246,7 +254,7 @@ def pull_tiles(
     tiles = len(starts) - 1
     per_class = (tiles + STRIDE - 1) // STRIDE
     for slot in numba.prange(per_class * STRIDE):
-        tile = (slot % per_class) * STRIDE + slot // per_class
+        tile = scattered(slot, per_class)
         if tile >= tiles:
             continue
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE

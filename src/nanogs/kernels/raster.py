@@ -231,6 +231,12 @@ def _write_tile(
                 image[y0 + r, x0 + x, c] = planes[c, r, x] + rest * background[c]
 
 
+@inline
+def scattered(slot: int, per_class: int) -> int:
+    """The tile of a slot: slots in a row, which go to one thread, are STRIDE tiles apart."""
+    return (slot % per_class) * STRIDE + slot // per_class
+
+
 @parallel_kernel
 def blend_tiles(
     geometry: F64,
@@ -259,7 +265,7 @@ def blend_tiles(
     tiles = len(starts) - 1
     per_class = (tiles + STRIDE - 1) // STRIDE
     for slot in numba.prange(per_class * STRIDE):
-        tile = (slot % per_class) * STRIDE + slot // per_class
+        tile = scattered(slot, per_class)
         if tile >= tiles:
             continue
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE

@@ -54,11 +54,14 @@ class Sums:
 
     def average(self, new: "Sums", momentum: float, memory: float) -> None:
         """Let the averages forget a little and take in a step's sums."""
-        for name, keep in (("pulls", momentum), ("blocks", memory)):
-            for mine in (name, f"colour_{name}" if name == "pulls" else "colour_weights"):
-                array: F64 = getattr(self, mine)
-                array *= keep
-                array += (1 - keep) * getattr(new, mine)
+        for mine, fresh, keep in (
+            (self.pulls, new.pulls, momentum),
+            (self.colour_pulls, new.colour_pulls, momentum),
+            (self.blocks, new.blocks, memory),
+            (self.colour_weights, new.colour_weights, memory),
+        ):
+            np.multiply(mine, keep, out=mine)
+            np.add(mine, (1 - keep) * fresh, out=mine)
 
 
 class Descent:

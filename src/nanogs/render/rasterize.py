@@ -96,6 +96,10 @@ class Rendering:
     skipped: int
     notes: tuple[str, ...]
 
+    def shown(self) -> F32:
+        """(H, W, 3) float32: the colours as a screen shows them, held to [0, 1]."""
+        return np.clip(self.color, 0.0, 1.0)
+
 
 def prepare(splats: Splats) -> PreparedSplats:
     """Activate a model once for many views.

@@ -10,7 +10,7 @@ from nanogs.io import registry
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.job import Job, NanPolicy, prepare_job, refuse_misaligned_elements
 from nanogs.simplify.outcome import Outcome
-from nanogs.simplify.presets import DEFAULT_PRESET, ForestParameters, parameters, refuse_psnr
+from nanogs.simplify.presets import DEFAULT_PRESET, parameters, refuse_psnr
 from nanogs.simplify.target import Goal
 from nanogs.splats import Splats
 
@@ -105,11 +105,6 @@ def target_of(goal: Goal, splats: Splats, available: int, format: str) -> int | 
 
 
 def _reach(job: Job, psnr: float, threads: int, clock: StageClock) -> Outcome:
-    from nanogs.simplify.forest_pipeline import build_forest
     from nanogs.simplify.reach import reach_psnr
 
-    assert isinstance(job.parameters, ForestParameters)  # noqa: S101 - refused above
-    build = build_forest(
-        job.splats, job.rows, job.parameters, job.cameras, threads, clock, job.progress
-    )
-    return reach_psnr(build, psnr, clock, job.progress)
+    return reach_psnr(job.build(threads, clock), psnr, clock, job.progress)

@@ -11,10 +11,32 @@ if TYPE_CHECKING:
     from nanogs.render.camera import Camera
 
 
+def fit_cameras(
+    splats: Splats, source: str, up: Sequence[float] | None, count: int, size: int
+) -> "list[Camera] | None":
+    """Cameras to learn from, from a file or of a kind; None where nothing was asked for.
+
+    Args:
+        splats: The model.
+        source: As `render.source.cameras_for` takes it.
+        up: Up direction of automatic views, or None.
+        count: Number of automatic views.
+        size: Pixels along either side of automatic views.
+
+    Raises:
+        NanogsError: The source is no camera file, or cannot be read.
+    """
+    if source == "auto" and up is None:
+        return None
+    from nanogs.render.source import cameras_for
+
+    return cameras_for(splats, source, count=count, width=size, height=size, up=up, split="fit")
+
+
 def requested_cameras(
     splats: Splats, source: str, up: Sequence[float] | None, chosen: Parameters
 ) -> "list[Camera] | None":
-    """Cameras from a file or of a kind; None where the method chooses its own.
+    """Cameras for a preset; None where it chooses its own or renders none.
 
     Args:
         splats: The model.
@@ -25,15 +47,13 @@ def requested_cameras(
     Raises:
         NanogsError: The source is no camera file, or cannot be read.
     """
-    if (source == "auto" and up is None) or not isinstance(chosen, ForestParameters):
+    if not isinstance(chosen, ForestParameters):
         return None
-    from nanogs.render.source import cameras_for
     from nanogs.simplify.forest_pipeline import REFIT
 
-    # Looking takes as many of them as it wants; a refit wants more.
+    # Looking takes as many of them as it wants, and reduces them; a refit wants more.
     count = max(chosen.views, REFIT.views + REFIT.held if chosen.refit else 0)
-    size = REFIT.size  # looking reduces them
-    return cameras_for(splats, source, count=count, width=size, height=size, up=up, split="fit")
+    return fit_cameras(splats, source, up, count, REFIT.size)
 
 
 def refuse_unused_views(preset: str, chosen: Parameters, *, given: bool, judged: bool) -> None:

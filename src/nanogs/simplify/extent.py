@@ -3,9 +3,10 @@
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.kernels.project import DILATION
+from nanogs.render.occupancy import quantiles
 from nanogs.splats import RenderMode
 
-_DILATION = 0.3  # pixels², what 3DGS rasterisers add to every variance on the screen
 _SHARE = 0.9  # of the alpha lies within the core's radius
 _SAMPLE = 40_000  # splats looked at; a stride thins larger models
 _ROUNDS = 32
@@ -37,11 +38,7 @@ def core_radius(means: F64, alphas: F64) -> float:
         centre = moved
         if settled:
             break
-    distances = np.linalg.norm(means - centre, axis=1)
-    order = np.argsort(distances, kind="stable")
-    summed = np.cumsum(weights[order])
-    place = min(int(np.searchsorted(summed, _SHARE * summed[-1])), len(order) - 1)
-    return float(distances[order[place]])
+    return quantiles(np.linalg.norm(means - centre, axis=1), weights, _SHARE)[0]
 
 
 def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> float:
@@ -59,4 +56,4 @@ def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> float:
     if mode is RenderMode.MIP:
         return 0.0
     pixel = 2 * core_radius(means, alphas) / pixels
-    return float(np.sqrt(_DILATION)) * pixel
+    return float(np.sqrt(DILATION)) * pixel

@@ -1,15 +1,11 @@
 """Stage 2, graph: the k nearest neighbours of every centre, and the pairs they make."""
 
-import sys
-
 import numpy as np
 
-from nanogs._types import F64, I32, I64, U64, Bool
+from nanogs._types import F64, I32, I64, Bool
 from nanogs.kernels.pairs import count_pairs, fill_pairs
 from nanogs.simplify.neighbours import nearest_neighbours
 from nanogs.threads import use_threads
-
-_BLOCK = 1 << 16  # pairs swapped at a time
 
 
 def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
@@ -50,14 +46,5 @@ def random_pairs(n: int, k: int, seed: int) -> I32:
     partners = np.random.default_rng(seed).integers(0, n - 1, n * k)
     partners += partners >= rows  # of the n - 1 others, the row itself left out
     low, high = np.minimum(rows, partners), np.maximum(rows, partners)
-    return _unpack(np.unique(low.astype(np.uint64) << np.uint64(32) | high.astype(np.uint64)))
-
-
-def _unpack(packed: U64) -> I32:
-    """(E, 2) int32 of (E,) packed pairs, in the same memory."""
-    pairs = packed.view(np.int32).reshape(-1, 2)
-    if sys.byteorder == "little":
-        for start in range(0, len(pairs), _BLOCK):
-            block = pairs[start : start + _BLOCK]
-            block[:] = block[:, ::-1].copy()
-    return pairs
+    packed = np.unique(low << 32 | high)
+    return np.stack([packed >> 32, packed & 0xFFFFFFFF], axis=1).astype(np.int32)

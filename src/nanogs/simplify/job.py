@@ -11,12 +11,13 @@ from nanogs._types import I64
 from nanogs.errors import ModelError
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.outcome import Outcome
-from nanogs.simplify.presets import PaperParameters, Parameters, parameters
+from nanogs.simplify.presets import ForestParameters, PaperParameters, Parameters, parameters
 from nanogs.simplify.target import Goal
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.render.camera import Camera
+    from nanogs.simplify.forest_pipeline import Build
 
 NanPolicy = Literal["drop", "error"]
 Deliver = Callable[[int, StageClock], Outcome]
@@ -43,6 +44,20 @@ class Job:
     cameras: "Sequence[Camera] | None"
     progress: Callable[[str, int], None]
 
+    def build(self, threads: int, clock: StageClock) -> "Build":
+        """The forest that any count is cut from; for presets that grow one.
+
+        Args:
+            threads: Threads in use.
+            clock: Gets the seconds of each stage.
+        """
+        from nanogs.simplify.forest_pipeline import build_forest
+
+        assert isinstance(self.parameters, ForestParameters)  # noqa: S101 - the caller's choice
+        return build_forest(
+            self.splats, self.rows, self.parameters, self.cameras, threads, clock, self.progress
+        )
+
     def deliverer(self, threads: int, clock: StageClock) -> Deliver:
         """Do once what every count needs, and return what delivers each of them.
 
@@ -57,11 +72,9 @@ class Job:
             return lambda target, clock: simplify_as_published(
                 self.splats, self.rows, target, chosen, threads, clock, self.progress
             )
-        from nanogs.simplify.forest_pipeline import build_forest, deliver
+        from nanogs.simplify.forest_pipeline import deliver
 
-        build = build_forest(
-            self.splats, self.rows, chosen, self.cameras, threads, clock, self.progress
-        )
+        build = self.build(threads, clock)
         return lambda target, clock: deliver(build, target, clock, self.progress)
 
     def report(

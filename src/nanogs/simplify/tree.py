@@ -3,7 +3,7 @@
 One forest answers every count: `cut` chooses which of its merges are done.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,21 +68,18 @@ def grow_forest(
             break
         clock = StageClock()
         with clock.time("merge"):
-            labels = _labels(plan, len(nodes))
-            first, second = plan.pairs[:, 0], plan.pairs[:, 1]
-            parts.append(
-                (
-                    np.stack([ids[first], ids[second]], axis=1),
-                    np.full(len(plan), len(passes) + 1, dtype=np.int32),
-                    increments,
-                )
-            )
+            level = np.full(len(plan), len(passes) + 1, dtype=np.int32)
+            parts.append((ids[plan.pairs], level, increments))
+            first, second = plan.pairs.T
+            ids[first] = np.arange(made, made + len(plan))
+            made += len(plan)
             stays = np.ones(len(nodes), dtype=bool)
             stays[second] = False
-            ids[first] = np.arange(made, made + len(plan))
-            ids, made = ids[stays], made + len(plan)
+            ids = ids[stays]
+            labels = (np.cumsum(stays) - 1).astype(np.int32)
+            labels[second] = labels[first]
             nodes = gather(nodes, labels, len(ids))
-        passes.append(_with_merge(report, len(nodes), clock))
+        passes.append(replace(report, seconds=report.seconds | clock.seconds))
     children, levels, errors = _joined(parts)
     return Forest(len(leaves), children, levels, errors, tuple(passes), stop)
 
@@ -119,24 +116,6 @@ def _increments(pairs: I32, nodes: Nodes, dets: F64) -> F32:
         pairs, nodes.weights, nodes.means, nodes.covariances, dets, nodes.features, increments
     )
     return increments
-
-
-def _labels(plan: MergePlan, count: int) -> I32:
-    """(count,) int32: each row's place after the merges; a pair takes its first row's."""
-    stays = np.ones(count, dtype=bool)
-    stays[plan.pairs[:, 1]] = False
-    labels = (np.cumsum(stays) - 1).astype(np.int32)
-    labels[plan.pairs[:, 1]] = labels[plan.pairs[:, 0]]
-    return labels
-
-
-def _with_merge(report: PassReport, left: int, clock: StageClock) -> PassReport:
-    clock.add(report.seconds)
-    seconds = {name: clock.seconds[name] for name in ("graph", "cost", "match", "merge")}
-    return PassReport(
-        report.count_before, report.candidates, report.without_cost, report.merged, left,
-        report.highest_cost, seconds,
-    )  # fmt: skip
 
 
 def _joined(parts: list[tuple[I32, I32, F32]]) -> tuple[I32, I32, F32]:

@@ -57,7 +57,7 @@ def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 1
         assert view.unhidden is not None  # noqa: S101 - asked for
         seen += view.contributions
         whole += view.unhidden
-        images.append(np.clip(view.color, 0.0, 1.0))
+        images.append(view.shown())
     visible = np.ones(len(splats))
     np.divide(seen, whole, out=visible, where=whole > 0)
     return OriginalViews(np.minimum(visible, 1.0), tuple(chosen[::JUDGED]), tuple(images[::JUDGED]))
@@ -85,7 +85,7 @@ def judge(small: Splats, views: OriginalViews) -> tuple[float, float]:
     prepared = prepare(small)
     scores = []
     for camera, image in zip(views.cameras, views.images, strict=True):
-        shown = np.clip(render(prepared, camera).color, 0.0, 1.0)
+        shown = render(prepared, camera).shown()
         grey = ssim(image @ LUMA, shown @ LUMA)
         scores.append((min(psnr(image, shown), 100.0), grey))
     means = np.mean(scores, axis=0)
