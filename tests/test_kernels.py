@@ -28,8 +28,9 @@ from nanogs.kernels.nodes import (
     heaviest_members,
     principal_axes,
 )
-from nanogs.kernels.pairs import cost_keys, count_pairs, fill_pairs, radix_sort
+from nanogs.kernels.pairs import cost_keys, count_pairs, fill_pairs
 from nanogs.kernels.quaternion import rotation_matrix, unit_quaternion
+from nanogs.kernels.radix import radix_sort
 from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix
 from nanogs.simplify.cost import JITTER, log_masses, pair_costs
 from nanogs.simplify.graph import neighbour_pairs

@@ -144,11 +144,11 @@ class Splats:
         A log-scale of -inf is a scale of zero and counts as finite; one whose scale overflows
         float32 does not.
         """
-        ok = np.isfinite(self.means).all(axis=1)
-        ok &= np.isfinite(self.scales()).all(axis=1)
-        ok &= np.isfinite(self.quats).all(axis=1)
-        ok &= np.isfinite(self.sh).all(axis=(1, 2))
-        ok &= ~np.isnan(self.opacity_logits)
+        ok = ~np.isnan(self.opacity_logits)
+        for column in (self.means, self.scales(), self.quats, self.sh):
+            flags = np.isfinite(column)
+            if not flags.all():  # a reduction by rows takes ten times as long, and is rarely needed
+                ok &= flags.reshape(len(self), -1).all(axis=1)
         return ok
 
     def take(self, rows: I64 | Bool) -> "Splats":

@@ -23,10 +23,10 @@ import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U16
 from nanogs.kernels.policy import inline, parallel_kernel
+from nanogs.kernels.project import TILE
 from nanogs.kernels.raster import (
     CHECK,
     STRIDE,
-    TILE,
     Single,
     blend_row,
     count_open,

@@ -23,7 +23,7 @@ import math
 import numba
 import numpy as np
 
-from nanogs._types import F32, F64, Bool, F
+from nanogs._types import F32, F64, I32, Bool, F
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
 
@@ -32,6 +32,9 @@ GUARD = 1.3  # x/z and y/z in the Jacobian stay within this many half fields of 
 MIN_ALPHA = 1.0 / 255.0
 SLACK = 1e-4  # widens bounds only, so that rounding never loses a pixel: alpha is tested exactly
 BLOCK = 2048  # splats that share one scratch buffer
+TILE = 16  # pixels along each side of a tile
+HIDDEN = -1  # what stands in the place of a tile for a splat that reaches no pixel
+SEVERAL = -2  # for one whose box meets more than one tile
 
 
 @inline
@@ -78,13 +81,24 @@ def _project_gaussian(factor: F, point: F64, rotation: F64, lens: F64, row: F64)
 
 
 @inline
-def _on_image(row: F64, width: float, height: float) -> bool:
-    """Whether the splat can reach alpha 1/255 at a pixel centre; false for NaN."""
+def _place(row: F64, width: float, height: float) -> int:
+    """The tile that holds all pixel centres where alpha reaches 1/255, SEVERAL, or HIDDEN."""
     ey = math.sqrt(row[5] / row[4])
     ex = math.sqrt(row[5] * (1.0 / (row[2] * row[2]) + row[3] * row[3] / row[4]))
     inside_x = row[0] + ex >= 0.5 and row[0] - ex <= width - 0.5
     inside_y = row[1] + ey >= 0.5 and row[1] - ey <= height - 0.5
-    return bool(inside_x and inside_y)
+    if not (inside_x and inside_y):  # nor is NaN
+        return HIDDEN
+    left = math.ceil(max(row[0] - ex - 0.5, 0.0))
+    right = math.floor(min(row[0] + ex - 0.5, width - 1.0))
+    top = math.ceil(max(row[1] - ey - 0.5, 0.0))
+    bottom = math.floor(min(row[1] + ey - 0.5, height - 1.0))
+    if right < left or bottom < top:  # between the pixels
+        return HIDDEN
+    if left // TILE < right // TILE or top // TILE < bottom // TILE:
+        return SEVERAL
+    tiles_x = (int(width) + TILE - 1) // TILE
+    return int((top // TILE) * tiles_x + left // TILE)
 
 
 @parallel_kernel
@@ -101,7 +115,7 @@ def project_splats(
     degree: int,
     geometry: F64,
     features: F32,
-    drawn: Bool,
+    tiles: I32,
 ) -> None:
     """Project N splats and evaluate their colour.
 
@@ -118,7 +132,8 @@ def project_splats(
         degree: Spherical-harmonic degree to evaluate.
         geometry: (N, 8) out, see the module.
         features: (N, 4) out, red, green, blue and depth.
-        drawn: (N,) out, whether the splat can reach a pixel; other rows of the outputs are junk.
+        tiles: (N,) out, the only tile it can reach a pixel of, row by row, or SEVERAL; HIDDEN for
+            one that can reach none, whose rows of the other outputs are junk.
     """
     n = len(means)
     coefficients = (degree + 1) ** 2
@@ -126,7 +141,7 @@ def project_splats(
         basis = np.empty(25, np.float64)
         point = np.empty(3, np.float64)
         for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
-            drawn[i] = False
+            tiles[i] = HIDDEN
             if not keep[i]:
                 continue
             # Subtracted in double precision: scenes in map coordinates lie far from the origin.
@@ -146,14 +161,17 @@ def project_splats(
                 continue
             row[5] = 2.0 * math.log(255.0 * opacity) + SLACK
             row[6] = opacity
-            if not _on_image(row, lens[4], lens[5]):
+            tiles[i] = _place(row, lens[4], lens[5])
+            if tiles[i] == HIDDEN:
                 continue
-            drawn[i] = True
             length = math.sqrt(dx * dx + dy * dy + dz * dz)
             sh_basis(dx / length, dy / length, dz / length, degree, basis)
-            for c in range(3):
-                colour = 0.5
-                for k in range(coefficients):
-                    colour += basis[k] * sh[i, k, c]
-                features[i, c] = max(colour, 0.0)
+            red = green = blue = 0.5
+            for k in range(coefficients):
+                red += basis[k] * sh[i, k, 0]
+                green += basis[k] * sh[i, k, 1]
+                blue += basis[k] * sh[i, k, 2]
+            features[i, 0] = max(red, 0.0)
+            features[i, 1] = max(green, 0.0)
+            features[i, 2] = max(blue, 0.0)
             features[i, 3] = point[2]

@@ -10,11 +10,10 @@ from typing import TypeAlias
 import numba
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64
+from nanogs._types import F32, F64, I32, I64, U64
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
-from nanogs.kernels.project import MIN_ALPHA
+from nanogs.kernels.project import HIDDEN, MIN_ALPHA, TILE
 
-TILE = 16
 Single: TypeAlias = np.float32
 
 MAX_ALPHA = 0.99
@@ -67,12 +66,51 @@ def _tile_rows(geometry: F64, i: int, height: int) -> tuple[int, int, float]:
     return first // TILE, last // TILE + 1, lowest
 
 
+@kernel
+def depth_keys(features: F32, only: I32, keys: U64) -> int:
+    """Sort keys of the splats that are drawn: depth above, index below; returns their number.
+
+    features: (N, 4), the last one the depth, above 0, whose bits sort as its values do; only: (N,)
+    from `project_splats`; keys: (N,) out.
+    """
+    bits = features.view(np.uint32)
+    count = 0
+    for i in range(len(only)):
+        if only[i] != HIDDEN:
+            keys[count] = np.uint64(bits[i, 3]) << np.uint64(32) | np.uint64(i)
+            count += 1
+    return count
+
+
+@inline
+def _walk(
+    geometry: F64, only: I32, run: I64, width: int, height: int, cursors: I64, entries: I32
+) -> None:
+    """Move each tile's cursor past a run of the depth order; write the splats if there is room."""
+    tiles_x = (width + TILE - 1) // TILE
+    for index in run:
+        top, bottom, lowest = 0, 0, 0.0
+        if only[index] < 0:
+            top, bottom, lowest = _tile_rows(geometry, index, height)
+        else:
+            if len(entries) > 0:
+                entries[cursors[only[index]]] = index
+            cursors[only[index]] += 1
+        for ty in range(top, bottom):
+            first, end = _tile_span(geometry, index, lowest, ty, width, height)
+            for tile in range(ty * tiles_x + first, ty * tiles_x + end):
+                if len(entries) > 0:
+                    entries[cursors[tile]] = index
+                cursors[tile] += 1
+
+
 @parallel_kernel
-def list_tiles(geometry: F64, order: I64, width: int, height: int) -> tuple[I64, I32]:
+def list_tiles(geometry: F64, only: I32, order: I64, width: int, height: int) -> tuple[I64, I32]:
     """List, for every tile, the splats that meet it, nearest first.
 
     Args:
         geometry: (N, 8) rows of projected splats.
+        only: (N,) the one tile of each, below 0 where it may meet several.
         order: (M,) indices of the drawn splats, nearest first.
         width: Image width in pixels.
         height: Image height in pixels.
@@ -84,14 +122,10 @@ def list_tiles(geometry: F64, order: I64, width: int, height: int) -> tuple[I64,
     tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
     tiles, size = tiles_x * tiles_y, (len(order) + CHUNKS - 1) // CHUNKS
     cursors = np.zeros((CHUNKS, tiles), np.int64)
+    nowhere = np.empty(0, np.int32)
     for chunk in numba.prange(CHUNKS):
-        for rank in range(chunk * size, min(len(order), (chunk + 1) * size)):
-            index = order[rank]
-            top, bottom, lowest = _tile_rows(geometry, index, height)
-            for ty in range(top, bottom):
-                first, end = _tile_span(geometry, index, lowest, ty, width, height)
-                for tx in range(first, end):
-                    cursors[chunk, ty * tiles_x + tx] += 1
+        run = order[chunk * size : (chunk + 1) * size]
+        _walk(geometry, only, run, width, height, cursors[chunk], nowhere)
     starts = np.empty(tiles + 1, np.int64)
     total = 0
     for tile in range(tiles):
@@ -103,15 +137,8 @@ def list_tiles(geometry: F64, order: I64, width: int, height: int) -> tuple[I64,
     starts[tiles] = total
     entries = np.empty(total, np.int32)
     for chunk in numba.prange(CHUNKS):
-        for rank in range(chunk * size, min(len(order), (chunk + 1) * size)):
-            index = order[rank]
-            top, bottom, lowest = _tile_rows(geometry, index, height)
-            for ty in range(top, bottom):
-                first, end = _tile_span(geometry, index, lowest, ty, width, height)
-                for tx in range(first, end):
-                    tile = ty * tiles_x + tx
-                    entries[cursors[chunk, tile]] = index
-                    cursors[chunk, tile] += 1
+        run = order[chunk * size : (chunk + 1) * size]
+        _walk(geometry, only, run, width, height, cursors[chunk], entries)
     return starts, entries
 
 
@@ -310,3 +337,18 @@ def sum_entries(entries: I32, partial: F32, totals: F64) -> None:
     """
     for e in range(len(entries)):
         totals[entries[e]] += partial[e]
+
+
+@kernel
+def add_unhidden(geometry: F64, only: I32, width: int, height: int, totals: F64) -> None:
+    """Add 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image, in pixels.
+
+    geometry: (N, 8) and only: (N,) from `project_splats`; totals: (N,) in and out.
+    """
+    for i in range(len(only)):
+        if only[i] == HIDDEN:
+            continue
+        u, v = geometry[i, 0], geometry[i, 1]
+        if 0.0 <= u <= width and 0.0 <= v <= height:
+            area = 2.0 * math.pi / (geometry[i, 2] * math.sqrt(geometry[i, 4]))
+            totals[i] += geometry[i, 6] * area

@@ -60,7 +60,7 @@ class Core:
 
 def quantiles(values: F64, weights: F64, *shares: float) -> list[float]:
     """The values below which the given shares of the weight lie."""
-    order = np.argsort(values, kind="stable")
+    order = np.argsort(values)
     summed = np.cumsum(weights[order])
     places = np.searchsorted(summed, np.array(shares) * summed[-1])
     return [float(value) for value in values[order[np.minimum(places, len(order) - 1)]]]

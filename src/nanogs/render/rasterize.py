@@ -15,6 +15,7 @@ from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.errors import OptionError
 from nanogs.kernels import project as projection
 from nanogs.kernels import raster
+from nanogs.kernels.radix import radix_sort
 from nanogs.render.camera import Camera
 from nanogs.splats import RenderMode, Splats
 
@@ -57,6 +58,7 @@ class Projection:
 
     Attributes:
         geometry: (N, 8) float64, see `nanogs.kernels.project`; junk where not in `order`.
+        only: (N,) int32, the one tile of each splat, or a code; see `nanogs.kernels.project`.
         features: (N, 4) float32: red, green, blue before the background, and depth.
         order: (M,) int64, the splats that can reach a pixel, nearest first.
         starts: (T + 1,) int64, where each tile of 16 x 16 pixels begins in `entries`, row by row.
@@ -64,6 +66,7 @@ class Projection:
     """
 
     geometry: F64
+    only: I32
     features: F32
     order: I64
     starts: I64
@@ -214,7 +217,7 @@ def project(
     n = len(prepared)
     geometry = np.empty((n, 8), np.float64)
     features = np.empty((n, 4), np.float32)
-    drawn = np.empty(n, np.bool_)
+    only = np.empty(n, np.int32)
     lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.near)
     projection.project_splats(
         prepared.means,
@@ -229,19 +232,19 @@ def project(
         degree,
         geometry,
         features,
-        drawn,
+        only,
     )
-    order = _depth_order(features, drawn)
-    starts, entries = raster.list_tiles(geometry, order, camera.width, camera.height)
-    return Projection(geometry, features, order, starts, entries)
+    order = _depth_order(features, only)
+    starts, entries = raster.list_tiles(geometry, only, order, camera.width, camera.height)
+    return Projection(geometry, only, features, order, starts, entries)
 
 
-def _depth_order(features: F32, drawn: Bool) -> I64:
+def _depth_order(features: F32, only: I32) -> I64:
     """Indices of the drawn splats, nearest first, ties by index."""
-    indices = np.flatnonzero(drawn)
-    # Positive floats sort as their bits do; with the index below them every key is unique.
-    bits = features[indices, 3].view(np.uint32).astype(np.uint64)
-    keys = np.sort((bits << np.uint64(32)) | indices.astype(np.uint64))
+    keys = np.empty(len(only), np.uint64)
+    keys = keys[: raster.depth_keys(features, only, keys)]
+    other = np.empty_like(keys)
+    keys = other if radix_sort(keys, other) else keys
     return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
 
 
@@ -252,12 +255,9 @@ def _totals(n: int, entries: I32, partial: F32) -> F64:
 
 
 def _unhidden(view: Projection, camera: Camera) -> F64:
-    """2 pi alpha sqrt(det) of each Gaussian on the screen, in pixels."""
-    u, v, inv_w, _, inv_yy, _, opacity, _ = view.geometry[view.order].T
-    inside = (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
-    sums = np.zeros(len(view.geometry))
-    sums[view.order] = inside * opacity * (2 * np.pi) / (inv_w * np.sqrt(inv_yy))
-    return sums
+    totals = np.zeros(len(view.geometry))
+    raster.add_unhidden(view.geometry, view.only, camera.width, camera.height, totals)
+    return totals
 
 
 def _expected_depth(weighted: F32, alpha: F32) -> F32:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, I32, I64, U64
-from nanogs.kernels.pairs import cost_keys, greedy_matching, radix_sort
+from nanogs.kernels.pairs import cost_keys, greedy_matching
+from nanogs.kernels.radix import radix_sort
 
 
 @dataclass(frozen=True, slots=True, eq=False)
