@@ -95,3 +95,17 @@ def root_of_each(children: I32, merged: Bool, roots: I32) -> None:
         if merged[m]:
             roots[children[m, 0]] = roots[first + m]
             roots[children[m, 1]] = roots[first + m]
+
+
+@kernel
+def number_groups(roots: I32, numbers: I32, labels: I32) -> None:
+    """Number the roots from 0 in the order of their first splats.
+
+    roots: (N,) from `root_of_each`; numbers: (N + M,) all -1, changed; labels: (N,) out.
+    """
+    count = 0
+    for i in range(len(roots)):
+        if numbers[roots[i]] < 0:
+            numbers[roots[i]] = count
+            count += 1
+        labels[i] = numbers[roots[i]]

@@ -2,8 +2,13 @@
 
 import numpy as np
 
-from nanogs._types import F64, I32
-from nanogs.kernels.forest import raise_to_children, root_of_each, subtree_sums
+from nanogs._types import F64, I32, Bool
+from nanogs.kernels.forest import (
+    number_groups,
+    raise_to_children,
+    root_of_each,
+    subtree_sums,
+)
 from nanogs.simplify.tree import Forest
 
 # A unit of geometry (weight times nats) against one of squared colour.
@@ -29,7 +34,7 @@ def merge_scores(forest: Forest, balance: float) -> F64:
     scores = np.full(len(sums), -np.inf)
     scores[forest.splats :] = (1 - balance) * forest.levels
     scores[forest.splats :] += balance * np.log2(errors / np.median(errors))
-    raise_to_children(forest.children, scores)
+    raise_to_children(forest.children, scores)  # log2 may round two errors the wrong way
     return scores[forest.splats :]
 
 
@@ -46,19 +51,20 @@ def cut(forest: Forest, target: int, balance: float) -> I32:
     """
     if len(forest.children) == 0:
         return np.arange(forest.splats, dtype=np.int32)
-    # A parent's score is no lower and its number higher: a stable order keeps children first.
-    order = np.argsort(merge_scores(forest, balance), kind="stable")
-    done = np.zeros(len(order), dtype=bool)
-    done[order[: forest.splats - target]] = True
-    roots = np.arange(forest.splats + len(order), dtype=np.int32)
+    done = _lowest(merge_scores(forest, balance), forest.splats - target)
+    roots = np.arange(forest.splats + len(done), dtype=np.int32)
     root_of_each(forest.children, done, roots)
-    return _numbered(roots[: forest.splats])
-
-
-def _numbered(roots: I32) -> I32:
-    """Roots as numbers from 0 in the order of their first appearance."""
-    _, first, inverse = np.unique(roots, return_index=True, return_inverse=True)
-    numbers = np.empty(len(first), dtype=np.int32)
-    numbers[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
-    labels: I32 = numbers[inverse]
+    labels, numbers = np.empty(forest.splats, np.int32), np.full(len(roots), -1, np.int32)
+    number_groups(roots[: forest.splats], numbers, labels)
     return labels
+
+
+def _lowest(scores: F64, wanted: int) -> Bool:
+    """Which merges are the `wanted` lowest; a parent's score is no lower and its number higher."""
+    if wanted == 0:
+        return np.zeros(len(scores), dtype=bool)
+    highest = np.partition(scores, wanted - 1)[wanted - 1]
+    done: Bool = scores < highest
+    ties = np.flatnonzero(scores == highest)  # children before parents
+    done[ties[: wanted - np.count_nonzero(done)]] = True
+    return done
