@@ -10,6 +10,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from nanogs.cli.simplify_report import choice_text
 
 
 def run(*arguments, cwd=None, **kwargs):
@@ -192,6 +193,15 @@ def test_info_counts_infinite_opacities(tmp_path):
 def test_demo_makes_a_scene(tmp_path):
     assert run("demo", tmp_path / "demo.ply", "-n", "2000").returncode == 0
     assert len(nanogs.load(tmp_path / "demo.ply")) == 2000
+
+
+def test_the_summary_names_the_candidate_that_was_chosen():
+    """And not the one that measured best, where its growth was not better by enough."""
+    entry = {"balance": 0.5, "reassigned": True, "growth": 1.1, "psnr": 30.0, "ssim": 0.9}
+    chosen = entry | {"quality": 75.0, "chosen": True}
+    text = choice_text([chosen, entry | {"growth": 1.3, "quality": 75.25, "chosen": False}])
+    assert text.startswith("balance 0.5, reassigned, growth 1.1 of 2 tried (-0.25 dB against")
+    assert choice_text([]) == ""
 
 
 def test_help_and_info_never_import_numba(scene):

@@ -13,7 +13,7 @@ from builders import model_bytes, random_splats
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.report import PassReport, StageClock, StopReason
 from nanogs.simplify import choose, forest_pipeline, reassign, tree
-from nanogs.simplify.choose import choose_groups, quality
+from nanogs.simplify.choose import choose_model, quality
 from nanogs.simplify.cut import cut, merge_scores
 from nanogs.simplify.extent import core_radius, dilation
 from nanogs.simplify.match import MergePlan
@@ -393,39 +393,45 @@ def test_a_group_that_all_leave_is_filled_again():
 # Choice
 
 
-# Three balances, the best of them reassigned, then two other growths of the best of these four.
-@pytest.mark.parametrize(("qualities", "usual", "winner"), [
-    ([10, 30, 20, 25, 0, 0], 1, 1), ([10, 20, 30, 35, 30, 30], 3, 3),
-    ([30, 30, 20, 30, 0, 0], 0, 0),
-    ([1, 2, 3, 2.9, 0, 0], 2, 2), ([10, 30, 20, 25, 30.4, 30.5], 1, 1),
-    ([10, 30, 20, 25, 30.6, 30], 1, 4), ([10, 20, 30, 35, 36, 37], 3, 5),
+# Three balances, the best of them reassigned, then other growths of the best of these four: none,
+# and 1.3, 1.6, 2.0 until one does no better.
+@pytest.mark.parametrize(("qualities", "usual", "growths", "winner"), [
+    ([10, 30, 20, 25, 0, 0], 1, [1.0, 1.3], 1),
+    ([10, 20, 30, 35, 30, 30], 3, [1.0, 1.3], 3),
+    ([30, 30, 20, 30, 0, 0], 0, [1.0, 1.3], 0),
+    ([1, 2, 3, 2.9, 0, 0], 2, [1.0, 1.3], 2),
+    ([10, 30, 20, 25, 30.4, 30.5, 30.2], 1, [1.0, 1.3, 1.6], 1),
+    ([10, 30, 20, 25, 30.6, 30], 1, [1.0, 1.3], 4),
+    ([10, 20, 30, 35, 36, 37, 37], 3, [1.0, 1.3, 1.6], 5),
+    ([10, 20, 30, 35, 0, 36, 37, 38], 3, [1.0, 1.3, 1.6, 2.0], 7),
+    ([10, 20, 30, 35, 0, 35.2, 35.4, 35.3], 3, [1.0, 1.3, 1.6, 2.0], 3),
 ])  # fmt: skip
-def test_the_best_judged_is_chosen_and_marked_once(qualities, usual, winner):
-    regrouped, stored, scores = [], [], iter(qualities)
+def test_the_best_judged_is_chosen_and_marked_once(qualities, usual, growths, winner):
+    regrouped, scores = [], iter(qualities)
 
     def regroup(labels):
         regrouped.append(int(labels[0]))
         return labels + 100
 
-    labels, growth, reports = choose_groups(
+    model, reports = choose_model(
         regroup,
         lambda balance: np.array([round(10 * balance)], np.int32),
-        lambda labels, growth: stored.append((int(labels[0]), growth)),
+        lambda labels, growth: (int(labels[0]), growth),
         lambda _model: (next(scores), 0.0),
         (0.5, 0.8, 1.0),
-        (1.1, 1.0, 1.3),
+        1.1,
     )
     balances = [0.5, 0.8, 1.0]
     leader = int(np.argmax(qualities[:3]))
+    count = len(growths)
+    assert next(scores, None) is None
     assert regrouped == [round(10 * balances[leader])]
-    assert [report.balance for report in reports] == [*balances, *[balances[leader]] * 3]
-    assert [report.reassigned for report in reports] == [False] * 3 + [True] + [usual == 3] * 2
-    assert [report.growth for report in reports] == [1.1] * 4 + [1.0, 1.3]
-    assert [report.chosen for report in reports] == [place == winner for place in range(6)]
-    assert growth == reports[winner].growth
+    assert [report.balance for report in reports] == [*balances, *[balances[leader]] * (1 + count)]
+    assert [r.reassigned for r in reports] == [False] * 3 + [True] + [usual == 3] * count
+    assert [report.growth for report in reports] == [1.1] * 4 + growths
+    assert [report.chosen for report in reports] == [place == winner for place in range(4 + count)]
     expected = round(10 * balances[leader]) + (100 if usual == 3 else 0)
-    assert labels.tolist() == [expected]
-    assert stored[4:] == [(expected, 1.0), (expected, 1.3)]
+    assert model == (balances[winner] * 10 if winner < 3 else expected, reports[winner].growth)
 
 
 def test_a_fiftieth_of_ssim_is_worth_a_decibel():

@@ -128,7 +128,7 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
         "output": f"{run['output']}: {after:,} splats, {bytes_text(run['output_bytes'])}",
         "kept": f"{after / before:.3%} of the splats (asked: {_asked_text(run)})",
         "passes": f"{len(run['passes'])}, stopped by: {run['stop']}",
-        "chosen": _choice_text(run["candidates"]),
+        "chosen": choice_text(run["candidates"]),
         "refit": _refit_text(run["refit"]),
         "reached": _reached_text(run),
         "time": f"{run['total_seconds']:.2f} s on {run['threads']} threads",
@@ -158,15 +158,17 @@ def _reached_text(run: dict[str, Any]) -> str:
     return f"{run['achieved_psnr']:.2f} dB on views of the original, {tried}"
 
 
-def _choice_text(candidates: list[dict[str, Any]]) -> str:
-    """What was chosen by measurement, and by how much over the next."""
+def choice_text(candidates: list[dict[str, Any]]) -> str:
+    """What was chosen by measurement, and by how much over the best of the others."""
     if not candidates:
         return ""
-    first, *others = sorted(candidates, key=lambda entry: -entry["quality"])
-    moved = ", reassigned" if first["reassigned"] else ""
-    lead = f" ({first['quality'] - others[0]['quality']:+.2f} dB over the next)" if others else ""
-    shown = f"{first['psnr']:.2f} dB, SSIM {first['ssim']:.3f} on the views it was chosen by"
-    return f"balance {first['balance']:g}{moved} of {len(candidates)} tried{lead}: {shown}"
+    chosen = next(entry for entry in candidates if entry["chosen"])
+    others = [entry["quality"] for entry in candidates if entry is not chosen]
+    moved = ", reassigned" if chosen["reassigned"] else ""
+    lead = f" ({chosen['quality'] - max(others):+.2f} dB against the next)" if others else ""
+    what = f"balance {chosen['balance']:g}{moved}, growth {chosen['growth']:g}"
+    shown = f"{chosen['psnr']:.2f} dB, SSIM {chosen['ssim']:.3f} on the views it was chosen by"
+    return f"{what} of {len(candidates)} tried{lead}: {shown}"
 
 
 def _refit_text(refit: dict[str, Any] | None) -> str:

@@ -1,20 +1,27 @@
 """Choose by measurement: of several groupings, the one that looks most like the original."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from nanogs._types import I32
 from nanogs.report import CandidateReport
 from nanogs.splats import Splats
 
 BALANCES = (0.5, 0.8, 1.0)
-GROWTHS = (1.0, 1.3)  # no growth for what has no holes, much for thin opaque shells
+# Tried in turn from the usual growth, as long as it helps: none for what has no holes, and ever
+# more for thin opaque shells, whose merged splats would let light through at grazing angles.
+LESS, MORE = (1.0,), (1.3, 1.6, 2.0)
 GROWTH_MARGIN = 0.5  # dB: a few small views judge growth roughly, so the usual one stays in doubt
 SSIM_WORTH = 50.0  # dB of PSNR that a whole unit of SSIM is worth: 0.02 counts as one dB
 
-Judge = Callable[[Splats], tuple[float, float]]
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A grouping, the model it makes and how that did."""
+
+    labels: I32
+    model: Splats
+    report: CandidateReport
 
 
 def quality(psnr: float, ssim: float) -> float:
@@ -22,51 +29,72 @@ def quality(psnr: float, ssim: float) -> float:
     return psnr + SSIM_WORTH * ssim
 
 
-def choose_groups(
+def choose_model(
     regroup: Callable[[I32], I32],
     groups_at: Callable[[float], I32],
     store: Callable[[I32, float], Splats],
-    judge: Judge,
+    judge: Callable[[Splats], tuple[float, float]],
     balances: Sequence[float],
-    growths: Sequence[float],
-) -> tuple[I32, float, tuple[CandidateReport, ...]]:
+    growth: float,
+) -> tuple[Splats, tuple[CandidateReport, ...]]:
     """Try cuts of several balances, the best one reassigned, the best of these grown otherwise.
+
+    No more than three models are held at a time.
 
     Args:
         regroup: Reassigns labels.
         groups_at: The labels of the cut of a balance.
         store: The model that labels make, its opaque splats grown by so much at most.
         judge: Its PSNR and SSIM.
-        balances: What to try, at least one.
-        growths: What to try, at least one; the first is that of the first candidates.
+        balances: What to try, at least one; ties go to the first.
+        growth: That of the first candidates.
 
     Returns:
-        The labels, the growth, and how every candidate did, the chosen one marked.
+        The chosen model, and how every candidate did, the chosen one marked.
     """
-    tried: list[tuple[I32, CandidateReport]] = []
+    reports: list[CandidateReport] = []
 
-    def attempt(labels: I32, balance: float, growth: float, *, reassigned: bool) -> None:
-        psnr, ssim = judge(store(labels, growth))
-        report = CandidateReport(
-            balance, reassigned, growth, psnr, ssim, quality(psnr, ssim), chosen=False
-        )
-        tried.append((labels, report))
+    def attempt(labels: I32, balance: float, growth: float, *, reassigned: bool) -> Candidate:
+        model = store(labels, growth)
+        psnr, ssim = judge(model)
+        worth = quality(psnr, ssim)
+        report = CandidateReport(balance, reassigned, growth, psnr, ssim, worth, chosen=False)
+        reports.append(report)
+        return Candidate(labels, model, report)
 
-    def best() -> int:
-        return int(np.argmax([report.quality for _, report in tried]))  # ties to the first
-
+    usual: Candidate | None = None
     for balance in balances:
-        attempt(groups_at(balance), balance, growths[0], reassigned=False)
-    labels, leader = tried[best()]
-    attempt(regroup(labels), leader.balance, growths[0], reassigned=True)
-    usual = best()
-    labels, leader = tried[usual]
-    for growth in growths[1:]:
-        attempt(labels, leader.balance, growth, reassigned=leader.reassigned)
-    clearly = tried[best()][1].quality > leader.quality + GROWTH_MARGIN
-    winner = best() if clearly else usual
-    reports = [
-        dataclasses.replace(report, chosen=place == winner)
-        for place, (_, report) in enumerate(tried)
-    ]
-    return tried[winner][0], reports[winner].growth, tuple(reports)
+        usual = better(usual, attempt(groups_at(balance), balance, growth, reassigned=False))
+    assert usual is not None  # noqa: S101 - at least one balance
+    labels, balance = usual.labels, usual.report.balance
+    usual = better(usual, attempt(regroup(labels), balance, growth, reassigned=True))
+
+    def grown_otherwise(growth: float) -> Candidate:
+        report = usual.report
+        return attempt(usual.labels, report.balance, growth, reassigned=report.reassigned)
+
+    less = climb(usual, grown_otherwise, [g for g in LESS if g < growth])
+    best = better(less, climb(usual, grown_otherwise, [g for g in MORE if g > growth]))
+    clearly = best.report.quality > usual.report.quality + GROWTH_MARGIN
+    winner = best if clearly else usual
+    marked = (replace(report, chosen=report is winner.report) for report in reports)
+    return winner.model, tuple(marked)
+
+
+def climb(
+    start: Candidate, attempt: Callable[[float], Candidate], growths: Sequence[float]
+) -> Candidate:
+    """The last of the growths, tried in turn, that did better than the one before it."""
+    for growth in growths:
+        further = attempt(growth)
+        if better(start, further) is start:
+            break
+        start = further
+    return start
+
+
+def better(first: Candidate | None, second: Candidate) -> Candidate:
+    """Of two candidates the one of higher quality, the first of equal ones."""
+    if first is None or second.report.quality > first.report.quality:
+        return second
+    return first

@@ -10,7 +10,7 @@ from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import RefitReport
 from nanogs.render.camera import Camera
 from nanogs.report import CandidateReport, StageClock, StopReason
-from nanogs.simplify.choose import BALANCES, GROWTHS, choose_groups
+from nanogs.simplify.choose import BALANCES, choose_model
 from nanogs.simplify.cut import cut
 from nanogs.simplify.extent import dilation
 from nanogs.simplify.gaussians import scene_origin
@@ -97,12 +97,13 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
     """The model of the asked count, or of the fewest the forest has."""
     forest = build.forest
     groups = max(target, forest.fewest)
-    progress("cut", groups)
-    with clock.time("cut" if build.views is None else "choose"):
-        labels, growth, candidates = _group(build, groups)
-    progress("store", groups)
-    with clock.time("store"):
-        small = _model(build, labels, growth)
+    if build.views is None or groups == forest.splats:
+        small = _group(build, groups, clock, progress)
+        candidates: tuple[CandidateReport, ...] = ()
+    else:
+        progress("choose", groups)
+        with clock.time("choose"):
+            small, candidates = _choose(build, groups, build.views)
     fitted, notes = None, build.notes
     if build.parameters.refit and groups < forest.splats:
         progress("refit", groups)
@@ -130,26 +131,34 @@ def _fit(build: Build, small: Splats) -> tuple[Splats, RefitReport | None, tuple
         return small, None, (f"The result was not fitted: {error}",)
 
 
-def _group(build: Build, groups: int) -> tuple[I32, float, tuple[CandidateReport, ...]]:
-    """Labels of the leaves and growth; by measurement where the original was looked at."""
-    forest, views, parameters = build.forest, build.views, build.parameters
-    if groups == forest.splats:
-        return cut(forest, groups, parameters.balance), parameters.growth, ()
+def _group(build: Build, groups: int, clock: StageClock, progress: Progress) -> Splats:
+    """The model of the cut that the parameters ask for."""
+    progress("cut", groups)
+    with clock.time("cut"):
+        labels = cut(build.forest, groups, build.parameters.balance)
+        if groups < build.forest.splats:
+            labels = _regroup(build, labels, groups)
+    progress("store", groups)
+    with clock.time("store"):
+        return _model(build, labels, build.parameters.growth)
 
-    def regroup(labels: I32) -> I32:
-        return reassign(build.leaves, labels, groups, parameters.rounds, build.threads)
 
-    if views is None:
-        labels = regroup(cut(forest, groups, parameters.balance))
-        return labels, parameters.growth, ()
-    return choose_groups(
-        regroup,
-        lambda balance: cut(forest, groups, balance),
+def _choose(
+    build: Build, groups: int, views: OriginalViews
+) -> tuple[Splats, tuple[CandidateReport, ...]]:
+    """The model that does best on views of the original, and how the others did."""
+    return choose_model(
+        lambda labels: _regroup(build, labels, groups),
+        lambda balance: cut(build.forest, groups, balance),
         lambda labels, growth: _model(build, labels, growth),
         lambda small: judge(small, views),
-        sorted({*BALANCES, parameters.balance}),
-        tuple(dict.fromkeys((parameters.growth, *GROWTHS))),
+        sorted({*BALANCES, build.parameters.balance}),
+        build.parameters.growth,
     )
+
+
+def _regroup(build: Build, labels: I32, groups: int) -> I32:
+    return reassign(build.leaves, labels, groups, build.parameters.rounds, build.threads)
 
 
 def _model(build: Build, labels: I32, growth: float) -> Splats:
