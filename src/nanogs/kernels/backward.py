@@ -25,7 +25,7 @@ from nanogs._types import F32, F64, I32, I64, U16
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.project import TILE
 from nanogs.kernels.raster import (
-    CHECK,
+    BATCH,
     STRIDE,
     Single,
     blend_row,
@@ -273,7 +273,7 @@ def pull_tiles(
             for x in range(min(TILE, width - x0)):
                 trust[r, x] = precision[y0 + r, x0 + x]
         for e in range(starts[tile], starts[tile + 1]):
-            if (e - starts[tile]) % CHECK == 0 and count_open(left, open_rows) == 0:
+            if (e - starts[tile]) % BATCH == 0 and count_open(left, open_rows) == 0:
                 break
             _pull_splat(
                 geometry,

@@ -23,7 +23,7 @@ import math
 import numba
 import numpy as np
 
-from nanogs._types import F32, F64, I32, Bool, F
+from nanogs._types import F32, F64, I64, Bool, F
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
 
@@ -33,8 +33,8 @@ MIN_ALPHA = 1.0 / 255.0
 SLACK = 1e-4  # widens bounds only, so that rounding never loses a pixel: alpha is tested exactly
 BLOCK = 2048  # splats that share one scratch buffer
 TILE = 16  # pixels along each side of a tile
-HIDDEN = -1  # what stands in the place of a tile for a splat that reaches no pixel
-SEVERAL = -2  # for one whose box meets more than one tile
+HIDDEN = 0  # stands for the tiles of a splat that reaches no pixel
+LARGEST = 32767 * TILE  # pixels along a side of an image: a box of tiles is packed into 64 bits
 
 
 @inline
@@ -81,8 +81,8 @@ def _project_gaussian(factor: F, point: F64, rotation: F64, lens: F64, row: F64)
 
 
 @inline
-def _place(row: F64, width: float, height: float) -> int:
-    """The tile that holds all pixel centres where alpha reaches 1/255, SEVERAL, or HIDDEN."""
+def _tile_box(row: F64, width: float, height: float) -> int:
+    """Tiles that the box around all pixel centres with alpha 1/255 or more meets, packed."""
     ey = math.sqrt(row[5] / row[4])
     ex = math.sqrt(row[5] * (1.0 / (row[2] * row[2]) + row[3] * row[3] / row[4]))
     inside_x = row[0] + ex >= 0.5 and row[0] - ex <= width - 0.5
@@ -95,10 +95,20 @@ def _place(row: F64, width: float, height: float) -> int:
     bottom = math.floor(min(row[1] + ey - 0.5, height - 1.0))
     if right < left or bottom < top:  # between the pixels
         return HIDDEN
-    if left // TILE < right // TILE or top // TILE < bottom // TILE:
-        return SEVERAL
-    tiles_x = (int(width) + TILE - 1) // TILE
-    return int((top // TILE) * tiles_x + left // TILE)
+    x, y = left // TILE, top // TILE
+    return pack_box(x, y, right // TILE + 1 - x, bottom // TILE + 1 - y)
+
+
+@inline
+def pack_box(x: int, y: int, across: int, down: int) -> int:
+    """A box of tiles, its corner and its size, in one number above 0."""
+    return (down << 48) | (across << 32) | (y << 16) | x
+
+
+@inline
+def unpack_box(box: int) -> tuple[int, int, int, int]:
+    """What `pack_box` took; an empty one for HIDDEN."""
+    return box & 0xFFFF, (box >> 16) & 0xFFFF, (box >> 32) & 0xFFFF, box >> 48
 
 
 @parallel_kernel
@@ -115,7 +125,7 @@ def project_splats(
     degree: int,
     geometry: F64,
     features: F32,
-    tiles: I32,
+    boxes: I64,
 ) -> None:
     """Project N splats and evaluate their colour.
 
@@ -132,8 +142,8 @@ def project_splats(
         degree: Spherical-harmonic degree to evaluate.
         geometry: (N, 8) out, see the module.
         features: (N, 4) out, red, green, blue and depth.
-        tiles: (N,) out, the only tile it can reach a pixel of, row by row, or SEVERAL; HIDDEN for
-            one that can reach none, whose rows of the other outputs are junk.
+        boxes: (N,) out, the tiles around the pixels it can reach, see `unpack_box`; HIDDEN for one
+            that can reach none, whose rows of the other outputs are junk.
     """
     n = len(means)
     coefficients = (degree + 1) ** 2
@@ -141,7 +151,7 @@ def project_splats(
         basis = np.empty(25, np.float64)
         point = np.empty(3, np.float64)
         for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
-            tiles[i] = HIDDEN
+            boxes[i] = HIDDEN
             if not keep[i]:
                 continue
             # Subtracted in double precision: scenes in map coordinates lie far from the origin.
@@ -161,8 +171,8 @@ def project_splats(
                 continue
             row[5] = 2.0 * math.log(255.0 * opacity) + SLACK
             row[6] = opacity
-            tiles[i] = _place(row, lens[4], lens[5])
-            if tiles[i] == HIDDEN:
+            boxes[i] = _tile_box(row, lens[4], lens[5])
+            if boxes[i] == HIDDEN:
                 continue
             length = math.sqrt(dx * dx + dy * dy + dz * dz)
             sh_basis(dx / length, dy / length, dz / length, degree, basis)

@@ -12,14 +12,15 @@ import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U64
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
-from nanogs.kernels.project import HIDDEN, MIN_ALPHA, TILE
+from nanogs.kernels.project import HIDDEN, MIN_ALPHA, TILE, unpack_box
 
 Single: TypeAlias = np.float32
 
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
 CHUNKS = 16  # runs of the depth order listed independently; fixed, so that threads do not matter
-CHECK = 16  # splats between two looks at whether a tile is full
+SMALL = 2  # tiles along a side of a box that is listed whole: what lies beside it draws nothing
+BATCH = 16  # splats fetched at a time, and between two looks at whether a tile is full
 STRIDE = 61  # consecutive tiles go to different threads: one half of an image is often empty
 
 # exp(x) = P(x/16)^16 on [-6, 0]: least squares over P(0) = 1, relative error below 2e-6.
@@ -54,29 +55,25 @@ def _tile_span(
 
 
 @inline
-def _tile_rows(geometry: F64, i: int, height: int) -> tuple[int, int, float]:
-    """Tile rows [first, end) that splat i meets, and the height of its leftmost point."""
+def _lowest(geometry: F64, i: int) -> float:
+    """The height above the centre at which splat i is leftmost, in pixels."""
     ey = math.sqrt(geometry[i, 5] / geometry[i, 4])
-    first = math.ceil(max(geometry[i, 1] - ey - 0.5, 0.0))
-    last = math.floor(min(geometry[i, 1] + ey - 0.5, height - 1.0))
-    if last < first:
-        return 0, 0, 0.0
     drift = geometry[i, 3] / math.sqrt(geometry[i, 4])
-    lowest = -ey * drift / math.sqrt(drift * drift + 1.0 / (geometry[i, 2] * geometry[i, 2]))
-    return first // TILE, last // TILE + 1, lowest
+    height: float = -ey * drift / math.sqrt(drift * drift + 1.0 / (geometry[i, 2] * geometry[i, 2]))
+    return height
 
 
 @kernel
-def depth_keys(features: F32, only: I32, keys: U64) -> int:
+def depth_keys(features: F32, boxes: I64, keys: U64) -> int:
     """Sort keys of the splats that are drawn: depth above, index below; returns their number.
 
-    features: (N, 4), the last one the depth, above 0, whose bits sort as its values do; only: (N,)
+    features: (N, 4), the last one the depth, above 0, whose bits sort as its values do; boxes: (N,)
     from `project_splats`; keys: (N,) out.
     """
     bits = features.view(np.uint32)
     count = 0
-    for i in range(len(only)):
-        if only[i] != HIDDEN:
+    for i in range(len(boxes)):
+        if boxes[i] != HIDDEN:
             keys[count] = np.uint64(bits[i, 3]) << np.uint64(32) | np.uint64(i)
             count += 1
     return count
@@ -84,20 +81,18 @@ def depth_keys(features: F32, only: I32, keys: U64) -> int:
 
 @inline
 def _walk(
-    geometry: F64, only: I32, run: I64, width: int, height: int, cursors: I64, entries: I32
+    geometry: F64, boxes: I64, run: I64, width: int, height: int, cursors: I64, entries: I32
 ) -> None:
     """Move each tile's cursor past a run of the depth order; write the splats if there is room."""
     tiles_x = (width + TILE - 1) // TILE
     for index in run:
-        top, bottom, lowest = 0, 0, 0.0
-        if only[index] < 0:
-            top, bottom, lowest = _tile_rows(geometry, index, height)
-        else:
-            if len(entries) > 0:
-                entries[cursors[only[index]]] = index
-            cursors[only[index]] += 1
-        for ty in range(top, bottom):
-            first, end = _tile_span(geometry, index, lowest, ty, width, height)
+        left, top, across, down = unpack_box(boxes[index])
+        small = across <= SMALL and down <= SMALL
+        lowest = 0.0 if small else _lowest(geometry, index)
+        for ty in range(top, top + down):
+            first, end = left, left + across
+            if not small:
+                first, end = _tile_span(geometry, index, lowest, ty, width, height)
             for tile in range(ty * tiles_x + first, ty * tiles_x + end):
                 if len(entries) > 0:
                     entries[cursors[tile]] = index
@@ -105,12 +100,12 @@ def _walk(
 
 
 @parallel_kernel
-def list_tiles(geometry: F64, only: I32, order: I64, width: int, height: int) -> tuple[I64, I32]:
+def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -> tuple[I64, I32]:
     """List, for every tile, the splats that meet it, nearest first.
 
     Args:
         geometry: (N, 8) rows of projected splats.
-        only: (N,) the one tile of each, below 0 where it may meet several.
+        boxes: (N,) the tiles around each, from `project_splats`.
         order: (M,) indices of the drawn splats, nearest first.
         width: Image width in pixels.
         height: Image height in pixels.
@@ -125,7 +120,7 @@ def list_tiles(geometry: F64, only: I32, order: I64, width: int, height: int) ->
     nowhere = np.empty(0, np.int32)
     for chunk in numba.prange(CHUNKS):
         run = order[chunk * size : (chunk + 1) * size]
-        _walk(geometry, only, run, width, height, cursors[chunk], nowhere)
+        _walk(geometry, boxes, run, width, height, cursors[chunk], nowhere)
     starts = np.empty(tiles + 1, np.int64)
     total = 0
     for tile in range(tiles):
@@ -138,7 +133,7 @@ def list_tiles(geometry: F64, only: I32, order: I64, width: int, height: int) ->
     entries = np.empty(total, np.int32)
     for chunk in numba.prange(CHUNKS):
         run = order[chunk * size : (chunk + 1) * size]
-        _walk(geometry, only, run, width, height, cursors[chunk], entries)
+        _walk(geometry, boxes, run, width, height, cursors[chunk], entries)
     return starts, entries
 
 
@@ -245,6 +240,17 @@ def _blend_splat(
 
 
 @inline
+def fetch(geometry: F64, features: F32, batch: I32, rows: F64, values: F32) -> None:
+    """Copy a batch's splats side by side: many reads of far memory then wait at the same time."""
+    for j in range(len(batch)):
+        i = batch[j]
+        for k in range(8):
+            rows[j, k] = geometry[i, k]
+        for c in range(features.shape[1]):
+            values[j, c] = features[i, c]
+
+
+@inline
 def _write_tile(
     x0: int, y0: int, left: F32, planes: F32, background: F32, image: F32, transmittance: F32
 ) -> None:
@@ -305,24 +311,17 @@ def blend_tiles(
         start_tile(left, x0, y0, width, height)
         if len(partial) > 0:
             partial[starts[tile] : starts[tile + 1]] = np.float32(0.0)
-        for e in range(starts[tile], starts[tile + 1]):
-            if (e - starts[tile]) % CHECK == 0 and count_open(left, open_rows) == 0:
+        rows = np.empty((BATCH, 8), np.float64)
+        values = np.empty((BATCH, channels), np.float32)
+        for first in range(starts[tile], starts[tile + 1], BATCH):
+            if count_open(left, open_rows) == 0:
                 break
-            _blend_splat(
-                geometry,
-                features,
-                entries[e],
-                x0,
-                y0,
-                lanes,
-                left,
-                open_rows,
-                planes,
-                weights,
-                sums,
-            )
-            if len(partial) > 0:
-                partial[e] = np.sum(sums)
+            count = min(BATCH, starts[tile + 1] - first)
+            fetch(geometry, features, entries[first : first + count], rows, values)
+            for j in range(count):
+                _blend_splat(rows, values, j, x0, y0, lanes, left, open_rows, planes, weights, sums)
+                if len(partial) > 0:
+                    partial[first + j] = np.sum(sums)
         _write_tile(x0, y0, left, planes, background, image, transmittance)
 
 
@@ -340,13 +339,13 @@ def sum_entries(entries: I32, partial: F32, totals: F64) -> None:
 
 
 @kernel
-def add_unhidden(geometry: F64, only: I32, width: int, height: int, totals: F64) -> None:
+def add_unhidden(geometry: F64, boxes: I64, width: int, height: int, totals: F64) -> None:
     """Add 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image, in pixels.
 
-    geometry: (N, 8) and only: (N,) from `project_splats`; totals: (N,) in and out.
+    geometry: (N, 8) and boxes: (N,) from `project_splats`; totals: (N,) in and out.
     """
-    for i in range(len(only)):
-        if only[i] == HIDDEN:
+    for i in range(len(boxes)):
+        if boxes[i] == HIDDEN:
             continue
         u, v = geometry[i, 0], geometry[i, 1]
         if 0.0 <= u <= width and 0.0 <= v <= height:

@@ -58,7 +58,7 @@ class Projection:
 
     Attributes:
         geometry: (N, 8) float64, see `nanogs.kernels.project`; junk where not in `order`.
-        only: (N,) int32, the one tile of each splat, or a code; see `nanogs.kernels.project`.
+        boxes: (N,) int64, the tiles around each splat, packed; see `nanogs.kernels.project`.
         features: (N, 4) float32: red, green, blue before the background, and depth.
         order: (M,) int64, the splats that can reach a pixel, nearest first.
         starts: (T + 1,) int64, where each tile of 16 x 16 pixels begins in `entries`, row by row.
@@ -66,7 +66,7 @@ class Projection:
     """
 
     geometry: F64
-    only: I32
+    boxes: I64
     features: F32
     order: I64
     starts: I64
@@ -217,7 +217,7 @@ def project(
     n = len(prepared)
     geometry = np.empty((n, 8), np.float64)
     features = np.empty((n, 4), np.float32)
-    only = np.empty(n, np.int32)
+    boxes = np.empty(n, np.int64)
     lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.near)
     projection.project_splats(
         prepared.means,
@@ -232,17 +232,17 @@ def project(
         degree,
         geometry,
         features,
-        only,
+        boxes,
     )
-    order = _depth_order(features, only)
-    starts, entries = raster.list_tiles(geometry, only, order, camera.width, camera.height)
-    return Projection(geometry, only, features, order, starts, entries)
+    order = _depth_order(features, boxes)
+    starts, entries = raster.list_tiles(geometry, boxes, order, camera.width, camera.height)
+    return Projection(geometry, boxes, features, order, starts, entries)
 
 
-def _depth_order(features: F32, only: I32) -> I64:
+def _depth_order(features: F32, boxes: I64) -> I64:
     """Indices of the drawn splats, nearest first, ties by index."""
-    keys = np.empty(len(only), np.uint64)
-    keys = keys[: raster.depth_keys(features, only, keys)]
+    keys = np.empty(len(boxes), np.uint64)
+    keys = keys[: raster.depth_keys(features, boxes, keys)]
     other = np.empty_like(keys)
     keys = other if radix_sort(keys, other) else keys
     return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
@@ -256,7 +256,7 @@ def _totals(n: int, entries: I32, partial: F32) -> F64:
 
 def _unhidden(view: Projection, camera: Camera) -> F64:
     totals = np.zeros(len(view.geometry))
-    raster.add_unhidden(view.geometry, view.only, camera.width, camera.height, totals)
+    raster.add_unhidden(view.geometry, view.boxes, camera.width, camera.height, totals)
     return totals
 
 
@@ -282,8 +282,11 @@ def _degree(prepared: PreparedSplats, sh_degree: int | None) -> int:
 
 
 def _check_camera(camera: Camera) -> None:
-    if camera.width < 1 or camera.height < 1:
-        raise OptionError(f"a camera needs pixels, not {camera.width} x {camera.height}.")
+    if not (1 <= camera.width <= projection.LARGEST and 1 <= camera.height <= projection.LARGEST):
+        raise OptionError(
+            f"a camera needs 1 to {projection.LARGEST:,} pixels along each side, not"
+            f" {camera.width} x {camera.height}."
+        )
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy, camera.near)
     if not (np.isfinite(numbers).all() and min(camera.fx, camera.fy) > 0 and camera.near > 0):
         raise OptionError(
