@@ -393,18 +393,17 @@ def test_a_group_that_all_leave_is_filled_again():
 # Choice
 
 
-# Three balances, the best of them reassigned, then other growths of the best of these four: none,
-# and 1.3, 1.6, 2.0 until one does no better.
+# Three balances, the best of them reassigned, then the best of these four grown by 1.3, 1.6 and
+# 2.0 until one does not gain half a decibel.
 @pytest.mark.parametrize(("qualities", "usual", "growths", "winner"), [
-    ([10, 30, 20, 25, 0, 0], 1, [1.0, 1.3], 1),
-    ([10, 20, 30, 35, 30, 30], 3, [1.0, 1.3], 3),
-    ([30, 30, 20, 30, 0, 0], 0, [1.0, 1.3], 0),
-    ([1, 2, 3, 2.9, 0, 0], 2, [1.0, 1.3], 2),
-    ([10, 30, 20, 25, 30.4, 30.5, 30.2], 1, [1.0, 1.3, 1.6], 1),
-    ([10, 30, 20, 25, 30.6, 30], 1, [1.0, 1.3], 4),
-    ([10, 20, 30, 35, 36, 37, 37], 3, [1.0, 1.3, 1.6], 5),
-    ([10, 20, 30, 35, 0, 36, 37, 38], 3, [1.0, 1.3, 1.6, 2.0], 7),
-    ([10, 20, 30, 35, 0, 35.2, 35.4, 35.3], 3, [1.0, 1.3, 1.6, 2.0], 3),
+    ([10, 30, 20, 25, 0], 1, [1.3], 1),
+    ([10, 20, 30, 35, 30], 3, [1.3], 3),
+    ([30, 30, 20, 30, 0], 0, [1.3], 0),
+    ([1, 2, 3, 2.9, 0], 2, [1.3], 2),
+    ([10, 30, 20, 25, 30.5], 1, [1.3], 1),
+    ([10, 30, 20, 25, 30.6, 31], 1, [1.3, 1.6], 4),
+    ([10, 20, 30, 35, 36, 37, 37], 3, [1.3, 1.6, 2.0], 5),
+    ([10, 20, 30, 35, 36, 37, 38], 3, [1.3, 1.6, 2.0], 6),
 ])  # fmt: skip
 def test_the_best_judged_is_chosen_and_marked_once(qualities, usual, growths, winner):
     regrouped, scores = [], iter(qualities)
@@ -443,8 +442,7 @@ def test_the_report_lists_the_candidates_with_the_balance_asked_for():
     _, report = nanogs.simplify(random_splats(60), count=10, balance=0.3)
     assert [c.balance for c in report.candidates[:4]] == [0.3, 0.5, 0.8, 1.0]
     assert sum(c.chosen for c in report.candidates) == 1
-    best = max(report.candidates[:5], key=lambda c: c.quality)
-    assert best.chosen
+    best = next(c for c in report.candidates if c.chosen)
     assert best.quality == pytest.approx(best.psnr + 50 * best.ssim)
     assert nanogs.simplify(random_splats(60), count=10, preset="fast")[1].candidates == ()
 

@@ -173,8 +173,6 @@ class Grid:
 
 def build_grid(matter: Matter, centre: F64, half: float) -> Grid:
     """Matter spread into a cube of half-width `half` around `centre`."""
-    from scipy.ndimage import uniform_filter
-
     cell = 2 * half / CELLS
     corner = centre - half
     depth = np.zeros(CELLS**3)
@@ -186,5 +184,9 @@ def build_grid(matter: Matter, centre: F64, half: float) -> Grid:
         inside = ((place >= 0) & (place < CELLS)).all(axis=1)
         flat = np.ravel_multi_index(tuple(place[inside].astype(np.int64).T), (CELLS,) * 3)
         depth += np.bincount(flat, share[inside], minlength=CELLS**3)
-    smooth = uniform_filter(depth.reshape(CELLS, CELLS, CELLS), size=2, mode="constant")
+    smooth = depth.reshape(CELLS, CELLS, CELLS)
+    for axis in range(3):  # with the cell before, so that no seam is thinner than a cell
+        before = np.zeros_like(smooth)
+        np.moveaxis(before, axis, 0)[1:] = np.moveaxis(smooth, axis, 0)[:-1]
+        smooth = (smooth + before) / 2
     return Grid(smooth, corner, cell)

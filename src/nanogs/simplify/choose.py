@@ -8,10 +8,10 @@ from nanogs.report import CandidateReport
 from nanogs.splats import Splats
 
 BALANCES = (0.5, 0.8, 1.0)
-# Tried in turn from the usual growth, as long as it helps: none for what has no holes, and ever
-# more for thin opaque shells, whose merged splats would let light through at grazing angles.
-LESS, MORE = (1.0,), (1.3, 1.6, 2.0)
-GROWTH_MARGIN = 0.5  # dB: a few small views judge growth roughly, so the usual one stays in doubt
+# Tried in turn after the usual one, as long as that helps clearly: thin opaque shells want more,
+# where merged splats would let light through at grazing angles.
+GROWTHS = (1.3, 1.6, 2.0)
+GROWTH_MARGIN = 0.5  # dB that a growth has to gain: a few small views judge it roughly
 SSIM_WORTH = 50.0  # dB of PSNR that a whole unit of SSIM is worth: 0.02 counts as one dB
 
 
@@ -37,9 +37,9 @@ def choose_model(
     balances: Sequence[float],
     growth: float,
 ) -> tuple[Splats, tuple[CandidateReport, ...]]:
-    """Try cuts of several balances, the best one reassigned, the best of these grown otherwise.
+    """Try cuts of several balances, the best one reassigned, the best of these grown more.
 
-    No more than three models are held at a time.
+    No more than two models are held at a time.
 
     Args:
         regroup: Reassigns labels.
@@ -69,28 +69,16 @@ def choose_model(
     labels, balance = usual.labels, usual.report.balance
     usual = better(usual, attempt(regroup(labels), balance, growth, reassigned=True))
 
-    def grown_otherwise(growth: float) -> Candidate:
-        report = usual.report
-        return attempt(usual.labels, report.balance, growth, reassigned=report.reassigned)
-
-    less = climb(usual, grown_otherwise, [g for g in LESS if g < growth])
-    best = better(less, climb(usual, grown_otherwise, [g for g in MORE if g > growth]))
-    clearly = best.report.quality > usual.report.quality + GROWTH_MARGIN
-    winner = best if clearly else usual
+    winner = usual
+    for more in GROWTHS:
+        if more > growth:
+            report = winner.report
+            further = attempt(winner.labels, report.balance, more, reassigned=report.reassigned)
+            if further.report.quality <= report.quality + GROWTH_MARGIN:
+                break
+            winner = further
     marked = (replace(report, chosen=report is winner.report) for report in reports)
     return winner.model, tuple(marked)
-
-
-def climb(
-    start: Candidate, attempt: Callable[[float], Candidate], growths: Sequence[float]
-) -> Candidate:
-    """The last of the growths, tried in turn, that did better than the one before it."""
-    for growth in growths:
-        further = attempt(growth)
-        if better(start, further) is start:
-            break
-        start = further
-    return start
 
 
 def better(first: Candidate | None, second: Candidate) -> Candidate:

@@ -12,7 +12,7 @@ PAIRS_PER_NEIGHBOUR = 0.66
 _LEFT = 0.56  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
 _TILES = 3  # tiles of a 256-pixel view that a splat lies in, on average at most
 _PREPARED = 9 * _F4 + _F4 + 1  # factors, alpha and mask, as the rasteriser reads them
-_DRAWN = 8 * _F8 + 4 * _F4 + 1 + 2 * _I8 + _TILES * _I4  # one view's projection, order and lists
+_DRAWN = 8 * _F8 + 4 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
 _GROUPS = 12  # see `reassign.NEIGHBOURS`
 _FIT_VIEWS, _FIT_PIXELS, _FIT_TILES = 38, 512 * 512, 6  # see `forest_pipeline.REFIT`
 _FIT_SUMS = 10 + 55 + 1  # of each splat in double precision, twice, beside its colour
@@ -47,6 +47,7 @@ def forest_stages(
     second = int(_LEFT * (node + _MERGE) * count)
     result = target * (node + row + 4 * _F8)
     drawing = target * (row + _PREPARED + _DRAWN) if looked else 0
+    best = target * row if looked else 0  # of those tried before
     match = int(count * (PAIRS_PER_NEIGHBOUR * k * (2 * _I4 + 2 * _F4 + _F4 + _F8) + 2 * _F8))
     beside = {
         "graph": _graph(count, k),
@@ -54,7 +55,7 @@ def forest_stages(
         "merge": second + int(_LEFT * second),
         "cut": grown + count * (6 * _F8 + 4 * _I4 + 2 * _I8),
         "reassign": _reassign(count, target, node, grown) if parameters.rounds else 0,
-        "store": grown + count * (5 * _I4) + max(result, drawing),
+        "store": grown + count * (5 * _I4) + best + max(result, drawing),
         "refit": grown + _refit(count, target, features) if parameters.refit else 0,
     }
     stages = {"look": look, "activate": count * (row + 17 * _F8 + node)}
