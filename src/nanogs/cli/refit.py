@@ -10,7 +10,7 @@ from rich.table import Table
 from nanogs.cli import options
 from nanogs.cli.console import err, print_json, stage_bar, warn, with_file_seconds
 from nanogs.formatting import number_text
-from nanogs.io import check_writable, load, save
+from nanogs.io import check_writable, load, losses, save
 from nanogs.refit.api import refit as library_refit
 from nanogs.refit.parameters import RefitParameters
 from nanogs.report import StageClock
@@ -89,6 +89,7 @@ def _refit_files(
         with clock.time("write"):
             save(fitted, target, overwrite=overwrite)
     run = with_file_seconds(report.to_dict(), clock, start)
+    run["notes"] = [*run["notes"], *losses(fitted, target)]
     return run | {"original": str(original), "input": str(small), "output": str(target)}
 
 

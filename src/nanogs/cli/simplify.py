@@ -9,7 +9,7 @@ import typer
 from nanogs.cli import method, options
 from nanogs.cli.console import count_down, print_json, warn, with_file_seconds
 from nanogs.cli.simplify_report import Plan, print_plan, print_report, stop_text
-from nanogs.io import check_writable, inspect, load, registry, save
+from nanogs.io import check_writable, inspect, load, losses, registry, save
 from nanogs.report import StageClock, StopReason
 from nanogs.simplify.api import simplify as library_simplify
 from nanogs.simplify.api import target_of
@@ -147,6 +147,7 @@ def _simplify_file(
         with clock.time("write"):
             save(small, target, overwrite=overwrite)
     run = with_file_seconds(report.to_dict(), clock, start)
+    run["notes"] = [*run["notes"], *losses(small, target)]
     run |= {"input": str(source), "output": str(target)}
     run |= {"input_bytes": source.stat().st_size, "output_bytes": target.stat().st_size}
     return run

@@ -7,7 +7,7 @@ from nanogs.io import atomic, registry
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
-__all__ = ["FileInfo", "check_writable", "inspect", "load", "save"]
+__all__ = ["FileInfo", "check_writable", "inspect", "load", "losses", "save"]
 
 
 def load(path: str | PathLike[str]) -> Splats:
@@ -32,6 +32,15 @@ def save(splats: Splats, path: str | PathLike[str], *, overwrite: bool = False) 
     write = registry.writer(path)
     with atomic.atomic_write(path, overwrite=overwrite) as file:
         write(splats, file)
+
+
+def losses(splats: Splats, path: str | PathLike[str]) -> tuple[str, ...]:
+    """What `save` would leave out, one sentence each; quantisation, which a format implies, is not.
+
+    Raises:
+        OptionError: As for `save`.
+    """
+    return registry.losses(Path(path), splats)
 
 
 def inspect(path: str | PathLike[str]) -> FileInfo:

@@ -13,6 +13,12 @@ from nanogs.splats import Splats
 Writer = Callable[[Splats, BinaryIO], None]
 Sizer = Callable[[Splats, int], int]
 """Bytes of the file of a model of so many splats that is like the given one in all else."""
+Losses = Callable[[Splats], tuple[str, ...]]
+"""What a file of the format cannot hold of a model, one sentence each, besides quantisation."""
+
+
+def _nothing(_splats: Splats) -> tuple[str, ...]:
+    return ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +33,7 @@ class Format:
     inspect: Callable[[Path], FileInfo]
     write: Writer | None = None
     file_bytes: Sizer | None = None
+    losses: Losses = _nothing
 
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
@@ -79,6 +86,15 @@ def sizer(path: Path) -> Sizer:
             "give a ratio or a count."
         )
     return known.file_bytes
+
+
+def losses(path: Path, splats: Splats) -> tuple[str, ...]:
+    """What a file of that suffix cannot hold of a model, one sentence each.
+
+    Raises:
+        OptionError: As for `writer`.
+    """
+    return _writable(path)[0].losses(splats)
 
 
 def _writable(path: Path) -> tuple[Format, Writer]:
