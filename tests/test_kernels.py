@@ -533,3 +533,25 @@ def test_kernels_run_uncompiled_too():
         text=True,
     )
     assert result.returncode == 0, result.stdout
+
+
+COMPILE = """
+from nanogs.kernels.policy import when_compiling
+from nanogs.kernels import radix
+
+told = []
+when_compiling(lambda: told.append(1))
+import numpy as np
+radix.radix_sort(np.arange(4, dtype=np.uint64), np.empty(4, np.uint64))
+print(len(told))
+"""
+
+
+def test_compiling_is_told_once_and_only_where_the_cache_is_empty(tmp_path):
+    def told():
+        command = [sys.executable, "-c", COMPILE]
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+        run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        return run.stdout.strip()
+
+    assert [told(), told()] == ["1", "0"]

@@ -10,13 +10,22 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.table import Table
 
 from nanogs.report import StageClock
 
 err = Console(stderr=True, highlight=False)
 out = Console(highlight=False)
+
+COMPILING = "Compiling for this processor: once after an installation, some ten seconds."
 
 
 def fail(message: str) -> None:
@@ -75,6 +84,18 @@ def key_value_table(rows: dict[str, str]) -> Table:
 
 
 @contextmanager
+def _bar(*columns: ProgressColumn, quiet: bool) -> Iterator[Progress]:
+    """A bar on a terminal only; a line, there and elsewhere, if kernels have to be compiled."""
+    from nanogs.kernels.policy import when_compiling
+
+    shown = err.is_terminal and not quiet
+    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
+        if not quiet:
+            when_compiling(lambda: err.print(COMPILING))
+        yield progress
+
+
+@contextmanager
 def count_down(start: int, target: int, *, quiet: bool) -> Iterator[Callable[[str, int], None]]:
     """A progress bar from the input's count down to the target, on a terminal only.
 
@@ -87,8 +108,7 @@ def count_down(start: int, target: int, *, quiet: bool) -> Iterator[Callable[[st
         TextColumn("{task.fields[left]:>12,} splats"),
         TimeElapsedColumn(),
     )
-    shown = err.is_terminal and not quiet
-    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
+    with _bar(*columns, quiet=quiet) as progress:
         task = progress.add_task("read", total=max(start - target, 1), left=start)
 
         def update(stage: str, left: int) -> None:
@@ -104,9 +124,8 @@ def spinner(*, quiet: bool) -> Iterator[Callable[[str], None]]:
     Yields:
         What is called with each new description.
     """
-    shown = err.is_terminal and not quiet
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
+    with _bar(*columns, quiet=quiet) as progress:
         task = progress.add_task("")
         yield lambda text: progress.update(task, description=text)
 
@@ -119,8 +138,7 @@ def stage_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
         What the library calls with a stage's name, how many parts are done, and of how many.
     """
     columns = (TextColumn("{task.description:<8}"), BarColumn(), TimeElapsedColumn())
-    shown = err.is_terminal and not quiet
-    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
+    with _bar(*columns, quiet=quiet) as progress:
         task = progress.add_task("read", total=1)
 
         def update(stage: str, done: int, total: int) -> None:

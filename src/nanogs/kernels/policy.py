@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import event
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -46,3 +47,24 @@ def exact_inline(function: Kernel) -> Kernel:
     """Compile a small function to be inlined, without any liberty: for `exact_parallel_kernel`."""
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
     return cast("Kernel", numba.njit(function, forceinline=True, **options))
+
+
+class _First(event.Listener):
+    """Calls back when the first function is compiled rather than taken from the cache."""
+
+    def __init__(self, callback: Callable[[], None]) -> None:
+        self.callback: Callable[[], None] | None = callback
+
+    def on_start(self, event: event.Event) -> None:
+        del event
+        if self.callback is not None:
+            callback, self.callback = self.callback, None
+            callback()
+
+    def on_end(self, event: event.Event) -> None:
+        del event
+
+
+def when_compiling(callback: Callable[[], None]) -> None:
+    """Have a function called once, should a kernel not be in the cache and so take seconds."""
+    event.register("numba:compile", _First(callback))  # type: ignore[no-untyped-call]
