@@ -16,9 +16,7 @@ import argparse
 import json
 import os
 import shlex
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 from nanogs.bench.methods import ABLATIONS, all_methods
@@ -30,10 +28,8 @@ from nanogs.bench.scenes import BenchScene
 from nanogs.bench.settings import RATIOS, BenchSettings
 from nanogs.io import inspect
 from nanogs.simplify.target import target_count
+from rivals import BUILD, ROOT, install, run_tool
 
-ROOT = Path(__file__).resolve().parent.parent
-BUILD = ROOT / "build" / "quality"
-NODE_PACKAGES = ("node@22", "@playcanvas/splat-transform@3.7.0")
 SPLAT_TRANSFORM = {"st-uniform": "--decimate", "st-adaptive": "--decimate-adaptive"}
 PEERS = ("nanogs-ref", "st-uniform", "st-adaptive")  # files that were made beforehand
 SCENES = {
@@ -112,44 +108,6 @@ def measure(
     command = shlex.join(["python", "benchmarks/quality.py", *sys.argv[1:]])
     folder.finish(run_bench(scenes, settings, on_row=on_row), preamble(settings, command))
     print(folder.path / "results.md")
-
-
-def install() -> None:
-    """Put Node and splat-transform into the build folder, once."""
-    if splat_transform().exists():
-        return
-    BUILD.mkdir(parents=True, exist_ok=True)
-    subprocess.run(["npm", "install", "--prefix", BUILD, "--no-fund", *NODE_PACKAGES], check=True)
-
-
-def splat_transform() -> Path:
-    """The tool's command."""
-    return BUILD / "node_modules" / ".bin" / "splat-transform"
-
-
-def run_tool(*arguments: str | Path) -> tuple[float, int]:
-    """Seconds and peak resident bytes of one call of the tool."""
-    binaries = f"{splat_transform().parent}{os.pathsep}{os.environ['PATH']}"
-    command = [splat_transform(), "-q", "-w", "-g", "cpu", *arguments]
-    start = time.perf_counter()
-    process = subprocess.Popen(command, env={**os.environ, "PATH": binaries}, stdout=sys.stderr)
-    peak = 0
-    while process.poll() is None:
-        peak = max(peak, resident_peak(process.pid))
-        time.sleep(0.02)
-    if process.returncode:
-        sys.exit(f"splat-transform {' '.join(map(str, arguments))}: exit {process.returncode}")
-    return time.perf_counter() - start, peak
-
-
-def resident_peak(pid: int) -> int:
-    """Most resident bytes of a process so far; 0 where the system does not tell."""
-    try:
-        status = Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return 0
-    peaks = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")]
-    return int(peaks[0]) * 1024 if peaks else 0
 
 
 def convert(name: str, source: Path) -> Path:

@@ -1,0 +1,31 @@
+"""Print the stages' seconds beside the time it would take to stream their bytes once.
+
+python -m pytest benchmarks/bench_stages.py --benchmark-json build/stages.json
+python benchmarks/account.py build/stages.json
+"""
+
+import json
+import sys
+from pathlib import Path
+from statistics import median
+
+
+def main() -> None:
+    """One row for each stage, as Markdown."""
+    entries = json.loads(Path(sys.argv[1]).read_text())["benchmarks"]
+    rows = {
+        entry["name"].removeprefix("test_"): (
+            entry["extra_info"]["MB"],
+            1000 * median(entry["stats"]["data"]),
+        )
+        for entry in entries
+    }
+    moved, took = rows["copy"]
+    print("| stage | ms | MB moved at least | times the streaming of these |\n|---|--:|--:|--:|")
+    for name, (size, milliseconds) in rows.items():
+        over = milliseconds / (size * took / moved)
+        print(f"| {name} | {milliseconds:.1f} | {size:.1f} | {over:.1f} |")
+
+
+if __name__ == "__main__":
+    main()

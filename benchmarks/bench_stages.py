@@ -1,0 +1,252 @@
+"""Seconds of every stage and kernel on one scene, by pytest-benchmark.
+
+    python -m pytest benchmarks/bench_stages.py [--benchmark-json FILE]
+
+The scene is made up, 100,000 splats of SH degree 3; NANOGS_BENCH_MODEL names another file. Each
+stage is run once before it is timed. "MB" beside a stage is what it must read and write at least,
+once; over the seconds that is a rate to hold against `copy`, which moves memory and does no more.
+"""
+
+import os
+
+import numpy as np
+import pytest
+
+import nanogs
+from nanogs.datasets.synthetic import make_scene
+from nanogs.kernels.forest import log_determinants, merge_increments
+from nanogs.kernels.raster import blend_tiles, list_tiles
+from nanogs.metrics import ssim
+from nanogs.refit import targets
+from nanogs.render import rasterize
+from nanogs.render.views import automatic_cameras
+from nanogs.simplify import cost, cut, gaussians, graph, match, merge, neighbours, nodes, order
+from nanogs.simplify.extent import dilation
+from nanogs.simplify.presets import PaperParameters
+from nanogs.simplify.reassign import reassign
+from nanogs.simplify.tree import grow_forest
+
+THREADS = os.cpu_count() or 1
+RATIO = 10  # splats for each one kept
+
+
+def nothing(*_):
+    """For progress."""
+
+
+@pytest.fixture(scope="module")
+def splats():
+    """The model."""
+    path = os.environ.get("NANOGS_BENCH_MODEL")
+    return nanogs.load(path) if path else make_scene(100_000)
+
+
+@pytest.fixture(scope="module")
+def scene(splats):
+    """What the stages hand on to each other."""
+    rows = np.flatnonzero(splats.finite())
+    origin = gaussians.scene_origin(splats.means[rows])
+    alphas = splats.opacities()[rows]
+    pixel = dilation(splats.means[rows] - origin, alphas, splats.render_mode, 720)
+    leaves, rows = nodes.activate_nodes(splats, rows, origin, pixel)
+    pairs = graph.neighbour_pairs(leaves.means, 8, THREADS)
+    dets = np.empty(len(leaves))
+    log_determinants(leaves.covariances, dets)
+    costs = np.empty((len(pairs), 2), np.float32)
+    merge_increments(
+        pairs, leaves.weights, leaves.means, leaves.covariances, dets, leaves.features, costs
+    )
+    forest = grow_forest(leaves, 8, 1.0, THREADS, nothing)
+    target = max(1, len(leaves) // RATIO)
+    labels = cut.cut(forest, target, 0.8)
+    merged = nodes.gather(leaves, labels, target)
+    camera = automatic_cameras(splats, 1, width=512, height=512)[0]
+    prepared = rasterize.prepare(splats)
+    return {
+        "splats": splats, "rows": rows, "origin": origin, "pixel": pixel, "leaves": leaves,
+        "pairs": pairs, "dets": dets, "costs": costs, "forest": forest, "target": target,
+        "labels": labels, "merged": merged, "camera": camera, "prepared": prepared,
+    }  # fmt: skip
+
+
+@pytest.fixture
+def timed(benchmark):
+    """Time a call, with the bytes it must move."""
+
+    def run(work, *arrays):
+        result = benchmark.pedantic(work, rounds=7, iterations=1, warmup_rounds=1)
+        total = sum(array.nbytes for array in arrays)
+        median = benchmark.stats.stats.median if benchmark.stats else 0
+        benchmark.extra_info["MB"] = round(total / 1e6, 1)
+        benchmark.extra_info["GB/s"] = round(total / 1e9 / median, 2) if median else None
+        return result
+
+    return run
+
+
+def columns(splats):
+    """The model's float32 columns."""
+    return splats.means, splats.log_scales, splats.quats, splats.opacity_logits, splats.sh
+
+
+def test_copy(timed, splats):
+    source = np.concatenate([column.reshape(-1) for column in columns(splats)])
+    target = np.empty_like(source)
+    timed(lambda: np.copyto(target, source), source, target)
+
+
+def test_write_ply(timed, splats, tmp_path):
+    path = tmp_path / "model.ply"
+    timed(lambda: nanogs.save(splats, path, overwrite=True), *columns(splats))
+
+
+def test_read_ply(timed, splats, tmp_path):
+    path = tmp_path / "model.ply"
+    nanogs.save(splats, path)
+    timed(lambda: nanogs.load(path), *columns(splats))
+
+
+def test_morton_order(timed, scene):
+    means = scene["splats"].means.astype(np.float64)
+    timed(lambda: order.morton_order(means), means)
+
+
+def test_activate(timed, scene):
+    rows = np.sort(scene["rows"])
+    moved = (*columns(scene["splats"]), scene["leaves"].covariances, scene["leaves"].features)
+    timed(
+        lambda: nodes.activate_nodes(scene["splats"], rows, scene["origin"], scene["pixel"]), *moved
+    )
+
+
+@pytest.mark.parametrize("k", [8, 16])
+def test_neighbours(timed, scene, k):
+    means = scene["leaves"].means
+    found = neighbours.nearest_neighbours(means, k, THREADS)
+    timed(lambda: neighbours.nearest_neighbours(means, k, THREADS), means, found)
+
+
+def test_pairs(timed, scene):
+    timed(lambda: graph.neighbour_pairs(scene["leaves"].means, 8, THREADS), scene["pairs"])
+
+
+def test_increments(timed, scene):
+    leaves, pairs, out = scene["leaves"], scene["pairs"], np.empty_like(scene["costs"])
+    timed(
+        lambda: merge_increments(
+            pairs,
+            leaves.weights,
+            leaves.means,
+            leaves.covariances,
+            scene["dets"],
+            leaves.features,
+            out,
+        ),
+        pairs, leaves.means, leaves.covariances, leaves.features, out,
+    )  # fmt: skip
+
+
+def test_match(timed, scene):
+    costs = np.ascontiguousarray(scene["costs"].sum(axis=1))
+    n = len(scene["leaves"])
+    timed(lambda: match.match(scene["pairs"], costs, n, n // 2), scene["pairs"], costs)
+
+
+def test_gather(timed, scene):
+    leaves = scene["leaves"]
+    timed(
+        lambda: nodes.gather(leaves, scene["labels"], scene["target"]),
+        leaves.means, leaves.covariances, leaves.features, scene["labels"],
+    )  # fmt: skip
+
+
+def test_grow_forest(timed, scene):
+    timed(lambda: grow_forest(scene["leaves"], 8, 1.0, THREADS, nothing), scene["pairs"])
+
+
+def test_cut(timed, scene):
+    forest = scene["forest"]
+    moved = (forest.children, forest.levels, forest.increments, scene["labels"])
+    timed(lambda: cut.cut(forest, scene["target"], 0.8), *moved)
+
+
+def test_reassign(timed, scene):
+    leaves = scene["leaves"]
+    timed(
+        lambda: reassign(leaves, scene["labels"], scene["target"], 1, THREADS),
+        leaves.means, leaves.covariances, leaves.features,
+    )  # fmt: skip
+
+
+def test_store(timed, scene):
+    timed(
+        lambda: nodes.store_nodes(
+            scene["merged"],
+            scene["leaves"],
+            scene["labels"],
+            scene["rows"],
+            scene["splats"],
+            scene["origin"],
+            scene["pixel"],
+            1.1,
+        ),
+        scene["merged"].features,
+    )
+
+
+def test_published_costs(timed, scene):
+    active = gaussians.activate(scene["splats"], scene["rows"], scene["origin"])
+    masses = cost.log_masses(active)
+    parameters = PaperParameters()
+    timed(lambda: cost.pair_costs(active, scene["pairs"], masses, parameters), scene["pairs"])
+
+
+def test_published_merge(timed, scene):
+    active = gaussians.activate(scene["splats"], scene["rows"], scene["origin"])
+    masses = cost.log_masses(active)
+    costs = cost.pair_costs(active, scene["pairs"], masses, PaperParameters())
+    plan = match.match(scene["pairs"], costs, len(active), len(active) // 2)
+    timed(lambda: merge.merge(active, plan, masses), active.means, active.features)
+
+
+def test_project(timed, scene):
+    view = rasterize.project(scene["prepared"], scene["camera"])
+    moved = (scene["prepared"].factors, scene["prepared"].sh, view.geometry, view.features)
+    timed(lambda: rasterize.project(scene["prepared"], scene["camera"]), *moved)
+
+
+def test_list_tiles(timed, scene):
+    view = rasterize.project(scene["prepared"], scene["camera"])
+    timed(lambda: list_tiles(view.geometry, view.boxes, view.order, 512, 512), view.entries)
+
+
+def test_blend(timed, scene):
+    view = rasterize.project(scene["prepared"], scene["camera"])
+    features = np.ascontiguousarray(view.features[:, :3])
+    image, left = np.empty((512, 512, 3), np.float32), np.empty((512, 512), np.float32)
+    behind, partial = np.zeros(4, np.float32), np.empty(0, np.float32)
+    timed(
+        lambda: blend_tiles(
+            view.geometry, features, view.starts, view.entries, behind, image, left, partial
+        ),
+        view.entries, image,
+    )  # fmt: skip
+
+
+def test_render_with_contributions(timed, scene):
+    timed(
+        lambda: rasterize.render(scene["prepared"], scene["camera"], contributions=True),
+        scene["prepared"].sh,
+    )
+
+
+def test_pull(timed, scene):
+    target = targets.make_target(scene["prepared"], scene["camera"])
+    small, _ = nanogs.simplify(scene["splats"], ratio=1 / RATIO, preset="fast")
+    prepared = rasterize.prepare(small)
+    timed(lambda: targets.pull(prepared, target), prepared.sh)
+
+
+def test_ssim(timed):
+    images = np.random.default_rng(0).random((2, 512, 512, 3))
+    timed(lambda: ssim(images[0], images[1]), images)

@@ -1,0 +1,53 @@
+"""Run other programs for the benchmarks: seconds, peak memory, and splat-transform from npm."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+BUILD = ROOT / "build" / "quality"
+NODE_PACKAGES = ("node@22", "@playcanvas/splat-transform@3.7.0")
+
+
+def install() -> None:
+    """Put Node and splat-transform into the build folder, once."""
+    if splat_transform().exists():
+        return
+    BUILD.mkdir(parents=True, exist_ok=True)
+    subprocess.run(["npm", "install", "--prefix", BUILD, "--no-fund", *NODE_PACKAGES], check=True)
+
+
+def splat_transform() -> Path:
+    """The tool's command."""
+    return BUILD / "node_modules" / ".bin" / "splat-transform"
+
+
+def run_tool(*arguments: str | Path) -> tuple[float, int]:
+    """Seconds and peak resident bytes of one call of splat-transform on the CPU."""
+    binaries = f"{splat_transform().parent}{os.pathsep}{os.environ['PATH']}"
+    return timed([splat_transform(), "-q", "-w", "-g", "cpu", *arguments], {"PATH": binaries})
+
+
+def timed(command: list[str | Path], environment: dict[str, str]) -> tuple[float, int]:
+    """Seconds and peak resident bytes of a process; a failure ends the benchmark."""
+    start = time.perf_counter()
+    process = subprocess.Popen(command, env={**os.environ, **environment}, stdout=sys.stderr)
+    peak = 0
+    while process.poll() is None:
+        peak = max(peak, _resident_peak(process.pid))
+        time.sleep(0.02)
+    if process.returncode:
+        sys.exit(f"{' '.join(map(str, command))}: exit {process.returncode}")
+    return time.perf_counter() - start, peak
+
+
+def _resident_peak(pid: int) -> int:
+    """Most resident bytes of a process so far; 0 where the system does not tell."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return 0
+    peaks = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")]
+    return int(peaks[0]) * 1024 if peaks else 0

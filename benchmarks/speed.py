@@ -1,0 +1,171 @@
+"""Time whole runs from file to file: our presets, splat-transform and one k-d tree query, in turns.
+
+    python benchmarks/speed.py [MODEL] [--count 1000000] [--rounds 3] [--ratio 0.1] [--alone]
+    python benchmarks/speed.py --scaling 100000,200000,500000,1000000,2000000,5000000
+    python benchmarks/speed.py --threads 1,2
+
+MODEL is a 3DGS file; without one, `nanogs demo` makes a scene of --count splats, SH degree 3. Every
+round runs each program once, one after the other, so that what else the machine does disturbs all;
+the tables on stdout give medians, and ratios of the medians. All runs are whole processes with warm
+kernels. The query is scipy's cKDTree, built and asked for 16 neighbours of every centre by all
+threads, in Morton order: its seconds are those of the query alone.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import nanogs
+from nanogs.datasets.synthetic import make_scene
+from nanogs.formatting import bytes_text
+from nanogs.io import inspect
+from nanogs.simplify.order import morton_order
+from nanogs.simplify.target import target_count
+from rivals import ROOT, install, run_tool, timed
+
+WORK = ROOT / "build" / "speed"
+PRESETS = ("fast", "default", "paper")
+MODES = {"splat-transform uniform": "--decimate", "splat-transform adaptive": "--decimate-adaptive"}
+K = 16
+Run = Callable[[], tuple[float, int]]
+
+
+def main() -> None:
+    """Print the table asked for."""
+    options = arguments()
+    WORK.mkdir(parents=True, exist_ok=True)
+    if options.scaling:
+        scaling([int(text) for text in options.scaling.split(",")], options)
+        return
+    model = options.model or scene(options.count)
+    if options.threads:
+        threads([int(text) for text in options.threads.split(",")], model, options)
+        return
+    against_others(model, options)
+
+
+def arguments() -> argparse.Namespace:
+    """What the caller wants."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("model", nargs="?", type=Path)
+    parser.add_argument("--count", type=int, default=1_000_000)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--ratio", type=float, default=0.1)
+    parser.add_argument("--alone", action="store_true", help="without the other tool")
+    parser.add_argument("--scaling", help="counts, with commas between")
+    parser.add_argument("--threads", help="numbers of threads, with commas between")
+    return parser.parse_args()
+
+
+def scene(count: int) -> Path:
+    """A made-up scene of so many splats, kept for the next run."""
+    path = WORK / f"scene_{count}.ply"
+    if not path.exists():
+        nanogs.save(make_scene(count), path)
+    return path
+
+
+def ours(model: Path, preset: str, options: argparse.Namespace, threads: int | None = None) -> Run:
+    """One run of the command."""
+    command: list[str | Path] = [sys.executable, "-m", "nanogs", "simplify", model]
+    command += [WORK / "out.ply", "-w", "-q", "--ratio", str(options.ratio), "--preset", preset]
+    command += [] if threads is None else ["--threads", str(threads)]
+    return lambda: timed(command, {})
+
+
+def other(model: Path, flag: str, ratio: float) -> Run:
+    """One run of splat-transform."""
+    count = str(target_count(inspect(model).splats, ratio, None))
+    return lambda: run_tool(model, flag, count, WORK / "other.ply")
+
+
+def query(model: Path) -> Run:
+    """The k-d tree's query of a model's centres."""
+    means = nanogs.load(model).means.astype(np.float64)
+    means = means[morton_order(means)]
+    tree = cKDTree(means, leafsize=16)
+
+    def run() -> tuple[float, int]:
+        start = time.perf_counter()
+        tree.query(means, K + 1, workers=os.cpu_count() or 1)
+        return time.perf_counter() - start, 0
+
+    return run
+
+
+def in_turns(runs: dict[str, Run], rounds: int) -> dict[str, list[tuple[float, int]]]:
+    """Seconds and peaks of every run, each once a round."""
+    taken: dict[str, list[tuple[float, int]]] = {name: [] for name in runs}
+    for _ in range(rounds):
+        for name, run in runs.items():
+            taken[name].append(run())
+            print(f"{name}: {taken[name][-1][0]:.2f} s", file=sys.stderr, flush=True)
+    return taken
+
+
+def against_others(model: Path, options: argparse.Namespace) -> None:
+    """Every preset, the other tool's modes and the query."""
+    runs = {preset: ours(model, preset, options) for preset in PRESETS}
+    if not options.alone:
+        install()
+        runs |= {name: other(model, flag, options.ratio) for name, flag in MODES.items()}
+    runs[f"cKDTree query, k = {K}"] = query(model)
+    warm(options)
+    taken = in_turns(runs, options.rounds)
+    fast = median(seconds for seconds, _ in taken["fast"])
+    columns = inspect(model)
+    held = columns.splats * 4 * (11 + 3 * (columns.sh_degree + 1) ** 2)
+    print(
+        f"{columns.splats:,} splats, SH degree {columns.sh_degree}, {bytes_text(held)} of columns\n"
+    )
+    print("| | seconds | over fast | peak memory | over the columns |")
+    print("|---|--:|--:|--:|--:|")
+    for name, turns in taken.items():
+        seconds, peak = (median(values) for values in zip(*turns, strict=True))
+        memory = f"{bytes_text(int(peak))} | {peak / held:.2f}" if peak else "|"
+        print(f"| {name} | {seconds:.2f} | {seconds / fast:.2f} | {memory} |")
+
+
+def warm(options: argparse.Namespace) -> None:
+    """Compile what is not in the cache, on a small scene."""
+    for preset in PRESETS:
+        ours(scene(2000), preset, options)()
+
+
+def scaling(counts: list[int], options: argparse.Namespace) -> None:
+    """Seconds and memory of `fast` over the count, and the slope on log-log."""
+    warm(options)
+    runs = {f"{count:,}": ours(scene(count), "fast", options) for count in counts}
+    taken = in_turns(runs, options.rounds)
+    middle = [median(seconds for seconds, _ in turns) for turns in taken.values()]
+    print("| splats | seconds | microseconds a splat | peak memory |\n|--:|--:|--:|--:|")
+    for count, seconds, turns in zip(counts, middle, taken.values(), strict=True):
+        peak = bytes_text(int(median(peak for _, peak in turns)))
+        print(f"| {count:,} | {seconds:.2f} | {1e6 * seconds / count:.2f} | {peak} |")
+    slope = np.polyfit(np.log(counts), np.log(middle), 1)[0]
+    print(f"\nSlope on log-log: {slope:.2f}")
+
+
+def threads(numbers: list[int], model: Path, options: argparse.Namespace) -> None:
+    """Seconds of each preset over the number of threads."""
+    warm(options)
+    runs = {
+        f"{preset} | {number}": ours(model, preset, options, number)
+        for preset in PRESETS
+        for number in numbers
+    }
+    taken = in_turns(runs, options.rounds)
+    print("| preset | threads | seconds |\n|---|--:|--:|")
+    for name, turns in taken.items():
+        print(f"| {name} | {median(seconds for seconds, _ in turns):.2f} |")
+
+
+if __name__ == "__main__":
+    main()
