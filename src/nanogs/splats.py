@@ -128,15 +128,7 @@ class Splats:
 
     def unit_quats(self) -> F32:
         """(N, 4) float32, wxyz, unit; a zero quaternion stands for no rotation."""
-        # In single precision, but divided by the largest part first: tiny and huge quaternions
-        # must not under- or overflow. The result is unit to 1e-7 either way.
-        largest = np.abs(self.quats).max(axis=1, keepdims=True)
-        zero = largest[:, 0] == 0
-        largest[zero] = 1
-        quats: F32 = self.quats / largest
-        quats[zero] = (1, 0, 0, 0)
-        quats /= np.sqrt(np.einsum("ij,ij->i", quats, quats))[:, None]
-        return quats
+        return unit(self.quats)
 
     def finite(self) -> Bool:
         """(N,) bool: rows without NaN, and infinite in nothing but the logit of the opacity.
@@ -162,3 +154,16 @@ class Splats:
             sh=self.sh[rows],
             extras={name: column[rows] for name, column in self.extras.items()},
         )
+
+
+def unit(quats: F32) -> F32:
+    """(N, 4) float32: quaternions of length 1; a zero one stands for no rotation."""
+    # In single precision, but divided by the largest part first: tiny and huge quaternions
+    # must not under- or overflow. The result is unit to 1e-7 either way.
+    largest = np.abs(quats).max(axis=1, keepdims=True)
+    zero = largest[:, 0] == 0
+    largest[zero] = 1
+    result: F32 = quats / largest
+    result[zero] = (1, 0, 0, 0)
+    result /= np.sqrt(np.einsum("ij,ij->i", result, result))[:, None]
+    return result

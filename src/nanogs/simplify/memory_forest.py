@@ -58,7 +58,7 @@ def forest_stages(
         "store": grown + count * (5 * _I4) + best + max(result, drawing),
         "refit": grown + _refit(count, target, features) if parameters.refit else 0,
     }
-    stages = {"look": look, "activate": count * (row + 17 * _F8 + node)}
+    stages = {"look": look, "activate": count * (node + 17 * _F8)}
     stages |= {stage: leaves + held for stage, held in beside.items() if held}
     return leaves, {stage: held for stage, held in stages.items() if held}
 

@@ -17,7 +17,7 @@ from nanogs.kernels.nodes import (
     principal_axes,
 )
 from nanogs.simplify.order import morton_order
-from nanogs.splats import Splats
+from nanogs.splats import Splats, unit
 
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
 MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
@@ -79,15 +79,15 @@ def activate_nodes(splats: Splats, rows: I64, origin: F64, pixel: float) -> tupl
     """
     means = splats.means[rows] - origin
     order = morton_order(means)
-    rows = rows[order]
-    chosen = splats.take(rows)
-    scales = chosen.scales()
+    rows, means = rows[order], means[order]
+    scales = splats.log_scales[rows]
+    np.exp(scales, out=scales)
     covariances = np.empty((len(rows), 6))
-    covariances_of(scales, chosen.unit_quats(), FLATTEST, _least(scales, means, pixel), covariances)
-    coverages = chosen.opacities() * footprints(covariances, pixel)
-    features = np.ascontiguousarray(chosen.sh.reshape(len(rows), -1))
-    nodes = Nodes(normalised(coverages), coverages, means[order], covariances, features)
-    return nodes, rows
+    least = _least(scales, means, pixel)
+    covariances_of(scales, unit(splats.quats[rows]), FLATTEST, least, covariances)
+    coverages = splats.opacities()[rows] * footprints(covariances, pixel)
+    features = splats.sh[rows].reshape(len(rows), -1)
+    return Nodes(normalised(coverages), coverages, means, covariances, features), rows
 
 
 def _least(scales: F32, means: F64, pixel: float) -> float:
