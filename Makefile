@@ -15,10 +15,12 @@ $(STAMP): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	touch $(STAMP)
 
-demo: $(STAMP) ## generate a scene of 200,000 splats, simplify it to 10 % and print the report
+demo: $(STAMP) ## make a scene of 200,000 splats, simplify it to 10 %, and show all in demo/report.html
 	mkdir -p demo
 	$(BIN)/nanogs demo demo/scene.ply -w
 	$(BIN)/nanogs simplify demo/scene.ply demo/small.ply --ratio 0.1 -w
+	$(BIN)/nanogs simplify demo/scene.ply demo/best.ply --ratio 0.1 --preset best -w
+	$(BIN)/nanogs compare demo/scene.ply demo/small.ply demo/best.ply --report demo/report.html -w
 
 test: $(STAMP) ## run the tests
 	$(BIN)/python -m pytest -n 2
