@@ -48,14 +48,16 @@ def scene(splats):
     origin = gaussians.scene_origin(splats.means[rows])
     alphas = splats.opacities()[rows]
     pixel = dilation(splats.means[rows] - origin, alphas, splats.render_mode, 720)
-    leaves, rows = nodes.activate_nodes(splats, rows, origin, pixel)
+    rows = rows[order.morton_order(splats.means[rows] - origin)]
+    leaves = nodes.activate_nodes(splats, rows, origin, pixel)
     pairs = graph.neighbour_pairs(leaves.means, 8, THREADS)
     dets = np.empty(len(leaves))
     log_determinants(leaves.covariances, dets)
     costs = np.empty((len(pairs), 2), np.float32)
     merge_increments(
-        pairs, leaves.weights, leaves.means, leaves.covariances, dets, leaves.features, costs
-    )
+        pairs, leaves.weights, leaves.means, leaves.covariances, dets,
+        leaves.features, leaves.rows, costs,
+    )  # fmt: skip
     forest = grow_forest(leaves, 8, 1.0, THREADS, nothing)
     target = max(1, len(leaves) // RATIO)
     labels = cut.cut(forest, target, 0.8)
@@ -112,10 +114,12 @@ def test_morton_order(timed, scene):
 
 
 def test_activate(timed, scene):
-    rows = np.sort(scene["rows"])
-    moved = (*columns(scene["splats"]), scene["leaves"].covariances, scene["leaves"].features)
+    moved = (*columns(scene["splats"])[:-1], scene["leaves"].covariances)
     timed(
-        lambda: nodes.activate_nodes(scene["splats"], rows, scene["origin"], scene["pixel"]), *moved
+        lambda: nodes.activate_nodes(
+            scene["splats"], scene["rows"], scene["origin"], scene["pixel"]
+        ),
+        *moved,
     )
 
 
@@ -140,6 +144,7 @@ def test_increments(timed, scene):
             leaves.covariances,
             scene["dets"],
             leaves.features,
+            leaves.rows,
             out,
         ),
         pairs, leaves.means, leaves.covariances, leaves.features, out,
@@ -184,7 +189,6 @@ def test_store(timed, scene):
             scene["merged"],
             scene["leaves"],
             scene["labels"],
-            scene["rows"],
             scene["splats"],
             scene["origin"],
             scene["pixel"],

@@ -25,6 +25,7 @@ from nanogs.simplify.nodes import (
     normalised,
     store_nodes,
 )
+from nanogs.simplify.order import morton_order
 from nanogs.simplify.presets import PRESETS
 from nanogs.simplify.tree import Forest, grow_forest
 from nanogs.splats import RenderMode
@@ -38,8 +39,8 @@ def silent(_stage, _count):
 
 
 def nodes_of(splats, pixel=0.0):
-    nodes, rows = activate_nodes(splats, np.arange(len(splats)), np.zeros(3), pixel)
-    return nodes, rows
+    rows = morton_order(splats.means.astype(np.float64))
+    return activate_nodes(splats, rows, np.zeros(3), pixel), rows
 
 
 def forest_of(count, seed=0, k=8):
@@ -105,8 +106,9 @@ def test_weighted_means_of_the_whole_are_conserved(n, seed):
     nodes, _ = nodes_of(random_splats(n, seed=seed), 0.01)
     labels = np.random.default_rng(seed).permutation(np.arange(n) % (n // 2)).astype(np.int32)
     merged = gather(nodes, labels, n // 2)
-    for part in ("means", "features"):
-        before, after = (x.weights @ getattr(x, part).astype(np.float64) for x in (nodes, merged))
+    colours = [x.features[x.rows].astype(np.float64) for x in (nodes, merged)]
+    for part in ([nodes.means, merged.means], colours):
+        before, after = (x.weights @ y for x, y in zip((nodes, merged), part, strict=True))
         assert np.allclose(after, before, rtol=1e-4, atol=1e-5)
     assert merged.weights.sum() == pytest.approx(nodes.weights.sum())
     assert merged.coverages.sum() == pytest.approx(nodes.coverages.sum())
@@ -124,11 +126,11 @@ def test_weights_are_about_one_and_never_zero():
 @given(st.integers(4, 60), st.integers(0, 2**31), st.sampled_from([0.0, 0.05]))
 def test_stored_groups_cover_what_their_members_did(n, seed, pixel):
     splats = random_splats(n, seed=seed)
-    nodes, rows = nodes_of(splats, pixel)
+    nodes, _ = nodes_of(splats, pixel)
     labels = (np.arange(n) // 2).astype(np.int32)
     groups = int(labels[-1]) + 1
     merged = gather(nodes, labels, groups)
-    small = store_nodes(merged, nodes, labels, rows, splats, np.zeros(3), pixel, 1.0)
+    small = store_nodes(merged, nodes, labels, splats, np.zeros(3), pixel, 1.0)
     assert len(small) == groups
     alphas = small.opacities()
     sigmas = [twins.pack(twins.covariance(s, q)) for s, q in
@@ -189,7 +191,7 @@ def test_increments_are_those_of_the_merged_nodes():
     def moments(node):
         own = twins.leaves_below(forest.children, node, 40)
         weights = nodes.weights[own]
-        arrays = (nodes.means[own], sigmas[own], nodes.features[own])
+        arrays = (nodes.means[own], sigmas[own], nodes.features[nodes.rows[own]])
         return twins.group_moments(weights, weights, *arrays)
 
     for pair, increment in zip(forest.children, forest.increments, strict=True):
@@ -326,8 +328,8 @@ def log_likelihood(leaves, labels, groups):
         np.empty(len(labels)),
     )
     assign_nearest(
-        labels, none, leaves.means, leaves.covariances, leaves.features, merged.means, inverses,
-        dets, merged.features, reassign.LAMBDA_APP, out, misfits,
+        labels, none, leaves.means, leaves.covariances, leaves.features, leaves.rows,
+        merged.means, inverses, dets, merged.features, reassign.LAMBDA_APP, out, misfits,
     )  # fmt: skip
     return -float(leaves.weights @ misfits)
 

@@ -377,7 +377,7 @@ def test_gathered_moments_equal_the_twin():
     starts, members = np.zeros(10, np.int64), np.empty(40, np.int32)
     group_members(labels, starts, members)
     new = (np.empty(9), np.empty(9), np.empty((9, 3)), np.empty((9, 6)), np.empty((9, 12), "f4"))
-    gather_moments(starts, members, *nodes, *new)
+    gather_moments(starts, members, *nodes[:-1], *shuffled(nodes[-1]), *new)
     weights, coverages, means, covariances, features = nodes
     sigmas = np.array([twins.unpack(six) for six in covariances])
     for group in range(9):
@@ -414,10 +414,18 @@ def test_log_determinants_and_inverses_equal_the_twin():
         assert np.allclose(twins.unpack(inverse) @ sigma, np.eye(3), atol=1e-8)
 
 
+def shuffled(features):
+    """Features in another order, and where those of each node are."""
+    rows = np.random.default_rng(1).permutation(len(features)).astype(np.int32)
+    moved = np.empty_like(features)
+    moved[rows] = features
+    return moved, rows
+
+
 def increments_of(pairs, weights, means, covariances, features):
     dets, out = np.empty(len(means)), np.empty((len(pairs), 2), np.float32)
     log_determinants(covariances, dets)
-    merge_increments(pairs, weights, means, covariances, dets, features, out)
+    merge_increments(pairs, weights, means, covariances, dets, *shuffled(features), out)
     return out
 
 
@@ -484,8 +492,8 @@ def test_assignment_equals_the_twin(lambda_app):
     invert_covariances(covariances[clusters], inverses, dets)
     moved, least = np.empty(60, np.int32), np.empty(60)
     assign_nearest(
-        labels, candidates, means, covariances, features, means[clusters], inverses, dets,
-        features[clusters], lambda_app, moved, least,
+        labels, candidates, means, covariances, *shuffled(features), means[clusters], inverses,
+        dets, features[clusters], lambda_app, moved, least,
     )  # fmt: skip
     sigmas = np.array([twins.unpack(six) for six in covariances])
     for i in range(60):
@@ -505,8 +513,9 @@ def test_equal_clusters_keep_their_own():
     origin, grey = np.zeros((3, 3)), np.zeros((3, 1), np.float32)
     labels, moved, least = np.array([2, 0, 1], np.int32), np.empty(3, np.int32), np.empty(3)
     others = np.array([[1, 2], [0, 2], [0, 1]], np.int32)
+    own = np.arange(3, dtype=np.int32)
     assign_nearest(
-        labels, others, origin, same, grey, origin, same, np.zeros(3), grey, 1.0, moved, least
+        labels, others, origin, same, grey, own, origin, same, np.zeros(3), grey, 1.0, moved, least
     )
     assert moved.tolist() == labels.tolist()
     assert least == pytest.approx([1.5] * 3)  # half the trace of the identity
@@ -550,8 +559,10 @@ print(len(told))
 def test_compiling_is_told_once_and_only_where_the_cache_is_empty(tmp_path):
     def told():
         command = [sys.executable, "-c", COMPILE]
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-        run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        cache = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DISABLE_JIT": "0"}
+        run = subprocess.run(
+            command, env={**os.environ, **cache}, capture_output=True, text=True, check=True
+        )
         return run.stdout.strip()
 
     assert [told(), told()] == ["1", "0"]

@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from nanogs._types import F32, F64, I64, Array, Bool, F
+from nanogs._types import F32, F64, I32, I64, Array, Bool, F
 from nanogs.errors import ModelError
 
 MAX_SH_DEGREE = 4
@@ -143,7 +143,7 @@ class Splats:
                 ok &= flags.reshape(len(self), -1).all(axis=1)
         return ok
 
-    def take(self, rows: I64 | Bool) -> "Splats":
+    def take(self, rows: I64 | I32 | Bool) -> "Splats":
         """The given rows (indices or a mask), every column and tag with them."""
         return replace(
             self,

@@ -33,7 +33,7 @@ def invert_covariances(covariances: F64, inverses: F64, log_dets: F64) -> None:
 
 @parallel_kernel
 def assign_nearest(
-    labels: I32, candidates: I32, means: F64, covariances: F64, features: F32,
+    labels: I32, candidates: I32, means: F64, covariances: F64, features: F32, rows: I32,
     centres: F64, inverses: F64, log_dets: F64, colours: F32, lambda_app: float,
     out: I32, distances: F64,
 ) -> None:  # fmt: skip
@@ -43,8 +43,8 @@ def assign_nearest(
     S = Sigma_c^-1: the splat's expected negative log likelihood under the cluster; ties to the
     earlier candidate.
     labels: (N,); candidates: (G, k) clusters; means: (N, 3); covariances: (N, 6); features:
-    (N, C); centres: (G, 3); inverses: (G, 6); log_dets: (G,); colours: (G, C); out: (N,) new
-    labels; distances: (N,) the least.
+    (F, C); rows: (N,) of the features; centres: (G, 3); inverses: (G, 6); log_dets: (G,);
+    colours: (G, C); out: (N,) new labels; distances: (N,) the least.
     """
     for i in numba.prange(len(labels)):
         xx, xy, xz, yy, yz, zz = symmetric(covariances, i)
@@ -60,7 +60,7 @@ def assign_nearest(
             spread += 2.0 * (b * (xy + x * y) + c * (xz + x * z) + e * (yz + y * z))
             distance = 0.0
             for channel in range(features.shape[1]):
-                difference = features[i, channel] - colours[g, channel]
+                difference = features[rows[i], channel] - colours[g, channel]
                 distance += difference * difference
             total = 0.5 * (spread + log_dets[g]) + lambda_app * distance
             if total < best:

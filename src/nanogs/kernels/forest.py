@@ -32,15 +32,16 @@ def log_determinants(covariances: F64, out: F64) -> None:
 
 @parallel_kernel
 def merge_increments(
-    pairs: I32, weights: F64, means: F64, covariances: F64, log_dets: F64, features: F32, out: F32
-) -> None:
+    pairs: I32, weights: F64, means: F64, covariances: F64, log_dets: F64,
+    features: F32, rows: I32, out: F32,
+) -> None:  # fmt: skip
     """What merging each pair adds to the error of colour and of geometry.
 
     Colour: w_i w_j / (w_i + w_j) |f_i - f_j|² [W]. Geometry: (w_i + w_j) ½ (log |Sigma_m|
     - pi log |Sigma_i| - (1 - pi) log |Sigma_j|), pi = w_i / (w_i + w_j): the upper bound on the
     divergence of [R], eq. 21. Both add up over a subtree.
     pairs: (E, 2); weights: (N,) above 0; means: (N, 3); covariances: (N, 6); log_dets: (N,);
-    features: (N, C); out: (E, 2), colour and geometry.
+    features: (F, C); rows: (N,) of the features; out: (E, 2), colour and geometry.
     """
     for edge in numba.prange(len(pairs)):
         i, j = pairs[edge, 0], pairs[edge, 1]
@@ -55,7 +56,7 @@ def merge_increments(
         )
         distance = np.float32(0.0)
         for c in range(features.shape[1]):
-            difference = features[i, c] - features[j, c]
+            difference = features[rows[i], c] - features[rows[j], c]
             distance += difference * difference
         out[edge, 0] = total * pi * pj * distance
         growth = math.log(_determinant(merged)) - pi * log_dets[i] - pj * log_dets[j]

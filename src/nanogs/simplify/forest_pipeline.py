@@ -15,6 +15,7 @@ from nanogs.simplify.cut import cut
 from nanogs.simplify.extent import dilation
 from nanogs.simplify.gaussians import scene_origin
 from nanogs.simplify.nodes import Nodes, activate_nodes, gather, normalised, store_nodes
+from nanogs.simplify.order import morton_order
 from nanogs.simplify.outcome import Outcome
 from nanogs.simplify.pipeline import Progress
 from nanogs.simplify.presets import ForestParameters
@@ -32,7 +33,6 @@ class Build:
 
     Attributes:
         splats: The model.
-        rows: (M,) int64, the row of the model that each leaf is.
         leaves: M nodes, one for each usable splat.
         forest: Their merges.
         origin: (3,) what the leaves' centres are relative to, scene units.
@@ -45,7 +45,6 @@ class Build:
     """
 
     splats: Splats
-    rows: I64
     leaves: Nodes
     forest: Forest
     origin: F64
@@ -79,17 +78,27 @@ def build_forest(
     progress("activate", len(rows))
     with clock.time("activate"):
         origin = scene_origin(splats.means[rows])
+        means = splats.means[rows] - origin
         alphas = splats.opacities()[rows]
-        pixel = dilation(splats.means[rows] - origin, alphas, splats.render_mode, parameters.pixels)
-        leaves, rows = activate_nodes(splats, rows, origin, pixel)
-        if views is not None:
-            weights = visible_weights(leaves.coverages, views.visible[rows], parameters.hidden)
-            leaves = replace(leaves, weights=normalised(weights))
-    forest = grow_forest(leaves, parameters.k, parameters.lambda_app, threads, progress)
+        pixel = dilation(means, alphas, splats.render_mode, parameters.pixels)
+        rows = rows[morton_order(means)]
+        del means, alphas
+
+    def leaves() -> Nodes:
+        with clock.time("activate"):
+            nodes = activate_nodes(splats, rows, origin, pixel)
+            if views is None:
+                return nodes
+            weights = visible_weights(nodes.coverages, views.visible[rows], parameters.hidden)
+            return replace(nodes, weights=normalised(weights))
+
+    # Made again for what follows: the passes are the most that is held, and they have no use for
+    # the leaves after the first.
+    forest = grow_forest(leaves(), parameters.k, parameters.lambda_app, threads, progress)
     for one_pass in forest.passes:
         clock.add(one_pass.seconds)
     return Build(
-        splats, rows, leaves, forest, origin, pixel, views, cameras, parameters, threads, notes
+        splats, leaves(), forest, origin, pixel, views, cameras, parameters, threads, notes
     )
 
 
@@ -167,7 +176,6 @@ def _model(build: Build, labels: I32, growth: float) -> Splats:
         merged,
         build.leaves,
         labels,
-        build.rows,
         build.splats,
         build.origin,
         build.pixel,

@@ -3,13 +3,13 @@
 from nanogs.simplify.presets import ForestParameters
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
-_NODE = 2 * _F8 + 3 * _F8 + 6 * _F8  # weights and coverages, means, covariances; no features
+_NODE = 2 * _F8 + 3 * _F8 + 6 * _F8 + _I4  # weights and coverages, means, covariances, row
 _MERGE = 2 * _I4 + _I4 + 2 * _F4  # children, level and increments, one a merge
 TREE = 2 * 3 * _F8 + _I4 + 12 + 1  # scaled centres, reordered ones and their rows, boxes, a flag
 # Pairs for each splat and neighbour: both directions of most neighbours coincide. Measured 0.55 to
 # 0.66 on trained scenes at k = 8 to 16; the plan takes the upper end.
 PAIRS_PER_NEIGHBOUR = 0.66
-_LEFT = 0.56  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
+_LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
 _TILES = 3  # tiles of a 256-pixel view that a splat lies in, on average at most
 _PREPARED = 9 * _F4 + _F4 + 1  # factors, alpha and mask, as the rasteriser reads them
 _DRAWN = 8 * _F8 + 4 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
@@ -40,25 +40,29 @@ def forest_stages(
         judged: Whether results are rendered whatever the preset.
     """
     node, grown = _NODE + features, count * _MERGE
-    leaves = count * (node + _I8 + _F8)  # with their rows, and what is visible of each
+    rows = count * (_I8 + _F8)  # of the model, in the leaves' order, and what is visible of each
+    leaves = rows + count * _NODE  # their features are the model's
     looked = parameters.measure or judged
     look = count * (_PREPARED + _DRAWN + 13 * _F8 + _TILES * _F4) if looked else 0
-    # Later passes have fewer nodes, but two generations of them beside the leaves.
-    second = int(_LEFT * (node + _MERGE) * count)
+    # The passes after the first have fewer nodes, but features of their own.
+    second = rows + int(_LEFT * (node + _MERGE) * count)
     result = target * (node + row + 4 * _F8)
     drawing = target * (row + _PREPARED + _DRAWN) if looked else 0
     best = target * row if looked else 0  # of those tried before
     match = int(count * (PAIRS_PER_NEIGHBOUR * k * (2 * _I4 + 2 * _F4 + _F4 + _F8) + 2 * _F8))
+    graph = _graph(count, k)
+    growing = {
+        "graph": max(leaves + graph, second + int(_LEFT * graph)),
+        "match": max(leaves + match, second + int(_LEFT * match)),
+        "merge": max(leaves + second, second + int(_LEFT * second)),
+    }
     beside = {
-        "graph": _graph(count, k),
-        "match": max(match, second + int(_LEFT * match)),
-        "merge": second + int(_LEFT * second),
         "cut": grown + count * (6 * _F8 + 4 * _I4 + 2 * _I8),
         "reassign": _reassign(count, target, node, grown) if parameters.rounds else 0,
         "store": grown + count * (5 * _I4) + best + max(result, drawing),
         "refit": grown + _refit(count, target, features) if parameters.refit else 0,
     }
-    stages = {"look": look, "activate": count * (node + 17 * _F8)}
+    stages = {"look": look, "activate": rows + count * (_NODE + 17 * _F8)} | growing
     stages |= {stage: leaves + held for stage, held in beside.items() if held}
     return leaves, {stage: held for stage, held in stages.items() if held}
 

@@ -16,7 +16,6 @@ from nanogs.kernels.nodes import (
     heaviest_members,
     principal_axes,
 )
-from nanogs.simplify.order import morton_order
 from nanogs.splats import Splats, unit
 
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
@@ -32,7 +31,9 @@ class Nodes:
         coverages: (N,) float64, alpha times footprint, square scene units.
         means: (N, 3) float64, scene units, relative to the origin of the run.
         covariances: (N, 6) float64, xx, xy, xz, yy, yz, zz, square scene units.
-        features: (N, C) float32, all spherical-harmonic coefficients.
+        features: (F, C) float32, all spherical-harmonic coefficients; those of splats are the
+            input's own, in its order, and are not copied.
+        rows: (N,) int32, which row of the features is each node's.
     """
 
     weights: F64
@@ -40,6 +41,7 @@ class Nodes:
     means: F64
     covariances: F64
     features: F32
+    rows: I32
 
     def __len__(self) -> int:
         return len(self.means)
@@ -65,29 +67,28 @@ def footprints(covariances: F64, pixel: float) -> F64:
     return areas
 
 
-def activate_nodes(splats: Splats, rows: I64, origin: F64, pixel: float) -> tuple[Nodes, I64]:
-    """One node for each splat, all of the splat's footprint visible, in Morton order.
+def activate_nodes(splats: Splats, rows: I64, origin: F64, pixel: float) -> Nodes:
+    """One node for each splat, all of the splat's footprint visible.
 
     Args:
         splats: The input.
-        rows: (M,) rows of it, all finite.
+        rows: (M,) rows of it, all finite, in the nodes' order.
         origin: (3,) taken off the centres, scene units.
         pixel: As `footprints` takes it.
 
     Returns:
-        The nodes, and (M,) int64 the row of the input that each of them is.
+        The nodes; their rows are those of the input.
     """
     means = splats.means[rows] - origin
-    order = morton_order(means)
-    rows, means = rows[order], means[order]
     scales = splats.log_scales[rows]
     np.exp(scales, out=scales)
     covariances = np.empty((len(rows), 6))
     least = _least(scales, means, pixel)
     covariances_of(scales, unit(splats.quats[rows]), FLATTEST, least, covariances)
     coverages = splats.opacities()[rows] * footprints(covariances, pixel)
-    features = splats.sh[rows].reshape(len(rows), -1)
-    return Nodes(normalised(coverages), coverages, means, covariances, features), rows
+    features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
+    weights = normalised(coverages)
+    return Nodes(weights, coverages, means, covariances, features, rows.astype(np.int32))
 
 
 def _least(scales: F32, means: F64, pixel: float) -> float:
@@ -119,6 +120,7 @@ def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:
         np.empty((groups, 3)),
         np.empty((groups, 6)),
         np.empty((groups, channels), np.float32),
+        np.arange(groups, dtype=np.int32),
     )
     gather_moments(
         starts,
@@ -128,6 +130,7 @@ def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:
         nodes.means,
         nodes.covariances,
         nodes.features,
+        nodes.rows,
         result.weights,
         result.coverages,
         result.means,
@@ -178,7 +181,6 @@ def store_nodes(
     merged: Nodes,
     leaves: Nodes,
     labels: I32,
-    rows: I64,
     splats: Splats,
     origin: F64,
     pixel: float,
@@ -194,13 +196,12 @@ def store_nodes(
         merged: (G) from `gather`.
         leaves: (M) nodes, one for each splat.
         labels: (M,) the group of each.
-        rows: (M,) the row of the input that each is.
         splats: The input.
         origin: (3,) what `activate_nodes` took off the centres, scene units.
         pixel: As `footprints` takes it.
         growth: Most that an axis may grow.
     """
-    sources = rows[dominant_members(leaves, labels, len(merged))]
+    sources = leaves.rows[dominant_members(leaves, labels, len(merged))]
     order = np.argsort(sources)
     stored = splats.take(sources[order])
     new = (np.bincount(labels, minlength=len(merged)) > 1)[order]

@@ -47,6 +47,7 @@ def _one_round(leaves: Nodes, labels: I32, groups: int, threads: int) -> I32:
         leaves.means,
         leaves.covariances,
         leaves.features,
+        leaves.rows,
         merged.means,
         inverses,
         dets,

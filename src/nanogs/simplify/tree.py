@@ -54,8 +54,9 @@ def grow_forest(
         threads: Threads for the nearest-neighbour query.
         progress: Told of each stage.
     """
-    nodes, ids = leaves, np.arange(len(leaves), dtype=np.int32)
-    made = len(leaves)
+    count = made = len(leaves)
+    nodes, ids = leaves, np.arange(count, dtype=np.int32)
+    del leaves  # where the caller keeps none either, they make room for the passes to come
     parts: list[tuple[I32, I32, F32]] = []
     passes: list[PassReport] = []
     stop = StopReason.TARGET
@@ -81,7 +82,7 @@ def grow_forest(
             nodes = gather(nodes, labels, len(ids))
         passes.append(replace(report, seconds=report.seconds | clock.seconds))
     children, levels, errors = _joined(parts)
-    return Forest(len(leaves), children, levels, errors, tuple(passes), stop)
+    return Forest(count, children, levels, errors, tuple(passes), stop)
 
 
 def _one_pass(
@@ -96,8 +97,7 @@ def _one_pass(
     with clock.time("cost"):
         dets = np.empty(count)
         log_determinants(nodes.covariances, dets)
-        increments = _increments(pairs, nodes, dets)
-        costs = np.float32(lambda_app) * increments[:, 0] + increments[:, 1]
+        costs = _weighed(_increments(pairs, nodes, dets), lambda_app)
     progress("match", count)
     with clock.time("match"):
         plan = match(pairs, costs, count, count // 2)
@@ -110,11 +110,17 @@ def _one_pass(
     return plan, chosen, report
 
 
+def _weighed(increments: F32, lambda_app: float) -> F32:
+    costs: F32 = np.float32(lambda_app) * increments[:, 0] + increments[:, 1]
+    return costs
+
+
 def _increments(pairs: I32, nodes: Nodes, dets: F64) -> F32:
     increments = np.empty((len(pairs), 2), dtype=np.float32)
     merge_increments(
-        pairs, nodes.weights, nodes.means, nodes.covariances, dets, nodes.features, increments
-    )
+        pairs, nodes.weights, nodes.means, nodes.covariances, dets,
+        nodes.features, nodes.rows, increments,
+    )  # fmt: skip
     return increments
 
 
