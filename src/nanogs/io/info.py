@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from nanogs.splats import RenderMode
 
 _SIZES = {
@@ -54,4 +56,6 @@ class FileInfo:
     def extra_bytes(self) -> int:
         """Bytes that the extra columns take for each splat."""
         types = dict(self.properties)
-        return sum(_SIZES[types[name]] for name in self.extras)
+        return sum(
+            _SIZES.get(types[name]) or np.dtype(types[name]).itemsize for name in self.extras
+        )
