@@ -91,7 +91,7 @@ def test_a_model_that_fits_is_delivered_whole(splats):
 
 def test_the_format_must_be_one_whose_size_is_known(splats, monkeypatch):
     with pytest.raises(OptionError, match="does not write"):
-        nanogs.simplify(splats, size=10_000, format=".splat")
+        nanogs.simplify(splats, size=10_000, format=".obj")
     written_only = [registry.Format(".ply", *[None] * 2, ply_write.write)]
     monkeypatch.setattr(registry, "FORMATS", written_only)
     with pytest.raises(OptionError, match="only known once it is written"):

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from nanogs.splats import RenderMode
 
 _SIZES = {
@@ -23,13 +25,15 @@ class FileInfo:
 
     Attributes:
         path: The file.
-        format: Name of the format: `ply`, `compressed.ply` or `splat`.
-        encoding: `binary_little_endian`, `binary_big_endian` or `ascii`.
+        format: Name of the format: `ply`, `compressed.ply`, `splat`, `spz` or `npz`.
+        encoding: `binary_little_endian`, `binary_big_endian` or `ascii`; `gzip` or `zstd` of a
+            `.spz` file, `zip` of a `.npz` file.
         file_bytes: Size of the file in bytes.
         splats: Number of splats.
         sh_degree: Degree of the spherical harmonics, 0 to 4.
         double_means: Whether the centres are stored in double precision.
-        properties: (name, PLY type) of each stored column of a splat, in the file's order.
+        properties: (name, type) of each stored column of a splat, in the file's order; the type is
+            PLY's word, or NumPy's (`float16`, `<U4`) where PLY has none; `int24` is `.spz`'s own.
         extras: Names of the columns nanogs carries through without interpreting them.
         elements: (name, rows) of each PLY element besides those that make up the splats.
         render_mode: The rasteriser the model was trained for.
@@ -52,4 +56,6 @@ class FileInfo:
     def extra_bytes(self) -> int:
         """Bytes that the extra columns take for each splat."""
         types = dict(self.properties)
-        return sum(_SIZES[types[name]] for name in self.extras)
+        return sum(
+            _SIZES.get(types[name]) or np.dtype(types[name]).itemsize for name in self.extras
+        )

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from nanogs.errors import FormatError, OptionError
-from nanogs.io import ply, ply_write, splat
+from nanogs.io import npz, ply, ply_write, splat, spz, spz_write
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
@@ -40,7 +40,9 @@ class Format:
 FORMATS = (
     Format(".compressed.ply", ply.read, ply.inspect),
     Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes),
-    Format(".splat", splat.read, splat.inspect),
+    Format(".splat", splat.read, splat.inspect, splat.write, splat.file_bytes, losses=splat.losses),
+    Format(".npz", npz.read, npz.inspect, npz.write, npz.file_bytes, losses=npz.losses),
+    Format(".spz", spz.read, spz.inspect, spz_write.write, losses=spz_write.losses),
 )
 
 

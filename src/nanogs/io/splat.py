@@ -1,22 +1,25 @@
-"""Reading `.splat` (antimatter15): 32 bytes a splat, no header, linear scales, no view dependence.
+"""`.splat` (antimatter15): 32 bytes a splat, no header, linear scales, no view dependence.
 
 Layout: https://github.com/antimatter15/splat - position and scale 3 x float32 each, colour and
 alpha 4 x uint8, rotation wxyz as 4 x uint8 with 128 for zero.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from nanogs._types import Array
+from nanogs._types import F32, F64, U8, Array
 from nanogs.errors import FormatError
-from nanogs.io.compressed_ply import base_colour, logit
+from nanogs.io import limits
+from nanogs.io.compressed_ply import SH_C0, base_colour, logit
 from nanogs.io.files import BLOCK_ROWS, input_size, unreadable
 from nanogs.io.info import FileInfo
 from nanogs.splats import RenderMode, Splats
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
+_SUFFIX = ".splat"
+_BYTE_SLACK = 1 / 64  # how far from unit length four rounded or truncated bytes can be
 _PROPERTIES = (("position", "float"), ("scale", "float"), ("rgba", "uchar"), ("rotation", "uchar"))
 
 
@@ -89,3 +92,64 @@ def _count(path: Path) -> int:
             " short or no .splat file; export or download it again."
         )
     return rows
+
+
+def write(splats: Splats, file: BinaryIO) -> None:
+    """Write a model in its own order; `losses` says what does not go in.
+
+    Raises:
+        OutputError: A value is NaN or infinite; nothing has been written then.
+        OSError: The system refuses to write.
+    """
+    limits.refuse_unstorable(splats, _SUFFIX)
+    starts = range(0, len(splats), BLOCK_ROWS)
+    file.writelines(_encode(splats, slice(at, at + BLOCK_ROWS)).tobytes() for at in starts)
+
+
+def file_bytes(_splats: Splats, count: int) -> int:
+    """Bytes of the file of a model of `count` splats."""
+    return count * _ROW.itemsize
+
+
+def losses(splats: Splats) -> tuple[str, ...]:
+    """What the file leaves out or clamps, one sentence each."""
+    out = limits.left_out(splats, _SUFFIX)
+    if splats.sh_degree:
+        out.append(
+            f"View dependence (SH degree {splats.sh_degree}) is left out, {_SUFFIX} holds one"
+            " colour a splat."
+        )
+    out += limits.lost_mode(splats, _SUFFIX)
+    out += limits.clamped(
+        np.abs(splats.sh[:, 0]) > 0.5 / SH_C0 * (1 + 1 / 255),
+        f"base colours outside 0 to 1, the range of {_SUFFIX}",
+    )
+    if splats.means.dtype == np.float64 and (splats.means.astype(np.float32) != splats.means).any():
+        out.append(f"Centres lose their double precision, {_SUFFIX} holds single.")
+    return tuple(out)
+
+
+def _encode(splats: Splats, rows: slice) -> Array:
+    """(R,) packed rows."""
+    out = np.empty(len(splats.means[rows]), _ROW)
+    out["mean"] = splats.means[rows]
+    out["scale"] = np.exp(splats.log_scales[rows].astype(np.float64))
+    out["rgba"][:, :3] = _bytes((splats.sh[rows, 0] * np.float64(SH_C0) + 0.5) * 255)
+    with np.errstate(over="ignore"):
+        alphas = 1 / (1 + np.exp(-splats.opacity_logits[rows].astype(np.float64)))
+    out["rgba"][:, 3] = _bytes(alphas * 255)
+    out["quat"] = _bytes(_near_unit(splats.quats[rows]) * 128 + 128)
+    return out
+
+
+def _bytes(values: F64) -> U8:
+    result: U8 = np.rint(np.clip(values, 0, 255)).astype(np.uint8)
+    return result
+
+
+def _near_unit(quats: F32) -> F64:
+    """(R, 4): those of unit length but for their bytes stay, so that rewriting changes none."""
+    wide = quats.astype(np.float64)
+    length = np.linalg.norm(wide, axis=1, keepdims=True)
+    unit = np.where(length == 0, (1, 0, 0, 0), wide / np.where(length == 0, 1, length))
+    return np.where(np.abs(length - 1) < _BYTE_SLACK, wide, unit)

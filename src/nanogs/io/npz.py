@@ -1,0 +1,280 @@
+"""`.npz`: the arrays of a model as they are, for NumPy; nothing in the file is ever executed.
+
+A zip archive of `.npy` arrays, as `numpy.savez` writes it and `numpy.load` reads it with
+`allow_pickle=False`: `means`, `log_scales`, `quats` (wxyz), `opacity_logits` and `sh` (N, K, 3)
+with the shapes and types of `Splats`, `render_mode` as a text, and each further column as
+`extra:<name>`. The same model gives the same bytes: members are stored, without their time.
+
+Layouts: https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html and APPNOTE.TXT of
+PKWARE. The `.npy` header is matched, not evaluated as NumPy does: simple types are all we store.
+"""
+
+import math
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, BinaryIO
+
+import numpy as np
+
+from nanogs._types import Array
+from nanogs.errors import FormatError, ModelError, OutputError
+from nanogs.io import limits
+from nanogs.io.files import input_size, unreadable
+from nanogs.io.info import FileInfo
+from nanogs.io.ply_header import TYPE_NAMES, printable
+from nanogs.splats import RenderMode, Splats
+
+_SUFFIX = ".npz"
+_REQUIRED = ("means", "log_scales", "quats", "opacity_logits", "sh")
+_MODE, _EXTRA = "render_mode", "extra:"
+_ARRAY = ".npy"
+_MAGIC = b"\x93NUMPY"
+_HEADER = re.compile(
+    r"\{'descr': '([^'\\]{2,40})', 'fortran_order': (True|False),"
+    r" 'shape': \(([0-9, ]{0,80})\), \}\s*"
+)
+_SIMPLE = re.compile(r"[<>|][biufcSUmM][0-9]{1,9}(\[[0-9]{0,9}[A-Za-z]{1,2}\])?")
+_MAX_RATIO = 1032  # more than deflate can expand
+_CHUNK = 1 << 20
+_ZIP_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    NotImplementedError,  # an unknown kind of compression
+    RuntimeError,  # an encrypted member
+    ValueError,
+    OverflowError,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """One array of the archive, its header checked against its size."""
+
+    info: zipfile.ZipInfo
+    dtype: np.dtype[np.generic]
+    shape: tuple[int, ...]
+    fortran: bool
+    start: int
+
+    @property
+    def data_bytes(self) -> int:
+        return self.info.file_size - self.start
+
+
+def read(path: Path) -> Splats:
+    """Read a model that nanogs saved, or arrays of the same names, shapes and types.
+
+    Raises:
+        FormatError: The file cannot be read, is damaged, or its arrays are no model.
+    """
+    with _opened(path) as archive:
+        members = _members(path, archive)
+        arrays: dict[str, Any] = {
+            name: _load(archive, member) for name, member in members.items() if _ours(name)
+        }
+    mode = arrays.pop(_MODE, np.array(RenderMode.DEFAULT.value))
+    extras = {n.removeprefix(_EXTRA): arrays.pop(n) for n in [*arrays] if n.startswith(_EXTRA)}
+    unknown = [printable(name) for name in members if not _ours(name)]
+    notes = [f"Arrays nanogs does not know were left out: {', '.join(unknown)}."] if unknown else []
+    try:
+        return Splats(**arrays, extras=extras, render_mode=_mode(path, mode), notes=notes)
+    except ModelError as error:
+        raise FormatError(f"{path}: {error} Save the arrays that way.") from None
+
+
+def inspect(path: Path) -> FileInfo:
+    """Describe a `.npz` file from the headers of its arrays.
+
+    Raises:
+        FormatError: As for `read`, except for what only the arrays show.
+    """
+    with _opened(path) as archive:
+        members = _members(path, archive)
+        mode = _load(archive, members[_MODE]) if _MODE in members else None
+    means, sh = members["means"], members["sh"]
+    coefficients = sh.shape[1] if len(sh.shape) == 3 else 0
+    return FileInfo(
+        path=path,
+        format="npz",
+        encoding="zip",
+        file_bytes=input_size(path),
+        splats=means.shape[0] if means.shape else 0,
+        sh_degree=math.isqrt(max(coefficients, 1)) - 1,
+        double_means=means.dtype == np.float64,
+        properties=tuple(
+            (name.removeprefix(_EXTRA), TYPE_NAMES.get(m.dtype.str[1:], m.dtype.str))
+            for name, m in members.items()
+            if _ours(name) and name != _MODE
+        ),
+        extras=tuple(n.removeprefix(_EXTRA) for n in members if n.startswith(_EXTRA)),
+        elements=(),
+        render_mode=RenderMode.DEFAULT if mode is None else _mode(path, mode),
+        comments=(),
+    )
+
+
+def write(splats: Splats, file: BinaryIO) -> None:
+    """Write a model; comments and further elements stay behind.
+
+    Raises:
+        OutputError: An extra column's name or type does not go into such a file; nothing has been
+            written then.
+        OSError: The system refuses to write.
+    """
+    arrays = _arrays(splats)
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays.items():
+            info = zipfile.ZipInfo(name + _ARRAY)  # of 1980, whatever the clock says
+            info.create_system, info.external_attr = 3, 0o600 << 16
+            with archive.open(info, "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+
+
+def file_bytes(splats: Splats, count: int) -> int:
+    """Bytes of the file of a model of `count` splats; from 2 GiB on a few bytes too many.
+
+    Raises:
+        OutputError: As for `write`.
+    """
+    total = 22  # the end of the directory
+    for name, array in _arrays(splats).items():
+        shape = (count, *array.shape[1:]) if array.ndim else ()
+        data = len(_header(array, shape)) + array.itemsize * math.prod(shape)
+        total += data + 30 + 20 + 46 + 2 * len((name + _ARRAY).encode())
+        total += 28 if total > zipfile.ZIP64_LIMIT else 0
+    return total + (76 if total > zipfile.ZIP64_LIMIT else 0)
+
+
+def losses(splats: Splats) -> tuple[str, ...]:
+    """What the file leaves out, one sentence each."""
+    return tuple(limits.left_out(splats, _SUFFIX, extras=False))
+
+
+def _ours(name: str) -> bool:
+    return name in (*_REQUIRED, _MODE) or name.startswith(_EXTRA)
+
+
+def _arrays(splats: Splats) -> dict[str, Array]:
+    """Every array of the file by name, in the order they are written."""
+    arrays: dict[str, Array] = {name: getattr(splats, name) for name in _REQUIRED}
+    arrays[_MODE] = np.array(splats.render_mode.value)
+    for name, column in splats.extras.items():
+        if not _SIMPLE.fullmatch(column.dtype.str):
+            raise OutputError(
+                f"Extra column {name[:40]!r} is {column.dtype}, which {_SUFFIX} cannot hold without"
+                " pickling it; convert it to numbers or text."
+            )
+        if not _storable(name):
+            raise OutputError(f"A {_SUFFIX} file cannot hold the name {name[:40]!r}; rename it.")
+        arrays[_EXTRA + name] = column
+    return arrays
+
+
+def _storable(name: str) -> bool:
+    try:
+        encoded = name.encode()
+    except UnicodeEncodeError:
+        return False
+    return not {"\0", "\\"} & set(name) and len(encoded) < 1 << 15
+
+
+def _header(array: Array, shape: tuple[int, ...]) -> bytes:
+    """The `.npy` header of an array like this one, of that shape."""
+    import io
+
+    out = io.BytesIO()
+    fields = {**np.lib.format.header_data_from_array_1_0(array), "shape": shape}
+    np.lib.format.write_array_header_1_0(out, fields)
+    return out.getvalue()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
+    """The archive, with everything that reading a damaged one may raise as a `FormatError`."""
+    input_size(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            yield archive
+    except _ZIP_ERRORS as error:
+        raise FormatError(f"{path} is damaged ({error}); save or download it again.") from None
+    except OSError as error:
+        raise unreadable(path, error) from error
+
+
+def _members(path: Path, archive: zipfile.ZipFile) -> dict[str, _Member]:
+    """The arrays of the archive by name, once their declared sizes make sense."""
+    infos = [info for info in archive.infolist() if info.filename.endswith(_ARRAY)]
+    names = [info.filename.removesuffix(_ARRAY) for info in infos]
+    if missing := [name for name in _REQUIRED if name not in names]:
+        raise FormatError(
+            f"{path} lacks the arrays {', '.join(missing)}, so it is no model; export one."
+        )
+    packed = sum(info.compress_size for info in infos)
+    if len(set(names)) < len(names) or packed > input_size(path):
+        raise FormatError(f"{path} holds arrays that overlap; save it again.")
+    members = {n: _member(path, archive, info) for n, info in zip(names, infos, strict=True)}
+    if 0 in members["means"].shape[:1] or any(not members[name].shape for name in _REQUIRED):
+        raise FormatError(f"{path} holds no splats; export a model with splats.")
+    return members
+
+
+def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Member:
+    where = f"{path}: array {printable(info.filename)!r}"
+    if info.file_size > info.compress_size * _MAX_RATIO or info.compress_type not in (
+        zipfile.ZIP_STORED,
+        zipfile.ZIP_DEFLATED,
+    ):
+        raise FormatError(f"{where} is packed in a way NumPy never does; save it again.")
+    with archive.open(info) as file:
+        dtype, shape, fortran, start = _parse(where, file)
+    member = _Member(info, dtype, shape, fortran, start)
+    if member.data_bytes != math.prod(shape) * dtype.itemsize:
+        raise FormatError(f"{where} has not the size its header states; save it again.")
+    return member
+
+
+def _parse(where: str, file: IO[bytes]) -> tuple[np.dtype[np.generic], tuple[int, ...], bool, int]:
+    """Type, shape, whether in Fortran's order, and length of the header of an array."""
+    start = file.read(8)
+    width = 2 if start[6:7] == b"\x01" else 4
+    size = int.from_bytes(file.read(width), "little")
+    text = file.read(min(size, 1 << 12)).decode("latin-1")
+    match = _HEADER.fullmatch(text)
+    if not start.startswith(_MAGIC) or match is None or not _SIMPLE.fullmatch(match[1]):
+        raise FormatError(f"{where} is no plain array of numbers; save it as one.")
+    try:
+        dtype = np.dtype(match[1])
+        shape = tuple(int(part) for part in match[3].split(",") if part.strip())
+    except (TypeError, ValueError):
+        raise FormatError(f"{where} is of unknown type or shape; save it again.") from None
+    return dtype, shape, match[2] == "True", 8 + width + size
+
+
+def _load(archive: zipfile.ZipFile, member: _Member) -> Array:
+    """The array in native byte order; memory grows with what the file really holds."""
+    out = bytearray()
+    with archive.open(member.info) as file:
+        file.read(member.start)
+        while piece := file.read(_CHUNK):
+            out += piece
+    if len(out) != member.data_bytes:
+        raise EOFError("an array is cut short")
+    flat = np.frombuffer(out, member.dtype)
+    shaped = flat.reshape(member.shape, order="F" if member.fortran else "C")
+    return np.ascontiguousarray(shaped, member.dtype.newbyteorder("=")).reshape(member.shape)
+
+
+def _mode(path: Path, stored: Array) -> RenderMode:
+    try:
+        return RenderMode(str(stored.item()))
+    except ValueError:
+        known = ", ".join(RenderMode)
+        raise FormatError(f"{path}: its render_mode is none of {known}; save it again.") from None

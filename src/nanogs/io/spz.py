@@ -1,0 +1,125 @@
+"""Reading `.spz` (Niantic), versions 1 to 4; the containers are in `spz_header`.
+
+How the columns decode, from https://github.com/nianticlabs/spz (MIT; src/cc/load-spz.cc): a
+log-scale is byte / 16 - 10, a base colour (byte / 255 - 0.5) / 0.15 as SH coefficient, a higher
+coefficient (byte - 128) / 128. A rotation is xyz as byte / 127.5 - 1 with w the positive rest up
+to version 2; from version 3 on, the two top bits of the u32 tell the largest part of xyzw, and the
+others follow in order from the top, a sign bit and 9 bits of magnitude over [0, sqrt(1/2)] each.
+
+The specification has y up and z backwards, but files do not say so and most converters copy as we
+do, axes as they are. Alpha 0 and 255 become -inf and +inf, as in every 8-bit format here.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F32, F64, U8
+from nanogs.io.compressed_ply import logit
+from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.info import FileInfo
+from nanogs.io.spz_header import ANTIALIASED, Header, read_body, read_header
+from nanogs.splats import RenderMode, Splats
+
+COLOUR_SCALE = 0.15
+SCALE_STEPS, SCALE_LOW = 16, -10.0
+SH_STEPS = 128
+MAGNITUDE = 511  # of 9 bits; stands for sqrt(1/2), which no part but the largest exceeds
+
+_BYTES = np.arange(256)
+_ALPHAS = logit(_BYTES / 255).astype(np.float32)
+_COLOURS = ((_BYTES / 255 - 0.5) / COLOUR_SCALE).astype(np.float32)
+_SCALES = (_BYTES / SCALE_STEPS + SCALE_LOW).astype(np.float32)
+_SH = ((_BYTES - 128) / SH_STEPS).astype(np.float32)
+
+
+def read(path: Path) -> Splats:
+    """Read an `.spz` file of version 1 to 4, axes as stored.
+
+    Raises:
+        FormatError: The file cannot be read, is damaged, or is no model of splats.
+    """
+    header = read_header(path)
+    columns, notes = read_body(header)
+    n, coefficients = header.count, (header.degree + 1) ** 2
+    out: dict[str, Any] = {
+        "means": np.empty((n, 3), np.float32),
+        "log_scales": np.empty((n, 3), np.float32),
+        "quats": np.empty((n, 4), np.float32),
+        "opacity_logits": _ALPHAS[columns["alphas"][:, 0]],
+        "sh": np.empty((n, coefficients, 3), np.float32),
+    }
+    for start in range(0, n, BLOCK_ROWS):
+        span = slice(start, min(start + BLOCK_ROWS, n))
+        block = {name: column[span] for name, column in columns.items()}
+        out["means"][span] = _means(block["positions"], header)
+        out["log_scales"][span] = _SCALES[block["scales"]]
+        out["quats"][span] = (_xyz_quats if header.version <= 2 else _quats)(block["rotations"])
+        out["sh"][span, 0] = _COLOURS[block["colours"]]
+        if header.degree:
+            out["sh"][span, 1:] = _SH[block["sh"]].reshape(-1, coefficients - 1, 3)
+    return Splats(**out, render_mode=_mode(header), notes=notes)
+
+
+def inspect(path: Path) -> FileInfo:
+    """Describe an `.spz` file from its header.
+
+    Raises:
+        FormatError: As for `read`, except for what only the columns show.
+    """
+    header = read_header(path)
+    position = "float16" if header.version == 1 else "int24"
+    rotation = "uchar" if header.version <= 2 else "uint"
+    types = {"positions": position, "rotations": rotation}
+    return FileInfo(
+        path=path,
+        format="spz",
+        encoding="gzip" if header.version < 4 else "zstd",
+        file_bytes=header.file_bytes,
+        splats=header.count,
+        sh_degree=header.degree,
+        double_means=False,
+        properties=tuple((name, types.get(name, "uchar")) for name in header.columns()),
+        extras=(),
+        elements=(),
+        render_mode=_mode(header),
+        comments=(),
+    )
+
+
+def _mode(header: Header) -> RenderMode:
+    return RenderMode.MIP if header.flags & ANTIALIASED else RenderMode.DEFAULT
+
+
+def _means(stored: U8, header: Header) -> F32 | F64:
+    """(R, 3) scene units."""
+    if header.version == 1:
+        return stored.view("<f2").astype(np.float32)
+    # The three bytes become the upper ones of an int32; shifting it back extends the sign.
+    wide = np.zeros((len(stored), 3, 4), np.uint8)
+    wide[:, :, 1:] = stored.reshape(-1, 3, 3)
+    fixed = wide.view("<i4")[:, :, 0] >> 8
+    result: F64 = np.ldexp(fixed.astype(np.float64), -header.fraction_bits)
+    return result
+
+
+def _xyz_quats(stored: U8) -> F64:
+    """(R, 4) wxyz: w is what is left of unit length."""
+    xyz = stored / 127.5 - 1
+    w = np.sqrt(np.maximum(0, 1 - (xyz**2).sum(axis=1)))
+    return np.column_stack([w, xyz])
+
+
+def _quats(stored: U8) -> F64:
+    """(R, 4) wxyz: the two top bits say which part of xyzw was the largest and is left out."""
+    packed = np.ascontiguousarray(stored).view("<u4")[:, 0]
+    parts = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], axis=1)
+    small = np.sqrt(0.5) * (parts & MAGNITUDE) / MAGNITUDE
+    small = np.where(parts > MAGNITUDE, -small, small)
+    left_out = np.sqrt(np.maximum(0, 1 - (small**2).sum(axis=1)))
+    xyzw = np.empty((len(packed), 4))
+    for index in range(4):
+        rows = packed >> 30 == index
+        xyzw[rows] = np.insert(small[rows], index, left_out[rows], axis=1)
+    return xyzw[:, [3, 0, 1, 2]]

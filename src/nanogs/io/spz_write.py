@@ -1,0 +1,188 @@
+"""Writing `.spz` (Niantic), version 3 or 4; `spz_header` and `spz` have the layout.
+
+Coefficients of degree 1 keep 5 bits and higher ones 4, as the reference writer has it: the fewer
+values a byte takes, the better it compresses. Unlike there, the fraction bits follow the scene,
+so that a small one keeps its detail and a large one does not wrap around.
+"""
+
+import gzip
+import math
+from collections.abc import Callable, Iterator
+from typing import BinaryIO, TypeAlias
+
+import numpy as np
+
+from nanogs._types import F32, F64, U8
+from nanogs.errors import OutputError
+from nanogs.io import limits
+from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.spz import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
+from nanogs.io.spz_header import (
+    ANTIALIASED,
+    HEADER,
+    LEGACY_HEADER,
+    MAGIC,
+    TOC_ENTRY,
+    column_widths,
+)
+from nanogs.splats import RenderMode, Splats
+
+SUFFIX = ".spz"
+SH_BITS = (5, 4)  # kept of a coefficient of degree 1, and of a higher one
+USUAL_FRACTION_BITS = 12
+_FIXED_MAX = (1 << 23) - 1
+_SIGNIFICANT_BITS = 16
+_GZIP_LEVEL, _ZSTD_LEVEL = 6, 12  # the reference writer's
+
+Encoder: TypeAlias = Callable[[slice], U8]
+
+
+def write(splats: Splats, file: BinaryIO, *, version: int = 3) -> None:
+    """Write a model, axes as they are; `losses` says what does not go in.
+
+    Args:
+        splats: The model.
+        file: Open for binary writing.
+        version: 3 (gzip), or 4 (zstd), which fewer readers know.
+
+    Raises:
+        OutputError: A value is NaN or infinite, or a centre is too far out; nothing has been
+            written then.
+        OSError: The system refuses to write.
+    """
+    limits.refuse_unstorable(splats, SUFFIX)
+    bits = fraction_bits(splats)
+    flags = ANTIALIASED if splats.render_mode is RenderMode.MIP else 0
+    start = (MAGIC, version, len(splats), splats.sh_degree, bits, flags)
+    if version == 3:
+        with gzip.GzipFile("", "wb", _GZIP_LEVEL, file, mtime=0) as stream:
+            stream.write(LEGACY_HEADER.pack(*start, 0))
+            for encode in _encoders(splats, bits):
+                for block in _blocks(encode, len(splats)):
+                    stream.write(block)
+    elif version == 4:
+        widths = list(column_widths(version, splats.sh_degree).values())
+        columns = [_compressed(encode, len(splats)) for encode in _encoders(splats, bits)]
+        file.write(HEADER.pack(*start, len(columns), HEADER.size))
+        sizes = zip(columns, widths, strict=True)
+        file.writelines(TOC_ENTRY.pack(len(column), w * len(splats)) for column, w in sizes)
+        file.writelines(columns)
+    else:
+        raise OutputError(f".spz version {version} is not written; choose 3 or 4.")
+
+
+def losses(splats: Splats) -> tuple[str, ...]:
+    """What the file leaves out or clamps, one sentence each."""
+    step = 0.5 / SCALE_STEPS
+    low, high = SCALE_LOW, SCALE_LOW + 255 / SCALE_STEPS
+    scales, colours, rest = splats.log_scales, splats.sh[:, 0], splats.sh[:, 1:]
+    widest = 0.5 / COLOUR_SCALE
+    half = (_buckets(splats.sh_degree) / 2 / SH_STEPS)[:, None]
+    out = limits.left_out(splats, SUFFIX)
+    out += limits.lost_mode(splats, SUFFIX, RenderMode.MIP)
+    out += limits.clamped(
+        (scales < low - step) | (scales > high + step),
+        f"log-scales outside {low:g} to {high:.2f}, the range of {SUFFIX}",
+    )
+    out += limits.clamped(
+        np.abs(colours) > widest * (1 + 1 / 255),
+        f"base colours outside ±{widest:.2f}, the range of {SUFFIX}",
+    )
+    out += limits.clamped(
+        (rest < -1 - half) | (rest > 1 - 1 / SH_STEPS + half),
+        f"higher SH coefficients outside ±1, the range of {SUFFIX}",
+    )
+    bits = _bits(splats)
+    if 0 <= bits < USUAL_FRACTION_BITS:
+        out.append(f"Centres are rounded to 1/{1 << bits}, since the scene is so large.")
+    return tuple(out)
+
+
+def fraction_bits(splats: Splats) -> int:
+    """Bits behind the binary point: 12 as usual, fewer for large scenes and more for small ones.
+
+    Raises:
+        OutputError: A centre is too far out for whole numbers of 24 bits.
+    """
+    if (bits := _bits(splats)) < 0:
+        raise OutputError(
+            f"A centre is {np.abs(splats.means).max():g} from the origin along an axis, but"
+            f" {SUFFIX} ends at {_FIXED_MAX:,}; move the model to the origin or scale it down."
+        )
+    return bits
+
+
+def _bits(splats: Splats) -> int:
+    """As for `fraction_bits`, but negative where a centre is too far out or not finite."""
+    reach = float(np.abs(splats.means).max(initial=0))
+    if not reach <= _FIXED_MAX:
+        return -1
+    exponent = math.frexp(reach)[1]  # reach < 2^exponent
+    bits = min(max(USUAL_FRACTION_BITS, _SIGNIFICANT_BITS - exponent), 23 - exponent, 20)
+    return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
+
+
+def _encoders(splats: Splats, bits: int) -> Iterator[Encoder]:
+    """For each column of the file, what encodes a range of rows."""
+    yield lambda rows: _positions(splats.means[rows], bits)
+    opacities = splats.opacities()
+    yield lambda rows: _bytes(opacities[rows] * 255)
+    yield lambda rows: _bytes((splats.sh[rows, 0] * np.float64(COLOUR_SCALE) + 0.5) * 255)
+    yield lambda rows: _bytes((splats.log_scales[rows] - np.float64(SCALE_LOW)) * SCALE_STEPS)
+    quats = splats.unit_quats()
+    yield lambda rows: _rotations(quats[rows])
+    if splats.sh_degree:
+        buckets = _buckets(splats.sh_degree)[:, None]
+        yield lambda rows: _coefficients(splats.sh[rows, 1:], buckets)
+
+
+def _blocks(encode: Encoder, count: int) -> Iterator[bytes]:
+    for start in range(0, count, BLOCK_ROWS):
+        yield encode(slice(start, start + BLOCK_ROWS)).tobytes()
+
+
+def _compressed(encode: Encoder, count: int) -> bytes:
+    """One column as a zstd frame that states its size and has a checksum."""
+    import zstandard
+
+    plain = b"".join(_blocks(encode, count))
+    return zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_checksum=True).compress(plain)
+
+
+def _bytes(values: F64) -> U8:
+    result: U8 = np.rint(np.clip(values, 0, 255)).astype(np.uint8)
+    return result
+
+
+def _positions(means: F32 | F64, bits: int) -> U8:
+    """(R, 9): three little-endian 24-bit integers."""
+    fixed = np.rint(np.ldexp(means.astype(np.float64), bits)).astype("<i4")
+    wide: U8 = fixed[:, :, None].view(np.uint8)
+    return wide[:, :, :3]
+
+
+def _rotations(quats: F32) -> U8:
+    """(R, 4) from unit wxyz: the largest part's place, then sign and magnitude of the others."""
+    xyzw = quats[:, [1, 2, 3, 0]].astype(np.float64)
+    largest = np.abs(xyzw).argmax(axis=1)
+    # -q turns like q: with the largest part positive, its sign needs no bit.
+    xyzw = np.where(np.take_along_axis(xyzw, largest[:, None], axis=1) < 0, -xyzw, xyzw)
+    others = np.arange(4) != largest[:, None]
+    small = xyzw[others].reshape(-1, 3)
+    magnitude = np.rint(np.minimum(np.abs(small) / np.sqrt(0.5), 1) * MAGNITUDE).astype(np.uint32)
+    parts = magnitude | (small < 0).astype(np.uint32) << 9
+    packed = largest.astype(np.uint32) << 30 | parts[:, 0] << 20 | parts[:, 1] << 10 | parts[:, 2]
+    result: U8 = packed.astype("<u4")[:, None].view(np.uint8)
+    return result
+
+
+def _buckets(degree: int) -> F64:
+    """(K - 1,): the distance of the bytes that each higher coefficient may take."""
+    per_band = [2.0 ** (8 - SH_BITS[band > 1]) for band in range(1, degree + 1)]
+    return np.repeat(per_band, [2 * band + 1 for band in range(1, degree + 1)])
+
+
+def _coefficients(sh: F32, buckets: F64) -> U8:
+    """(R, 3 (K - 1)): the nearest multiple of the bucket, which includes 128 for zero."""
+    nearest = np.rint(sh.astype(np.float64) * SH_STEPS / buckets) * buckets + 128
+    return _bytes(nearest).reshape(len(sh), -1)

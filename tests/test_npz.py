@@ -1,0 +1,224 @@
+"""Reading and writing `.npz`."""
+
+import io as bytes_io
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from builders import random_splats
+from nanogs import io
+from nanogs.errors import FormatError, OutputError
+from nanogs.io import npz, registry
+from nanogs.splats import ExtraElement, RenderMode, Splats
+from strategies import assert_same, splats
+
+SHARED = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+
+
+def saved(model, path):
+    io.save(model, path, overwrite=True)
+    return io.load(path)
+
+
+def write_arrays(path, model, **changes):
+    arrays = {name: getattr(model, name) for name in npz._REQUIRED} | changes
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+
+
+@SHARED
+@given(model=splats())
+def test_saving_and_loading_changes_no_bit(tmp_path, model):
+    again = saved(model, tmp_path / "a.npz")
+    assert_same(replace(model, comments=(), elements=()), again)
+    assert again.notes == ()
+    first = (tmp_path / "a.npz").read_bytes()
+    io.save(again, tmp_path / "a.npz", overwrite=True)
+    assert (tmp_path / "a.npz").read_bytes() == first
+
+
+@SHARED
+@given(model=splats())
+def test_size_is_known_beforehand(tmp_path, model):
+    io.save(model, tmp_path / "a.npz", overwrite=True)
+    size = registry.sizer(tmp_path / "a.npz")
+    assert (tmp_path / "a.npz").stat().st_size == size(model, len(model))
+    sizes = [size(model, count) for count in (1, 2, 9, 10, 99, 100, 10**6, 10**9)]
+    assert sizes == sorted(sizes)
+
+
+def test_numpy_reads_it_without_pickle(tmp_path):
+    model = replace(random_splats(5, extras={"label": np.arange(5)}), render_mode=RenderMode.MIP)
+    io.save(model, tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
+        assert np.array_equal(arrays["sh"], model.sh)
+        assert np.array_equal(arrays["extra:label"], np.arange(5))
+        assert arrays["render_mode"].item() == "mip"
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_reads_what_numpy_writes(tmp_path, save):
+    model = random_splats(50, degree=2)
+    arrays = {name: getattr(model, name) for name in npz._REQUIRED}
+    arrays["quats"] = np.asfortranarray(arrays["quats"])
+    arrays["means"] = arrays["means"].astype(">f4")
+    save(tmp_path / "a.npz", **arrays, camera=np.eye(4))
+    again = io.load(tmp_path / "a.npz")
+    assert_same(model, again)
+    assert again.notes == ("Arrays nanogs does not know were left out: camera.",)
+    assert again.quats.flags.c_contiguous
+    again.means[0] = 1  # the arrays belong to the model
+
+
+def test_inspect_agrees_with_the_model(tmp_path):
+    extras = {"label": np.arange(7, dtype=np.int16), "name": np.array(["ab"] * 7)}
+    model = random_splats(7, degree=3, extras=extras)
+    model = replace(model, means=model.means.astype(np.float64), render_mode=RenderMode.SURFEL)
+    io.save(model, tmp_path / "a.npz")
+    info = io.inspect(tmp_path / "a.npz")
+    assert (info.splats, info.sh_degree, info.double_means) == (7, 3, True)
+    assert (info.format, info.encoding, info.render_mode) == ("npz", "zip", RenderMode.SURFEL)
+    assert info.extras == ("label", "name")
+    assert dict(info.properties)["label"] == "short"
+    assert info.extra_bytes() == 2 + 8
+    assert info.file_bytes == (tmp_path / "a.npz").stat().st_size
+
+
+def test_comments_and_elements_are_losses(tmp_path):
+    element = ExtraElement("camera", np.zeros(1, [("x", "f4")]))
+    model = replace(random_splats(2), comments=["made by hand"], elements=[element])
+    assert io.losses(model, tmp_path / "a.npz") == (
+        "Further elements are left out, .npz has no room for them: camera.",
+        "1 comment line is left out, .npz has no room for them.",
+    )
+    assert io.losses(random_splats(2, extras={"a": np.zeros(2)}), tmp_path / "a.npz") == ()
+
+
+@pytest.mark.parametrize(
+    "extras",
+    [
+        {"a": np.array([None, 1])},
+        {"a\0b": np.zeros(2)},
+        {"\udcff": np.zeros(2)},
+        {"\\": np.zeros(2)},
+    ],
+)
+def test_unstorable_columns_are_refused(tmp_path, extras):
+    with pytest.raises(OutputError):
+        io.save(random_splats(2, extras=extras), tmp_path / "a.npz")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sh": None}, "lacks the arrays sh"),
+        ({"quats": np.zeros((3, 3), np.float32)}, "quats must be"),
+        ({"log_scales": np.zeros((3, 3))}, "log_scales must be .* float32"),
+        ({"sh": np.zeros((3, 5, 3), np.float32)}, "sh must be"),
+        ({"means": np.float32(1)}, "no splats"),
+        ({"means": np.zeros((0, 3), np.float32)}, "no splats"),
+        ({"extra:a": np.zeros(2)}, "extra column 'a'"),
+        ({"extra:a": np.zeros(3, "f4,f4")}, "no plain array"),
+        ({"render_mode": np.array("raster")}, "render_mode"),
+        ({"render_mode": np.array(["mip", "mip"])}, "damaged|render_mode"),
+    ],
+)
+def test_arrays_that_are_no_model_are_refused(tmp_path, changes, message):
+    write_arrays(tmp_path / "a.npz", random_splats(3), **changes)
+    with pytest.raises(FormatError, match=message):
+        io.load(tmp_path / "a.npz")
+
+
+def test_pickles_are_refused_unread(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return (pytest.fail, ("a pickle was executed",))
+
+    out = bytes_io.BytesIO()
+    np.lib.format.write_array(out, np.array([Trap()], dtype=object), allow_pickle=True)
+    write_arrays(tmp_path / "a.npz", random_splats(1))
+    with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
+        archive.writestr("extra:a.npy", out.getvalue())
+    with pytest.raises(FormatError, match="no plain array"):
+        io.load(tmp_path / "a.npz")
+
+
+def test_promised_sizes_are_not_believed(tmp_path):
+    write_arrays(tmp_path / "a.npz", random_splats(1))
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (4000000000,), }"
+    member = b"\x93NUMPY\1\0" + len(header).to_bytes(2, "little") + header
+    with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
+        archive.writestr("extra:a.npy", member)
+    with pytest.raises(FormatError, match="has not the size"):
+        io.load(tmp_path / "a.npz")
+
+
+def test_a_stored_member_cannot_be_larger_than_the_file(tmp_path):
+    io.save(random_splats(1), tmp_path / "a.npz")
+    data = bytearray((tmp_path / "a.npz").read_bytes())
+    at = data.index(b"PK\1\2")
+    data[at + 20 : at + 28] = (2**31).to_bytes(4, "little") * 2
+    (tmp_path / "a.npz").write_bytes(data)
+    with pytest.raises(FormatError):
+        io.load(tmp_path / "a.npz")
+
+
+def mutate(rng, data):
+    out = bytearray(data)
+    for _ in range(rng.integers(1, 4)):
+        at, size = int(rng.integers(len(out))), int(rng.integers(1, 12))
+        kind = rng.integers(4)
+        if kind == 0:
+            out[at] = rng.integers(256)
+        elif kind == 1:
+            del out[at : at + size]
+        elif kind == 2:
+            out[at:at] = out[at : at + size]
+        else:
+            out[at] ^= 1 << rng.integers(8)
+    return bytes(out)
+
+
+def repacked(rng, data):
+    """One array of the archive mutated, its checksum right again."""
+    out = bytes_io.BytesIO()
+    with zipfile.ZipFile(bytes_io.BytesIO(data)) as old, zipfile.ZipFile(out, "w") as new:
+        chosen = rng.integers(len(old.namelist()))
+        for i, name in enumerate(old.namelist()):
+            content = old.read(name)
+            head = mutate(rng, content[:128]) + content[128:]
+            new.writestr(name, head if i == chosen else content)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("damage", [mutate, repacked])
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_damaged_files_give_a_format_error_or_a_model(tmp_path, damage, save):
+    rng, path = np.random.default_rng(5), tmp_path / "fuzz.npz"
+    model = random_splats(20, extras={"label": np.arange(20)})
+    arrays = {name: getattr(model, name) for name in npz._REQUIRED}
+    save(path, **arrays, render_mode=np.array("mip"), **{"extra:label": np.arange(20)})
+    seed = path.read_bytes()
+    outcomes = {"model": 0, "refused": 0}
+    for _ in range(400):
+        path.write_bytes(damage(rng, seed))
+        try:
+            assert isinstance(io.load(path), Splats)
+            io.inspect(path)
+            outcomes["model"] += 1
+        except FormatError as error:
+            outcomes["refused"] += 1
+            str(error).encode()
+    assert outcomes["refused"] > 0
+
+
+def test_every_cut_is_refused(tmp_path):
+    io.save(random_splats(2), tmp_path / "a.npz")
+    data = (tmp_path / "a.npz").read_bytes()
+    for size in range(0, len(data), 7):
+        (tmp_path / "b.npz").write_bytes(data[:size])
+        with pytest.raises(FormatError):
+            io.load(tmp_path / "b.npz")
