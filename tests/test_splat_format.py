@@ -179,3 +179,12 @@ def test_gaussforge_reads_the_same_values(saved, tmp_path):
     assert np.allclose(theirs.sh, ours.sh, atol=1e-5)
     dots = (theirs.unit_quats() * ours.unit_quats().astype(np.float64)).sum(axis=1)
     assert np.abs(dots).min() > 1 - 1e-5
+
+
+def test_normals_of_zero_are_no_loss(tmp_path):
+    none, some = np.zeros(4, np.float32), np.ones(4, np.float32)
+    model = replace(random_splats(4, degree=0), comments=())
+    path = tmp_path / "model.splat"
+    assert io.losses(replace(model, extras={"nx": none, "ny": none}), path) == ()
+    assert "ny" in io.losses(replace(model, extras={"nx": none, "ny": some}), path)[0]
+    assert "label" in io.losses(replace(model, extras={"label": none}), path)[0]

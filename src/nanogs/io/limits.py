@@ -6,6 +6,7 @@ Said in one place, so that every such format says it alike.
 from nanogs._types import Bool
 from nanogs.errors import OutputError
 from nanogs.io import render_tag
+from nanogs.io.columns import NORMALS
 from nanogs.splats import RenderMode, Splats
 
 
@@ -27,8 +28,10 @@ def refuse_unstorable(splats: Splats, suffix: str) -> None:
 def left_out(splats: Splats, suffix: str, *, extras: bool = True) -> list[str]:
     """A sentence each for the extra columns, further elements and comments of a model."""
     out = []
-    if extras and splats.extras:
-        names = ", ".join(splats.extras)
+    # Most writers put normals of zero into every .ply, which say nothing.
+    said = [name for name, column in splats.extras.items() if name not in NORMALS or column.any()]
+    if extras and said:
+        names = ", ".join(said)
         out.append(f"Extra columns are left out, {suffix} has no room for them: {names}.")
     if splats.elements:
         names = ", ".join(element.name for element in splats.elements)
