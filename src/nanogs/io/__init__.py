@@ -22,7 +22,7 @@ def load(path: str | PathLike[str]) -> Splats:
 
 
 def save(splats: Splats, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a model to a `.ply` file, which appears whole or not at all.
+    """Write a model to a file, which appears whole or not at all.
 
     Raises:
         OptionError: nanogs does not write the format that the suffix stands for.

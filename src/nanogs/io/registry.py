@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from nanogs.errors import FormatError, OptionError
-from nanogs.io import ply, ply_write, splat
+from nanogs.io import compressed_ply_write, ply, ply_write, splat
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
@@ -38,7 +38,14 @@ class Format:
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
 FORMATS = (
-    Format(".compressed.ply", ply.read, ply.inspect),
+    Format(
+        ".compressed.ply",
+        ply.read,
+        ply.inspect,
+        compressed_ply_write.write,
+        compressed_ply_write.file_bytes,
+        compressed_ply_write.losses,
+    ),
     Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes),
     Format(".splat", splat.read, splat.inspect),
 )
