@@ -11,7 +11,7 @@ __all__ = ["FileInfo", "check_writable", "inspect", "load", "losses", "save"]
 
 
 def load(path: str | PathLike[str]) -> Splats:
-    """Read a model from `.ply`, `.compressed.ply` or `.splat`.
+    """Read a model from a file of any format that nanogs knows.
 
     Raises:
         FormatError: The suffix is unknown, the file cannot be read, is damaged, or holds

@@ -23,7 +23,7 @@ class FileInfo:
 
     Attributes:
         path: The file.
-        format: Name of the format: `ply`, `compressed.ply` or `splat`.
+        format: Name of the format: its suffix without the first dot.
         encoding: `binary_little_endian`, `binary_big_endian` or `ascii`.
         file_bytes: Size of the file in bytes.
         splats: Number of splats.

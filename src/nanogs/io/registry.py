@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from nanogs.errors import FormatError, OptionError
-from nanogs.io import compressed_ply_write, ksplat, ply, ply_write, splat
+from nanogs.io import compressed_ply_write, gltf, gltf_write, ksplat, ply, ply_write, splat
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
@@ -49,6 +49,9 @@ FORMATS = (
     Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes),
     Format(".splat", splat.read, splat.inspect),
     Format(".ksplat", ksplat.read, ksplat.inspect),
+    Format(
+        ".glb", gltf.read, gltf.inspect, gltf_write.write, gltf_write.file_bytes, gltf_write.losses
+    ),
 )
 
 
