@@ -4,12 +4,12 @@ import dataclasses
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -97,16 +97,32 @@ def count_down(start: int, target: int, *, quiet: bool) -> Iterator[Callable[[st
         yield update
 
 
+class _LateProgress(Progress):
+    """Shows nothing until some seconds have passed."""
+
+    appears: float = 0  # on the clock of `time.monotonic`
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        if time.monotonic() >= self.appears:
+            yield from super().get_renderables()
+
+
 @contextmanager
-def spinner(*, quiet: bool) -> Iterator[Callable[[str], None]]:
+def spinner(*, quiet: bool, after: float = 0) -> Iterator[Callable[[str], None]]:
     """A turning line that says what is being done, on a terminal only.
+
+    Args:
+        quiet: Show nothing.
+        after: Seconds before it appears: what is done by then needs no line.
 
     Yields:
         What is called with each new description.
     """
     shown = err.is_terminal and not quiet
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
+    late = _LateProgress(*columns, console=err, transient=True, disable=not shown)
+    late.appears = time.monotonic() + after
+    with late as progress:
         task = progress.add_task("")
         yield lambda text: progress.update(task, description=text)
 
