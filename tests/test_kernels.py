@@ -545,7 +545,7 @@ def test_kernels_run_uncompiled_too():
 
 
 COMPILE = """
-from nanogs.kernels.policy import when_compiling
+from nanogs.kernels.compiling import when_compiling
 from nanogs.kernels import radix
 
 told = []

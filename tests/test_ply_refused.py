@@ -44,12 +44,12 @@ def test_unknown_suffix_lists_the_known_ones(tmp_path):
     refused(tmp_path / "a.obj", ".compressed.ply, .ply, .splat")
 
 
-@pytest.mark.parametrize("name", ["a.obj", "a.compressed.ply"])
+@pytest.mark.parametrize("name", ["a.obj", "a.ksplat"])
 def test_formats_that_are_not_written(tmp_path, name):
     (tmp_path / "a.ply").write_bytes(GOOD)
-    with pytest.raises(OptionError, match=r"it writes \.ply"):
+    with pytest.raises(OptionError, match=r"it writes .*\.ply"):
         io.save(io.load(tmp_path / "a.ply"), tmp_path / name)
-    with pytest.raises(OptionError, match=r"it writes \.ply"):
+    with pytest.raises(OptionError, match=r"it writes .*\.ply"):
         io.check_writable(tmp_path / name)
 
 

@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Array, Bool, F
-from nanogs.errors import ModelError
+from nanogs.errors import ModelError, OptionError
 
 MAX_SH_DEGREE = 4
 
@@ -154,6 +154,21 @@ class Splats:
             sh=self.sh[rows],
             extras={name: column[rows] for name, column in self.extras.items()},
         )
+
+    def with_sh_degree(self, degree: int) -> "Splats":
+        """The same splats without the bands of spherical harmonics above a degree.
+
+        Args:
+            degree: The highest that may stay, 0 to 4; a model of a lower one is returned as it is.
+
+        Raises:
+            OptionError: The degree is not from 0 to 4.
+        """
+        if not 0 <= degree <= MAX_SH_DEGREE:
+            raise OptionError(f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {degree}.")
+        if degree >= self.sh_degree:
+            return self
+        return replace(self, sh=np.ascontiguousarray(self.sh[:, : (degree + 1) ** 2]))
 
 
 def unit(quats: F32) -> F32:

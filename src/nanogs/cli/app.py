@@ -7,6 +7,7 @@ import typer
 from nanogs._version import __version__
 from nanogs.cli.bench import bench
 from nanogs.cli.compare import compare
+from nanogs.cli.convert import convert
 from nanogs.cli.demo import demo
 from nanogs.cli.info import info
 from nanogs.cli.lod import lod
@@ -41,6 +42,7 @@ def _nanogs(
 app.command()(simplify)
 app.command()(lod)
 app.command()(refit)
+app.command()(convert)
 app.command()(info)
 app.command()(render)
 app.command()(compare)

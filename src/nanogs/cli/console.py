@@ -4,12 +4,12 @@ import dataclasses
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import (
     BarColumn,
     Progress,
@@ -20,6 +20,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from nanogs.kernels.compiling import when_compiling
 from nanogs.report import StageClock
 
 err = Console(stderr=True, highlight=False)
@@ -83,13 +84,23 @@ def key_value_table(rows: dict[str, str]) -> Table:
     return table
 
 
-@contextmanager
-def _bar(*columns: ProgressColumn, quiet: bool) -> Iterator[Progress]:
-    """A bar on a terminal only; a line, there and elsewhere, if kernels have to be compiled."""
-    from nanogs.kernels.policy import when_compiling
+class _LateProgress(Progress):
+    """Shows nothing until some seconds have passed."""
 
+    appears: float = 0  # on the clock of `time.monotonic`
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        if time.monotonic() >= self.appears:
+            yield from super().get_renderables()
+
+
+@contextmanager
+def _bar(*columns: ProgressColumn, quiet: bool, after: float = 0) -> Iterator[Progress]:
+    """A bar on a terminal only; a line, there and elsewhere, if kernels have to be compiled."""
     shown = err.is_terminal and not quiet
-    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
+    late = _LateProgress(*columns, console=err, transient=True, disable=not shown)
+    late.appears = time.monotonic() + after
+    with late as progress:
         if not quiet:
             when_compiling(lambda: err.print(COMPILING))
         yield progress
@@ -118,14 +129,18 @@ def count_down(start: int, target: int, *, quiet: bool) -> Iterator[Callable[[st
 
 
 @contextmanager
-def spinner(*, quiet: bool) -> Iterator[Callable[[str], None]]:
+def spinner(*, quiet: bool, after: float = 0) -> Iterator[Callable[[str], None]]:
     """A turning line that says what is being done, on a terminal only.
+
+    Args:
+        quiet: Show nothing.
+        after: Seconds before it appears: what is done by then needs no line.
 
     Yields:
         What is called with each new description.
     """
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with _bar(*columns, quiet=quiet) as progress:
+    with _bar(*columns, quiet=quiet, after=after) as progress:
         task = progress.add_task("")
         yield lambda text: progress.update(task, description=text)
 

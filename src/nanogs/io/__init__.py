@@ -11,7 +11,7 @@ __all__ = ["FileInfo", "check_writable", "inspect", "load", "losses", "save"]
 
 
 def load(path: str | PathLike[str]) -> Splats:
-    """Read a model from `.ply`, `.compressed.ply`, `.splat`, `.spz` or `.npz`.
+    """Read a model from a file of any format that nanogs knows.
 
     Raises:
         FormatError: The suffix is unknown, the file cannot be read, is damaged, or holds
@@ -22,7 +22,7 @@ def load(path: str | PathLike[str]) -> Splats:
 
 
 def save(splats: Splats, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a model to `.ply`, `.splat`, `.spz` or `.npz`; the file appears whole or not at all.
+    """Write a model to a file, which appears whole or not at all.
 
     Raises:
         OptionError: nanogs does not write the format that the suffix stands for.

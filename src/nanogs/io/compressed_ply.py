@@ -20,10 +20,10 @@ from nanogs.splats import ExtraElement, Splats
 
 CHUNK_ROWS = 256
 SH_C0 = 0.28209479177387814
-_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-_BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
-_BOUNDS += [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
-_COLOUR_BOUNDS = [f"{end}_{channel}" for end in ("min", "max") for channel in "rgb"]
+PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
+BOUNDS += [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
+COLOUR_BOUNDS = [f"{end}_{channel}" for end in ("min", "max") for channel in "rgb"]
 _OWN = ("chunk", "vertex", "sh")
 
 
@@ -51,7 +51,7 @@ def read(header: Header) -> Splats:
         extras={
             name: vertex[name].copy()
             for name in _element(header, "vertex").names
-            if name not in _PACKED
+            if name not in PACKED
         },
         render_mode=render_tag.render_mode(comments),
         comments=comments,
@@ -77,7 +77,7 @@ def inspect(header: Header) -> FileInfo:
         sh_degree=degree,
         double_means=False,
         properties=tuple((p.name, TYPE_NAMES[str(p.code)]) for p in vertex.properties),
-        extras=tuple(name for name in vertex.names if name not in _PACKED),
+        extras=tuple(name for name in vertex.names if name not in PACKED),
         elements=tuple((e.name, e.count) for e in header.elements if e.name not in _OWN),
         render_mode=render_tag.render_mode(header.comments),
         comments=header.printable_comments(),
@@ -95,10 +95,10 @@ def _kept(header: Header) -> list[Element]:
 def _check(header: Header) -> int:
     """Check the elements of the layout against each other; the SH degree."""
     chunk, vertex = _element(header, "chunk"), _element(header, "vertex")
-    _check_types(header, vertex, list(_PACKED), "u4")
-    _check_types(header, chunk, _BOUNDS, "f4")
-    if any(name in chunk.names for name in _COLOUR_BOUNDS):
-        _check_types(header, chunk, _COLOUR_BOUNDS, "f4")
+    _check_types(header, vertex, list(PACKED), "u4")
+    _check_types(header, chunk, BOUNDS, "f4")
+    if any(name in chunk.names for name in COLOUR_BOUNDS):
+        _check_types(header, chunk, COLOUR_BOUNDS, "f4")
     needed = -(-vertex.count // CHUNK_ROWS)
     if chunk.count != needed:
         raise _error(header, f"{vertex.count} splats need {needed} chunks, not {chunk.count}")
@@ -140,12 +140,12 @@ def _decoded(rows: dict[str, Array], degree: int) -> dict[str, Any]:
         span = slice(start, min(start + BLOCK_ROWS, n))
         vertex = rows["vertex"][span]
         chunk = rows["chunk"][np.arange(span.start, span.stop) // CHUNK_ROWS]
-        out["means"][span] = _between(chunk, "{}_{}", "xyz", _unit_11_10_11(vertex[_PACKED[0]]))
-        out["quats"][span] = _quats(vertex[_PACKED[1]])
+        out["means"][span] = _between(chunk, "{}_{}", "xyz", _unit_11_10_11(vertex[PACKED[0]]))
+        out["quats"][span] = _quats(vertex[PACKED[1]])
         out["log_scales"][span] = _between(
-            chunk, "{}_scale_{}", "xyz", _unit_11_10_11(vertex[_PACKED[2]])
+            chunk, "{}_scale_{}", "xyz", _unit_11_10_11(vertex[PACKED[2]])
         )
-        rgba = _unit_8888(vertex[_PACKED[3]])
+        rgba = _unit_8888(vertex[PACKED[3]])
         out["opacity_logits"][span] = logit(rgba[:, 3])
         out["sh"][span, 0] = base_colour(_colour(chunk, rgba[:, :3]))
         if degree:

@@ -25,7 +25,7 @@ class FileInfo:
 
     Attributes:
         path: The file.
-        format: Name of the format: `ply`, `compressed.ply`, `splat`, `spz` or `npz`.
+        format: Name of the format: its suffix without the first dot.
         encoding: `binary_little_endian`, `binary_big_endian` or `ascii`; `gzip` or `zstd` of a
             `.spz` file, `zip` of a `.npz` file.
         file_bytes: Size of the file in bytes.

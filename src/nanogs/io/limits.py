@@ -3,30 +3,51 @@
 Said in one place, so that every such format says it alike.
 """
 
+import numpy as np
+
 from nanogs._types import Bool
 from nanogs.errors import OutputError
 from nanogs.io import render_tag
 from nanogs.io.columns import NORMALS
-from nanogs.splats import RenderMode, Splats
+from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 
 
 def refuse_unstorable(splats: Splats, suffix: str) -> None:
-    """Refuse what a format of quantised values has no code for; infinite opacities are fine.
+    """Refuse what a format has no code for; infinite opacities and scales of zero are fine.
 
     Raises:
-        OutputError: There is no splat, or one of them holds a NaN or an infinite value.
+        OutputError: There is no splat, or one of them holds a NaN or an infinite value, or a centre
+            beyond float32.
     """
     if not len(splats):
         raise OutputError(f"The model holds no splats, which a {suffix} file cannot say.")
-    if bad := int((~splats.finite()).sum()):
+    with np.errstate(over="ignore"):
+        good = splats.finite() & np.isfinite(splats.means.astype(np.float32)).all(axis=1)
+    if not good.all():
         raise OutputError(
-            f"{bad:,} splats hold NaN or infinite values, which {suffix} has no code for; leave"
-            " them out first, as nanogs simplify does."
+            f"{int((~good).sum()):,} splats hold NaN or infinite values, the first in row"
+            f" {int(np.argmin(good))}, which {suffix} has no code for; leave them out with"
+            " `nanogs simplify --ratio 1`."
         )
 
 
-def left_out(splats: Splats, suffix: str, *, extras: bool = True) -> list[str]:
-    """A sentence each for the extra columns, further elements and comments of a model."""
+def left_out(
+    splats: Splats,
+    suffix: str,
+    *,
+    extras: bool = True,
+    comments: bool = True,
+    max_degree: int = MAX_SH_DEGREE,
+) -> list[str]:
+    """A sentence each for the columns, elements, comments, bands and digits that stay behind.
+
+    Args:
+        splats: The model.
+        suffix: What the format is called in the sentences.
+        extras: Whether it has no room for extra columns.
+        comments: Whether it has none for comments.
+        max_degree: The highest SH degree it holds.
+    """
     out = []
     # Most writers put normals of zero into every .ply, which say nothing.
     said = [name for name, column in splats.extras.items() if name not in NORMALS or column.any()]
@@ -36,11 +57,22 @@ def left_out(splats: Splats, suffix: str, *, extras: bool = True) -> list[str]:
     if splats.elements:
         names = ", ".join(element.name for element in splats.elements)
         out.append(f"Further elements are left out, {suffix} has no room for them: {names}.")
-    comments = [line for line in splats.comments if render_tag.tag_of(line) is None]
-    if comments:
-        lines = "1 comment line is" if len(comments) == 1 else f"{len(comments)} comment lines are"
-        out.append(f"{lines} left out, {suffix} has no room for them.")
+    lines = [line for line in splats.comments if render_tag.tag_of(line) is None]
+    if comments and lines:
+        count = "1 comment line is" if len(lines) == 1 else f"{len(lines)} comment lines are"
+        out.append(f"{count} left out, {suffix} has no room for them.")
+    if splats.sh_degree > max_degree:
+        out.append(
+            f"Spherical harmonics above degree {max_degree} are left out, {suffix} holds no more."
+        )
     return out
+
+
+def rounded(splats: Splats, suffix: str) -> list[str]:
+    """A sentence if centres in double precision are rounded to single."""
+    if splats.means.dtype == np.float32:
+        return []
+    return [f"Centres in double precision are rounded, {suffix} holds single."]
 
 
 def lost_mode(splats: Splats, suffix: str, *held: RenderMode) -> list[str]:

@@ -1,6 +1,6 @@
 """Writing 3DGS `.ply` files: binary little-endian, canonical column order, in bounded memory."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import BinaryIO
 
 import numpy as np
@@ -11,6 +11,8 @@ from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.ply_header import MAX_HEADER_BYTES, TYPE_NAMES, encode
 from nanogs.splats import Splats
+
+ElementRows = tuple[str, int, Sequence[tuple[str, str]]]
 
 
 def write(splats: Splats, file: BinaryIO) -> None:
@@ -76,22 +78,36 @@ def _vertex(splats: Splats) -> dict[str, Array]:
 
 
 def _header(splats: Splats, tables: Mapping[str, Mapping[str, Array]], splat_count: int) -> bytes:
-    lines = [b"ply", b"format binary_little_endian 1.0"]
-    comments = render_tag.tagged(splats.comments, splats.render_mode)
-    lines += [_comment(text) for text in comments]
+    elements = []
     for name, table in tables.items():
         if not table:
             raise OutputError(f"Element {name!r} has no columns; leave it out.")
         count = splat_count if name == "vertex" else len(next(iter(table.values())))
+        elements.append((name, count, [(n, _type(n, c)) for n, c in table.items()]))
+    return header(render_tag.tagged(splats.comments, splats.render_mode), elements)
+
+
+def header(comments: Sequence[str], elements: Iterable[ElementRows]) -> bytes:
+    """The header of a binary little-endian PLY file.
+
+    Args:
+        comments: Comment lines without their keyword.
+        elements: Name, number of rows and (name, PLY type) of each property, in the file's order.
+
+    Raises:
+        OutputError: A name or comment cannot stand in a header, or it would be too long.
+    """
+    lines = [b"ply", b"format binary_little_endian 1.0", *(_comment(text) for text in comments)]
+    for name, count, properties in elements:
         lines.append(b"element %s %d" % (_word(name), count))
-        lines += [b"property %s %s" % (_type(n, c), _word(n)) for n, c in table.items()]
-    header = b"\n".join([*lines, b"end_header", b""])
-    if len(header) > MAX_HEADER_BYTES:
+        lines += [b"property %s %s" % (kind.encode(), _word(n)) for n, kind in properties]
+    text = b"\n".join([*lines, b"end_header", b""])
+    if len(text) > MAX_HEADER_BYTES:
         raise OutputError(
-            f"The header would have {len(header)} bytes, and no more than {MAX_HEADER_BYTES} can"
+            f"The header would have {len(text)} bytes, and no more than {MAX_HEADER_BYTES} can"
             " be read back; shorten the comments."
         )
-    return header
+    return text
 
 
 def _bytes(text: str) -> bytes:
@@ -114,14 +130,14 @@ def _word(name: str) -> bytes:
     return word
 
 
-def _type(name: str, column: Array) -> bytes:
+def _type(name: str, column: Array) -> str:
     known = TYPE_NAMES.get(column.dtype.str[1:])
     if known is None or column.ndim != 1:
         raise OutputError(
             f"Column {name!r} is {column.dtype} of {column.ndim} dimensions, which PLY cannot"
             f" hold; convert it to one of {', '.join(sorted(TYPE_NAMES.values()))}."
         )
-    return known.encode()
+    return known
 
 
 def _blocks(table: Mapping[str, Array]) -> Iterator[Array]:

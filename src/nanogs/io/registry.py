@@ -6,7 +6,18 @@ from pathlib import Path
 from typing import BinaryIO
 
 from nanogs.errors import FormatError, OptionError
-from nanogs.io import npz, ply, ply_write, splat, spz, spz_write
+from nanogs.io import (
+    compressed_ply_write,
+    gltf,
+    gltf_write,
+    ksplat,
+    npz,
+    ply,
+    ply_write,
+    splat,
+    spz,
+    spz_write,
+)
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
@@ -38,11 +49,22 @@ class Format:
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
 FORMATS = (
-    Format(".compressed.ply", ply.read, ply.inspect),
+    Format(
+        ".compressed.ply",
+        ply.read,
+        ply.inspect,
+        compressed_ply_write.write,
+        compressed_ply_write.file_bytes,
+        compressed_ply_write.losses,
+    ),
     Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes),
     Format(".splat", splat.read, splat.inspect, splat.write, splat.file_bytes, losses=splat.losses),
     Format(".npz", npz.read, npz.inspect, npz.write, npz.file_bytes, losses=npz.losses),
     Format(".spz", spz.read, spz.inspect, spz_write.write, losses=spz_write.losses),
+    Format(".ksplat", ksplat.read, ksplat.inspect),
+    Format(
+        ".glb", gltf.read, gltf.inspect, gltf_write.write, gltf_write.file_bytes, gltf_write.losses
+    ),
 )
 
 

@@ -11,6 +11,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import event
 
+from nanogs.kernels.compiling import tell
+
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 FASTMATH = {"nsz", "arcp", "contract", "reassoc"}
@@ -49,22 +51,15 @@ def exact_inline(function: Kernel) -> Kernel:
     return cast("Kernel", numba.njit(function, forceinline=True, **options))
 
 
-class _First(event.Listener):
-    """Calls back when the first function is compiled rather than taken from the cache."""
-
-    def __init__(self, callback: Callable[[], None]) -> None:
-        self.callback: Callable[[], None] | None = callback
+class _Listener(event.Listener):
+    """Passes on that something is compiled; what the cache holds makes no such event."""
 
     def on_start(self, event: event.Event) -> None:
         del event
-        if self.callback is not None:
-            callback, self.callback = self.callback, None
-            callback()
+        tell()
 
     def on_end(self, event: event.Event) -> None:
         del event
 
 
-def when_compiling(callback: Callable[[], None]) -> None:
-    """Have a function called once, should a kernel not be in the cache and so take seconds."""
-    event.register("numba:compile", _First(callback))  # type: ignore[no-untyped-call]
+event.register("numba:compile", _Listener())  # type: ignore[no-untyped-call]

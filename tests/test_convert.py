@@ -1,0 +1,133 @@
+"""`nanogs convert` from outside, and dropping bands of spherical harmonics."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs import io
+from nanogs.errors import OptionError
+from nanogs.io.registry import FORMATS
+
+WRITTEN = [known.suffix for known in FORMATS if known.write]
+
+
+def run(*arguments):
+    command = [sys.executable, "-m", "nanogs", "convert", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+def assert_refused(result, folder, *words):
+    """Exit code 2, one sentence on stderr, and nothing written."""
+    assert result.returncode == 2, result
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1, result.stderr
+    for word in words:
+        assert word in result.stderr
+    assert [path.name for path in folder.iterdir() if path.name != "scene.ply"] == []
+
+
+@pytest.fixture
+def scene(tmp_path):
+    label = {"label": np.arange(300, dtype=np.int32)}
+    nanogs.save(random_splats(300, degree=2, extras=label), tmp_path / "scene.ply")
+    return tmp_path / "scene.ply"
+
+
+@pytest.mark.parametrize("suffix", WRITTEN)
+def test_every_written_format_holds_what_the_library_writes(scene, tmp_path, suffix):
+    result = run(scene, tmp_path / f"a{suffix}")
+    assert result.returncode == 0, result.stderr
+    assert result.stdout == ""
+    assert "300 splats" in result.stderr
+    nanogs.save(nanogs.load(scene), tmp_path / f"b{suffix}")
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_losses_are_told(scene, tmp_path):
+    result = run(scene, tmp_path / "a.glb")
+    assert "note: Extra columns are left out, .glb has no room for them: label." in result.stderr
+    silent = run(scene, tmp_path / "b.glb", "--quiet")
+    assert (silent.returncode, silent.stdout, silent.stderr) == (0, "", "")
+    assert "note" not in run(scene, tmp_path / "b.ply").stderr
+
+
+def test_json_is_the_report_and_nothing_else(scene, tmp_path):
+    result = run(scene, tmp_path / "a.glb", "--json")
+    report = json.loads(result.stdout)
+    assert result.stderr == ""
+    assert (report["splats"], report["sh_degree"], report["format"]) == (300, 2, "glb")
+    assert report["render_mode"] == "default"
+    assert report["input_bytes"] == scene.stat().st_size
+    assert report["output_bytes"] == (tmp_path / "a.glb").stat().st_size
+    assert report["notes"] == []
+    assert "label" in report["losses"][0]
+    assert set(report["seconds"]) == {"read", "write"}
+
+
+def test_higher_bands_are_dropped(scene, tmp_path):
+    assert run(scene, tmp_path / "a.ply", "--sh-degree", "1").returncode == 0
+    again, before = nanogs.load(tmp_path / "a.ply"), nanogs.load(scene)
+    assert np.array_equal(again.sh, before.sh[:, :4])
+    assert np.array_equal(again.extras["label"], before.extras["label"])
+    report = json.loads(run(scene, tmp_path / "b.ply", "--sh-degree", "3", "--json").stdout)
+    assert report["sh_degree"] == 2
+
+
+def test_the_output_may_replace_the_input(scene):
+    assert "-w" in run(scene, scene).stderr
+    report = json.loads(run(scene, scene, "-w", "--sh-degree", "0", "--json").stdout)
+    assert report["output_bytes"] < report["input_bytes"]
+    assert nanogs.load(scene).sh_degree == 0
+
+
+def test_bad_input_and_output_are_refused(scene, tmp_path):
+    assert_refused(run(tmp_path / "no.ply", tmp_path / "a.glb"), tmp_path, "no.ply", "no such file")
+    assert_refused(run(scene, tmp_path / "a.obj"), tmp_path, "a.obj", ".glb")
+    assert_refused(run(scene, tmp_path / "no" / "a.glb"), tmp_path, "does not exist")
+    scene.write_bytes(scene.read_bytes()[:-1])
+    assert_refused(run(scene, tmp_path / "a.glb"), tmp_path, "cut short")
+
+
+def test_what_the_format_cannot_hold_at_all_is_refused(scene, tmp_path):
+    model = nanogs.load(scene)
+    model.means[7] = np.nan
+    nanogs.save(model, scene, overwrite=True)
+    assert_refused(run(scene, tmp_path / "a.glb"), tmp_path, "row 7", "nanogs simplify")
+
+
+def test_a_degree_that_is_none_is_refused(scene, tmp_path):
+    result = run(scene, tmp_path / "a.ply", "--sh-degree", "5")
+    assert_refused(result, tmp_path, "from 0 to 4, not 5")
+
+
+def test_convert_never_imports_numba(scene, tmp_path):
+    code = (
+        "import sys; from nanogs.cli import main\n"
+        "try: main()\n"
+        "finally: assert 'numba' not in sys.modules"
+    )
+    command = [sys.executable, "-c", code, "convert", str(scene), str(tmp_path / "a.glb")]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("degree", range(5))
+def test_with_sh_degree(degree):
+    model = random_splats(5, degree=3)
+    small = model.with_sh_degree(degree)
+    assert small.sh_degree == min(degree, 3)
+    assert np.array_equal(small.sh, model.sh[:, : (degree + 1) ** 2])
+    assert small.sh.flags.c_contiguous
+    assert io.losses(small, "a.ply") == ()
+
+
+@pytest.mark.parametrize("degree", [-1, 5])
+def test_with_an_impossible_sh_degree(degree):
+    with pytest.raises(OptionError, match="from 0 to 4"):
+        random_splats(1).with_sh_degree(degree)

@@ -1,0 +1,510 @@
+"""glTF with Gaussian splats: round trips, the specification, transforms, damage and attacks."""
+
+import dataclasses
+import io as streams
+import json
+import shutil
+import struct
+import subprocess
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from builders import random_splats
+from nanogs import io
+from nanogs.datasets.harmonics import basis
+from nanogs.errors import FormatError, OutputError
+from nanogs.io import gltf_write
+from nanogs.splats import ExtraElement, RenderMode, Splats
+from strategies import splats
+
+FILES = settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None
+)
+PREFIX = "KHR_gaussian_splatting:"
+COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "f4": 5126}
+TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+
+
+def glb(document, body=b"", *, version=2, length=None):
+    text = document if isinstance(document, bytes) else json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(body), b"BIN\0") + body
+    size = 12 + len(chunks) if length is None else length
+    return b"glTF" + struct.pack("<II", version, size) + chunks
+
+
+def parsed(data):
+    """The JSON and the buffer of a file."""
+    (length,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+def columns(model):
+    """The attributes of a model by name, float32, linear, as the specification has them."""
+    out = {
+        "POSITION": model.means,
+        PREFIX + "ROTATION": model.unit_quats()[:, [1, 2, 3, 0]],
+        PREFIX + "SCALE": model.scales(),
+        PREFIX + "OPACITY": model.opacities()[:, None],
+    }
+    index = 0
+    for degree in range(model.sh_degree + 1):
+        for n in range(2 * degree + 1):
+            out[f"{PREFIX}SH_DEGREE_{degree}_COEF_{n}"] = model.sh[:, index]
+            index += 1
+    return {name: values.astype("f4") for name, values in out.items()}
+
+
+def document(*tables, nodes=None, normalized=True, **primitive):
+    """(JSON, buffer) of one mesh with a primitive for each table of columns."""
+    accessors, views, primitives, body = [], [], [], b""
+    for table in tables:
+        attributes = {}
+        for name, values in table.items():
+            attributes[name] = len(accessors)
+            kind = values.dtype.str[1:]
+            accessors.append({
+                "bufferView": len(views), "componentType": COMPONENTS[kind],
+                "count": len(values), "type": TYPES[values.shape[1]],
+                "normalized": normalized and kind != "f4",
+            })  # fmt: skip
+            data = values.tobytes()
+            views.append({"buffer": 0, "byteOffset": len(body), "byteLength": len(data)})
+            body += data + b"\0" * (-len(data) % 4)
+        extension = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+        primitives.append({
+            "mode": 0, "attributes": attributes,
+            "extensions": {"KHR_gaussian_splatting": extension}, **primitive,
+        })  # fmt: skip
+    nodes = nodes or [{"mesh": 0}]
+    roots = sorted(set(range(len(nodes))) - {c for node in nodes for c in node.get("children", ())})
+    return {
+        "asset": {"version": "2.0"}, "extensionsUsed": ["KHR_gaussian_splatting"], "scene": 0,
+        "scenes": [{"nodes": roots}], "nodes": nodes, "meshes": [{"primitives": primitives}],
+        "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(body)}],
+    }, body  # fmt: skip
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load(data):
+        (tmp_path / "a.glb").write_bytes(data if isinstance(data, bytes) else glb(*data))
+        return io.load(tmp_path / "a.glb")
+
+    return load
+
+
+def covariances(model):
+    w, x, y, z = model.unit_quats().astype(np.float64).T
+    rotation = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]).transpose(2, 0, 1)  # fmt: skip
+    axes = rotation * model.scales().astype(np.float64)[:, None]
+    return axes @ axes.transpose(0, 2, 1)
+
+
+def assert_same_splats(model, again):
+    """Bit by bit where the format holds the stored value, within float32 where it is activated."""
+    assert np.array_equal(again.means, model.means.astype(np.float32))
+    assert np.array_equal(again.sh, model.sh[:, : (min(model.sh_degree, 3) + 1) ** 2])
+    zero = np.isneginf(model.log_scales)
+    assert np.array_equal(np.isneginf(again.log_scales), zero)
+    assert again.log_scales[~zero] == pytest.approx(model.log_scales[~zero], abs=2e-6)
+    assert again.opacities() == pytest.approx(model.opacities(), abs=1e-7)
+    assert np.abs(again.quats - model.unit_quats()).max() < 1e-6
+
+
+# Writing
+
+
+@FILES
+@given(model=splats())
+def test_what_is_written_is_read(tmp_path, model):
+    io.save(model, tmp_path / "a.glb", overwrite=True)
+    again = io.load(tmp_path / "a.glb")
+    assert_same_splats(model, again)
+    assert again.render_mode is model.render_mode
+    assert again.comments == model.comments
+    assert again.notes == ()
+    io.save(again, tmp_path / "b.glb", overwrite=True)
+    assert_same_splats(again, io.load(tmp_path / "b.glb"))
+
+
+@FILES
+@given(model=splats(), count=st.integers(1, 3000))
+def test_size_is_known_beforehand(model, count):
+    many = model.take(np.arange(count) % len(model))
+    stream = streams.BytesIO()
+    gltf_write.write(many, stream)
+    size = gltf_write.file_bytes
+    assert size(model, count) == len(stream.getvalue()) < size(model, count + 1)
+
+
+def test_the_document_says_what_the_specification_asks_for(tmp_path):
+    model = random_splats(300, degree=1)
+    io.save(model, tmp_path / "a.glb")
+    data = (tmp_path / "a.glb").read_bytes()
+    content, body = parsed(data)
+    assert len(data) % 4 == 0
+    assert struct.unpack("<4sII", data[:12]) == (b"glTF", 2, len(data))
+    assert content["extensionsUsed"] == ["KHR_gaussian_splatting"]
+    assert content["nodes"] == [{"mesh": 0, "rotation": [0, 0, 1, 0]}]
+    (primitive,) = content["meshes"][0]["primitives"]
+    assert primitive["mode"] == 0
+    assert primitive["extensions"]["KHR_gaussian_splatting"] == {
+        "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective",
+        "sortingMethod": "cameraDistance",
+    }  # fmt: skip
+    assert "extras" not in primitive
+    attributes = primitive["attributes"]
+    assert set(attributes) == {*columns(model), "COLOR_0"}
+    position = content["accessors"][attributes["POSITION"]]
+    assert position["min"] == model.means.min(axis=0).tolist()
+    assert position["max"] == model.means.max(axis=0).tolist()
+    for name, values in columns(model).items():
+        view = content["bufferViews"][content["accessors"][attributes[name]]["bufferView"]]
+        start = view["byteOffset"]
+        stored = np.frombuffer(body[start : start + view["byteLength"]], "<f4")
+        assert np.array_equal(stored.reshape(values.shape), values), name
+
+
+def test_the_fallback_colour_is_linear(tmp_path):
+    model = random_splats(2, degree=0)
+    model.sh[:, 0] = (np.array([[0.5, 0, 2], [1, 0.2, -1]]) - 0.5) / 0.28209479177387814
+    model.opacity_logits[:] = [np.inf, 0]
+    io.save(model, tmp_path / "a.glb")
+    content, body = parsed((tmp_path / "a.glb").read_bytes())
+    index = content["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]
+    start = content["bufferViews"][index]["byteOffset"]
+    expected = [55, 0, 255, 255, 255, 8, 0, 128]  # 0.5 of sRGB is 0.214, 0.2 is 0.033
+    assert list(body[start : start + 8]) == expected
+    assert content["accessors"][index]["normalized"] is True
+
+
+def test_blocks_agree(tmp_path, monkeypatch):
+    model = random_splats(100, degree=2)
+    io.save(model, tmp_path / "a.glb")
+    monkeypatch.setattr("nanogs.io.gltf_write.BLOCK_ROWS", 7)
+    monkeypatch.setattr("nanogs.io.gltf.BLOCK_ROWS", 11)
+    io.save(model, tmp_path / "b.glb")
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+    assert_same_splats(model, io.load(tmp_path / "b.glb"))
+
+
+@pytest.mark.parametrize("field", ["means", "log_scales", "quats", "opacity_logits", "sh"])
+def test_what_is_no_number_is_refused_before_a_byte_is_written(tmp_path, field):
+    model = random_splats(3)
+    getattr(model, field)[2] = np.nan
+    with pytest.raises(OutputError, match="the first in row 2"):
+        io.save(model, tmp_path / "a.glb")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_four_gigabytes_are_the_limit():
+    model = random_splats(1, degree=3)
+    assert gltf_write.file_bytes(model, 17_000_000) < 1 << 32
+    with pytest.raises(OutputError, match="cannot have more than 4294967295"):
+        gltf_write.file_bytes(model, 18_000_000)
+
+
+def test_comments_that_could_not_be_read_back_are_refused():
+    model = dataclasses.replace(random_splats(1), comments=["x" * (5 << 20)])
+    with pytest.raises(OutputError, match="shorten the comments"):
+        gltf_write.file_bytes(model, 1)
+
+
+def test_losses_are_stated():
+    model = random_splats(2, degree=4, extras={"label": np.zeros(2)})
+    tag = ExtraElement("tag", np.zeros(1, [("id", "i4")]))
+    model = dataclasses.replace(model, elements=[tag], means=model.means.astype(np.float64))
+    for loss, word in zip(
+        io.losses(model, "a.glb"), ("label", "tag", "degree 3", "double precision"), strict=True
+    ):
+        assert word in loss
+    assert io.losses(random_splats(2, degree=3), "a.glb") == ()
+
+
+def test_the_khronos_validator_finds_no_fault(tmp_path):
+    """It does not know the extension yet, and so neither the names of its attributes."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("Node is absent")
+    model = dataclasses.replace(
+        random_splats(300, degree=3), render_mode=RenderMode.MIP, comments=["é"]
+    )
+    io.save(model, tmp_path / "a.glb")
+    script = (
+        "const fs = require('fs'), v = require('gltf-validator');"
+        "v.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1])), {maxIssues: 0})"
+        ".then(r => console.log(JSON.stringify(r.issues.messages)))"
+    )
+    command = [node, "-e", script, str(tmp_path / "a.glb")]
+    result = subprocess.run(command, capture_output=True, text=True)
+    if "Cannot find module" in result.stderr:
+        pytest.skip(
+            "gltf-validator is absent: npm install gltf-validator, and name it in NODE_PATH"
+        )
+    issues = [
+        (issue["code"], issue["pointer"])
+        for issue in json.loads(result.stdout)
+        if not issue["pointer"].split("/")[-1].startswith(PREFIX)
+    ]
+    assert issues in ([], [("UNSUPPORTED_EXTENSION", "/extensionsUsed/0")])
+
+
+# Reading
+
+
+def test_a_file_built_by_hand(load, tmp_path):
+    """Without a node transform the scene is y-up: x and y change sign, all else stays."""
+    model = random_splats(20, degree=3, seed=1)
+    again = load(document(columns(model)))
+    assert np.array_equal(again.means, model.means * np.float32([-1, -1, 1]))
+    turn = np.diag([-1.0, -1, 1])
+    assert np.allclose(covariances(again), turn @ covariances(model) @ turn, rtol=1e-5)
+    orders = np.concatenate([np.arange(-degree, degree + 1) for degree in range(4)])
+    signs = np.where(orders % 2, -1, 1).astype(np.float32)
+    assert np.array_equal(again.sh, model.sh * signs[:, None])
+    info = io.inspect(tmp_path / "a.glb")
+    assert (info.splats, info.sh_degree, info.format) == (20, 3, "glb")
+
+
+def unit(vector):
+    return np.array(vector) / np.linalg.norm(vector)
+
+
+def test_transforms_of_nodes_add_up_and_colours_turn_with_them(load):
+    """Seen from the turned side, every colour is what it was."""
+    model = random_splats(20, degree=3, seed=2)
+    x, y, z, w = rotation = unit([0.3, -0.2, 0.5, 0.7]).tolist()
+    nodes = [
+        {"children": [1], "translation": [1, 2, 3], "scale": [2, 2, 2]},
+        {"mesh": 0, "rotation": rotation},
+    ]
+    again = load(document(columns(model), nodes=nodes))
+    turn = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    flip = np.diag([-1.0, -1, 1])
+    assert np.allclose(again.means, (2 * model.means @ turn.T + [1, 2, 3]) @ flip, atol=1e-5)
+    total = flip @ turn
+    assert np.allclose(covariances(again), 4 * total @ covariances(model) @ total.T, rtol=1e-4)
+    directions = np.random.default_rng(0).normal(size=(50, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    before = np.einsum("dk,nkc->ndc", basis(directions, 3), model.sh)
+    after = np.einsum("dk,nkc->ndc", basis(directions @ total.T, 3), again.sh)
+    assert np.allclose(before, after, atol=1e-5)
+
+
+def test_a_matrix_is_a_transform_too(load):
+    model = random_splats(5, seed=3)
+    matrix = np.diag([-1.0, -1, 1, 1])
+    matrix[:3, 3] = [1, 2, 3]
+    nodes = [{"mesh": 0, "matrix": matrix.T.ravel().tolist()}]
+    again = load(document(columns(model), nodes=nodes))
+    assert np.allclose(again.means, model.means + np.float32([-1, -2, 3]))
+    assert np.array_equal(again.sh, model.sh)
+
+
+def test_primitives_follow_each_other_with_the_highest_degree(load):
+    parts = [random_splats(n, degree=degree, seed=n) for n, degree in ((9, 0), (4, 2))]
+    half = [{"mesh": 0, "rotation": [0, 0, 1, 0]}]
+    again = load(document(*map(columns, parts), nodes=half))
+    assert (len(again), again.sh_degree) == (13, 2)
+    assert np.array_equal(again.means[9:], parts[1].means)
+    assert np.array_equal(again.sh[9:], parts[1].sh)
+    assert not again.sh[:9, 1:].any()
+
+
+def test_integers_and_strides(load):
+    model = random_splats(8, degree=0, seed=5)
+    table = columns(model)
+    table[PREFIX + "ROTATION"] = np.rint(table[PREFIX + "ROTATION"] * 32767).astype("i2")
+    table[PREFIX + "OPACITY"] = np.rint(table[PREFIX + "OPACITY"] * 255).astype("u1")
+    wide = np.zeros((8, 5), "f4")
+    wide[:, 1:4] = model.scales()
+    content, body = document(table, nodes=[{"mesh": 0, "rotation": [0, 0, 1, 0]}])
+    content["bufferViews"][2] = {
+        "buffer": 0, "byteOffset": len(body), "byteLength": 160, "byteStride": 20,
+    }  # fmt: skip
+    content["accessors"][2]["byteOffset"] = 4
+    content["buffers"][0]["byteLength"] = len(body) + 160
+    again = load((content, body + wide.tobytes()))
+    assert again.log_scales == pytest.approx(model.log_scales, abs=1e-6)
+    assert np.abs(again.quats - model.unit_quats()).max() < 1e-4
+    assert again.opacities() == pytest.approx(model.opacities(), abs=0.51 / 255)
+
+
+def test_scales_of_early_drafts_are_logarithms(load):
+    model = random_splats(8, seed=6)
+    table = columns(model) | {PREFIX + "SCALE": model.log_scales}
+    again = load(document(table))
+    assert np.array_equal(again.log_scales, model.log_scales)
+    assert "logarithms" in again.notes[0]
+
+
+def test_what_is_not_carried_is_noted(load):
+    model = random_splats(4, seed=7)
+    table = columns(model) | {"_LABEL": np.zeros((4, 1), "f4")}
+    content, body = document(table, extras={"SplatRenderMode": "new", "comments": ["a", 3, "b\n"]})
+    content["meshes"][0]["primitives"].append({"attributes": {"POSITION": 0}})
+    content["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"] = {
+        "kernel": "box", "colorSpace": "lin_rec709_display",
+    }  # fmt: skip
+    again = load((content, body))
+    text = " ".join(again.notes)
+    for word in ("_LABEL", "'new'", "'box'", "lin_rec709_display", "1 primitives of meshes"):
+        assert word in text
+    assert again.comments == ("a",)
+    assert again.render_mode is RenderMode.DEFAULT
+
+
+def test_opacities_out_of_range_are_noted(load):
+    table = columns(random_splats(4, seed=7))
+    table[PREFIX + "OPACITY"][1] = 1.5
+    assert load(document(table)).notes == ("1 opacities are not from 0 to 1 and became NaN.",)
+
+
+def broken(path, value):
+    """A small file with one entry of its JSON replaced, or removed where the value is None."""
+
+    def make():
+        content, body = document(columns(random_splats(3, degree=1)))
+        place = content
+        for key in path[:-1]:
+            place = place[key]
+        if value is None:
+            del place[path[-1]]
+        else:
+            place[path[-1]] = value
+        return glb(content, body)
+
+    return make
+
+
+PRIMITIVE = ("meshes", 0, "primitives", 0)
+ATTRIBUTES = (*PRIMITIVE, "attributes")
+EXTENSION = (*PRIMITIVE, "extensions", "KHR_gaussian_splatting")
+SPZ = {"KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}}
+REFUSED = {
+    "not glb": (lambda: b"PK\3\4" + bytes(99), "does not begin with 'glTF'"),
+    "short": (lambda: b"glTF\2\0", "ends inside its header"),
+    "version": (lambda: glb({}, version=1), "reads glTF 2.0, not 1"),
+    "length": (lambda: glb({}, length=99), "says 99 bytes"),
+    "no json": (lambda: glb(b"{"), "JSON cannot be read"),
+    "list": (lambda: glb([1]), "JSON is no object"),
+    "deep": (lambda: glb(b"[" * 100_000), "JSON cannot be read"),
+    "nan": (lambda: glb(b'{"a": NaN}'), "JSON cannot be read"),
+    "long": (lambda: glb(b" " * (5 << 20)), "reads up to 4194304; export the splats alone"),
+    "no scene": (broken(("scenes",), None), "has no scene"),
+    "scene": (broken(("scene",), 7), "no object 7 in 'scenes'"),
+    "node": (broken(("scenes", 0, "nodes"), [3]), "no object 3 in 'nodes'"),
+    "node type": (broken(("scenes", 0, "nodes"), [True]), "True among the indices"),
+    "cycle": (broken(("nodes", 0, "children"), [0]), "nodes must be a tree"),
+    "twice": (broken(("scenes", 0, "nodes"), [0, 0]), "nodes must be a tree"),
+    "mesh": (broken(("nodes", 0, "mesh"), -1), "has no count or index 'mesh'"),
+    "shear": (broken(("nodes", 0, "scale"), [1, 2, 1]), "differently along the axes"),
+    "mirror": (broken(("nodes", 0, "scale"), [-1, 1, 1]), "mirrors"),
+    "flat": (broken(("nodes", 0, "scale"), [0, 0, 0]), "flattens"),
+    "huge scale": (broken(("nodes", 0, "scale"), [1e200, 1e200, 1e200]), "mirrors or flattens"),
+    "rotation": (broken(("nodes", 0, "rotation"), [0, 0, 1]), "needs 4 numbers 'rotation'"),
+    "big number": (broken(("nodes", 0, "translation"), [10**400, 0, 0]), "finite numbers"),
+    "triangles": (broken((*PRIMITIVE, "mode"), 4), "must be of mode 0"),
+    "no splats": (broken(EXTENSION, None), "mesh or point cloud"),
+    "spz": (broken((*EXTENSION, "extensions"), SPZ), "compression_spz_2', which nanogs does not"),
+    "old spz": (broken(("extensionsRequired",), ["KHR_spz"]), "requires the extension 'KHR_spz'"),
+    "scale missing": (broken((*ATTRIBUTES, PREFIX + "SCALE"), None), "lacks .*SCALE"),
+    "band": (broken((*ATTRIBUTES, PREFIX + "SH_DEGREE_1_COEF_1"), None), "lacks .*COEF_1"),
+    "higher": (broken((*ATTRIBUTES, PREFIX + "SH_DEGREE_3_COEF_0"), 0), "lacks .*DEGREE_2_COEF_0"),
+    "accessor": (broken((*ATTRIBUTES, "POSITION"), 99), "no object 99 in 'accessors'"),
+    "counts": (broken(("accessors", 1, "count"), 2), "have different counts"),
+    "count": (broken(("accessors", 0, "count"), 4), "does not fit into its buffer view"),
+    "none": (broken(("accessors", 0, "count"), 0), "does not fit"),
+    "huge count": (broken(("accessors", 0, "count"), 10**30), "does not fit"),
+    "type": (broken(("accessors", 0, "type"), "VEC2"), "needs 3 components"),
+    "component": (broken(("accessors", 0, "componentType"), 5125), "needs 3 components"),
+    "sparse": (broken(("accessors", 0, "sparse"), {}), "sparse or without a buffer view"),
+    "no view": (broken(("accessors", 0, "bufferView"), None), "sparse or without a buffer view"),
+    "stride": (broken(("bufferViews", 0, "byteStride"), 4), "does not fit"),
+    "view": (broken(("bufferViews", 0, "byteLength"), 10**9), "does not fit into its buffer"),
+    "outside": (broken(("buffers", 0, "uri"), "/etc/passwd"), "follows no references"),
+    "second buffer": (broken(("bufferViews", 0, "buffer"), 1), "no object 1 in 'buffers'"),
+    "meshopt": (
+        broken(("bufferViews", 0, "extensions"), {"EXT_meshopt_compression": {}}),
+        "packed with EXT_meshopt_compression",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_is_refused(load, name):
+    make, words = REFUSED[name]
+    with pytest.raises(FormatError, match=words) as caught:
+        load(make())
+    assert "; " in str(caught.value)
+
+
+def test_shared_bytes_cannot_blow_a_file_up(load):
+    """Every attribute may be the same bytes, and every node the same mesh."""
+    content, body = document(columns(random_splats(200, degree=1)))
+    content["nodes"] = [{"mesh": 0} for _ in range(30)]
+    content["scenes"][0]["nodes"] = list(range(30))
+    with pytest.raises(FormatError, match="more than four times"):
+        load((content, body))
+    small = document(columns(random_splats(1)), nodes=[{"mesh": 0}] * 5000)
+    small[0]["extras"] = " " * 1_000_000
+    with pytest.raises(FormatError, match="one of too many"):
+        load(small)
+
+
+def test_a_file_without_a_body_is_refused(load):
+    data = glb(document(columns(random_splats(3)))[0])
+    cut = data[:-8]
+    with pytest.raises(FormatError, match="does not fit into its buffer"):
+        load(cut[:8] + struct.pack("<I", len(cut)) + cut[12:])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_damaged_files_give_a_format_error_or_a_model(tmp_path, seed):
+    rng, path = np.random.default_rng(seed), tmp_path / "fuzz.glb"
+    io.save(random_splats(3, degree=seed), path)
+    data = path.read_bytes()
+    content, body = parsed(data)
+    text = json.dumps(content, separators=(",", ":")).encode()
+    outcomes = {"model": 0, "refused": 0}
+    tracemalloc.start()
+    for _ in range(400):
+        changed, rest = bytearray(text), bytearray(body)
+        for _ in range(rng.integers(1, 4)):
+            at = int(rng.integers(len(changed)))
+            if rng.random() < 0.2:
+                rest[rng.integers(len(rest))] = rng.integers(256)
+            elif rng.random() < 0.5:
+                changed[at : at + 1] = rng.choice(
+                    [b"9", b"-", b"0", b"]", b"null", b"\xff", b'"a"']
+                )
+            else:
+                digits = [i for i, byte in enumerate(changed) if chr(byte).isdigit()]
+                changed[rng.choice(digits)] = rng.choice(list(b"0123456789"))
+        out = glb(bytes(changed), bytes(rest))
+        path.write_bytes(out[: None if rng.random() < 0.9 else rng.integers(1, len(out))])
+        try:
+            assert isinstance(io.load(path), Splats)
+            io.inspect(path)
+            outcomes["model"] += 1
+        except FormatError as error:
+            outcomes["refused"] += 1
+            str(error).encode()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert min(outcomes.values()) > 0
+    assert peak < 20_000_000
