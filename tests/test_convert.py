@@ -131,3 +131,12 @@ def test_with_sh_degree(degree):
 def test_with_an_impossible_sh_degree(degree):
     with pytest.raises(OptionError, match="from 0 to 4"):
         random_splats(1).with_sh_degree(degree)
+
+
+def test_turn_is_the_half_turn(scene, tmp_path):
+    result = run(scene, tmp_path / "a.ply", "--turn", "--json")
+    assert json.loads(result.stdout)["turned"] is True
+    turned, before = nanogs.load(tmp_path / "a.ply"), nanogs.load(scene)
+    assert np.array_equal(turned.means, before.means * np.float32([1, -1, -1]))
+    run(tmp_path / "a.ply", tmp_path / "b.ply", "--turn")
+    assert np.array_equal(nanogs.load(tmp_path / "b.ply").sh, before.sh)

@@ -6,7 +6,6 @@ it is odd where y and z stand in its polynomial an odd number of times together.
 """
 
 from dataclasses import replace
-from enum import StrEnum
 
 import numpy as np
 
@@ -20,13 +19,6 @@ _SIGNS = (
     (-1, 1, -1, -1, 1, -1, 1),
     (-1, 1, -1, 1, 1, -1, 1, -1, 1),
 )
-
-
-class Frame(StrEnum):
-    """Which way the second axis points."""
-
-    Y_DOWN = "y-down"  # 3DGS, gsplat, nerfstudio, and most files
-    Y_UP = "y-up"  # glTF, and SPZ by its specification
 
 
 def half_turn(splats: Splats) -> Splats:

@@ -9,6 +9,7 @@ import typer
 from nanogs.cli import options
 from nanogs.cli.console import err, print_json, spinner, warn, with_file_seconds
 from nanogs.formatting import bytes_text
+from nanogs.frames import half_turn
 from nanogs.io import check_writable, inspect, load, losses, save
 from nanogs.report import StageClock
 
@@ -22,13 +23,23 @@ def convert(
         int | None,
         typer.Option(help="Drop the spherical harmonics above this degree, 0 to 4."),
     ] = None,
+    turn: Annotated[
+        bool,
+        typer.Option(
+            "--turn",
+            help="Turn by 180 degrees about x: from y up (SPZ by its specification) to y down"
+            " (3DGS), or back.",
+        ),
+    ] = False,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
     """Write a model in another format; the suffixes of the names say which."""
     check_writable(target, overwrite=overwrite)
-    run = _convert_file(source, target, sh_degree, overwrite=overwrite, quiet=quiet or json)
+    run = _convert_file(
+        source, target, sh_degree, turn=turn, overwrite=overwrite, quiet=quiet or json
+    )
     if json:
         print_json(run)
         return
@@ -42,7 +53,13 @@ def convert(
 
 
 def _convert_file(
-    source: Path, target: Path, sh_degree: int | None, *, overwrite: bool, quiet: bool
+    source: Path,
+    target: Path,
+    sh_degree: int | None,
+    *,
+    turn: bool,
+    overwrite: bool,
+    quiet: bool,
 ) -> dict[str, Any]:
     """Read and write; the report."""
     start, clock = time.perf_counter(), StageClock()
@@ -53,6 +70,8 @@ def _convert_file(
         read_bytes = source.stat().st_size  # now, as the output may take the input's place
         if sh_degree is not None:
             splats = splats.with_sh_degree(sh_degree)
+        if turn:
+            splats = half_turn(splats)
         progress(f"writing {target.name}")
         with clock.time("write"):
             save(splats, target, overwrite=overwrite)
@@ -63,6 +82,7 @@ def _convert_file(
         "format": written.format,
         "splats": written.splats,
         "sh_degree": written.sh_degree,
+        "turned": turn,
         "render_mode": written.render_mode.value,
         "input_bytes": read_bytes,
         "output_bytes": written.file_bytes,
