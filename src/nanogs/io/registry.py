@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from nanogs.errors import FormatError, OptionError
-from nanogs.io import ply, ply_write, sog, sog_levels, splat
+from nanogs.io import ply, ply_write, sog, sog_levels, sog_write, splat
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
@@ -41,7 +41,7 @@ FORMATS = (
     Format(".compressed.ply", ply.read, ply.inspect),
     Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes),
     Format(".splat", splat.read, splat.inspect),
-    Format(".sog", sog.read, sog.inspect),
+    Format(".sog", sog.read, sog.inspect, sog_write.write, losses=sog_write.losses),
     Format("meta.json", sog.read, sog.inspect),
     Format("lod-meta.json", sog_levels.read, sog_levels.inspect),
 )

@@ -187,7 +187,9 @@ class _Fields:
             return self._codebook("shN")
         own = self._table("shN")
         ends = numbers([own.get("mins"), own.get("maxs")], self._at("shN", "mins and maxs"), 2)
-        return (ends[0] + (ends[1] - ends[0]) * (np.arange(CODES) / 255)).astype(np.float32)
+        values = ends[0] + (ends[1] - ends[0]) * (np.arange(CODES) / 255)
+        out: F32 = values.astype(np.float32)
+        return out
 
     def _codebook(self, name: str) -> F32:
         at = self._at(name, "codebook")
