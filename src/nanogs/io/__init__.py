@@ -11,7 +11,9 @@ __all__ = ["FileInfo", "check_writable", "inspect", "load", "losses", "save"]
 
 
 def load(path: str | PathLike[str]) -> Splats:
-    """Read a model from `.ply`, `.compressed.ply` or `.splat`.
+    """Read a model from `.ply`, `.compressed.ply`, `.splat` or SOG.
+
+    SOG is `.sog`, `meta.json` or, of which the finest level is read, `lod-meta.json`.
 
     Raises:
         FormatError: The suffix is unknown, the file cannot be read, is damaged, or holds
@@ -22,9 +24,10 @@ def load(path: str | PathLike[str]) -> Splats:
 
 
 def save(splats: Splats, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a model to a `.ply` file, which appears whole or not at all.
+    """Write a model to a `.ply` or `.sog` file, which appears whole or not at all.
 
     Raises:
+        ModelError: The format cannot hold the model at all.
         OptionError: nanogs does not write the format that the suffix stands for.
         OutputError: The file exists and `overwrite` is off, or it cannot be written.
     """

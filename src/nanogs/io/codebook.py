@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from nanogs._types import F32, F64, U8, Array
+from nanogs._types import F32, F64, U8
 
 SIZE = 256
-# Bins of equal width over the range. Rare values matter for the picture, a few large splats above
-# all, so a bin counts by a power of the number of values in it.
-BINS = 4096
+BINS = 4096  # about, since an outlier leaves few evenly spaced ones to the others
+# Rare values matter for the picture, a few large splats above all: a bin weighs by a power of the
+# density of values in it.
 RARITY = 0.5
 NOTHING = 20.0  # a log-scale that much below the least stands for -inf: 2e-9 of the smallest
 
@@ -36,30 +36,36 @@ def nearest(values: F32, book: F32) -> U8:
         book: (256,) ascending.
     """
     middles = (book[1:].astype(np.float64) + book[:-1]) / 2
-    return np.searchsorted(middles, values.ravel()).astype(np.uint8).reshape(values.shape)
+    indices: U8 = np.searchsorted(middles, values.ravel()).astype(np.uint8)
+    return indices.reshape(values.shape)
 
 
 def _entries(values: F64, most: int, power: float) -> F64:
     """At most so many values to quantise finite ones to."""
-    distinct = np.unique(values) if values.size <= 1 << 16 else _some_distinct(values, most)
-    if len(distinct) <= most:
+    values = np.sort(values)
+    changes = np.flatnonzero(values[1:] != values[:-1]) + 1
+    if len(changes) < most:
+        distinct: F64 = values[np.concatenate([[0], changes])]
         return distinct
-    low, high = values.min(), values.max()
-    bins = np.minimum((values - low) * (BINS / (high - low)), BINS - 1).astype(np.int64)
-    counts = np.bincount(bins, minlength=BINS)
-    sums = np.bincount(bins, values - low, minlength=BINS)
+    edges = _edges(values)
+    starts = np.searchsorted(values, edges[:-1])
+    counts = np.diff(starts, append=len(values))
     used = counts > 0
-    centres = low + sums[used] / counts[used]
-    weights = counts[used].astype(np.float64) ** power
+    centres: F64 = np.add.reduceat(values, starts[used]) / counts[used]
     if len(centres) <= most:
         return centres
-    return _means_of_runs(centres, weights, most)
+    tail = len(values) // 100
+    # Bins about a value that is there many times are narrow, and must not weigh nothing.
+    narrow = (values[-1 - tail] - values[tail]) / BINS
+    widths = np.maximum(np.diff(edges), narrow)[used]
+    return _means_of_runs(centres, counts[used] ** power * widths ** (1 - power), most)
 
 
-def _some_distinct(values: F64, most: int) -> F64:
-    """The distinct values if they are at most so many, or else merely too many of them."""
-    some = np.unique(values[: 1 << 14])
-    return np.unique(values) if len(some) <= most else some
+def _edges(values: F64) -> F64:
+    """Edges of bins for sorted values: half of them evenly spaced, half by rank."""
+    even = np.linspace(values[0], values[-1], BINS // 2 + 1)
+    ranks = np.linspace(0, len(values) - 1, BINS // 2 + 1).astype(np.int64)
+    return np.unique(np.concatenate([even, values[ranks]]))
 
 
 def _means_of_runs(centres: F64, weights: F64, count: int) -> F64:
@@ -67,5 +73,5 @@ def _means_of_runs(centres: F64, weights: F64, count: int) -> F64:
 
     cuts = np.empty(count + 1, np.int64)
     optimal_cuts(centres, weights, cuts)
-    totals: Array = np.add.reduceat(weights, cuts[:-1])
-    return np.add.reduceat(weights * centres, cuts[:-1]) / totals
+    means: F64 = np.add.reduceat(weights * centres, cuts[:-1])
+    return means / np.add.reduceat(weights, cuts[:-1])

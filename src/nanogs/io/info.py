@@ -23,9 +23,9 @@ class FileInfo:
 
     Attributes:
         path: The file.
-        format: Name of the format: `ply`, `compressed.ply` or `splat`.
-        encoding: `binary_little_endian`, `binary_big_endian` or `ascii`.
-        file_bytes: Size of the file in bytes.
+        format: Name of the format: `ply`, `compressed.ply`, `splat`, `sog` or `streamed sog`.
+        encoding: `binary_little_endian`, `binary_big_endian`, `ascii` or `webp`.
+        file_bytes: Size of the file, or of all files that make up the model, in bytes.
         splats: Number of splats.
         sh_degree: Degree of the spherical harmonics, 0 to 4.
         double_means: Whether the centres are stored in double precision.

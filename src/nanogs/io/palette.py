@@ -14,7 +14,7 @@ _PROBES = (1, 1, 1, 1, 1, 1, 6, 6)  # cells that a point looks into, round by ro
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Palette:
-    """Vectors, and which of them stands for each point.
+    """Vectors in the order of their first use, and which of them stands for each point.
 
     Attributes:
         entries: (K, D) float32.
@@ -37,9 +37,18 @@ def palette(points: F32, size: int) -> Palette:
     """
     distinct, inverse, weights = _distinct(points)
     if len(distinct) <= size:
-        return Palette(distinct, inverse.astype(np.int32))
-    found = _cluster(distinct, weights.astype(np.float32), size)
-    return Palette(found.entries, found.labels[inverse])
+        return _in_order_of_use(distinct, inverse.astype(np.int32))
+    entries, labels = _cluster(distinct, weights.astype(np.float32), size)
+    return _in_order_of_use(entries, labels[inverse])
+
+
+def _in_order_of_use(entries: F32, labels: I32) -> Palette:
+    """Unused entries go; neighbouring points then often have neighbouring labels."""
+    used, first = np.unique(labels, return_index=True)
+    order = used[np.argsort(first, kind="stable")]
+    places = np.empty(len(entries), np.int32)
+    places[order] = np.arange(len(order))
+    return Palette(entries[order], places[labels])
 
 
 def _distinct(points: F32) -> tuple[F32, I64, I64]:
@@ -91,7 +100,7 @@ class _Search:
         self.columns[:, idle] = self.points[worst[first + rank]].T
 
 
-def _cluster(points: F32, weights: F32, size: int) -> Palette:
+def _cluster(points: F32, weights: F32, size: int) -> tuple[F32, I32]:
     count = max(1, size // ENTRIES_PER_CELL)
     cells = _cells(points, count)
     starts, order = _by_label(cells[:, 0], count)
@@ -103,7 +112,7 @@ def _cluster(points: F32, weights: F32, size: int) -> Palette:
         search.assign(min(probes, count))
         search.move()
     search.assign(cells.shape[1])
-    return Palette(np.ascontiguousarray(search.columns.T), search.labels)
+    return np.ascontiguousarray(search.columns.T), search.labels
 
 
 def _cells(points: F32, count: int) -> I32:

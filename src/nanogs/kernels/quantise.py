@@ -15,7 +15,8 @@ def _cost(w: F64, wx: F64, wxx: F64, first: int, stop: int) -> float:
     if weight <= 0.0:
         return 0.0
     x = wx[stop] - wx[first]
-    return max(0.0, wxx[stop] - wxx[first] - x * x / weight)
+    error: float = wxx[stop] - wxx[first] - x * x / weight
+    return error
 
 
 @kernel
