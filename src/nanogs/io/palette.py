@@ -105,8 +105,8 @@ def _cluster(points: F32, weights: F32, size: int) -> tuple[F32, I32]:
     count = max(1, size // ENTRIES_PER_CELL)
     cells, errors = _cells(points, count)
     starts, order = _by_label(cells[:, 0], count)
-    spreads = np.bincount(cells[:, 0], errors * weights.astype(np.float64), minlength=count)
-    shares = _shares(np.diff(starts), spreads, size)
+    spreads = np.bincount(cells[:, 0], errors * weights, minlength=count)
+    shares = _shares(np.diff(starts), spreads.astype(np.float64), size)
     bounds = np.concatenate([[0], np.cumsum(shares)])
     seeds = points[_seeds(starts, order, shares)]
     search = _Search(points, weights, seeds, cells, bounds)
