@@ -262,6 +262,20 @@ def test_palette_keeps_what_fits():
     assert found.labels[0] == 0  # in the order of first use
 
 
+def test_heavy_points_are_served_better():
+    rng = np.random.default_rng(6)
+    points = rng.normal(size=(4000, 9)).astype(np.float32)
+    heavy = np.arange(4000) < 400
+    found = palette(points, 512, np.where(heavy, 100.0, 1.0))
+    error = np.square(points - found.entries[found.labels]).sum(axis=1)
+    assert error[heavy].mean() < 0.5 * error[~heavy].mean()
+
+
+def test_invisible_splats_are_written_too(tmp_path):
+    model = replace(random_model(900, 1), opacity_logits=np.full(900, -np.inf, np.float32))
+    assert len(saved(tmp_path, model)) == 900
+
+
 def test_palette_entries_never_exceed_the_points_of_a_cell():
     points = np.zeros((5000, 9), np.float32)
     points[:, 0] = np.arange(5000) ** 3 / 1e9  # crowded at one end

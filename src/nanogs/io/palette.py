@@ -26,7 +26,7 @@ class Palette:
     labels: I32
 
 
-def palette(points: F32, size: int) -> Palette:
+def palette(points: F32, size: int, weights: F64 | None = None) -> Palette:
     """Find vectors that stand for the points with little squared error.
 
     Points that are equal are one point of more weight, so a model that came from a palette
@@ -35,11 +35,13 @@ def palette(points: F32, size: int) -> Palette:
     Args:
         points: (N, D), finite, N at least 1.
         size: Most entries.
+        weights: (N,) positive, how much a point's error counts; all alike by default.
     """
-    distinct, inverse, weights = _distinct(points)
+    distinct, inverse, counts = _distinct(points)
     if len(distinct) <= size:
         return _in_order_of_use(distinct, inverse.astype(np.int32))
-    entries, labels = _cluster(distinct, weights.astype(np.float32), size)
+    totals = counts if weights is None else np.bincount(inverse, weights)
+    entries, labels = _cluster(distinct, (totals / totals.mean()).astype(np.float32), size)
     return _in_order_of_use(entries, labels[inverse])
 
 
