@@ -77,7 +77,8 @@ def test_zip_and_folder_hold_the_same(tmp_path):
         assert_same(model, io.load(path))
         info = io.inspect(path)
         assert (info.format, info.splats, info.sh_degree) == ("sog", 3, 0)
-        assert info.file_bytes == sum(map(len, contents.values()))
+        assert info.file_bytes == path.stat().st_size
+    assert io.inspect(tmp_path / "m" / "meta.json").file_bytes == sum(map(len, contents.values()))
 
 
 @pytest.mark.parametrize(

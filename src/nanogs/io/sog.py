@@ -54,7 +54,9 @@ def inspect(path: Path) -> FileInfo:
     """
     with opened(path) as (container, name):
         meta = load_meta(container, name)
-        return describe(path, meta, sh_degree(container, meta), total_bytes(container, name, meta))
+        bundled = isinstance(container, Bundle)
+        file_bytes = input_size(path) if bundled else total_bytes(container, name, meta)
+        return describe(path, meta, sh_degree(container, meta), file_bytes)
 
 
 @contextmanager
