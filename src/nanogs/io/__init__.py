@@ -11,7 +11,7 @@ __all__ = ["FileInfo", "check_writable", "inspect", "load", "losses", "save"]
 
 
 def load(path: str | PathLike[str]) -> Splats:
-    """Read a model from a file of any format that nanogs knows.
+    """Read a model from a file of any format that nanogs knows; of a streamed one the finest level.
 
     Raises:
         FormatError: The suffix is unknown, the file cannot be read, is damaged, or holds
@@ -25,6 +25,7 @@ def save(splats: Splats, path: str | PathLike[str], *, overwrite: bool = False) 
     """Write a model to a file, which appears whole or not at all.
 
     Raises:
+        ModelError: The format cannot hold the model at all.
         OptionError: nanogs does not write the format that the suffix stands for.
         OutputError: The file exists and `overwrite` is off, or it cannot be written.
     """

@@ -14,6 +14,9 @@ from nanogs.io import (
     npz,
     ply,
     ply_write,
+    sog,
+    sog_levels,
+    sog_write,
     splat,
     spz,
     spz_write,
@@ -65,6 +68,9 @@ FORMATS = (
     Format(
         ".glb", gltf.read, gltf.inspect, gltf_write.write, gltf_write.file_bytes, gltf_write.losses
     ),
+    Format(".sog", sog.read, sog.inspect, sog_write.write, losses=sog_write.losses),
+    Format("meta.json", sog.read, sog.inspect),
+    Format("lod-meta.json", sog_levels.read, sog_levels.inspect),
 )
 
 

@@ -1,0 +1,108 @@
+"""Where the files of a SOG model lie: in a folder, or in one zip. Only files asked for are read."""
+
+import zipfile
+import zlib
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+from nanogs.errors import FormatError
+from nanogs.io.files import input_size, unreadable
+
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_ENCRYPTED = 0x1
+_DAMAGE = (OSError, EOFError, ValueError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+
+
+class Container(Protocol):
+    """Files by plain name."""
+
+    def where(self, name: str) -> str:
+        """The file as the user may call it, for messages."""
+
+    def size(self, name: str) -> int:
+        """Bytes of a file, unpacked.
+
+        Raises:
+            FormatError: There is no such file, or it is no plain one.
+        """
+
+    def read(self, name: str, limit: int) -> bytes:
+        """The first `limit` bytes of a file, or all of it where it is shorter.
+
+        Raises:
+            FormatError: As for `size`, or the file cannot be read.
+        """
+
+
+class Folder:
+    """Files in one folder."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def where(self, name: str) -> str:
+        """The file's path."""
+        return str(self._path / name)
+
+    def size(self, name: str) -> int:
+        """Bytes of a file; see `Container`."""
+        return input_size(self._path / name)
+
+    def read(self, name: str, limit: int) -> bytes:
+        """The beginning of a file; see `Container`."""
+        self.size(name)
+        path = self._path / name
+        try:
+            with path.open("rb") as file:
+                return file.read(limit)
+        except OSError as error:
+            raise unreadable(path, error) from error
+
+
+class Bundle:
+    """Files in one zip.
+
+    Raises:
+        FormatError: The file is no zip or is damaged.
+    """
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        self._path = path
+        try:
+            self._zip = zipfile.ZipFile(file)
+        except _DAMAGE as error:
+            raise FormatError(
+                f"{path} is no zip file or is cut short ({error}); export or download it again."
+            ) from error
+
+    def where(self, name: str) -> str:
+        """The file's name after that of the zip."""
+        return f"{self._path}: {name}"
+
+    def size(self, name: str) -> int:
+        """Bytes of a file as the zip states them; see `Container`."""
+        return self._entry(name).file_size
+
+    def read(self, name: str, limit: int) -> bytes:
+        """The beginning of a file, its checksum checked at its end; see `Container`."""
+        entry = self._entry(name)
+        try:
+            with self._zip.open(entry) as file:
+                data = file.read(min(limit, entry.file_size))
+        except _DAMAGE as error:
+            raise self._error(name, f"is damaged ({error})") from error
+        if len(data) < min(limit, entry.file_size):
+            raise self._error(name, "is cut short")
+        return data
+
+    def _entry(self, name: str) -> zipfile.ZipInfo:
+        try:
+            entry = self._zip.getinfo(name)
+        except KeyError:
+            raise self._error(name, "is missing") from None
+        if entry.flag_bits & _ENCRYPTED or entry.compress_type not in _METHODS:
+            raise self._error(name, "is encrypted or packed in a way other than deflate")
+        return entry
+
+    def _error(self, name: str, what: str) -> FormatError:
+        return FormatError(f"{self.where(name)} {what}; export or download the model again.")

@@ -1,0 +1,76 @@
+"""Checked values from a format's JSON. `where` is the file and the field, for the message."""
+
+import json
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.errors import FormatError
+
+
+def parse(data: bytes, where: str) -> dict[str, Any]:
+    """The object that a JSON file holds.
+
+    Raises:
+        FormatError: It is not JSON in UTF-8, or no object.
+    """
+    try:
+        value = json.loads(data.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise FormatError(
+            f"{where} is no JSON or is cut short ({error}); export or download the model again."
+        ) from error
+    return table(value, where)
+
+
+def table(value: object, where: str) -> dict[str, Any]:
+    """Return a JSON object, refusing anything else with a `FormatError`."""
+    if not isinstance(value, dict):
+        raise refused(where, "must be a JSON object")
+    return value
+
+
+def rows(value: object, where: str, length: int | None = None) -> list[Any]:
+    """Return a list, of `length` entries where that is given, or raise a `FormatError`."""
+    if not isinstance(value, list) or length not in (None, len(value)):
+        count = "a list" if length is None else f"a list of {length}"
+        raise refused(where, f"must be {count}")
+    return value
+
+
+def integer(value: object, where: str, least: int, most: int) -> int:
+    """Return an integer of a range, refusing anything else with a `FormatError`."""
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)  # written by a language that has but one kind of number
+    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
+        raise refused(where, f"must be an integer from {least} to {most}")
+    return value
+
+
+def numbers(value: object, where: str, length: int) -> F64:
+    """Return (length,) numbers, finite in single precision too, or raise a `FormatError`."""
+    values = rows(value, where, length)
+    limit = float(np.finfo(np.float32).max)
+    for entry in values:
+        plain = isinstance(entry, int | float) and not isinstance(entry, bool)
+        if not plain or not abs(entry) <= limit:  # NaN too
+            raise refused(where, "must hold finite numbers")
+    return np.array(values, np.float64)
+
+
+def plain_name(value: object, where: str) -> str:
+    """Return the name of a file in the same folder, refusing a path with a `FormatError`."""
+    if not isinstance(value, str) or not is_plain(value):
+        raise refused(where, "must name a file in the same folder")
+    return value
+
+
+def is_plain(name: str) -> bool:
+    """Whether a name leads nowhere: on no system a path, a drive or a device."""
+    return name not in ("", ".", "..") and not set(name) & set('/\\:*?"<>|') and name.isprintable()
+
+
+def refused(where: str, what: str) -> FormatError:
+    """The error for a field that is not as the format has it."""
+    return FormatError(f"{where} {what}; export the model again.")

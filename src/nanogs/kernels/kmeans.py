@@ -1,0 +1,138 @@
+"""Kernels of k-means with so many centres that a point only looks at those in cells near it.
+
+Source: Lloyd, "Least squares quantization in PCM", 1982; the cells are those of an inverted file,
+Jégou, Douze, Schmid, "Product quantization for nearest neighbor search", 2011, section IV.
+Distances lack the point's own square, which is the same for all centres. Ties go to the earlier.
+The number D of dimensions is a multiple of three, as there are three channels.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from nanogs._types import F32, I32, I64
+from nanogs.kernels.policy import inline, kernel, parallel_kernel
+
+_ROWS = 64  # points a task takes at a time
+TWO = np.float32(2)
+
+
+@inline
+def _distances(point: F32, columns: F32, squares: F32, start: int, stop: int, out: F32) -> None:
+    """|c|² - 2 x.c to the centres from `start` to `stop`, which lie in the columns."""
+    # Three rows a pass, and slices from zero on: this is what becomes vector instructions.
+    count = stop - start
+    own = squares[start:stop]
+    for c in range(count):
+        out[c] = own[c]
+    for d in range(0, len(point), 3):
+        x, y, z = point[d] * TWO, point[d + 1] * TWO, point[d + 2] * TWO
+        first = columns[d, start:stop]
+        second = columns[d + 1, start:stop]
+        third = columns[d + 2, start:stop]
+        for c in range(count):
+            out[c] -= x * first[c] + y * second[c] + z * third[c]
+
+
+@parallel_kernel
+def nearest_cells(points: F32, columns: F32, squares: F32, cells: I32) -> None:
+    """The nearest centres of each point, the nearest first.
+
+    points: (N, D); columns: (D, C) the centres; squares: (C,) their squared lengths; cells:
+    (N, P) out, P up to C.
+    """
+    count = columns.shape[1]
+    wanted = cells.shape[1]
+    for task in numba.prange((len(points) + _ROWS - 1) // _ROWS):
+        distances = np.empty(count, np.float32)
+        kept = np.empty(wanted, np.float32)
+        for i in range(task * _ROWS, min(len(points), (task + 1) * _ROWS)):
+            _distances(points[i], columns, squares, 0, count, distances)
+            kept[:] = math.inf
+            cells[i, :] = 0
+            for c in range(count):
+                if distances[c] < kept[wanted - 1]:
+                    place = wanted - 1
+                    while place > 0 and distances[c] < kept[place - 1]:
+                        kept[place] = kept[place - 1]
+                        cells[i, place] = cells[i, place - 1]
+                        place -= 1
+                    kept[place] = distances[c]
+                    cells[i, place] = c
+
+
+@parallel_kernel
+def nearest_entries(
+    points: F32, cells: I32, probes: int, starts: I64, columns: F32, squares: F32, labels: I32,
+    errors: F32,
+) -> None:  # fmt: skip
+    """The nearest entry of each point, among those of its first cells.
+
+    points: (N, D); cells: (N, P); probes: how many of them to look into; starts: (C + 1,) the
+    entries of a cell; columns: (D, K) the entries; squares: (K,) their squared lengths; labels:
+    (N,) out; errors: (N,) out, squared distances.
+    """
+    widest = np.max(starts[1:] - starts[:-1])
+    for task in numba.prange((len(points) + _ROWS - 1) // _ROWS):
+        distances = np.empty(widest, np.float32)
+        for i in range(task * _ROWS, min(len(points), (task + 1) * _ROWS)):
+            least, chosen = np.float32(math.inf), 0
+            for probe in range(probes):
+                start, stop = starts[cells[i, probe]], starts[cells[i, probe] + 1]
+                _distances(points[i], columns, squares, start, stop, distances)
+                for c in range(stop - start):
+                    entry = start + c
+                    nearer = distances[c] < least or (distances[c] == least and entry < chosen)
+                    if nearer:
+                        least, chosen = distances[c], entry
+            labels[i] = chosen
+            total = np.float32(0)
+            for d in range(points.shape[1]):
+                step = points[i, d] - columns[d, chosen]
+                total += step * step
+            errors[i] = total
+
+
+@kernel
+def group(labels: I32, starts: I64, order: I64) -> None:
+    """List the points of each label, ascending: a counting sort.
+
+    labels: (N,) from 0 to K - 1; starts: (K + 1,) out; order: (N,) out.
+    """
+    starts[:] = 0
+    for label in labels:
+        starts[label + 1] += 1
+    for k in range(len(starts) - 1):
+        starts[k + 1] += starts[k]
+    places = starts[:-1].copy()
+    for i in range(len(labels)):
+        order[places[labels[i]]] = i
+        places[labels[i]] += 1
+
+
+@parallel_kernel
+def weighted_means(
+    points: F32, weights: F32, starts: I64, order: I64, columns: F32, squares: F32
+) -> None:
+    """Move each centre to the mean of its points; one without points stays.
+
+    points: (N, D); weights: (N,) positive; starts, order: of `group`; columns: (D, K) in and out;
+    squares: (K,) out.
+    """
+    dimensions = points.shape[1]
+    for k in numba.prange(len(squares)):
+        if starts[k + 1] > starts[k]:
+            total = 0.0
+            sums = np.zeros(dimensions)
+            for place in range(starts[k], starts[k + 1]):
+                i = order[place]
+                total += weights[i]
+                for d in range(dimensions):
+                    sums[d] += weights[i] * points[i, d]
+            for d in range(dimensions):
+                columns[d, k] = sums[d] / total
+        square = np.float32(0)
+        for d in range(dimensions):
+            square += columns[d, k] * columns[d, k]
+        squares[k] = square

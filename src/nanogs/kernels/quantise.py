@@ -1,0 +1,69 @@
+"""Kernel of the optimal quantiser of one-dimensional data."""
+
+import math
+
+import numpy as np
+
+from nanogs._types import F64, I64
+from nanogs.kernels.policy import inline, kernel
+
+
+@inline
+def _cost(w: F64, wx: F64, wxx: F64, first: int, stop: int) -> float:
+    """Squared error of the bins from `first` to before `stop` about their mean."""
+    weight = w[stop] - w[first]
+    if weight <= 0.0:
+        return 0.0
+    x = wx[stop] - wx[first]
+    error: float = wxx[stop] - wxx[first] - x * x / weight
+    return error
+
+
+@kernel
+def optimal_cuts(centres: F64, weights: F64, cuts: I64) -> None:
+    """Cut sorted bins into runs of least squared error, by dynamic programming.
+
+    Source: Grønlund et al., "Fast exact k-means, k-medians and Bregman divergence clustering in
+    1D", 2017: the best last cut ascends with the number of bins, so each row is filled by divide
+    and conquer.
+
+    centres: (H,) ascending; weights: (H,) positive; cuts: (K + 1,) out, from 0 to H, K up to H.
+    """
+    bins, runs = len(centres), len(cuts) - 1
+    w, wx, wxx = np.zeros(bins + 1), np.zeros(bins + 1), np.zeros(bins + 1)
+    for b in range(bins):
+        x = centres[b] - centres[bins // 2]  # nearer to zero: less is lost in the differences
+        w[b + 1] = w[b] + weights[b]
+        wx[b + 1] = wx[b] + weights[b] * x
+        wxx[b + 1] = wxx[b] + weights[b] * x * x
+    before, after = np.empty(bins + 1), np.empty(bins + 1)
+    last = np.zeros((runs + 1, bins + 1), dtype=np.int32)
+    before[0] = math.inf
+    for stop in range(1, bins + 1):
+        before[stop] = _cost(w, wx, wxx, 0, stop)
+    stack = np.empty((64, 4), dtype=np.int64)
+    for run in range(2, runs + 1):
+        after[:] = math.inf
+        stack[0] = (run, bins, run - 1, bins - 1)
+        depth = 1
+        while depth:
+            depth -= 1
+            low, high, least, most = stack[depth]
+            middle = (low + high) // 2
+            best, chosen = math.inf, least
+            for cut in range(least, min(most, middle - 1) + 1):
+                cost = before[cut] + _cost(w, wx, wxx, cut, middle)
+                if cost < best:
+                    best, chosen = cost, cut
+            after[middle], last[run, middle] = best, chosen
+            if low < middle:
+                stack[depth] = (low, middle - 1, least, chosen)
+                depth += 1
+            if middle < high:
+                stack[depth] = (middle + 1, high, chosen, most)
+                depth += 1
+        before, after = after, before
+    cuts[runs] = bins
+    for run in range(runs, 0, -1):
+        cuts[run - 1] = last[run, cuts[run]]
+    cuts[0] = 0

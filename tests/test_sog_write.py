@@ -1,0 +1,317 @@
+"""Encoding SOG: what comes back, and what the codebooks and palettes cost."""
+
+import itertools
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from conftest import scene_path
+from nanogs import io
+from nanogs.errors import ModelError, OptionError, OutputError
+from nanogs.io import sog_write
+from nanogs.io.codebook import codebook, nearest
+from nanogs.io.palette import palette
+from nanogs.splats import ExtraElement, RenderMode, Splats
+from nanogs.threads import use_threads
+from strategies import assert_same, splats
+
+
+def random_model(n=3000, degree=2, seed=0):
+    rng = np.random.default_rng(seed)
+    return Splats(
+        means=rng.normal(0, 3, (n, 3)).astype(np.float32),
+        log_scales=rng.normal(-4, 1, (n, 3)).astype(np.float32),
+        quats=rng.normal(size=(n, 4)).astype(np.float32),
+        opacity_logits=rng.normal(0, 3, n).astype(np.float32),
+        sh=rng.normal(0, 0.5, (n, (degree + 1) ** 2, 3)).astype(np.float32),
+    )
+
+
+def saved(tmp_path, model, name="a.sog"):
+    io.save(model, tmp_path / name, overwrite=True)
+    return io.load(tmp_path / name)
+
+
+def in_order_of(model, other):
+    """The other model's splats, put in this one's order by where they are."""
+    rows = cKDTree(other.means).query(model.means)[1]
+    assert sorted(rows) == list(range(len(model)))
+    return other.take(rows)
+
+
+def angle(a, b):
+    """Between rotations, in radians."""
+    cosine = np.abs((a.unit_quats().astype(float) * b.unit_quats()).sum(axis=1))
+    return 2 * np.arccos(cosine.clip(0, 1))
+
+
+@settings(max_examples=40)
+@given(model=splats(max_n=40, max_degree=3, extras=False))
+def test_round_trip_is_within_the_quantisation(tmp_path_factory, model):
+    back = in_order_of(model, saved(tmp_path_factory.mktemp("sog"), model))
+    logarithms = [np.log1p(np.abs(m.means)) for m in (model, back)]
+    assert np.abs(logarithms[0] - logarithms[1]).max() < 1e-4
+    assert angle(model, back).max() < 0.017  # half a step of 2 / 255 √2 in three parts
+    # So few values that each has its own entry.
+    scales = np.where(np.isneginf(model.log_scales), back.log_scales, model.log_scales)
+    assert np.array_equal(scales, back.log_scales)
+    assert np.array_equal(model.sh[:, 0], back.sh[:, 0])
+    error = np.abs(model.sh[:, 1:] - back.sh[:, 1:])
+    if len(model).bit_count() == 1:  # the palette has room for every splat
+        assert error.max(initial=0) < 0.05
+    else:
+        assert np.square(error).sum() <= np.square(model.sh[:, 1:]).sum()
+    assert np.abs(model.opacities() - back.opacities()).max() <= 0.5 / 255 + 1e-9
+    for infinite in (np.isposinf, np.isneginf):
+        assert infinite(back.opacity_logits)[infinite(model.opacity_logits)].all()
+    assert back.render_mode is model.render_mode
+
+
+def test_scale_of_zero_stays_far_below_all_others(tmp_path):
+    model = random_model(500, 0)
+    model.log_scales[7, 1] = -np.inf
+    back = in_order_of(model, saved(tmp_path, model))
+    others = np.delete(back.log_scales, 7, axis=0)
+    assert back.log_scales[7, 1] == pytest.approx(others.min() - 20, abs=0.5)
+
+
+def test_a_second_pass_changes_no_value(tmp_path):
+    once = saved(tmp_path, random_model())
+    twice = in_order_of(once, saved(tmp_path, once))
+    assert np.array_equal(once.log_scales, twice.log_scales)
+    assert np.array_equal(once.sh, twice.sh)
+    assert np.array_equal(once.opacity_logits, twice.opacity_logits)
+    assert np.abs(once.means - twice.means).max() < 1e-4
+    # Where two parts are equally large, the other one may be left out the second time.
+    assert angle(once, twice).max() < 0.017
+    assert angle(once, twice).mean() < 1e-3
+
+
+@pytest.mark.parametrize("n", [1, 2, 15, 16, 17, 1025])
+@pytest.mark.parametrize("degree", [0, 3])
+def test_any_count(tmp_path, n, degree):
+    model = random_model(n, degree)
+    back = saved(tmp_path, model)
+    assert len(back) == n
+    assert back.sh_degree == degree
+
+
+def test_coincident_splats_stay(tmp_path):
+    model = replace(random_model(50, 1), means=np.ones((50, 3), np.float32))
+    assert saved(tmp_path, model).means == pytest.approx(np.ones((50, 3)))
+
+
+@pytest.mark.parametrize("mode", RenderMode)
+def test_render_mode_is_kept(tmp_path, mode):
+    assert saved(tmp_path, replace(random_model(9), render_mode=mode)).render_mode is mode
+
+
+def test_what_is_left_out_is_said(tmp_path):
+    model = random_model(20, 4)
+    model.means[3] = np.nan
+    model.log_scales[4, 0] = np.inf
+    extras = {"label": np.arange(20)}
+    camera = ExtraElement("camera", np.zeros(1, [("x", "f4")]))
+    model = replace(model, extras=extras, elements=[camera])
+    assert io.losses(model, "a.sog") == (
+        "The extra columns label are left out.",
+        "The elements camera are left out.",
+        "Spherical harmonics above degree 3 are left out.",
+        "2 splats with NaN or infinite values are left out.",
+    )
+    back = saved(tmp_path, model)
+    assert (len(back), back.sh_degree) == (18, 3)
+    assert io.losses(random_model(20, 3), "a.sog") == ()
+
+
+def test_no_splat_to_write_is_refused(tmp_path):
+    model = random_model(3)
+    model.means[:] = np.nan
+    with pytest.raises(ModelError, match="no finite splat"):
+        io.save(model, tmp_path / "a.sog")
+    assert not list(tmp_path.iterdir())
+
+
+def test_same_bytes_again_and_for_any_number_of_threads(tmp_path):
+    model = random_model(5000, 3)
+    written = []
+    for threads in (1, 2, None):
+        try:
+            with use_threads(threads):
+                io.save(model, tmp_path / "a.sog", overwrite=True)
+        except OptionError:
+            pytest.skip("this machine has one thread")
+        written.append((tmp_path / "a.sog").read_bytes())
+    assert written[0] == written[1] == written[2]
+
+
+def test_bundle_is_stored_and_dateless(tmp_path):
+    saved(tmp_path, random_model(100))
+    with zipfile.ZipFile(tmp_path / "a.sog") as bundle:
+        assert bundle.namelist()[-1] == "meta.json"
+        for entry in bundle.infolist():
+            assert entry.compress_type == zipfile.ZIP_STORED
+            assert entry.date_time == (1980, 1, 1, 0, 0, 0)
+
+
+def test_folder(tmp_path):
+    model, path = random_model(100), tmp_path / "m"
+    sog_write.write_folder(model, path)
+    assert_same(io.load(path / "meta.json"), saved(tmp_path, model))
+    with pytest.raises(OutputError, match="add -w"):
+        sog_write.write_folder(model, path)
+    sog_write.write_folder(replace(model, sh=model.sh[:, :1]), path, overwrite=True)
+    assert max(entry.name for entry in path.iterdir()) == "sh0.webp"
+    (path / "mine.txt").touch()
+    with pytest.raises(OutputError, match=r"'mine\.txt', which nanogs did not make"):
+        sog_write.write_folder(model, path, overwrite=True)
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "meta.json").write_text('{"asset": {"generator": "another"}}')
+    with pytest.raises(OutputError, match="did not make"):
+        sog_write.write_folder(model, foreign, overwrite=True)
+
+
+def squared_error(values, runs):
+    return sum(((values[a:b] - values[a:b].mean()) ** 2).sum() for a, b in itertools.pairwise(runs))
+
+
+@given(seed=st.integers(0, 2**32 - 1), bins=st.integers(1, 9), data=st.data())
+def test_cuts_are_optimal(seed, bins, data):
+    from nanogs.kernels.quantise import optimal_cuts
+
+    runs = data.draw(st.integers(1, bins))
+    centres = np.sort(np.random.default_rng(seed).normal(size=bins))
+    cuts = np.empty(runs + 1, np.int64)
+    optimal_cuts(centres, np.ones(bins), cuts)
+    assert (np.diff(cuts) > 0).all()
+    every = itertools.combinations(range(1, bins), runs - 1)
+    best = min(squared_error(centres, (0, *inner, bins)) for inner in every)
+    assert squared_error(centres, cuts) == pytest.approx(best, abs=1e-9)
+
+
+def test_codebook_bears_an_outlier():
+    values = np.random.default_rng(1).normal(size=100_000).astype(np.float32)
+    values[0] = 1000  # an outlier must not take the entries from all others
+    book = codebook(values)
+    error = np.abs(values - book[nearest(values, book)])
+    assert np.quantile(error, 0.999) < 0.1
+    assert np.square(error).mean() < 4e-4
+    assert (np.diff(book) >= 0).all()
+
+
+def test_nearest_entry_is_the_nearest():
+    rng = np.random.default_rng(2)
+    book = np.sort(rng.normal(size=256)).astype(np.float32)
+    values = rng.normal(size=(500, 3)).astype(np.float32)
+    indices = nearest(values, book)
+    every = np.abs(values[..., None].astype(float) - book)
+    assert np.abs(values - book[indices]) == pytest.approx(every.min(axis=-1))
+
+
+def test_entries_in_all_cells_are_the_nearest():
+    from nanogs.kernels.kmeans import nearest_entries
+
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(200, 9)).astype(np.float32)
+    entries = rng.normal(size=(30, 9)).astype(np.float32)
+    cells = np.tile(np.array([2, 0, 1], np.int32), (200, 1))
+    labels, errors = np.empty(200, np.int32), np.empty(200, np.float32)
+    columns = np.ascontiguousarray(entries.T)
+    bounds, squares = np.array([0, 11, 20, 30]), (columns**2).sum(axis=0)
+    nearest_entries(points, cells, 3, bounds, columns, squares, labels, errors)
+    every = ((points[:, None] - entries) ** 2).sum(axis=-1)
+    assert np.array_equal(labels, every.argmin(axis=1))
+    assert errors == pytest.approx(every.min(axis=1), rel=1e-4)
+
+
+def lloyd(points, size, rounds=10):
+    """The plain method, from random points on."""
+    rng = np.random.default_rng(0)
+    centres = points[rng.choice(len(points), size, replace=False)].astype(float)
+    for _ in range(rounds):
+        labels = cKDTree(centres).query(points)[1]
+        for k in np.unique(labels):
+            centres[k] = points[labels == k].mean(axis=0)
+    return np.square(cKDTree(centres).query(points)[0]).sum()
+
+
+@pytest.mark.parametrize("dimensions", [9, 24])
+def test_palette_is_about_as_good_as_plain_k_means(dimensions):
+    rng = np.random.default_rng(4)
+    places = rng.normal(size=(40, dimensions)) * 2
+    points = (places[rng.integers(40, size=4000)] + rng.normal(size=(4000, dimensions))) / 9
+    points = points.astype(np.float32)
+    found = palette(points, 600)
+    assert len(found.entries) <= 600
+    error = np.square(points - found.entries[found.labels]).sum()
+    assert error < 1.03 * lloyd(points, 600)
+
+
+def test_palette_keeps_what_fits():
+    rng = np.random.default_rng(5)
+    points = rng.normal(size=(300, 9)).astype(np.float32)[rng.integers(300, size=2000)]
+    found = palette(points, 512)
+    assert np.array_equal(found.entries[found.labels], points)
+    assert len(found.entries) == len(np.unique(points, axis=0))
+    assert found.labels[0] == 0  # in the order of first use
+
+
+def test_heavy_points_are_served_better():
+    rng = np.random.default_rng(6)
+    points = rng.normal(size=(4000, 9)).astype(np.float32)
+    heavy = np.arange(4000) < 400
+    found = palette(points, 512, np.where(heavy, 100.0, 1.0))
+    error = np.square(points - found.entries[found.labels]).sum(axis=1)
+    assert error[heavy].mean() < 0.5 * error[~heavy].mean()
+
+
+def test_invisible_splats_are_written_too(tmp_path):
+    model = replace(random_model(900, 1), opacity_logits=np.full(900, -np.inf, np.float32))
+    assert len(saved(tmp_path, model)) == 900
+
+
+def test_palette_entries_never_exceed_the_points_of_a_cell():
+    points = np.zeros((5000, 9), np.float32)
+    points[:, 0] = np.arange(5000) ** 3 / 1e9  # crowded at one end
+    found = palette(points, 4096)
+    assert len(found.entries) <= 4096
+    assert np.square(points - found.entries[found.labels]).sum() < 1e-2  # all alike would be 4e5
+
+
+def test_real_scene_keeps_its_values(tmp_path):
+    model = io.load(scene_path("skull.sog"))
+    back = saved(tmp_path, model)
+    assert (tmp_path / "a.sog").stat().st_size < 0.97 * scene_path("skull.sog").stat().st_size
+    for name in ("log_scales", "opacity_logits"):
+        before, after = getattr(model, name), getattr(back, name)
+        assert np.array_equal(np.sort(before, axis=0), np.sort(after, axis=0))
+    assert np.array_equal(np.sort(model.sh, axis=0), np.sort(back.sh, axis=0))
+
+
+def test_other_readers_agree(tmp_path):
+    gaussforge = pytest.importorskip("gaussforge")
+    back = saved(tmp_path, random_model(2000, 3))
+    data = (tmp_path / "a.sog").read_bytes()
+    converted = gaussforge.GaussForge().convert(data, "sog", "ply")
+    (tmp_path / "b.ply").write_bytes(converted["data"])
+    other = io.load(tmp_path / "b.ply")
+    for name in ("means", "log_scales", "quats", "sh"):
+        assert getattr(other, name) == pytest.approx(getattr(back, name), rel=3e-6, abs=1e-6)
+    finite = np.isfinite(back.opacity_logits)
+    assert other.opacity_logits[finite] == pytest.approx(back.opacity_logits[finite], abs=1e-4)
+
+
+def test_gsply_agrees(tmp_path):
+    pytest.importorskip("imagecodecs")
+    gsply = pytest.importorskip("gsply")
+    back = saved(tmp_path, random_model(2000, 2))
+    other = gsply.sogread(str(tmp_path / "a.sog"))
+    assert other.means == pytest.approx(back.means, rel=3e-6, abs=1e-6)
+    assert np.array_equal(other.scales, back.log_scales)
+    assert np.array_equal(other.shN, back.sh[:, 1:])
