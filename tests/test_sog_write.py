@@ -119,9 +119,9 @@ def test_what_is_left_out_is_said(tmp_path):
     camera = ExtraElement("camera", np.zeros(1, [("x", "f4")]))
     model = replace(model, extras=extras, elements=[camera])
     assert io.losses(model, "a.sog") == (
-        "The extra columns label are left out.",
-        "The elements camera are left out.",
-        "Spherical harmonics above degree 3 are left out.",
+        "Extra columns are left out, .sog has no room for them: label.",
+        "Further elements are left out, .sog has no room for them: camera.",
+        "Spherical harmonics above degree 3 are left out, .sog holds no more.",
         "2 splats with NaN or infinite values are left out.",
     )
     back = saved(tmp_path, model)

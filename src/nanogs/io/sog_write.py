@@ -18,7 +18,7 @@ import numpy as np
 from nanogs._types import F32, F64, I64, U8, U16, U64, Array
 from nanogs._version import __version__
 from nanogs.errors import ModelError
-from nanogs.io import sog_meta
+from nanogs.io import limits, sog_meta
 from nanogs.io.codebook import codebook, nearest
 from nanogs.io.folder import atomic_folder
 from nanogs.io.palette import palette
@@ -64,14 +64,7 @@ def write_folder(splats: Splats, path: Path, *, overwrite: bool = False) -> None
 
 def losses(splats: Splats) -> tuple[str, ...]:
     """What a SOG file cannot hold of a model, one sentence each."""
-    found = []
-    if splats.extras:
-        found.append(f"The extra columns {', '.join(splats.extras)} are left out.")
-    if splats.elements:
-        names = ", ".join(element.name for element in splats.elements)
-        found.append(f"The elements {names} are left out.")
-    if splats.sh_degree > MAX_DEGREE:
-        found.append("Spherical harmonics above degree 3 are left out.")
+    found = limits.left_out(splats, ".sog", max_degree=MAX_DEGREE)
     if wrong := len(splats) - int(splats.finite().sum()):
         found.append(f"{wrong} splats with NaN or infinite values are left out.")
     return tuple(found)
