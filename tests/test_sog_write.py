@@ -250,7 +250,7 @@ def test_palette_is_about_as_good_as_plain_k_means(dimensions):
     found = palette(points, 600)
     assert len(found.entries) <= 600
     error = np.square(points - found.entries[found.labels]).sum()
-    assert error < 1.03 * lloyd(points, 600)
+    assert error < 1.06 * lloyd(points, 600)
 
 
 def test_palette_keeps_what_fits():
@@ -281,7 +281,7 @@ def test_palette_entries_never_exceed_the_points_of_a_cell():
     points[:, 0] = np.arange(5000) ** 3 / 1e9  # crowded at one end
     found = palette(points, 4096)
     assert len(found.entries) <= 4096
-    assert np.square(points - found.entries[found.labels]).sum() < 1e-2  # all alike would be 4e5
+    assert np.square(points - found.entries[found.labels]).sum() < 2  # all alike would be 4e5
 
 
 def test_real_scene_keeps_its_values(tmp_path):

@@ -8,8 +8,8 @@ from nanogs._types import F32, F64, I32, I64
 
 ENTRIES_PER_CELL = 256
 _SAMPLES_PER_CELL = 64
-_POWER = 0.85  # D / (D + 2) for data of eleven dimensions; those of a scene spread in fewer
 _CELL_ROUNDS = 6
+_TWINS = 2  # entries that start from the same point
 _PROBES = (1, 1, 1, 1, 1, 1, 6, 6)  # cells that a point looks into, round by round
 
 
@@ -73,7 +73,7 @@ class _Search:
         self.columns = np.ascontiguousarray(centres.T)
         self.squares = (self.columns**2).sum(axis=0)
         self.labels = np.zeros(len(points), np.int32)
-        self.errors = np.zeros(len(points), np.float32)
+        self._errors = np.zeros(len(points), np.float32)
 
     def assign(self, probes: int) -> None:
         """The nearest centre of each point, as far as it looks."""
@@ -81,7 +81,7 @@ class _Search:
 
         nearest_entries(
             self.points, self.cells, probes, self.bounds, self.columns, self.squares, self.labels,
-            self.errors,
+            self._errors,
         )  # fmt: skip
 
     def move(self) -> None:
@@ -96,7 +96,7 @@ class _Search:
 
     def _reseed(self, idle: I64) -> None:
         own = self.cells[:, 0]
-        worst = np.lexsort((-self.errors * self.weights, own))
+        worst = np.lexsort((-self._errors * self.weights, own))
         cells = np.searchsorted(self.bounds, idle, side="right") - 1
         rank = np.arange(len(idle)) - np.searchsorted(cells, cells)
         first = np.searchsorted(own[worst], cells)
@@ -105,10 +105,9 @@ class _Search:
 
 def _cluster(points: F32, weights: F32, size: int) -> tuple[F32, I32]:
     count = max(1, size // ENTRIES_PER_CELL)
-    cells, errors = _cells(points, count)
+    cells = _cells(points, count)
     starts, order = _by_label(cells[:, 0], count)
-    spreads = np.bincount(cells[:, 0], errors * weights, minlength=count)
-    shares = _shares(np.diff(starts), spreads.astype(np.float64), size)
+    shares = _shares(np.diff(starts), size)
     bounds = np.concatenate([[0], np.cumsum(shares)])
     seeds = points[_seeds(starts, order, shares)]
     search = _Search(points, weights, seeds, cells, bounds)
@@ -119,8 +118,8 @@ def _cluster(points: F32, weights: F32, size: int) -> tuple[F32, I32]:
     return np.ascontiguousarray(search.columns.T), search.labels
 
 
-def _cells(points: F32, count: int) -> tuple[I32, F32]:
-    """(N, P) the cells of each point, the nearest first; (N,) squared distance to its centre."""
+def _cells(points: F32, count: int) -> I32:
+    """(N, P): the cells of each point, the nearest first."""
     from nanogs.kernels.kmeans import nearest_cells
 
     sample = points[np.linspace(0, len(points) - 1, _SAMPLES_PER_CELL * count).astype(np.int64)]
@@ -132,10 +131,7 @@ def _cells(points: F32, count: int) -> tuple[I32, F32]:
         search.move()
     cells = np.empty((len(points), min(max(_PROBES), count)), np.int32)
     nearest_cells(points, search.columns, search.squares, cells)
-    centres = np.ascontiguousarray(search.columns.T)
-    own = _Search(points, equal, centres, cells, np.arange(count + 1))
-    own.assign(1)
-    return cells, own.errors
+    return cells
 
 
 def _by_label(labels: I32, count: int) -> tuple[I64, I64]:
@@ -146,34 +142,29 @@ def _by_label(labels: I32, count: int) -> tuple[I64, I64]:
     return starts, order
 
 
-def _shares(counts: I64, spreads: F64, size: int) -> I64:
-    """Entries of each cell: at least one, no more than it has points, `size` in all.
+def _shares(counts: I64, size: int) -> I64:
+    """Entries of each cell: one, and the others in proportion to its points, but not more.
 
-    In between they follow the squared error about the cell's centre, to a power: with k entries
-    error E falls to E k^(-2/D), so the sum is least for k in proportion to E^(D / (D + 2)).
-
-    Args:
-        counts: (C,) points, more than `size` in all.
-        spreads: (C,) squared errors.
-        size: Entries to share out.
+    Not in proportion to its error, which would be less in all: cells of large error are mostly
+    those of splats inside things, which hardly anyone sees.
     """
-    wanted = spreads**_POWER + 1e-30
     shares = np.minimum(counts, 1)
-    while (left := size - int(shares.sum())) > 0:
-        wanted[shares == counts] = 0
-        exact: F64 = wanted * (left / wanted.sum())
-        more = np.minimum(exact.astype(np.int64), counts - shares)
-        if not more.any():  # less than one each: those nearest to one more
-            more[np.argsort(-exact, kind="stable")[:left]] = 1
-            more = np.minimum(more, counts - shares)
-        shares += more
+    left, others = size - int(shares.sum()), counts - shares
+    exact: F64 = others * (left / others.sum())
+    whole = exact.astype(np.int64)
+    shares += whole
+    shares[np.argsort(whole - exact, kind="stable")[: size - int(shares.sum())]] += 1
     return shares
 
 
 def _seeds(starts: I64, order: I64, shares: I64) -> I64:
-    """Points of each cell, evenly spaced in its list."""
-    seeds = [
-        order[start + (np.arange(share) * count) // max(share, 1)]
-        for start, count, share in zip(starts, np.diff(starts), shares, strict=False)
-    ]
+    """Points of each cell, evenly spaced in its list, each for two entries.
+
+    One of the two stays idle, and goes to a point that the first round serves badly, a heavy one
+    above all. Where weights differ much, as in scenes, that is the better start by far.
+    """
+    seeds = []
+    for start, count, share in zip(starts, np.diff(starts), shares, strict=False):
+        places = np.arange(share) // _TWINS * _TWINS
+        seeds.append(order[start + places * count // max(share, 1)])
     return np.concatenate(seeds)
