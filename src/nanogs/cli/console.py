@@ -26,7 +26,7 @@ from nanogs.report import StageClock
 err = Console(stderr=True, highlight=False)
 out = Console(highlight=False)
 
-COMPILING = "Compiling for this processor: once after an installation, some ten seconds."
+COMPILING = "Compiling for this processor: once after an installation, up to half a minute."
 
 
 def fail(message: str) -> None:
