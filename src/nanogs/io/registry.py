@@ -112,8 +112,8 @@ def sizer(path: Path) -> Sizer:
     known, _ = _writable(path)
     if known.file_bytes is None:
         raise OptionError(
-            f"{path}: the size of a {known.suffix} file is only known once it is written; "
-            "give a ratio or a count."
+            f"The size of a {known.suffix} file is only known once it is written; give a ratio or a"
+            " count."
         )
     return known.file_bytes
 
