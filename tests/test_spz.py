@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from builders import random_splats
 from conftest import scene_path
+from damage import mutate, outcome
 from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io import registry, spz_write
@@ -357,30 +358,19 @@ def test_a_bomb_is_not_inflated(load):
     assert peak < 10_000_000
 
 
-def mutate(rng, data):
-    out = bytearray(data)
-    for _ in range(rng.integers(1, 4)):
-        limit = len(out) if rng.random() < 0.4 else min(len(out), 140)
-        at, size = int(rng.integers(limit)), int(rng.integers(1, 12))
-        kind = rng.integers(4)
-        if kind == 0:
-            out[at] = rng.integers(256)
-        elif kind == 1:
-            del out[at : at + size]
-        elif kind == 2:
-            out[at:at] = out[at : at + size]
-        else:
-            out[at] ^= 1 << rng.integers(8)
-    return bytes(out)
+def mostly_ahead(rng, data):
+    """Mutated, mostly in the header."""
+    return mutate(rng, data, header=140, anywhere=0.4)
 
 
 def inside(rng, data):
     """Mutated within the gzip stream, its checksum right again."""
-    return gzip.compress(mutate(rng, gzip.decompress(data)), 1, mtime=0)
+    return gzip.compress(mostly_ahead(rng, gzip.decompress(data)), 1, mtime=0)
 
 
 @pytest.mark.parametrize(
-    ("version", "damage"), [(1, mutate), (3, mutate), (4, mutate), (1, inside), (3, inside)]
+    ("version", "damage"),
+    [(1, mostly_ahead), (3, mostly_ahead), (4, mostly_ahead), (1, inside), (3, inside)],
 )
 def test_damaged_files_give_a_format_error_or_a_model(tmp_path, version, damage):
     rng, path = np.random.default_rng(version), tmp_path / "fuzz.spz"
@@ -388,14 +378,7 @@ def test_damaged_files_give_a_format_error_or_a_model(tmp_path, version, damage)
     outcomes = {"model": 0, "refused": 0}
     for _ in range(400):
         path.write_bytes(damage(rng, seed))
-        try:
-            model = io.load(path)
-            assert isinstance(model, Splats)
-            assert io.inspect(path).splats == len(model)
-            outcomes["model"] += 1
-        except FormatError as error:
-            outcomes["refused"] += 1
-            str(error).encode()
+        outcomes[outcome(path)] += 1
     assert outcomes["refused"] > 0
 
 
