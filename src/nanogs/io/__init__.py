@@ -1,13 +1,15 @@
 """Reading and writing scene files; the format follows from the suffix of the name."""
 
+from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 
 from nanogs.io import atomic, registry
+from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
-__all__ = ["FileInfo", "check_writable", "inspect", "load", "losses", "save"]
+__all__ = ["FileInfo", "check_writable", "inspect", "load", "losses", "save", "stream"]
 
 
 def load(path: str | PathLike[str]) -> Splats:
@@ -19,6 +21,25 @@ def load(path: str | PathLike[str]) -> Splats:
     """
     path = Path(path)
     return registry.reader(path).read(path)
+
+
+def stream(path: str | PathLike[str]) -> Iterator[Splats]:
+    """The model of a file in blocks of rows, in its order; a `.ply` file is never held whole.
+
+    Every block has the tags and comments of the whole, and its notes about those rows; further PLY
+    elements come without their rows.
+
+    Raises:
+        FormatError: As for `load`, some of it only after blocks have been yielded.
+    """
+    path = Path(path)
+    known = registry.reader(path)
+    if known.stream:
+        yield from known.stream(path)
+        return
+    splats = known.read(path)
+    for start in range(0, len(splats), BLOCK_ROWS):
+        yield splats.span(start, start + BLOCK_ROWS)
 
 
 def save(splats: Splats, path: str | PathLike[str], *, overwrite: bool = False) -> None:

@@ -1,6 +1,6 @@
 """The formats nanogs knows, by the suffix of the file name."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -31,6 +31,11 @@ Losses = Callable[[Splats], tuple[str, ...]]
 """What a file of the format cannot hold of a model, one sentence each, besides quantisation."""
 
 
+_UNSTATED = "not stated in the file; y down by habit"
+_SPZ_FRAME = "not stated in the file; y up by the specification, though many files have y down"
+_GLTF_FRAME = "y up in the file, turned to y down when read"
+
+
 def _nothing(_splats: Splats) -> tuple[str, ...]:
     return ()
 
@@ -40,6 +45,7 @@ class Format:
     """One format: what its files are called, and how they are read and written.
 
     `file_bytes` tells the size of a file before it is written; never smaller for more splats.
+    `stream` yields the model in blocks of rows. `frame` says which way is up.
     """
 
     suffix: str
@@ -48,6 +54,8 @@ class Format:
     write: Writer | None = None
     file_bytes: Sizer | None = None
     losses: Losses = _nothing
+    stream: Callable[[Path], Iterator[Splats]] | None = None
+    frame: str = _UNSTATED
 
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
@@ -59,14 +67,28 @@ FORMATS = (
         compressed_ply_write.write,
         compressed_ply_write.file_bytes,
         compressed_ply_write.losses,
+        ply.stream,
     ),
-    Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes),
+    Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes, stream=ply.stream),
     Format(".splat", splat.read, splat.inspect, splat.write, splat.file_bytes, losses=splat.losses),
     Format(".npz", npz.read, npz.inspect, npz.write, npz.file_bytes, losses=npz.losses),
-    Format(".spz", spz.read, spz.inspect, spz_write.write, losses=spz_write.losses),
+    Format(
+        ".spz",
+        spz.read,
+        spz.inspect,
+        spz_write.write,
+        losses=spz_write.losses,
+        frame=_SPZ_FRAME,
+    ),
     Format(".ksplat", ksplat.read, ksplat.inspect),
     Format(
-        ".glb", gltf.read, gltf.inspect, gltf_write.write, gltf_write.file_bytes, gltf_write.losses
+        ".glb",
+        gltf.read,
+        gltf.inspect,
+        gltf_write.write,
+        gltf_write.file_bytes,
+        gltf_write.losses,
+        frame=_GLTF_FRAME,
     ),
     Format(".sog", sog.read, sog.inspect, sog_write.write, losses=sog_write.losses),
     Format("meta.json", sog.read, sog.inspect),
@@ -125,6 +147,11 @@ def losses(path: Path, splats: Splats) -> tuple[str, ...]:
         OptionError: As for `writer`.
     """
     return _writable(path)[0].losses(splats)
+
+
+def losses_by_format(splats: Splats) -> dict[str, tuple[str, ...]]:
+    """What a file of each suffix that is written cannot hold of a model."""
+    return {known.suffix: known.losses(splats) for known in FORMATS if known.write}
 
 
 def _writable(path: Path) -> tuple[Format, Writer]:
