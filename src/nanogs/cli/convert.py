@@ -31,15 +31,15 @@ def convert(
             " (3DGS), or back.",
         ),
     ] = False,
+    spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
     """Write a model in another format; the suffixes of the names say which."""
-    check_writable(target, overwrite=overwrite)
-    run = _convert_file(
-        source, target, sh_degree, turn=turn, overwrite=overwrite, quiet=quiet or json
-    )
+    saving: dict[str, Any] = {"overwrite": overwrite, "spz_version": spz_version}
+    check_writable(target, **saving)
+    run = _convert_file(source, target, sh_degree, turn=turn, saving=saving, quiet=quiet or json)
     if json:
         print_json(run)
         return
@@ -58,7 +58,7 @@ def _convert_file(
     sh_degree: int | None,
     *,
     turn: bool,
-    overwrite: bool,
+    saving: dict[str, Any],
     quiet: bool,
 ) -> dict[str, Any]:
     """Read and write; the report."""
@@ -74,7 +74,7 @@ def _convert_file(
             splats = half_turn(splats)
         progress(f"writing {target.name}")
         with clock.time("write"):
-            save(splats, target, overwrite=overwrite)
+            save(splats, target, **saving)
     written = inspect(target)
     run = {
         "input": str(source),

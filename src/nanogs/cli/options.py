@@ -36,6 +36,13 @@ Up = Annotated[
 BackgroundOption = Annotated[
     str, typer.Option("--background", help="black, white, or #rrggbb.", rich_help_panel=VIEWS)
 ]
+SpzVersion = Annotated[
+    int | None,
+    typer.Option(
+        help="Of a .spz file: 3 (gzip), or 4 (zstd), which fewer readers know.",
+        show_default="3",
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Replace what exists.")]
 Json = Annotated[bool, typer.Option("--json", help="As JSON on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]

@@ -38,6 +38,7 @@ def simplify(
     ] = None,
     preset: method.Preset = DEFAULT_PRESET,
     nan: method.NanOption = method.Nan.drop,
+    spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
     threads: options.Threads = None,
     json: options.Json = False,
@@ -72,13 +73,14 @@ def simplify(
     if psnr is not None:
         refuse_psnr(preset)
     direction = method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None)
-    plan = _plan(source, target, goal, preset, chosen, nan, overwrite=overwrite, dry_run=dry_run)
+    saving: dict[str, Any] = {"overwrite": overwrite, "spz_version": spz_version}
+    plan = _plan(source, target, goal, preset, chosen, nan, saving, dry_run=dry_run)
     if dry_run:
         print_plan(plan, json=json)
         return
     given = {name: value for name, value in overrides.items() if value is not None}
     given |= {"preset": preset, "nan": nan.value, "threads": threads}
-    run = _simplify_file(plan, target, overwrite, cameras, direction, given, quiet or json)
+    run = _simplify_file(plan, target, saving, cameras, direction, given, quiet or json)
     if json:
         print_json(run)
     elif not quiet:
@@ -95,13 +97,13 @@ def _plan(
     preset: str,
     chosen: Parameters,
     nan: method.Nan,
+    saving: dict[str, Any],
     *,
-    overwrite: bool,
     dry_run: bool,
 ) -> Plan:
     """Check the files and the goal; the count that it comes to, where that is known yet."""
     info = inspect(source)
-    check_writable(target, overwrite=overwrite)
+    check_writable(target, **saving)
     if goal.size is None:
         count = goal.target(info.splats, lambda _count: 0)
     elif dry_run:  # what a row takes is only known from the columns
@@ -120,7 +122,7 @@ def _suffix(target: Path) -> str:
 def _simplify_file(
     plan: Plan,
     target: Path,
-    overwrite: bool,
+    saving: dict[str, Any],
     cameras: str,
     up: tuple[float, float, float] | None,
     given: dict[str, Any],
@@ -145,7 +147,7 @@ def _simplify_file(
         )
         progress("write", len(small))
         with clock.time("write"):
-            save(small, target, overwrite=overwrite)
+            save(small, target, **saving)
     run = with_file_seconds(report.to_dict(), clock, start)
     run["notes"] = [*run["notes"], *losses(small, target)]
     run |= {"input": str(source), "output": str(target)}

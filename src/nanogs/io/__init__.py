@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from nanogs.io import atomic, registry
 from nanogs.io.files import BLOCK_ROWS
@@ -42,16 +43,29 @@ def stream(path: str | PathLike[str]) -> Iterator[Splats]:
         yield splats.span(start, start + BLOCK_ROWS)
 
 
-def save(splats: Splats, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+def save(
+    splats: Splats,
+    path: str | PathLike[str],
+    *,
+    overwrite: bool = False,
+    **options: Any,  # noqa: ANN401 - checked against those of the format
+) -> None:
     """Write a model to a file, which appears whole or not at all.
+
+    Args:
+        splats: The model.
+        path: The file; its suffix says the format.
+        overwrite: Replace a file that exists.
+        **options: Of the format: `spz_version`, 3 (as by default) or 4.
 
     Raises:
         ModelError: The format cannot hold the model at all.
-        OptionError: nanogs does not write the format that the suffix stands for.
+        OptionError: nanogs does not write the format that the suffix stands for, or the format has
+            no such option.
         OutputError: The file exists and `overwrite` is off, or it cannot be written.
     """
     path = Path(path)
-    write = registry.writer(path)
+    write = registry.writer(path, options)
     with atomic.atomic_write(path, overwrite=overwrite) as file:
         write(splats, file)
 
@@ -75,7 +89,12 @@ def inspect(path: str | PathLike[str]) -> FileInfo:
     return registry.reader(path).inspect(path)
 
 
-def check_writable(path: str | PathLike[str], *, overwrite: bool = False) -> None:
+def check_writable(
+    path: str | PathLike[str],
+    *,
+    overwrite: bool = False,
+    **options: Any,  # noqa: ANN401 - as in `save`
+) -> None:
     """Fail before any computing if `save` could not write to `path`.
 
     Raises:
@@ -83,5 +102,5 @@ def check_writable(path: str | PathLike[str], *, overwrite: bool = False) -> Non
         OutputError: As for `save`, except for a full disk.
     """
     path = Path(path)
-    registry.writer(path)
+    registry.writer(path, options)
     atomic.check_writable(path, overwrite=overwrite)

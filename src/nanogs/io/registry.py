@@ -1,9 +1,10 @@
 """The formats nanogs knows, by the suffix of the file name."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import (
@@ -24,7 +25,8 @@ from nanogs.io import (
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
-Writer = Callable[[Splats, BinaryIO], None]
+Writer = Callable[..., None]
+"""Writes a model to a file that is open for binary writing."""
 Sizer = Callable[[Splats, int], int]
 """Bytes of the file of a model of so many splats that is like the given one in all else."""
 Losses = Callable[[Splats], tuple[str, ...]]
@@ -41,11 +43,20 @@ def _nothing(_splats: Splats) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True)
+class WriteOption:
+    """A choice in writing a format: what the writer calls it, and what it may be."""
+
+    keyword: str
+    values: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Format:
     """One format: what its files are called, and how they are read and written.
 
     `file_bytes` tells the size of a file before it is written; never smaller for more splats.
-    `stream` yields the model in blocks of rows. `frame` says which way is up.
+    `stream` yields the model in blocks of rows. `frame` says which way is up. `options` are what
+    `save` takes for this format alone.
     """
 
     suffix: str
@@ -56,6 +67,7 @@ class Format:
     losses: Losses = _nothing
     stream: Callable[[Path], Iterator[Splats]] | None = None
     frame: str = _UNSTATED
+    options: Mapping[str, WriteOption] = field(default_factory=dict)
 
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
@@ -79,6 +91,7 @@ FORMATS = (
         spz_write.write,
         losses=spz_write.losses,
         frame=_SPZ_FRAME,
+        options={"spz_version": WriteOption("version", (3, 4))},
     ),
     Format(".ksplat", ksplat.read, ksplat.inspect),
     Format(
@@ -116,13 +129,36 @@ def reader(path: Path) -> Format:
     return known
 
 
-def writer(path: Path) -> Writer:
+def writer(path: Path, options: Mapping[str, Any] | None = None) -> Writer:
     """The function that writes a model to files of that suffix.
 
+    Args:
+        path: What is to be written.
+        options: Of the format, by name; those that are None stand for the default.
+
     Raises:
-        OptionError: nanogs does not write the format that the suffix stands for.
+        OptionError: nanogs does not write the format that the suffix stands for, the format has no
+            such option, or not that value of it.
     """
-    return _writable(path)[1]
+    known, write = _writable(path)
+    chosen = {}
+    for name, value in (options or {}).items():
+        if value is None:
+            continue
+        if (option := known.options.get(name)) is None:
+            raise OptionError(_foreign(name, known))
+        if value not in option.values:
+            values = " or ".join(map(str, option.values))
+            raise OptionError(f"{name} must be {values}, not {value!r}.")
+        chosen[option.keyword] = value
+    return partial(write, **chosen) if chosen else write
+
+
+def _foreign(name: str, known: Format) -> str:
+    suffixes = [other.suffix for other in FORMATS if name in other.options]
+    if not suffixes:
+        return f"There is no option {name!r} for writing files."
+    return f"{name} is for {' and '.join(suffixes)} files, not for {known.suffix}; leave it out."
 
 
 def sizer(path: Path) -> Sizer:
