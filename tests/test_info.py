@@ -1,5 +1,6 @@
 """`nanogs info`: what is counted block by block is what the whole model has."""
 
+import copy
 import dataclasses
 import json
 import subprocess
@@ -146,6 +147,8 @@ def test_findings_of_parts_add_up():
     ]
     assert join_findings(parts) == ("plain", "1,200 splats", "1/2")
     assert join_findings([]) == ()
+    copied = copy.deepcopy(parts[0][1])
+    assert (type(copied), copied) == (str, "700 splats")
 
 
 @pytest.mark.parametrize("name", ["biker.spz", "skull.sog", "chair.splat", "guitar.compressed.ply"])

@@ -11,11 +11,11 @@ from nanogs.cli.console import count_down, print_json, warn, with_file_seconds
 from nanogs.cli.simplify_report import Plan, print_plan, print_report, stop_text
 from nanogs.io import check_writable, inspect, load, losses, registry, save
 from nanogs.report import StageClock, StopReason
+from nanogs.simplify.api import refuse_searches, target_of
 from nanogs.simplify.api import simplify as library_simplify
-from nanogs.simplify.api import target_of
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.job import usable_rows
-from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters, refuse_psnr
+from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters
 from nanogs.simplify.target import Goal
 
 
@@ -70,8 +70,7 @@ def simplify(
     # Whatever can be refused is refused here, before minutes of computing.
     chosen = parameters(preset, overrides)
     goal = Goal(ratio, count, None if size is None else options.parse_bytes(size), psnr)
-    if psnr is not None:
-        refuse_psnr(preset)
+    refuse_searches(goal, preset, target)
     direction = method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None)
     saving: dict[str, Any] = {"overwrite": overwrite, "spz_version": spz_version}
     plan = _plan(source, target, goal, preset, chosen, nan, saving, dry_run=dry_run)
@@ -108,7 +107,7 @@ def _plan(
         count = goal.target(info.splats, lambda _count: 0)
     elif dry_run:  # what a row takes is only known from the columns
         splats = load(source)
-        count = target_of(goal, splats, len(usable_rows(splats, nan.value)), _suffix(target))
+        count = target_of(goal, splats, len(usable_rows(splats, nan.value)), target)
     else:
         count = None
     return Plan(info, goal, count, preset, chosen)
@@ -141,6 +140,7 @@ def _simplify_file(
             size=goal.size,
             psnr=goal.psnr,
             format=_suffix(target),
+            format_options={"spz_version": saving["spz_version"]},
             cameras=requested_cameras(splats, cameras, up, plan.parameters),
             progress=progress,
             **given,

@@ -46,7 +46,9 @@ def print_plan(plan: Plan, *, json: bool) -> None:
     """Show what a run would do: on stdout as JSON, or on stderr for people."""
     asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
     asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
-    if plan.count is None:
+    if plan.count is None and plan.goal.size is not None:
+        text = f"as many splats as fit into {plan.goal.size:,} B, found by writing some"
+    elif plan.count is None:
         text = f"as few splats as reach {plan.goal.psnr:g} dB on views of the original"
     else:
         text = f"{plan.count:,} splats ({plan.count / plan.info.splats:.3%})"
@@ -131,6 +133,7 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
         "chosen": choice_text(run["candidates"]),
         "refit": _refit_text(run["refit"]),
         "reached": _reached_text(run),
+        "size": _size_text(run),
         "time": f"{run['total_seconds']:.2f} s on {run['threads']} threads",
         "stages (s)": stages,
     }
@@ -141,6 +144,8 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
         err.print(_pass_table(run["passes"]))
         if run["probes"]:
             err.print(_probe_table(run["probes"]))
+        if run["size_probes"]:
+            err.print(_size_probe_table(run["size_probes"]))
 
 
 def _asked_text(run: dict[str, Any]) -> str:
@@ -156,6 +161,14 @@ def _reached_text(run: dict[str, Any]) -> str:
         return ""
     tried = f"{len(run['probes'])} counts tried"
     return f"{run['achieved_psnr']:.2f} dB on views of the original, {tried}"
+
+
+def _size_text(run: dict[str, Any]) -> str:
+    if run["achieved_size"] is None:
+        return ""
+    taken = run["achieved_size"] / run["asked_size"]
+    tried = f"; {len(run['size_probes'])} counts written" if run["size_probes"] else ""
+    return f"{run['achieved_size']:,} B, {taken:.1%} of what was asked for{tried}"
 
 
 def choice_text(candidates: list[dict[str, Any]]) -> str:
@@ -197,4 +210,11 @@ def _probe_table(probes: list[dict[str, Any]]) -> Table:
     table = Table("splats", "PSNR", box=None, pad_edge=False)
     for entry in probes:
         table.add_row(f"{entry['count']:,}", f"{entry['psnr']:.2f}")
+    return table
+
+
+def _size_probe_table(probes: list[dict[str, Any]]) -> Table:
+    table = Table("splats", "bytes", box=None, pad_edge=False)
+    for entry in probes:
+        table.add_row(f"{entry['count']:,}", f"{entry['bytes']:,}")
     return table

@@ -1,6 +1,7 @@
 """Reading and writing scene files; the format follows from the suffix of the name."""
 
 from collections.abc import Iterator
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,16 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
-__all__ = ["FileInfo", "check_writable", "inspect", "load", "losses", "save", "stream"]
+__all__ = [
+    "FileInfo",
+    "check_writable",
+    "encoded_bytes",
+    "inspect",
+    "load",
+    "losses",
+    "save",
+    "stream",
+]
 
 
 def load(path: str | PathLike[str]) -> Splats:
@@ -68,6 +78,21 @@ def save(
     write = registry.writer(path, options)
     with atomic.atomic_write(path, overwrite=overwrite) as file:
         write(splats, file)
+
+
+def encoded_bytes(
+    splats: Splats,
+    path: str | PathLike[str],
+    **options: Any,  # noqa: ANN401 - as in `save`
+) -> int:
+    """Bytes of the file that `save` would write, by writing it to memory.
+
+    Raises:
+        NanogsError: As for `save`.
+    """
+    buffer = BytesIO()
+    registry.writer(Path(path), options)(splats, buffer)
+    return buffer.getbuffer().nbytes
 
 
 def losses(splats: Splats, path: str | PathLike[str]) -> tuple[str, ...]:

@@ -34,6 +34,10 @@ class Finding(str):
         text.template, text.value, text.merge = template, value, merge
         return text
 
+    def __reduce__(self) -> tuple[type[str], tuple[str]]:
+        """A copy is plain text: reports are copied, and are about one whole."""
+        return str, (str(self),)
+
 
 class Names(tuple[str, ...]):
     """Names in the order met, shown with commas between."""

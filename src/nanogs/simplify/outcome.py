@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from nanogs.refit.report import RefitReport
-from nanogs.report import CandidateReport, PassReport, ProbeReport, StopReason
+from nanogs.report import CandidateReport, PassReport, ProbeReport, SizeProbeReport, StopReason
 from nanogs.splats import Splats
 
 
@@ -22,3 +22,5 @@ class Outcome:
     notes: tuple[str, ...] = ()
     achieved_psnr: float | None = None
     probes: tuple[ProbeReport, ...] = ()
+    achieved_size: int | None = None
+    size_probes: tuple[SizeProbeReport, ...] = ()

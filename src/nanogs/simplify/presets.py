@@ -139,15 +139,19 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
     return dataclasses.replace(PRESETS[preset], **given)
 
 
-def refuse_psnr(preset: str) -> None:
+def refuse_search(preset: str, wish: str) -> None:
     """Only a forest answers many counts for the price of one.
+
+    Args:
+        preset: Its name.
+        wish: What is asked for and has to be searched, for the message.
 
     Raises:
         OptionError: The preset grows none.
     """
     if not isinstance(PRESETS[preset], ForestParameters):
         raise OptionError(
-            f"The preset {preset} cannot be asked for a PSNR, since each count tried would be a "
+            f"The preset {preset} cannot be asked for {wish}, since each count tried would be a "
             "run of its own; choose another preset."
         )
 
