@@ -66,11 +66,11 @@ def with_file_seconds(run: dict[str, Any], clock: StageClock, start: float) -> d
 
     Args:
         run: The report as a dictionary.
-        clock: Holds the stages "read" and "write".
+        clock: Holds the stages before, such as "read", and "write".
         start: `time.perf_counter()` at the start of the command.
     """
-    read, write = clock.seconds["read"], clock.seconds["write"]
-    seconds = {"read": read, **run["seconds"], "write": write}
+    before = {stage: spent for stage, spent in clock.seconds.items() if stage != "write"}
+    seconds = before | run["seconds"] | {"write": clock.seconds["write"]}
     return run | {"seconds": seconds, "total_seconds": time.perf_counter() - start}
 
 

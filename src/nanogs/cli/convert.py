@@ -1,13 +1,16 @@
 """`nanogs convert`."""
 
 import time
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import filtering, options
 from nanogs.cli.console import err, print_json, spinner, warn, with_file_seconds
+from nanogs.filters import Filter, apply
 from nanogs.formatting import bytes_text
 from nanogs.frames import half_turn
 from nanogs.io import check_writable, inspect, load, losses, save
@@ -35,16 +38,23 @@ def convert(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
+    crop: filtering.Crop = None,
+    min_opacity: filtering.MinOpacity = None,
+    drop_floaters: filtering.DropFloaters = False,
 ) -> None:
     """Write a model in another format; the suffixes of the names say which."""
     saving: dict[str, Any] = {"overwrite": overwrite, "spz_version": spz_version}
+    filters = filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters)
     check_writable(target, **saving)
-    run = _convert_file(source, target, sh_degree, turn=turn, saving=saving, quiet=quiet or json)
+    run = _convert_file(
+        source, target, filters, sh_degree, turn=turn, saving=saving, quiet=quiet or json
+    )
     if json:
         print_json(run)
         return
     if quiet:
         return
+    filtering.report_filters(run)
     for note in (*run["notes"], *run["losses"]):
         warn(note)
     sizes = f"{bytes_text(run['input_bytes'])} became {bytes_text(run['output_bytes'])}"
@@ -55,6 +65,7 @@ def convert(
 def _convert_file(
     source: Path,
     target: Path,
+    filters: Sequence[Filter],
     sh_degree: int | None,
     *,
     turn: bool,
@@ -68,6 +79,7 @@ def _convert_file(
         with clock.time("read"):
             splats = load(source)
         read_bytes = source.stat().st_size  # now, as the output may take the input's place
+        splats, took = apply(splats, filters)
         if sh_degree is not None:
             splats = splats.with_sh_degree(sh_degree)
         if turn:
@@ -80,6 +92,7 @@ def _convert_file(
         "input": str(source),
         "output": str(target),
         "format": written.format,
+        "filters": [asdict(report) for report in took],
         "splats": written.splats,
         "sh_degree": written.sh_degree,
         "turned": turn,

@@ -1,14 +1,17 @@
 """`nanogs simplify`."""
 
 import time
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from nanogs.cli import method, options
+from nanogs.cli import filtering, method, options
 from nanogs.cli.console import count_down, print_json, warn, with_file_seconds
 from nanogs.cli.simplify_report import Plan, print_plan, print_report, stop_text
+from nanogs.filters import Filter, FilterReport, apply
 from nanogs.io import check_writable, inspect, load, losses, registry, save
 from nanogs.report import StageClock, StopReason
 from nanogs.simplify.api import refuse_searches, target_of
@@ -60,6 +63,9 @@ def simplify(
     seed: method.Seed = None,
     lambda_geo: method.LambdaGeo = None,
     merge_cap: method.MergeCap = None,
+    crop: filtering.Crop = None,
+    min_opacity: filtering.MinOpacity = None,
+    drop_floaters: filtering.DropFloaters = False,
 ) -> None:
     """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
     overrides: dict[str, Any] = {
@@ -72,14 +78,15 @@ def simplify(
     goal = Goal(ratio, count, None if size is None else options.parse_bytes(size), psnr)
     refuse_searches(goal, preset, target)
     direction = method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None)
+    filters = filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters)
     saving: dict[str, Any] = {"overwrite": overwrite, "spz_version": spz_version}
-    plan = _plan(source, target, goal, preset, chosen, nan, saving, dry_run=dry_run)
+    plan = _plan(source, target, goal, preset, chosen, nan, filters, saving, dry_run=dry_run)
     if dry_run:
         print_plan(plan, json=json)
         return
     given = {name: value for name, value in overrides.items() if value is not None}
     given |= {"preset": preset, "nan": nan.value, "threads": threads}
-    run = _simplify_file(plan, target, saving, cameras, direction, given, quiet or json)
+    run = _simplify_file(plan, target, filters, saving, cameras, direction, given, quiet or json)
     if json:
         print_json(run)
     elif not quiet:
@@ -96,6 +103,7 @@ def _plan(
     preset: str,
     chosen: Parameters,
     nan: method.Nan,
+    filters: Sequence[Filter],
     saving: dict[str, Any],
     *,
     dry_run: bool,
@@ -103,10 +111,11 @@ def _plan(
     """Check the files and the goal; the count that it comes to, where that is known yet."""
     info = inspect(source)
     check_writable(target, **saving)
-    if goal.size is None:
+    if goal.size is None and not (filters and dry_run):
         count = goal.target(info.splats, lambda _count: 0)
-    elif dry_run:  # what a row takes is only known from the columns
-        splats = load(source)
+    elif dry_run:  # what a row takes and what filters leave is only known from the columns
+        splats, _ = apply(load(source), filters)
+        info = replace(info, splats=len(splats))
         count = target_of(goal, splats, len(usable_rows(splats, nan.value)), target)
     else:
         count = None
@@ -121,6 +130,7 @@ def _suffix(target: Path) -> str:
 def _simplify_file(
     plan: Plan,
     target: Path,
+    filters: Sequence[Filter],
     saving: dict[str, Any],
     cameras: str,
     up: tuple[float, float, float] | None,
@@ -133,6 +143,11 @@ def _simplify_file(
         progress("read", plan.info.splats)
         with clock.time("read"):
             splats = load(source)
+        took: Sequence[FilterReport] = ()
+        if filters:
+            progress("filter", len(splats))
+            with clock.time("filter"):
+                splats, took = apply(splats, filters)
         small, report = library_simplify(
             splats,
             ratio=goal.ratio,
@@ -150,6 +165,7 @@ def _simplify_file(
             save(small, target, **saving)
     run = with_file_seconds(report.to_dict(), clock, start)
     run["notes"] = [*run["notes"], *losses(small, target)]
+    run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in took]}
     run |= {"input": str(source), "output": str(target)}
     run |= {"input_bytes": source.stat().st_size, "output_bytes": target.stat().st_size}
     return run

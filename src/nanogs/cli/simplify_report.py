@@ -6,6 +6,7 @@ from typing import Any
 from rich.table import Table
 
 from nanogs.cli.console import err, key_value_table, print_json, warn
+from nanogs.cli.filtering import report_filters
 from nanogs.formatting import bytes_text
 from nanogs.io import FileInfo
 from nanogs.report import StopReason
@@ -120,15 +121,17 @@ def warn_of_input(run: dict[str, Any]) -> None:
 
 def print_report(run: dict[str, Any], *, verbose: bool) -> None:
     """Show on stderr what was asked, what was delivered, and where the time went."""
+    report_filters(run)
     warn_of_input(run)
     if run["prune_limited"]:
         warn("Pruning alone would have gone below the asked count; the most opaque were kept.")
     before, after = run["input_count"], run["achieved_count"]
+    filtered = " that the filters left" if run["filters"] else ""
     stages = ", ".join(f"{name} {value:.2f}" for name, value in run["seconds"].items())
     rows = {
-        "input": f"{run['input']}: {before:,} splats, {bytes_text(run['input_bytes'])}",
+        "input": f"{run['input']}: {run['read_count']:,} splats, {bytes_text(run['input_bytes'])}",
         "output": f"{run['output']}: {after:,} splats, {bytes_text(run['output_bytes'])}",
-        "kept": f"{after / before:.3%} of the splats (asked: {_asked_text(run)})",
+        "kept": f"{after / before:.3%} of the splats{filtered} (asked: {_asked_text(run)})",
         "passes": f"{len(run['passes'])}, stopped by: {run['stop']}",
         "chosen": choice_text(run["candidates"]),
         "refit": _refit_text(run["refit"]),
