@@ -3,25 +3,24 @@
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from nanogs.cli import filtering, options
-from nanogs.cli.console import err, print_json, spinner, warn, with_file_seconds
+from nanogs.cli import filtering, many, options
+from nanogs.cli.console import err, spinner, warn, with_file_seconds
 from nanogs.filters import Filter, apply
 from nanogs.formatting import bytes_text
 from nanogs.frames import half_turn
 from nanogs.io import check_writable, inspect, load, losses, save
+from nanogs.io.collect import Pair
 from nanogs.report import StageClock
 
 _PATIENCE = 2.0  # seconds without a sign of life
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
+    paths: many.Paths,
     sh_degree: Annotated[
         int | None,
         typer.Option(help="Drop the spherical harmonics above this degree, 0 to 4."),
@@ -38,6 +37,8 @@ def convert(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
+    out_dir: many.OutDir = None,
+    out_format: many.FormatOption = None,
     crop: filtering.Crop = None,
     min_opacity: filtering.MinOpacity = None,
     drop_floaters: filtering.DropFloaters = False,
@@ -45,26 +46,27 @@ def convert(
     """Write a model in another format; the suffixes of the names say which."""
     saving: dict[str, Any] = {"overwrite": overwrite, "spz_version": spz_version}
     filters = filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters)
-    check_writable(target, **saving)
-    run = _convert_file(
-        source, target, filters, sh_degree, turn=turn, saving=saving, quiet=quiet or json
-    )
-    if json:
-        print_json(run)
-        return
-    if quiet:
-        return
+
+    def run_one(pair: Pair) -> dict[str, Any]:
+        check_writable(pair.target, **saving)
+        return _convert_file(pair, filters, sh_degree, turn=turn, saving=saving, quiet=hushed)
+
+    hushed = quiet or json
+    pairs = many.plan_pairs(paths, out_dir, out_format)
+    many.run_all(pairs, run_one, _print_report, out_dir, json=json, quiet=quiet)
+
+
+def _print_report(run: dict[str, Any]) -> None:
     filtering.report_filters(run)
     for note in (*run["notes"], *run["losses"]):
         warn(note)
     sizes = f"{bytes_text(run['input_bytes'])} became {bytes_text(run['output_bytes'])}"
-    text = f"{target}: {run['splats']:,} splats of SH degree {run['sh_degree']}; {sizes}"
-    err.print(text, markup=False, soft_wrap=True)
+    what = f"{run['splats']:,} splats of SH degree {run['sh_degree']}"
+    err.print(f"{run['output']}: {what}; {sizes}", markup=False, soft_wrap=True)
 
 
 def _convert_file(
-    source: Path,
-    target: Path,
+    pair: Pair,
     filters: Sequence[Filter],
     sh_degree: int | None,
     *,
@@ -73,12 +75,13 @@ def _convert_file(
     quiet: bool,
 ) -> dict[str, Any]:
     """Read and write; the report."""
+    source, target = pair.source, pair.target
     start, clock = time.perf_counter(), StageClock()
     with spinner(quiet=quiet, after=_PATIENCE) as progress:
         progress(f"reading {source.name}")
         with clock.time("read"):
             splats = load(source)
-        read_bytes = source.stat().st_size  # now, as the output may take the input's place
+        read_bytes = inspect(source).file_bytes  # now, as the output may take the input's place
         splats, took = apply(splats, filters)
         if sh_degree is not None:
             splats = splats.with_sh_degree(sh_degree)

@@ -43,17 +43,22 @@ class Plan:
         )  # fmt: skip
 
 
-def print_plan(plan: Plan, *, json: bool) -> None:
-    """Show what a run would do: on stdout as JSON, or on stderr for people."""
-    asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
-    asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
+def print_plan(plan: Plan) -> None:
+    """Show on stderr what a run would do."""
     if plan.count is None and plan.goal.size is not None:
         text = f"as many splats as fit into {plan.goal.size:,} B, found by writing some"
     elif plan.count is None:
         text = f"as few splats as reach {plan.goal.psnr:g} dB on views of the original"
     else:
         text = f"{plan.count:,} splats ({plan.count / plan.info.splats:.3%})"
-    show_plan(plan, asked, text, json=json)
+    _print_rows(plan, text)
+
+
+def plan_json(plan: Plan) -> dict[str, Any]:
+    """What a run would do, for JSON."""
+    asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
+    asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
+    return _plan_json(plan, asked)
 
 
 def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> None:
@@ -65,26 +70,32 @@ def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> No
         text: What would be written, for people.
         json: On stdout as JSON, else on stderr for people.
     """
-    info, memory, parameters = plan.info, plan.memory(), asdict(plan.parameters)
     if json:
-        print_json(
-            {
-                "input": str(info.path),
-                "input_count": info.splats,
-                **asked,
-                "preset": plan.preset,
-                "parameters": parameters,
-                "memory_bytes": asdict(memory),
-            }
-        )
-        return
+        print_json(_plan_json(plan, asked))
+    else:
+        _print_rows(plan, text)
+
+
+def _plan_json(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "input": str(plan.info.path),
+        "input_count": plan.info.splats,
+        **asked,
+        "preset": plan.preset,
+        "parameters": asdict(plan.parameters),
+        "memory_bytes": asdict(plan.memory()),
+    }
+
+
+def _print_rows(plan: Plan, text: str) -> None:
+    info, parameters = plan.info, asdict(plan.parameters)
     rows = {
         "would read": f"{info.path} ({info.splats:,} splats, SH degree {info.sh_degree})",
         "would write": text,
         "preset": plan.preset,
         "parameters": ", ".join(f"{name} {value}" for name, value in parameters.items()),
     }
-    err.print(key_value_table(rows | _memory_rows(memory)))
+    err.print(key_value_table(rows | _memory_rows(plan.memory())))
 
 
 def _memory_rows(memory: MemoryPlan) -> dict[str, str]:
