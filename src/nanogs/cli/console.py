@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from rich.console import Console, RenderableType
 from rich.progress import (
@@ -41,10 +41,11 @@ def warn(message: str) -> None:
     err.print(message, markup=False, soft_wrap=True)
 
 
-def print_json(data: dict[str, Any]) -> None:
-    """Write one JSON object to stdout; infinities, which JSON lacks, become strings."""
-    json.dump(_plain(data), sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
+def print_json(data: dict[str, Any], file: TextIO | None = None) -> None:
+    """Write one JSON object, to stdout by default; infinities, which JSON lacks, become strings."""
+    stream = file or sys.stdout
+    json.dump(_plain(data), stream, indent=2, allow_nan=False)
+    stream.write("\n")
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a report holds

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from nanogs.cli import filtering, many, options
+from nanogs.cli import filtering, many, options, streams
 from nanogs.cli.console import err, spinner, warn, with_file_seconds
 from nanogs.filters import Filter, apply
 from nanogs.formatting import bytes_text
@@ -39,6 +39,8 @@ def convert(
     quiet: options.Quiet = False,
     out_dir: many.OutDir = None,
     out_format: many.FormatOption = None,
+    read_as: streams.From = None,
+    write_as: streams.To = None,
     crop: filtering.Crop = None,
     min_opacity: filtering.MinOpacity = None,
     drop_floaters: filtering.DropFloaters = False,
@@ -53,7 +55,8 @@ def convert(
 
     hushed = quiet or json
     pairs = many.plan_pairs(paths, out_dir, out_format)
-    many.run_all(pairs, run_one, _print_report, out_dir, json=json, quiet=quiet)
+    pipes = streams.Streams(read_as, write_as)
+    many.run_all(pairs, run_one, _print_report, out_dir, pipes, json=json, quiet=quiet)
 
 
 def _print_report(run: dict[str, Any]) -> None:

@@ -1,5 +1,6 @@
 """One command over several files: what goes where, and what is said of those that fail."""
 
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from nanogs.cli.console import fail, print_json
+from nanogs.cli.streams import DASH, Streams, names
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io.collect import Pair, collect, pair_up
 
@@ -17,8 +19,8 @@ Paths = Annotated[
     list[Path],
     typer.Argument(
         metavar="IN... OUT",
-        help="Model to read and file to write; with --out-dir all are models, folders of them or"
-        " patterns.",
+        help="Model to read and file to write, - for stdin and stdout; with --out-dir all are"
+        " models, folders of them or patterns.",
     ),
 ]
 OutDir = Annotated[
@@ -47,6 +49,8 @@ def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> l
         NanogsError: The files and options do not go together, or names collide.
     """
     if out_dir is not None:
+        if DASH in paths:
+            raise OptionError("- is one model and does not go with --out-dir; name files.")
         return pair_up(collect(paths), out_dir, suffix)
     if suffix is not None:
         raise OptionError("--format goes with --out-dir; without it the suffix of OUT decides.")
@@ -63,6 +67,7 @@ def run_all(
     run_one: Callable[[Pair], dict[str, Any]],
     show: Callable[[dict[str, Any]], None],
     out_dir: Path | None,
+    streams: Streams,
     *,
     json: bool,
     quiet: bool,
@@ -75,6 +80,7 @@ def run_all(
         run_one: Does one of them and returns its report.
         show: Says a report to people.
         out_dir: The folder for several, or None for one.
+        streams: Formats of stdin and stdout; with a model on stdout, JSON goes to stderr.
         json: Reports go to stdout as JSON.
         quiet: Nothing is said but errors.
         writes: Whether anything is written, and the folder made for it.
@@ -84,16 +90,21 @@ def run_all(
         typer.Exit: With code 2, one of several failed.
     """
     if out_dir is None:
-        runs = [run_one(pairs[0])]
+        with streams.opened(pairs[0]) as real:
+            run = run_one(real)
+            runs = [run | {k: v for k, v in names(pairs[0]).items() if k in run}]
         failed: list[dict[str, str]] = []
     else:
+        for pair in pairs:
+            streams.check(pair)
         made = writes and _make(out_dir)
         runs, failed = _run_several(pairs, run_one, None if json or quiet else show)
         if made:
             with suppress(OSError):  # unless it holds something
                 out_dir.rmdir()
     if json:
-        print_json(runs[0] if out_dir is None else {"files": runs, "failed": failed})
+        data = runs[0] if out_dir is None else {"files": runs, "failed": failed}
+        print_json(data, sys.stderr if pairs[0].target == DASH else sys.stdout)
     elif out_dir is None and not quiet:
         show(runs[0])
     if failed:

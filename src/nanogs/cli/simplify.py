@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from nanogs.cli import filtering, many, method, options
+from nanogs.cli import filtering, many, method, options, streams
 from nanogs.cli.console import count_down, warn, with_file_seconds
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_report, stop_text
 from nanogs.filters import Filter, FilterReport, apply
@@ -51,6 +51,8 @@ def simplify(
     dry_run: method.DryRun = False,
     out_dir: many.OutDir = None,
     out_format: many.FormatOption = None,
+    read_as: streams.From = None,
+    write_as: streams.To = None,
     views: method.Views = None,
     cameras: options.Cameras = "auto",
     up: options.Up = None,
@@ -102,10 +104,13 @@ def simplify(
         print_report(run, verbose=verbose)
 
     pairs = many.plan_pairs(paths, out_dir, out_format)
+    pipes = streams.Streams(read_as, write_as)
     if dry_run:
-        many.run_all(pairs, plan_one, _nothing, out_dir, json=json, quiet=quiet, writes=False)
+        many.run_all(
+            pairs, plan_one, _nothing, out_dir, pipes, json=json, quiet=quiet, writes=False
+        )
         return
-    runs = many.run_all(pairs, run_one, show, out_dir, json=json, quiet=quiet)
+    runs = many.run_all(pairs, run_one, show, out_dir, pipes, json=json, quiet=quiet)
     _exit_if_short(runs)
 
 
