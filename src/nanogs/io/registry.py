@@ -8,6 +8,7 @@ from typing import Any
 
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import (
+    checkpoint,
     compressed_ply_write,
     gltf,
     gltf_write,
@@ -104,6 +105,8 @@ FORMATS = (
         frame=_GLTF_FRAME,
     ),
     Format(".sog", sog.read, sog.inspect, sog_write.write, losses=sog_write.losses),
+    Format(".pt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
+    Format(".ckpt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
     Format("meta.json", sog.read, sog.inspect),
     Format("lod-meta.json", sog_levels.read, sog_levels.inspect),
 )

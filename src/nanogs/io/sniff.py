@@ -36,4 +36,6 @@ def _zipped(path: Path) -> str | None:
         return None
     if "meta.json" in names:
         return ".sog"
+    if any(name.endswith("/data.pkl") for name in names):
+        return ".pt"
     return ".npz" if "means.npy" in names else None
