@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -12,9 +13,10 @@ from nanogs.cli.console import err, spinner, warn, with_file_seconds
 from nanogs.filters import Filter, apply
 from nanogs.formatting import bytes_text
 from nanogs.frames import half_turn
-from nanogs.io import check_writable, inspect, load, losses, save
+from nanogs.io import check_writable, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.report import StageClock
+from nanogs.splats import RenderMode, Splats
 
 _PATIENCE = 2.0  # seconds without a sign of life
 
@@ -93,20 +95,35 @@ def _convert_file(
         progress(f"writing {target.name}")
         with clock.time("write"):
             save(splats, target, **saving)
-    written = inspect(target)
     run = {
         "input": str(source),
         "output": str(target),
-        "format": written.format,
         "filters": [asdict(report) for report in took],
-        "splats": written.splats,
-        "sh_degree": written.sh_degree,
         "turned": turn,
-        "render_mode": written.render_mode.value,
         "input_bytes": read_bytes,
-        "output_bytes": written.file_bytes,
+        "output_bytes": target.stat().st_size,
+        **_written(target, splats),
         "notes": list(splats.notes),
         "losses": list(losses(splats, target)),
         "seconds": {},
     }
     return with_file_seconds(run, clock, start)
+
+
+def _written(target: Path, splats: Splats) -> dict[str, Any]:
+    """What the file holds, as it says itself where it can be read."""
+    known = registry.find(target)
+    if known is None or not known.readable:
+        return {
+            "format": target.suffix.lstrip("."),
+            "splats": len(splats),
+            "sh_degree": splats.sh_degree,
+            "render_mode": RenderMode.DEFAULT.value,
+        }
+    info = inspect(target)
+    return {
+        "format": info.format,
+        "splats": info.splats,
+        "sh_degree": info.sh_degree,
+        "render_mode": info.render_mode.value,
+    }

@@ -49,10 +49,15 @@ def _files(path: Path) -> list[Path]:
     for name in _WHOLE_FOLDERS:
         if (path / name).is_file():
             return [path / name]
-    inside = [file for file in sorted(path.iterdir()) if file.is_file() and registry.find(file)]
+    inside = [file for file in sorted(path.iterdir()) if file.is_file() and _readable(file)]
     if not inside:
         raise FormatError(f"The folder {path} holds no file of a format that nanogs reads.")
     return inside
+
+
+def _readable(file: Path) -> bool:
+    known = registry.find(file)
+    return known is not None and known.readable
 
 
 def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[Pair]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import (
@@ -22,6 +22,7 @@ from nanogs.io import (
     splat,
     spz,
     spz_write,
+    usda_write,
 )
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
@@ -37,6 +38,10 @@ Losses = Callable[[Splats], tuple[str, ...]]
 _UNSTATED = "not stated in the file; y down by habit"
 _SPZ_FRAME = "not stated in the file; y up by the specification, though many files have y down"
 _GLTF_FRAME = "y up in the file, turned to y down when read"
+
+
+def _unread(path: Path) -> NoReturn:
+    raise FormatError(f"{path}: nanogs writes this format but does not read it; name another file.")
 
 
 def _nothing(_splats: Splats) -> tuple[str, ...]:
@@ -69,6 +74,11 @@ class Format:
     stream: Callable[[Path], Iterator[Splats]] | None = None
     frame: str = _UNSTATED
     options: Mapping[str, WriteOption] = field(default_factory=dict)
+
+    @property
+    def readable(self) -> bool:
+        """Whether nanogs reads it."""
+        return self.read is not _unread
 
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
@@ -105,6 +115,7 @@ FORMATS = (
         frame=_GLTF_FRAME,
     ),
     Format(".sog", sog.read, sog.inspect, sog_write.write, losses=sog_write.losses),
+    Format(".usda", _unread, _unread, usda_write.write, losses=usda_write.losses),
     Format(".pt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
     Format(".ckpt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
     Format("meta.json", sog.read, sog.inspect),
@@ -127,7 +138,7 @@ def reader(path: Path) -> Format:
     """
     known = find(path)
     if known is None:
-        suffixes = ", ".join(known.suffix for known in FORMATS)
+        suffixes = ", ".join(known.suffix for known in FORMATS if known.readable)
         raise FormatError(f"{path}: unknown suffix; nanogs reads {suffixes}.")
     return known
 
