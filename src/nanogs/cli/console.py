@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -23,8 +24,19 @@ from rich.table import Table
 from nanogs.kernels.compiling import when_compiling
 from nanogs.report import StageClock
 
-err = Console(stderr=True, highlight=False)
-out = Console(highlight=False)
+_WIDE = 1000  # columns in a pipe, where nothing needs to be broken
+
+
+def _console(*, stderr: bool) -> Console:
+    """Colours and breaks at the terminal's width on a terminal only."""
+    console = Console(stderr=stderr, highlight=False)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = _WIDE
+    return console
+
+
+err = _console(stderr=True)
+out = _console(stderr=False)
 
 COMPILING = "Compiling for this processor: once after an installation, up to half a minute."
 

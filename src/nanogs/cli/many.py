@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from nanogs.cli import options
 from nanogs.cli.console import fail, print_json
 from nanogs.cli.streams import DASH, Streams, names
 from nanogs.errors import NanogsError, OptionError, OutputError
@@ -37,6 +38,7 @@ FormatOption = Annotated[
         "--format",
         help="Format of the results, e.g. sog.",
         show_default="each file's own",
+        autocompletion=options.complete_format,
         rich_help_panel=_PANEL,
     ),
 ]

@@ -9,6 +9,15 @@ import typer
 
 from nanogs.errors import OptionError
 
+
+def complete_format(start: str) -> list[str]:
+    """The formats that are written and begin so, without their dot, for the shell."""
+    from nanogs.io.registry import FORMATS
+
+    names = [known.suffix.lstrip(".") for known in FORMATS if known.write]
+    return [name for name in names if name.startswith(start.lstrip("."))]
+
+
 VIEWS = "Views (automatic, or from a file)"
 
 Views = Annotated[

@@ -15,6 +15,7 @@ from typing import Annotated
 
 import typer
 
+from nanogs.cli import options
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.collect import Pair
@@ -29,6 +30,7 @@ From = Annotated[
         "--from",
         help="Format of stdin, e.g. splat.",
         show_default="by its first bytes",
+        autocompletion=options.complete_format,
         rich_help_panel=_PANEL,
     ),
 ]
@@ -38,6 +40,7 @@ To = Annotated[
         "--to",
         help="Format of stdout, e.g. spz.",
         show_default="that of IN",
+        autocompletion=options.complete_format,
         rich_help_panel=_PANEL,
     ),
 ]

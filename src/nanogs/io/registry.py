@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-from nanogs.errors import FormatError, OptionError
+from nanogs.errors import FormatError, OptionError, did_you_mean
 from nanogs.io import (
     checkpoint,
     compressed_ply_write,
@@ -138,8 +138,9 @@ def reader(path: Path) -> Format:
     """
     known = find(path)
     if known is None:
-        suffixes = ", ".join(known.suffix for known in FORMATS if known.readable)
-        raise FormatError(f"{path}: unknown suffix; nanogs reads {suffixes}.")
+        suffixes = [known.suffix for known in FORMATS if known.readable]
+        meant = did_you_mean(path.suffix, suffixes)
+        raise FormatError(f"{path}: unknown suffix{meant}; nanogs reads {', '.join(suffixes)}.")
     return known
 
 
@@ -171,7 +172,8 @@ def writer(path: Path, options: Mapping[str, Any] | None = None) -> Writer:
 def _foreign(name: str, known: Format) -> str:
     suffixes = [other.suffix for other in FORMATS if name in other.options]
     if not suffixes:
-        return f"There is no option {name!r} for writing files."
+        meant = did_you_mean(name, {option for other in FORMATS for option in other.options})
+        return f"There is no option {name!r}{meant} for writing files."
     return f"{name} is for {' and '.join(suffixes)} files, not for {known.suffix}; leave it out."
 
 
@@ -216,6 +218,9 @@ def losses_by_format(splats: Splats) -> dict[str, tuple[str, ...]]:
 def _writable(path: Path) -> tuple[Format, Writer]:
     known = find(path)
     if known is None or known.write is None:
-        suffixes = ", ".join(known.suffix for known in FORMATS if known.write)
-        raise OptionError(f"{path}: nanogs does not write this format; it writes {suffixes}.")
+        suffixes = [known.suffix for known in FORMATS if known.write]
+        meant = did_you_mean(path.suffix, suffixes) if known is None else ""
+        raise OptionError(
+            f"{path}: nanogs does not write this format{meant}; it writes {', '.join(suffixes)}."
+        )
     return known, known.write

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from nanogs.errors import OptionError
+from nanogs.errors import OptionError, did_you_mean
 
 GRAPHS = ("knn", "random")
 
@@ -128,13 +128,17 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
         OptionError: No such preset or parameter, or a value out of its range.
     """
     if preset not in PRESETS:
-        raise OptionError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
+        meant = did_you_mean(preset, PRESETS)
+        raise OptionError(
+            f"There is no preset {preset!r}{meant}; choose one of {', '.join(PRESETS)}."
+        )
     given = {name: value for name, value in overrides.items() if value is not None}
     known = [entry.name for entry in dataclasses.fields(PRESETS[preset])]
     for name in given:
         if name not in known:
             raise OptionError(
-                f"The preset {preset} has no parameter {name!r}; choose from {', '.join(known)}."
+                f"The preset {preset} has no parameter {name!r}{did_you_mean(name, known)};"
+                f" choose from {', '.join(known)}."
             )
     return dataclasses.replace(PRESETS[preset], **given)
 
