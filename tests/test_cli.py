@@ -93,6 +93,19 @@ def test_a_size_is_never_exceeded(scene, tmp_path, size):
     assert plan["asked_count"] == report["achieved_count"] == len(nanogs.load(small))
 
 
+def test_a_size_of_a_compressed_file(scene, tmp_path):
+    small = tmp_path / "small.spz"
+    options = ("--size", "6kB", "--preset", "fast", "--spz-version", "4")
+    plan = run("simplify", scene, small, *options, "--dry-run")
+    assert "as many splats as fit into 6,000 B" in plan.stderr
+    result = run("simplify", scene, small, *options, "--json")
+    report = json.loads(result.stdout)
+    assert report["output_bytes"] == report["achieved_size"] == small.stat().st_size <= 6000
+    assert nanogs.io.inspect(small).encoding == "zstd"
+    shown = run("simplify", scene, small, *options, "-v", "-w").stderr
+    assert f"{small.stat().st_size:,} B" in shown
+
+
 def test_a_psnr_is_reached_or_it_is_said(scene, tmp_path):
     options = ("--preset", "fast", "--json", "--views", "4")
     reached = run("simplify", scene, tmp_path / "a.ply", "--psnr", "22", *options)

@@ -13,7 +13,7 @@ from nanogs import io
 from nanogs.errors import OptionError
 from nanogs.io.registry import FORMATS
 
-WRITTEN = [known.suffix for known in FORMATS if known.write]
+WRITTEN = [known.suffix for known in FORMATS if known.write and known.readable]
 
 
 def run(*arguments):
@@ -140,3 +140,27 @@ def test_turn_is_the_half_turn(scene, tmp_path):
     assert np.array_equal(turned.means, before.means * np.float32([1, -1, -1]))
     run(tmp_path / "a.ply", tmp_path / "b.ply", "--turn")
     assert np.array_equal(nanogs.load(tmp_path / "b.ply").sh, before.sh)
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_the_version_of_spz_is_chosen(scene, tmp_path, version):
+    target = tmp_path / "a.spz"
+    assert run(scene, target, "--spz-version", version).returncode == 0
+    encoding = {3: "gzip", 4: "zstd"}[version]
+    assert io.inspect(target).encoding == encoding
+    nanogs.save(nanogs.load(scene), tmp_path / "b.spz", spz_version=version)
+    assert (tmp_path / "b.spz").read_bytes() == target.read_bytes()
+    simplify = [sys.executable, "-m", "nanogs", "simplify", scene, tmp_path / "c.spz", "-r", "0.5"]
+    options = ["--preset", "fast", "--spz-version", version, "-q"]
+    assert subprocess.run(list(map(str, [*simplify, *options]))).returncode == 0
+    assert io.inspect(tmp_path / "c.spz").encoding == encoding
+
+
+def test_options_of_another_format_are_refused(scene, tmp_path):
+    assert_refused(run(scene, tmp_path / "a.spz", "--spz-version", 2), tmp_path, "3 or 4")
+    assert_refused(run(scene, tmp_path / "a.ply", "--spz-version", 4), tmp_path, "for .spz files")
+    with pytest.raises(OptionError, match="no option 'quality'"):
+        nanogs.save(nanogs.load(scene), tmp_path / "a.spz", quality=3)
+    with pytest.raises(OptionError, match=r"not for \.ply"):
+        io.check_writable(tmp_path / "a.ply", spz_version=3)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]

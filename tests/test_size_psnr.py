@@ -1,6 +1,7 @@
 """A size or a PSNR in place of a count: `simplify(size=...)`, `simplify(psnr=...)`."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ from nanogs.io import ply_write, registry
 from nanogs.refit.parameters import RefitParameters
 from nanogs.report import StopReason
 from nanogs.simplify import forest_pipeline
+from nanogs.simplify.fit_size import ENOUGH, search_fit
+from nanogs.simplify.fit_size import MOST_PROBES as FIT_PROBES
+from nanogs.simplify.fit_size import TOLERANCE as CLOSE
 from nanogs.simplify.reach import MOST_PROBES, TOLERANCE, search_count
 from nanogs.simplify.target import Goal, count_for_size
 from nanogs.splats import ExtraElement, RenderMode
@@ -89,13 +93,100 @@ def test_a_model_that_fits_is_delivered_whole(splats):
     assert nanogs.simplify(splats, size=size - 1, preset="fast")[1].notes == ()
 
 
-def test_the_format_must_be_one_whose_size_is_known(splats, monkeypatch):
+def test_the_format_must_be_one_that_is_written(splats):
     with pytest.raises(OptionError, match="does not write"):
         nanogs.simplify(splats, size=10_000, format=".obj")
+
+
+def test_without_a_formula_the_same_count_is_found_by_writing(splats, monkeypatch):
+    """A .ply whose size is taken as unknown: every count that fits better is among the tried."""
     written_only = [registry.Format(".ply", *[None] * 2, ply_write.write)]
     monkeypatch.setattr(registry, "FORMATS", written_only)
     with pytest.raises(OptionError, match="only known once it is written"):
-        nanogs.simplify(splats, size=10_000)
+        registry.sizer(Path("a.ply"))
+    small, report = nanogs.simplify(splats, size=20_000, preset="fast")
+    assert ENOUGH * 20_000 <= report.achieved_size <= 20_000
+    assert report.achieved_size == ply_write.file_bytes(splats, len(small))
+
+
+# Size of a format that compresses
+
+
+@pytest.mark.parametrize(
+    ("suffix", "preset", "options"),
+    [
+        (".spz", "fast", {}),
+        (".spz", "fast", {"spz_version": 4}),
+        (".spz", "default", {}),
+        (".sog", "fast", {}),
+    ],
+)
+def test_a_compressed_file_is_no_larger_than_asked(splats, tmp_path, suffix, preset, options):
+    size = {".spz": 6_000, ".sog": 12_000}[suffix]
+    given = {"preset": preset} | ({"views": 3} if preset == "default" else {})
+    small, report = nanogs.simplify(
+        splats, size=size, format=suffix, format_options=options, **given
+    )
+    nanogs.save(small, tmp_path / f"a{suffix}", **options)
+    written = (tmp_path / f"a{suffix}").stat().st_size
+    assert report.achieved_size == written <= size
+    tried = [probe.count for probe in report.size_probes]
+    assert len(small) == report.asked_count == report.achieved_count < len(splats)
+    assert len(small) in tried
+    too_many = [probe.count for probe in report.size_probes if probe.bytes > size]
+    close = too_many and min(too_many) <= max((1 + CLOSE) * len(small), len(small) + 1)
+    assert written >= ENOUGH * size or close
+    assert bool(report.notes) is (written < ENOUGH * size)
+    by_count, _ = nanogs.simplify(splats, count=len(small), **given)
+    assert model_bytes(small) == model_bytes(by_count)
+
+
+def test_a_model_whose_compressed_file_fits_is_delivered_whole(splats):
+    small, report = nanogs.simplify(splats, size=10**6, preset="fast", format=".spz")
+    assert model_bytes(small) == model_bytes(splats)
+    assert "whole model fits" in report.notes[-1]
+    assert report.achieved_size < 10**6
+
+
+def test_a_size_that_compresses_nothing_is_refused(splats):
+    with pytest.raises(OptionError, match="a file of one splat of this model takes"):
+        nanogs.simplify(splats, size=30, preset="fast", format=".spz")
+    with pytest.raises(OptionError, match=r"paper cannot be asked for the size of a \.spz file"):
+        nanogs.simplify(splats, size=6_000, preset="paper", format=".spz")
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_search_for_a_size_never_exceeds_it(seed):
+    """Bytes with noise and leaps, from good guesses and bad ones."""
+    rng = np.random.default_rng(seed)
+    available = int(10 ** rng.uniform(0, 6))
+    each, leaps = rng.uniform(4, 40), rng.uniform(0, 3)
+    noise = rng.uniform(0.98, 1, 97)
+
+    def bytes_of(count):
+        tried.append(count)
+        leap = leaps * each * (1 << (count.bit_length() - 1))
+        return int(100 + (each * count + leap) * noise[count % 97])
+
+    tried = []
+    size = max(bytes_of(1), int(bytes_of(available) * rng.uniform(0.001, 1.1)))
+    tried = []
+    guess = int(available * 10 ** rng.uniform(-3, 1))
+    found = search_fit(bytes_of, size, guess, 1, available)
+    assert found.bytes <= size
+    assert [probe.count for probe in found.probes] == tried
+    assert all(1 <= count <= available for count in tried)
+    assert len(tried) <= 2 * FIT_PROBES
+    over = [probe.count for probe in found.probes if probe.bytes > size]
+    best = found.bytes >= ENOUGH * size or found.count == available
+    close = over and min(over) <= max((1 + CLOSE) * found.count, found.count + 1)
+    assert best or close or len(tried) >= FIT_PROBES
+    assert bool(found.leap(size, available)) is not best
+
+
+def test_the_search_for_a_size_is_refused_what_the_fewest_exceed():
+    with pytest.raises(OptionError, match="the fewest that this model can be merged to"):
+        search_fit(lambda count: 1000 + count, 900, 500, 7, 1000)
 
 
 # PSNR

@@ -4,6 +4,9 @@ Everything a user can cause derives from `NanogsError`; the command line turns i
 Anything else that escapes is a defect of ours.
 """
 
+import difflib
+from collections.abc import Iterable
+
 
 class NanogsError(Exception):
     """Base of every error caused by what the user gave; the message names place and remedy."""
@@ -23,3 +26,10 @@ class OptionError(NanogsError):
 
 class OutputError(NanogsError):
     """The output cannot be written: it exists, its folder is missing, or the disk is full."""
+
+
+def did_you_mean(word: str, choices: Iterable[str]) -> str:
+    """` (did you mean 'x'?)` for the choice most like a word, to follow it; empty without one."""
+    known = {choice.lower(): choice for choice in choices}
+    close = difflib.get_close_matches(word.lower(), known, n=1, cutoff=0.6)
+    return f" (did you mean {known[close[0]]!r}?)" if close else ""

@@ -1,15 +1,32 @@
 """What is in a model: structure, bounds and statistics, as one report."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nanogs._types import F
-from nanogs.io import FileInfo, inspect, load
+from nanogs._types import F32, F64
+from nanogs.io import FileInfo, inspect, registry, stream
+from nanogs.io.findings import join_findings
+from nanogs.splats import Splats
 
-_QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
+_PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How values are distributed: the least, percentiles, and the most."""
+
+    min: float
+    p1: float
+    p5: float
+    p25: float
+    median: float
+    p75: float
+    p95: float
+    p99: float
+    max: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,23 +35,28 @@ class ModelInfo:
 
     Attributes:
         file: What the header says.
+        frame: Which way is up, as far as the format says.
         nonfinite: Splats with a NaN or an infinite value other than an opacity logit.
         opaque: Splats whose opacity logit is +inf (alpha 1).
         transparent: Splats whose opacity logit is -inf (alpha 0).
-        bounds: Lowest and highest centre of the finite splats, (2, 3) scene units.
-        alpha: Quantiles 0, 0.05, 0.5, 0.95 and 1 of the finite splats' alpha.
-        scale: The same of their standard deviations, all axes together, scene units.
+        bounds: Lowest and highest centre of the finite splats, (2, 3) scene units; none without.
+        alpha: The finite splats' alpha; None without any.
+        scale: Their standard deviations, all axes together, scene units; None without any.
         notes: What reading had to change or could not carry.
+        losses: By the suffix of every format that is written, what it cannot hold of the model
+            besides quantisation, one sentence each.
     """
 
     file: FileInfo
+    frame: str
     nonfinite: int
     opaque: int
     transparent: int
     bounds: tuple[tuple[float, ...], ...]
-    alpha: tuple[float, ...]
-    scale: tuple[float, ...]
+    alpha: Spread | None
+    scale: Spread | None
     notes: tuple[str, ...]
+    losses: dict[str, tuple[str, ...]]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
@@ -43,7 +65,9 @@ class ModelInfo:
 
 
 def describe(path: str | Path) -> ModelInfo:
-    """Read a model and describe it.
+    """Read a model once, block by block where its format can, and describe it.
+
+    Of each splat 16 bytes are held, for the percentiles.
 
     Args:
         path: The file.
@@ -51,24 +75,59 @@ def describe(path: str | Path) -> ModelInfo:
     Raises:
         NanogsError: The file is missing, damaged or of no known format.
     """
-    splats = load(path)
-    finite = splats.finite()
-    usable = splats.take(finite)
-    bounds: tuple[tuple[float, ...], ...] = ()
-    if len(usable):
-        low, high = usable.means.min(axis=0), usable.means.max(axis=0)
-        bounds = (tuple(map(float, low)), tuple(map(float, high)))
+    path = Path(path)
+    file = inspect(path)
+    census = _Census(np.empty(file.splats, np.float32), np.empty((file.splats, 3), np.float32))
+    for block in stream(path):
+        census.add(block)
     return ModelInfo(
-        file=inspect(path),
-        nonfinite=int((~finite).sum()),
-        opaque=int((splats.opacity_logits == np.inf).sum()),
-        transparent=int((splats.opacity_logits == -np.inf).sum()),
-        bounds=bounds,
-        alpha=_quantiles(usable.opacities()),
-        scale=_quantiles(usable.scales()),
-        notes=tuple(splats.notes),
+        file=file,
+        frame=registry.reader(path).frame,
+        nonfinite=census.seen - census.usable,
+        opaque=census.opaque,
+        transparent=census.transparent,
+        bounds=tuple(tuple(map(float, corner)) for corner in census.bounds),
+        alpha=_spread(census.alphas[: census.usable]),
+        scale=_spread(census.scales[: census.usable].reshape(-1)),
+        notes=join_findings(census.notes),
+        losses={suffix: join_findings(parts) for suffix, parts in census.losses.items()},
     )
 
 
-def _quantiles(values: F) -> tuple[float, ...]:
-    return tuple(map(float, np.quantile(values, _QUANTILES))) if values.size else ()
+@dataclass(slots=True)
+class _Census:
+    """What is counted, block by block; the columns are filled from the top."""
+
+    alphas: F32
+    scales: F32
+    seen: int = 0
+    usable: int = 0
+    opaque: int = 0
+    transparent: int = 0
+    bounds: tuple[F64, ...] = ()
+    notes: list[tuple[str, ...]] = field(default_factory=list)
+    losses: dict[str, list[tuple[str, ...]]] = field(default_factory=dict)
+
+    def add(self, block: Splats) -> None:
+        self.notes.append(tuple(block.notes))
+        for suffix, sentences in registry.losses_by_format(block).items():
+            self.losses.setdefault(suffix, []).append(sentences)
+        self.opaque += int((block.opacity_logits == np.inf).sum())
+        self.transparent += int((block.opacity_logits == -np.inf).sum())
+        finite = block.finite()
+        rows = slice(self.usable, self.usable + int(finite.sum()))
+        self.alphas[rows] = block.opacities()[finite]
+        self.scales[rows] = block.scales()[finite]
+        means = block.means[finite].astype(np.float64)
+        if len(means):
+            both = np.concatenate([means, *(corner[None] for corner in self.bounds)])
+            self.bounds = both.min(axis=0), both.max(axis=0)
+        self.seen += len(block)
+        self.usable = rows.stop
+
+
+def _spread(values: F32) -> Spread | None:
+    if not values.size:
+        return None
+    found = np.percentile(values, _PERCENTILES, overwrite_input=True)
+    return Spread(*map(float, found))

@@ -99,6 +99,19 @@ class ProbeReport:
 
 
 @dataclass(frozen=True, slots=True)
+class SizeProbeReport:
+    """A count that was tried on the way to an asked size.
+
+    Attributes:
+        count: Splats of the result.
+        bytes: Its file.
+    """
+
+    count: int
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
 class SimplifyReport:
     """What was asked of `simplify`, what it delivered, and why it stopped.
 
@@ -130,6 +143,9 @@ class SimplifyReport:
         achieved_psnr: The result's mean over the views it was judged by, dB, at most 100; None
             where no PSNR was asked for.
         probes: The counts tried for a PSNR, in order.
+        achieved_size: Bytes of the result's file, at most the size asked for; None where none was.
+        size_probes: The counts written to find one that fits, in order; none where the size of a
+            file is known beforehand.
     """
 
     preset: str
@@ -155,6 +171,8 @@ class SimplifyReport:
     asked_psnr: float | None = None
     achieved_psnr: float | None = None
     probes: tuple[ProbeReport, ...] = ()
+    achieved_size: int | None = None
+    size_probes: tuple[SizeProbeReport, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""

@@ -155,6 +155,19 @@ class Splats:
             extras={name: column[rows] for name, column in self.extras.items()},
         )
 
+    def span(self, start: int, stop: int) -> "Splats":
+        """The rows from `start` up to but not `stop`, as views of these."""
+        rows = slice(start, stop)
+        return replace(
+            self,
+            means=self.means[rows],
+            log_scales=self.log_scales[rows],
+            quats=self.quats[rows],
+            opacity_logits=self.opacity_logits[rows],
+            sh=self.sh[rows],
+            extras={name: column[rows] for name, column in self.extras.items()},
+        )
+
     def with_sh_degree(self, degree: int) -> "Splats":
         """The same splats without the bands of spherical harmonics above a degree.
 

@@ -11,6 +11,7 @@ from nanogs.cli.convert import convert
 from nanogs.cli.demo import demo
 from nanogs.cli.info import info
 from nanogs.cli.lod import lod
+from nanogs.cli.presets import presets
 from nanogs.cli.refit import refit
 from nanogs.cli.render import render
 from nanogs.cli.simplify import simplify
@@ -44,6 +45,7 @@ app.command()(lod)
 app.command()(refit)
 app.command()(convert)
 app.command()(info)
+app.command()(presets)
 app.command()(render)
 app.command()(compare)
 app.command()(bench)

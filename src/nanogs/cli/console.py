@@ -2,12 +2,13 @@
 
 import dataclasses
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from rich.console import Console, RenderableType
 from rich.progress import (
@@ -23,8 +24,19 @@ from rich.table import Table
 from nanogs.kernels.compiling import when_compiling
 from nanogs.report import StageClock
 
-err = Console(stderr=True, highlight=False)
-out = Console(highlight=False)
+_WIDE = 1000  # columns in a pipe, where nothing needs to be broken
+
+
+def _console(*, stderr: bool) -> Console:
+    """Colours and breaks at the terminal's width on a terminal only."""
+    console = Console(stderr=stderr, highlight=False)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = _WIDE
+    return console
+
+
+err = _console(stderr=True)
+out = _console(stderr=False)
 
 COMPILING = "Compiling for this processor: once after an installation, up to half a minute."
 
@@ -41,10 +53,11 @@ def warn(message: str) -> None:
     err.print(message, markup=False, soft_wrap=True)
 
 
-def print_json(data: dict[str, Any]) -> None:
-    """Write one JSON object to stdout; infinities, which JSON lacks, become strings."""
-    json.dump(_plain(data), sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
+def print_json(data: dict[str, Any], file: TextIO | None = None) -> None:
+    """Write one JSON object, to stdout by default; infinities, which JSON lacks, become strings."""
+    stream = file or sys.stdout
+    json.dump(_plain(data), stream, indent=2, allow_nan=False)
+    stream.write("\n")
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a report holds
@@ -66,11 +79,11 @@ def with_file_seconds(run: dict[str, Any], clock: StageClock, start: float) -> d
 
     Args:
         run: The report as a dictionary.
-        clock: Holds the stages "read" and "write".
+        clock: Holds the stages before, such as "read", and "write".
         start: `time.perf_counter()` at the start of the command.
     """
-    read, write = clock.seconds["read"], clock.seconds["write"]
-    seconds = {"read": read, **run["seconds"], "write": write}
+    before = {stage: spent for stage, spent in clock.seconds.items() if stage != "write"}
+    seconds = before | run["seconds"] | {"write": clock.seconds["write"]}
     return run | {"seconds": seconds, "total_seconds": time.perf_counter() - start}
 
 

@@ -1,24 +1,28 @@
 """`nanogs convert`."""
 
 import time
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from nanogs.cli import options
-from nanogs.cli.console import err, print_json, spinner, warn, with_file_seconds
+from nanogs.cli import filtering, many, options, streams
+from nanogs.cli.console import err, spinner, warn, with_file_seconds
+from nanogs.filters import Filter, apply
 from nanogs.formatting import bytes_text
 from nanogs.frames import half_turn
-from nanogs.io import check_writable, inspect, load, losses, save
+from nanogs.io import check_writable, inspect, load, losses, registry, save
+from nanogs.io.collect import Pair
 from nanogs.report import StageClock
+from nanogs.splats import RenderMode, Splats
 
 _PATIENCE = 2.0  # seconds without a sign of life
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
+    paths: many.Paths,
     sh_degree: Annotated[
         int | None,
         typer.Option(help="Drop the spherical harmonics above this degree, 0 to 4."),
@@ -31,63 +35,95 @@ def convert(
             " (3DGS), or back.",
         ),
     ] = False,
+    spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
+    out_dir: many.OutDir = None,
+    out_format: many.FormatOption = None,
+    read_as: streams.From = None,
+    write_as: streams.To = None,
+    crop: filtering.Crop = None,
+    min_opacity: filtering.MinOpacity = None,
+    drop_floaters: filtering.DropFloaters = False,
 ) -> None:
     """Write a model in another format; the suffixes of the names say which."""
-    check_writable(target, overwrite=overwrite)
-    run = _convert_file(
-        source, target, sh_degree, turn=turn, overwrite=overwrite, quiet=quiet or json
-    )
-    if json:
-        print_json(run)
-        return
-    if quiet:
-        return
+    saving: dict[str, Any] = {"overwrite": overwrite, "spz_version": spz_version}
+    filters = filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters)
+
+    def run_one(pair: Pair) -> dict[str, Any]:
+        check_writable(pair.target, **saving)
+        return _convert_file(pair, filters, sh_degree, turn=turn, saving=saving, quiet=hushed)
+
+    hushed = quiet or json
+    pairs = many.plan_pairs(paths, out_dir, out_format)
+    pipes = streams.Streams(read_as, write_as)
+    many.run_all(pairs, run_one, _print_report, out_dir, pipes, json=json, quiet=quiet)
+
+
+def _print_report(run: dict[str, Any]) -> None:
+    filtering.report_filters(run)
     for note in (*run["notes"], *run["losses"]):
         warn(note)
     sizes = f"{bytes_text(run['input_bytes'])} became {bytes_text(run['output_bytes'])}"
-    text = f"{target}: {run['splats']:,} splats of SH degree {run['sh_degree']}; {sizes}"
-    err.print(text, markup=False, soft_wrap=True)
+    what = f"{run['splats']:,} splats of SH degree {run['sh_degree']}"
+    err.print(f"{run['output']}: {what}; {sizes}", markup=False, soft_wrap=True)
 
 
 def _convert_file(
-    source: Path,
-    target: Path,
+    pair: Pair,
+    filters: Sequence[Filter],
     sh_degree: int | None,
     *,
     turn: bool,
-    overwrite: bool,
+    saving: dict[str, Any],
     quiet: bool,
 ) -> dict[str, Any]:
     """Read and write; the report."""
+    source, target = pair.source, pair.target
     start, clock = time.perf_counter(), StageClock()
     with spinner(quiet=quiet, after=_PATIENCE) as progress:
         progress(f"reading {source.name}")
         with clock.time("read"):
             splats = load(source)
-        read_bytes = source.stat().st_size  # now, as the output may take the input's place
+        read_bytes = inspect(source).file_bytes  # now, as the output may take the input's place
+        splats, took = apply(splats, filters)
         if sh_degree is not None:
             splats = splats.with_sh_degree(sh_degree)
         if turn:
             splats = half_turn(splats)
         progress(f"writing {target.name}")
         with clock.time("write"):
-            save(splats, target, overwrite=overwrite)
-    written = inspect(target)
+            save(splats, target, **saving)
     run = {
         "input": str(source),
         "output": str(target),
-        "format": written.format,
-        "splats": written.splats,
-        "sh_degree": written.sh_degree,
+        "filters": [asdict(report) for report in took],
         "turned": turn,
-        "render_mode": written.render_mode.value,
         "input_bytes": read_bytes,
-        "output_bytes": written.file_bytes,
+        "output_bytes": target.stat().st_size,
+        **_written(target, splats),
         "notes": list(splats.notes),
         "losses": list(losses(splats, target)),
         "seconds": {},
     }
     return with_file_seconds(run, clock, start)
+
+
+def _written(target: Path, splats: Splats) -> dict[str, Any]:
+    """What the file holds, as it says itself where it can be read."""
+    known = registry.find(target)
+    if known is None or not known.readable:
+        return {
+            "format": target.suffix.lstrip("."),
+            "splats": len(splats),
+            "sh_degree": splats.sh_degree,
+            "render_mode": RenderMode.DEFAULT.value,
+        }
+    info = inspect(target)
+    return {
+        "format": info.format,
+        "splats": info.splats,
+        "sh_degree": info.sh_degree,
+        "render_mode": info.render_mode.value,
+    }

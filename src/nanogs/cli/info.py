@@ -1,20 +1,29 @@
 """`nanogs info`."""
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from nanogs.cli import options
 from nanogs.cli.console import key_value_table, out, print_json, warn
 from nanogs.formatting import bytes_text
-from nanogs.info import ModelInfo, describe
+from nanogs.info import ModelInfo, Spread, describe
+from nanogs.splats import RenderMode
+
+_MODES = {
+    RenderMode.DEFAULT: "default",
+    RenderMode.MIP: "mip (antialiased)",
+    RenderMode.SURFEL: "2dgs (flat splats)",
+}
 
 
 def info(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
-    json: Annotated[bool, typer.Option("--json", help="As JSON on stdout.")] = False,
+    json: options.Json = False,
 ) -> None:
-    """Say what a model holds: splats, degree, bounds, opacities, scales, extra columns."""
+    """Say what a model holds, and what each other format would lose of it."""
     model = describe(source)
     if json:
         print_json(model.to_dict())
@@ -26,11 +35,15 @@ def info(
 
 def _rows(model: ModelInfo) -> dict[str, str]:
     file = model.file
+    kinds = Counter(kind for _, kind in file.properties)
     rows = {
         "file": f"{file.path} ({file.format}, {bytes_text(file.file_bytes)})",
+        "stored": f"{file.encoding}; columns: "
+        + ", ".join(f"{count} {kind}" for kind, count in kinds.items()),
         "splats": f"{file.splats:,}",
         "SH degree": str(file.sh_degree),
-        "render mode": file.render_mode.value,
+        "render mode": _MODES[file.render_mode],
+        "frame": model.frame,
         "not finite": f"{model.nonfinite:,}",
         "alpha": _spread(model.alpha) + f"; {model.opaque:,} at 1, {model.transparent:,} at 0",
         "scale": _spread(model.scale),
@@ -44,11 +57,15 @@ def _rows(model: ModelInfo) -> dict[str, str]:
         rows["elements"] = ", ".join(f"{name} ({count:,} rows)" for name, count in file.elements)
     if file.comments:
         rows["comments"] = "\n".join(file.comments)
-    return rows
+    whole = [suffix for suffix, sentences in model.losses.items() if not sentences]
+    rows["fits whole into"] = ", ".join(whole) or "no format that is written"
+    return rows | {f"as {name}": "\n".join(text) for name, text in model.losses.items() if text}
 
 
-def _spread(quantiles: tuple[float, ...]) -> str:
-    if not quantiles:
+def _spread(spread: Spread | None) -> str:
+    if spread is None:
         return "none"
-    low, tail, middle, head, high = quantiles
-    return f"{low:.3g} to {high:.3g}, median {middle:.3g}, 90 % from {tail:.3g} to {head:.3g}"
+    return (
+        f"{spread.min:.3g} to {spread.max:.3g}, median {spread.median:.3g},"
+        f" 90 % from {spread.p5:.3g} to {spread.p95:.3g}"
+    )

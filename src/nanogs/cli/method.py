@@ -25,7 +25,13 @@ def _summaries() -> str:
     return "\n\n".join(f"{name}: {text}." for name, text in SUMMARIES.items())
 
 
-Preset = Annotated[str, typer.Option(help=f"The method.\n\n{_summaries()}")]
+Preset = Annotated[
+    str,
+    typer.Option(
+        help=f"The method.\n\n{_summaries()}",
+        autocompletion=lambda: list(SUMMARIES.items()),
+    ),
+]
 NanOption = Annotated[
     Nan,
     typer.Option("--nan", help="Splats with a NaN or infinite value: leave out, or stop."),

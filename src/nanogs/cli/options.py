@@ -9,6 +9,15 @@ import typer
 
 from nanogs.errors import OptionError
 
+
+def complete_format(start: str) -> list[str]:
+    """The formats that are written and begin so, without their dot, for the shell."""
+    from nanogs.io.registry import FORMATS
+
+    names = [known.suffix.lstrip(".") for known in FORMATS if known.write]
+    return [name for name in names if name.startswith(start.lstrip("."))]
+
+
 VIEWS = "Views (automatic, or from a file)"
 
 Views = Annotated[
@@ -35,6 +44,13 @@ Up = Annotated[
 ]
 BackgroundOption = Annotated[
     str, typer.Option("--background", help="black, white, or #rrggbb.", rich_help_panel=VIEWS)
+]
+SpzVersion = Annotated[
+    int | None,
+    typer.Option(
+        help="Of a .spz file: 3 (gzip), or 4 (zstd), which fewer readers know.",
+        show_default="3",
+    ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Replace what exists.")]
 Json = Annotated[bool, typer.Option("--json", help="As JSON on stdout.")]

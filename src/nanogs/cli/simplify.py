@@ -1,27 +1,29 @@
 """`nanogs simplify`."""
 
 import time
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
 
 import typer
 
-from nanogs.cli import method, options
-from nanogs.cli.console import count_down, print_json, warn, with_file_seconds
-from nanogs.cli.simplify_report import Plan, print_plan, print_report, stop_text
+from nanogs.cli import filtering, many, method, options, streams
+from nanogs.cli.console import count_down, warn, with_file_seconds
+from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_report, stop_text
+from nanogs.filters import Filter, FilterReport, apply
 from nanogs.io import check_writable, inspect, load, losses, registry, save
+from nanogs.io.collect import Pair
 from nanogs.report import StageClock, StopReason
+from nanogs.simplify.api import refuse_searches, target_of
 from nanogs.simplify.api import simplify as library_simplify
-from nanogs.simplify.api import target_of
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.job import usable_rows
-from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters, refuse_psnr
+from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters
 from nanogs.simplify.target import Goal
 
 
 def simplify(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
+    paths: many.Paths,
     ratio: Annotated[
         float | None, typer.Option("--ratio", "-r", help="Share of the splats to keep, e.g. 0.1.")
     ] = None,
@@ -38,6 +40,7 @@ def simplify(
     ] = None,
     preset: method.Preset = DEFAULT_PRESET,
     nan: method.NanOption = method.Nan.drop,
+    spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
     threads: options.Threads = None,
     json: options.Json = False,
@@ -46,6 +49,10 @@ def simplify(
         bool, typer.Option("--verbose", "-v", help="Show every pass and probe.")
     ] = False,
     dry_run: method.DryRun = False,
+    out_dir: many.OutDir = None,
+    out_format: many.FormatOption = None,
+    read_as: streams.From = None,
+    write_as: streams.To = None,
     views: method.Views = None,
     cameras: options.Cameras = "auto",
     up: options.Up = None,
@@ -59,6 +66,9 @@ def simplify(
     seed: method.Seed = None,
     lambda_geo: method.LambdaGeo = None,
     merge_cap: method.MergeCap = None,
+    crop: filtering.Crop = None,
+    min_opacity: filtering.MinOpacity = None,
+    drop_floaters: filtering.DropFloaters = False,
 ) -> None:
     """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
     overrides: dict[str, Any] = {
@@ -67,87 +77,134 @@ def simplify(
         "lambda_geo": lambda_geo, "merge_cap": merge_cap,
     }  # fmt: skip
     # Whatever can be refused is refused here, before minutes of computing.
-    chosen = parameters(preset, overrides)
-    goal = Goal(ratio, count, None if size is None else options.parse_bytes(size), psnr)
-    if psnr is not None:
-        refuse_psnr(preset)
-    direction = method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None)
-    plan = _plan(source, target, goal, preset, chosen, nan, overwrite=overwrite, dry_run=dry_run)
-    if dry_run:
-        print_plan(plan, json=json)
-        return
     given = {name: value for name, value in overrides.items() if value is not None}
-    given |= {"preset": preset, "nan": nan.value, "threads": threads}
-    run = _simplify_file(plan, target, overwrite, cameras, direction, given, quiet or json)
-    if json:
-        print_json(run)
-    elif not quiet:
+    chosen = parameters(preset, overrides)
+    request = _Request(
+        goal=Goal(ratio, count, None if size is None else options.parse_bytes(size), psnr),
+        preset=preset,
+        chosen=chosen,
+        filters=filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters),
+        saving={"overwrite": overwrite, "spz_version": spz_version},
+        cameras=cameras,
+        up=method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None),
+        given=given | {"preset": preset, "nan": nan.value, "threads": threads},
+        quiet=quiet or json,
+    )
+
+    def plan_one(pair: Pair) -> dict[str, Any]:
+        plan = _plan(pair, request, dry_run=True)
+        if not json:
+            print_plan(plan)
+        return plan_json(plan)
+
+    def run_one(pair: Pair) -> dict[str, Any]:
+        return _simplify_file(_plan(pair, request, dry_run=False), pair, request)
+
+    def show(run: dict[str, Any]) -> None:
         print_report(run, verbose=verbose)
-    if run["stop"] != StopReason.TARGET:
-        warn(stop_text(run))
+
+    pairs = many.plan_pairs(paths, out_dir, out_format)
+    pipes = streams.Streams(read_as, write_as)
+    if dry_run:
+        many.run_all(
+            pairs, plan_one, _nothing, out_dir, pipes, json=json, quiet=quiet, writes=False
+        )
+        return
+    runs = many.run_all(pairs, run_one, show, out_dir, pipes, json=json, quiet=quiet)
+    _exit_if_short(runs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Request:
+    """What is asked for every file.
+
+    Attributes:
+        goal: The wish.
+        preset: Name of the preset.
+        chosen: Parameters of the method.
+        filters: To apply first.
+        saving: What `save` takes.
+        cameras: As `requested_cameras` takes it.
+        up: Up direction of automatic views, or None.
+        given: What the library's `simplify` takes beside.
+        quiet: Whether no progress is shown.
+    """
+
+    goal: Goal
+    preset: str
+    chosen: Parameters
+    filters: Sequence[Filter]
+    saving: dict[str, Any]
+    cameras: str
+    up: tuple[float, float, float] | None
+    given: dict[str, Any]
+    quiet: bool
+
+
+def _nothing(_run: dict[str, Any]) -> None:
+    pass
+
+
+def _exit_if_short(runs: list[dict[str, Any]]) -> None:
+    """Say which results are not what was asked for, and leave with exit code 3."""
+    short = [run for run in runs if run["stop"] != StopReason.TARGET]
+    for run in short:
+        warn(stop_text(run) if len(runs) == 1 else f"{run['output']}: {stop_text(run)}")
+    if short:
         raise typer.Exit(3)
 
 
-def _plan(
-    source: Path,
-    target: Path,
-    goal: Goal,
-    preset: str,
-    chosen: Parameters,
-    nan: method.Nan,
-    *,
-    overwrite: bool,
-    dry_run: bool,
-) -> Plan:
+def _plan(pair: Pair, request: _Request, *, dry_run: bool) -> Plan:
     """Check the files and the goal; the count that it comes to, where that is known yet."""
-    info = inspect(source)
-    check_writable(target, overwrite=overwrite)
-    if goal.size is None:
+    goal, filters = request.goal, request.filters
+    refuse_searches(goal, request.preset, pair.target)
+    info = inspect(pair.source)
+    if not dry_run or pair.target.parent.exists():  # a folder is only made when it is needed
+        check_writable(pair.target, **request.saving)
+    if goal.size is None and not (filters and dry_run):
         count = goal.target(info.splats, lambda _count: 0)
-    elif dry_run:  # what a row takes is only known from the columns
-        splats = load(source)
-        count = target_of(goal, splats, len(usable_rows(splats, nan.value)), _suffix(target))
+    elif dry_run:  # what a row takes and what filters leave is only known from the columns
+        splats, _ = apply(load(pair.source), filters)
+        info = replace(info, splats=len(splats))
+        usable = usable_rows(splats, request.given["nan"])
+        count = target_of(goal, splats, len(usable), pair.target)
     else:
         count = None
-    return Plan(info, goal, count, preset, chosen)
+    return Plan(info, goal, count, request.preset, request.chosen)
 
 
-def _suffix(target: Path) -> str:
-    known = registry.find(target)
-    return known.suffix if known else target.suffix
-
-
-def _simplify_file(
-    plan: Plan,
-    target: Path,
-    overwrite: bool,
-    cameras: str,
-    up: tuple[float, float, float] | None,
-    given: dict[str, Any],
-    quiet: bool,
-) -> dict[str, Any]:
+def _simplify_file(plan: Plan, pair: Pair, request: _Request) -> dict[str, Any]:
     """Read, simplify and write; the report with the files' names and the seconds of I/O."""
-    start, clock, goal, source = time.perf_counter(), StageClock(), plan.goal, plan.info.path
-    with count_down(plan.info.splats, plan.count or 1, quiet=quiet) as progress:
+    start, clock, goal = time.perf_counter(), StageClock(), plan.goal
+    source, target, saving = pair.source, pair.target, request.saving
+    known = registry.find(target)
+    with count_down(plan.info.splats, plan.count or 1, quiet=request.quiet) as progress:
         progress("read", plan.info.splats)
         with clock.time("read"):
             splats = load(source)
+        took: Sequence[FilterReport] = ()
+        if request.filters:
+            progress("filter", len(splats))
+            with clock.time("filter"):
+                splats, took = apply(splats, request.filters)
         small, report = library_simplify(
             splats,
             ratio=goal.ratio,
             count=goal.count,
             size=goal.size,
             psnr=goal.psnr,
-            format=_suffix(target),
-            cameras=requested_cameras(splats, cameras, up, plan.parameters),
+            format=known.suffix if known else target.suffix,
+            format_options={"spz_version": saving["spz_version"]},
+            cameras=requested_cameras(splats, request.cameras, request.up, request.chosen),
             progress=progress,
-            **given,
+            **request.given,
         )
         progress("write", len(small))
         with clock.time("write"):
-            save(small, target, overwrite=overwrite)
+            save(small, target, **saving)
     run = with_file_seconds(report.to_dict(), clock, start)
     run["notes"] = [*run["notes"], *losses(small, target)]
+    run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in took]}
     run |= {"input": str(source), "output": str(target)}
-    run |= {"input_bytes": source.stat().st_size, "output_bytes": target.stat().st_size}
+    run |= {"input_bytes": plan.info.file_bytes, "output_bytes": target.stat().st_size}
     return run

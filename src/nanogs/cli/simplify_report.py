@@ -6,6 +6,7 @@ from typing import Any
 from rich.table import Table
 
 from nanogs.cli.console import err, key_value_table, print_json, warn
+from nanogs.cli.filtering import report_filters
 from nanogs.formatting import bytes_text
 from nanogs.io import FileInfo
 from nanogs.report import StopReason
@@ -42,15 +43,22 @@ class Plan:
         )  # fmt: skip
 
 
-def print_plan(plan: Plan, *, json: bool) -> None:
-    """Show what a run would do: on stdout as JSON, or on stderr for people."""
-    asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
-    asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
-    if plan.count is None:
+def print_plan(plan: Plan) -> None:
+    """Show on stderr what a run would do."""
+    if plan.count is None and plan.goal.size is not None:
+        text = f"as many splats as fit into {plan.goal.size:,} B, found by writing some"
+    elif plan.count is None:
         text = f"as few splats as reach {plan.goal.psnr:g} dB on views of the original"
     else:
         text = f"{plan.count:,} splats ({plan.count / plan.info.splats:.3%})"
-    show_plan(plan, asked, text, json=json)
+    _print_rows(plan, text)
+
+
+def plan_json(plan: Plan) -> dict[str, Any]:
+    """What a run would do, for JSON."""
+    asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
+    asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
+    return _plan_json(plan, asked)
 
 
 def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> None:
@@ -62,26 +70,32 @@ def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> No
         text: What would be written, for people.
         json: On stdout as JSON, else on stderr for people.
     """
-    info, memory, parameters = plan.info, plan.memory(), asdict(plan.parameters)
     if json:
-        print_json(
-            {
-                "input": str(info.path),
-                "input_count": info.splats,
-                **asked,
-                "preset": plan.preset,
-                "parameters": parameters,
-                "memory_bytes": asdict(memory),
-            }
-        )
-        return
+        print_json(_plan_json(plan, asked))
+    else:
+        _print_rows(plan, text)
+
+
+def _plan_json(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "input": str(plan.info.path),
+        "input_count": plan.info.splats,
+        **asked,
+        "preset": plan.preset,
+        "parameters": asdict(plan.parameters),
+        "memory_bytes": asdict(plan.memory()),
+    }
+
+
+def _print_rows(plan: Plan, text: str) -> None:
+    info, parameters = plan.info, asdict(plan.parameters)
     rows = {
         "would read": f"{info.path} ({info.splats:,} splats, SH degree {info.sh_degree})",
         "would write": text,
         "preset": plan.preset,
         "parameters": ", ".join(f"{name} {value}" for name, value in parameters.items()),
     }
-    err.print(key_value_table(rows | _memory_rows(memory)))
+    err.print(key_value_table(rows | _memory_rows(plan.memory())))
 
 
 def _memory_rows(memory: MemoryPlan) -> dict[str, str]:
@@ -118,20 +132,23 @@ def warn_of_input(run: dict[str, Any]) -> None:
 
 def print_report(run: dict[str, Any], *, verbose: bool) -> None:
     """Show on stderr what was asked, what was delivered, and where the time went."""
+    report_filters(run)
     warn_of_input(run)
     if run["prune_limited"]:
         warn("Pruning alone would have gone below the asked count; the most opaque were kept.")
     before, after = run["input_count"], run["achieved_count"]
+    filtered = " that the filters left" if run["filters"] else ""
     stages = ", ".join(f"{name} {value:.2f}" for name, value in run["seconds"].items())
     rows = {
-        "input": f"{run['input']}: {before:,} splats, {bytes_text(run['input_bytes'])}",
+        "input": f"{run['input']}: {run['read_count']:,} splats, {bytes_text(run['input_bytes'])}",
         "output": f"{run['output']}: {after:,} splats, {bytes_text(run['output_bytes'])}",
-        "kept": f"{after / before:.3%} of the splats (asked: {_asked_text(run)})",
+        "kept": f"{after / before:.3%} of the splats{filtered} (asked: {_asked_text(run)})",
         "passes": f"{len(run['passes'])}, stopped by: {run['stop']}",
         "chosen": choice_text(run["candidates"]),
         "colours": recolour_text(run["recolour"]),
         "refit": _refit_text(run["refit"]),
         "reached": _reached_text(run),
+        "size": _size_text(run),
         "time": f"{run['total_seconds']:.2f} s on {run['threads']} threads",
         "stages (s)": stages,
     }
@@ -142,6 +159,8 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
         err.print(_pass_table(run["passes"]))
         if run["probes"]:
             err.print(_probe_table(run["probes"]))
+        if run["size_probes"]:
+            err.print(_size_probe_table(run["size_probes"]))
 
 
 def _asked_text(run: dict[str, Any]) -> str:
@@ -157,6 +176,14 @@ def _reached_text(run: dict[str, Any]) -> str:
         return ""
     tried = f"{len(run['probes'])} counts tried"
     return f"{run['achieved_psnr']:.2f} dB on views of the original, {tried}"
+
+
+def _size_text(run: dict[str, Any]) -> str:
+    if run["achieved_size"] is None:
+        return ""
+    taken = run["achieved_size"] / run["asked_size"]
+    tried = f"; {len(run['size_probes'])} counts written" if run["size_probes"] else ""
+    return f"{run['achieved_size']:,} B, {taken:.1%} of what was asked for{tried}"
 
 
 def choice_text(candidates: list[dict[str, Any]]) -> str:
@@ -208,4 +235,11 @@ def _probe_table(probes: list[dict[str, Any]]) -> Table:
     table = Table("splats", "PSNR", box=None, pad_edge=False)
     for entry in probes:
         table.add_row(f"{entry['count']:,}", f"{entry['psnr']:.2f}")
+    return table
+
+
+def _size_probe_table(probes: list[dict[str, Any]]) -> Table:
+    table = Table("splats", "bytes", box=None, pad_edge=False)
+    for entry in probes:
+        table.add_row(f"{entry['count']:,}", f"{entry['bytes']:,}")
     return table

@@ -1,13 +1,26 @@
 """Reading and writing scene files; the format follows from the suffix of the name."""
 
+from collections.abc import Iterator
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from nanogs.io import atomic, registry
+from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
-__all__ = ["FileInfo", "check_writable", "inspect", "load", "losses", "save"]
+__all__ = [
+    "FileInfo",
+    "check_writable",
+    "encoded_bytes",
+    "inspect",
+    "load",
+    "losses",
+    "save",
+    "stream",
+]
 
 
 def load(path: str | PathLike[str]) -> Splats:
@@ -21,18 +34,65 @@ def load(path: str | PathLike[str]) -> Splats:
     return registry.reader(path).read(path)
 
 
-def save(splats: Splats, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+def stream(path: str | PathLike[str]) -> Iterator[Splats]:
+    """The model of a file in blocks of rows, in its order; a `.ply` file is never held whole.
+
+    Every block has the tags and comments of the whole, and its notes about those rows; further PLY
+    elements come without their rows.
+
+    Raises:
+        FormatError: As for `load`, some of it only after blocks have been yielded.
+    """
+    path = Path(path)
+    known = registry.reader(path)
+    if known.stream:
+        yield from known.stream(path)
+        return
+    splats = known.read(path)
+    for start in range(0, len(splats), BLOCK_ROWS):
+        yield splats.span(start, start + BLOCK_ROWS)
+
+
+def save(
+    splats: Splats,
+    path: str | PathLike[str],
+    *,
+    overwrite: bool = False,
+    **options: Any,  # noqa: ANN401 - checked against those of the format
+) -> None:
     """Write a model to a file, which appears whole or not at all.
+
+    Args:
+        splats: The model.
+        path: The file; its suffix says the format.
+        overwrite: Replace a file that exists.
+        **options: Of the format: `spz_version`, 3 (as by default) or 4.
 
     Raises:
         ModelError: The format cannot hold the model at all.
-        OptionError: nanogs does not write the format that the suffix stands for.
+        OptionError: nanogs does not write the format that the suffix stands for, or the format has
+            no such option.
         OutputError: The file exists and `overwrite` is off, or it cannot be written.
     """
     path = Path(path)
-    write = registry.writer(path)
+    write = registry.writer(path, options)
     with atomic.atomic_write(path, overwrite=overwrite) as file:
         write(splats, file)
+
+
+def encoded_bytes(
+    splats: Splats,
+    path: str | PathLike[str],
+    **options: Any,  # noqa: ANN401 - as in `save`
+) -> int:
+    """Bytes of the file that `save` would write, by writing it to memory.
+
+    Raises:
+        NanogsError: As for `save`.
+    """
+    buffer = BytesIO()
+    registry.writer(Path(path), options)(splats, buffer)
+    return buffer.getbuffer().nbytes
 
 
 def losses(splats: Splats, path: str | PathLike[str]) -> tuple[str, ...]:
@@ -54,7 +114,12 @@ def inspect(path: str | PathLike[str]) -> FileInfo:
     return registry.reader(path).inspect(path)
 
 
-def check_writable(path: str | PathLike[str], *, overwrite: bool = False) -> None:
+def check_writable(
+    path: str | PathLike[str],
+    *,
+    overwrite: bool = False,
+    **options: Any,  # noqa: ANN401 - as in `save`
+) -> None:
     """Fail before any computing if `save` could not write to `path`.
 
     Raises:
@@ -62,5 +127,5 @@ def check_writable(path: str | PathLike[str], *, overwrite: bool = False) -> Non
         OutputError: As for `save`, except for a full disk.
     """
     path = Path(path)
-    registry.writer(path)
+    registry.writer(path, options)
     atomic.check_writable(path, overwrite=overwrite)

@@ -14,6 +14,7 @@ from nanogs._types import F32, F64, I64, U32, Array
 from nanogs.io import columns, limits, render_tag
 from nanogs.io.compressed_ply import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED, SH_C0
 from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.findings import Finding
 from nanogs.io.ply_write import header
 from nanogs.splats import Splats
 
@@ -66,10 +67,11 @@ def losses(splats: Splats) -> tuple[str, ...]:
     found = limits.left_out(splats, ".compressed.ply", comments=False, max_degree=MAX_DEGREE)
     found += limits.rounded(splats, ".compressed.ply")
     if count := int((np.abs(splats.log_scales) > _LOG_SCALES).any(axis=1).sum()):
-        found.append(f"{count} splats have a log-scale beyond ±20, which is clamped.")
+        found.append(Finding("{} splats have a log-scale beyond ±20, which is clamped.", count))
     rest = splats.sh[:, 1 : (_degree(splats) + 1) ** 2]
     if count := int((np.abs(rest) > _SH_RANGE).sum()):
-        found.append(f"{count} SH coefficients are beyond ±4, which .compressed.ply clamps.")
+        text = "{} SH coefficients are beyond ±4, which .compressed.ply clamps."
+        found.append(Finding(text, count))
     return tuple(found)
 
 

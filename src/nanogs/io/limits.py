@@ -9,6 +9,7 @@ from nanogs._types import Bool
 from nanogs.errors import OutputError
 from nanogs.io import render_tag
 from nanogs.io.columns import NORMALS
+from nanogs.io.findings import Finding, Names
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 
 
@@ -48,12 +49,12 @@ def left_out(
         comments: Whether it has none for comments.
         max_degree: The highest SH degree it holds.
     """
-    out = []
+    out: list[str] = []
     # Most writers put normals of zero into every .ply, which say nothing.
     said = [name for name, column in splats.extras.items() if name not in NORMALS or column.any()]
     if extras and said:
-        names = ", ".join(said)
-        out.append(f"Extra columns are left out, {suffix} has no room for them: {names}.")
+        text = f"Extra columns are left out, {suffix} has no room for them: {{}}."
+        out.append(Finding(text, Names(said), Names.union))
     if splats.elements:
         names = ", ".join(element.name for element in splats.elements)
         out.append(f"Further elements are left out, {suffix} has no room for them: {names}.")
@@ -91,4 +92,4 @@ def clamped(rows: Bool, what: str) -> list[str]:
         what: The values and their range, to end the sentence.
     """
     count = int(rows.reshape(len(rows), -1).any(axis=1).sum())
-    return [f"{count:,} splats have {what}, and are clamped to that."] if count else []
+    return [Finding(f"{{:,}} splats have {what}, and are clamped to that.", count)] if count else []

@@ -1,5 +1,6 @@
 """Reading 3DGS `.ply` files: any encoding, any column order, by name."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from nanogs.errors import FormatError
 from nanogs.io import columns, compressed_ply, render_tag
+from nanogs.io.findings import Finding
 from nanogs.io.info import FileInfo
 from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes, printable, read_header
 from nanogs.io.ply_rows import Block, check_body, iter_blocks
@@ -41,6 +43,32 @@ def read(path: Path) -> Splats:
     return vertex.splats([ExtraElement(name, rows) for name, rows in elements.items()])
 
 
+def stream(path: Path) -> Iterator[Splats]:
+    """The model block by block, so that no more than a block is held; a compressed one whole.
+
+    Every block has the file's tags and comments, and its further elements without their rows.
+
+    Raises:
+        FormatError: As for `read`.
+    """
+    header = _checked(path)
+    if compressed_ply.is_compressed(header):
+        yield compressed_ply.read(header)
+        return
+    own = header.element("vertex")
+    elements = [
+        ExtraElement(element.name, np.empty(0, element.dtype()))
+        for element in header.elements
+        if element is not own and element.properties and not element.lists()
+    ]
+    for block in iter_blocks(header):
+        if block.element is own:
+            rows = len(block.values)
+            vertex = _Vertex(header, rows=rows)
+            vertex.put(Block(own, slice(0, rows), block.values))
+            yield vertex.splats(elements)
+
+
 def inspect(path: Path) -> FileInfo:
     """Describe a `.ply` file from its header.
 
@@ -50,7 +78,7 @@ def inspect(path: Path) -> FileInfo:
     header = _checked(path)
     if compressed_ply.is_compressed(header):
         return compressed_ply.inspect(header)
-    vertex = _Vertex(header, allocate=False)
+    vertex = _Vertex(header, rows=0)
     return FileInfo(
         path=path,
         format="ply",
@@ -91,7 +119,7 @@ def _checked(path: Path) -> Header:
 class _Vertex:
     """The arrays of `Splats`, filled block by block from the vertex rows."""
 
-    def __init__(self, header: Header, *, allocate: bool = True) -> None:
+    def __init__(self, header: Header, *, rows: int | None = None) -> None:
         element = header.element("vertex")
         assert element is not None  # noqa: S101 - `_checked` made sure
         self.header, self.element = header, element
@@ -103,11 +131,9 @@ class _Vertex:
         self.means_dtype = np.dtype(np.float64 if wide else np.float32)
         self.overflowed: dict[str, int] = {}
         self.targets: dict[str, Array] = {}
-        if allocate:
-            self._allocate()
+        self._allocate(element.count if rows is None else rows)
 
-    def _allocate(self) -> None:
-        n = self.element.count
+    def _allocate(self, n: int) -> None:
         self.means = np.empty((n, 3), self.means_dtype)
         self.log_scales = np.empty((n, 3), np.float32)
         self.quats = np.empty((n, 4), np.float32)
@@ -162,7 +188,7 @@ class _Vertex:
         )
 
     def _conversions(self) -> list[str]:
-        notes = []
+        notes: list[str] = []
         changed = [
             name
             for name, target in self.targets.items()
@@ -172,7 +198,9 @@ class _Vertex:
             kinds = ", ".join(sorted({TYPE_NAMES[self.codes[name]] for name in changed}))
             notes.append(f"{len(changed)} {kinds} columns became float: {_some(changed)}.")
         for name, count in self.overflowed.items():
-            notes.append(f"{count} values of {name!r} are beyond float and became infinite.")
+            quoted = repr(name).replace("{", "{{").replace("}", "}}")
+            text = f"{{}} values of {quoted} are beyond float and became infinite."
+            notes.append(Finding(text, count))
         return notes
 
 

@@ -1,12 +1,14 @@
 """The formats nanogs knows, by the suffix of the file name."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, NoReturn
 
-from nanogs.errors import FormatError, OptionError
+from nanogs.errors import FormatError, OptionError, did_you_mean
 from nanogs.io import (
+    checkpoint,
     compressed_ply_write,
     gltf,
     gltf_write,
@@ -20,15 +22,26 @@ from nanogs.io import (
     splat,
     spz,
     spz_write,
+    usda_write,
 )
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
-Writer = Callable[[Splats, BinaryIO], None]
+Writer = Callable[..., None]
+"""Writes a model to a file that is open for binary writing."""
 Sizer = Callable[[Splats, int], int]
 """Bytes of the file of a model of so many splats that is like the given one in all else."""
 Losses = Callable[[Splats], tuple[str, ...]]
 """What a file of the format cannot hold of a model, one sentence each, besides quantisation."""
+
+
+_UNSTATED = "not stated in the file; y down by habit"
+_SPZ_FRAME = "not stated in the file; y up by the specification, though many files have y down"
+_GLTF_FRAME = "y up in the file, turned to y down when read"
+
+
+def _unread(path: Path) -> NoReturn:
+    raise FormatError(f"{path}: nanogs writes this format but does not read it; name another file.")
 
 
 def _nothing(_splats: Splats) -> tuple[str, ...]:
@@ -36,10 +49,20 @@ def _nothing(_splats: Splats) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True)
+class WriteOption:
+    """A choice in writing a format: what the writer calls it, and what it may be."""
+
+    keyword: str
+    values: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Format:
     """One format: what its files are called, and how they are read and written.
 
     `file_bytes` tells the size of a file before it is written; never smaller for more splats.
+    `stream` yields the model in blocks of rows. `frame` says which way is up. `options` are what
+    `save` takes for this format alone.
     """
 
     suffix: str
@@ -48,6 +71,14 @@ class Format:
     write: Writer | None = None
     file_bytes: Sizer | None = None
     losses: Losses = _nothing
+    stream: Callable[[Path], Iterator[Splats]] | None = None
+    frame: str = _UNSTATED
+    options: Mapping[str, WriteOption] = field(default_factory=dict)
+
+    @property
+    def readable(self) -> bool:
+        """Whether nanogs reads it."""
+        return self.read is not _unread
 
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
@@ -59,16 +90,34 @@ FORMATS = (
         compressed_ply_write.write,
         compressed_ply_write.file_bytes,
         compressed_ply_write.losses,
+        ply.stream,
     ),
-    Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes),
+    Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes, stream=ply.stream),
     Format(".splat", splat.read, splat.inspect, splat.write, splat.file_bytes, losses=splat.losses),
     Format(".npz", npz.read, npz.inspect, npz.write, npz.file_bytes, losses=npz.losses),
-    Format(".spz", spz.read, spz.inspect, spz_write.write, losses=spz_write.losses),
+    Format(
+        ".spz",
+        spz.read,
+        spz.inspect,
+        spz_write.write,
+        losses=spz_write.losses,
+        frame=_SPZ_FRAME,
+        options={"spz_version": WriteOption("version", (3, 4))},
+    ),
     Format(".ksplat", ksplat.read, ksplat.inspect),
     Format(
-        ".glb", gltf.read, gltf.inspect, gltf_write.write, gltf_write.file_bytes, gltf_write.losses
+        ".glb",
+        gltf.read,
+        gltf.inspect,
+        gltf_write.write,
+        gltf_write.file_bytes,
+        gltf_write.losses,
+        frame=_GLTF_FRAME,
     ),
     Format(".sog", sog.read, sog.inspect, sog_write.write, losses=sog_write.losses),
+    Format(".usda", _unread, _unread, usda_write.write, losses=usda_write.losses),
+    Format(".pt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
+    Format(".ckpt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
     Format("meta.json", sog.read, sog.inspect),
     Format("lod-meta.json", sog_levels.read, sog_levels.inspect),
 )
@@ -89,18 +138,52 @@ def reader(path: Path) -> Format:
     """
     known = find(path)
     if known is None:
-        suffixes = ", ".join(known.suffix for known in FORMATS)
-        raise FormatError(f"{path}: unknown suffix; nanogs reads {suffixes}.")
+        suffixes = [known.suffix for known in FORMATS if known.readable]
+        meant = did_you_mean(path.suffix, suffixes)
+        raise FormatError(f"{path}: unknown suffix{meant}; nanogs reads {', '.join(suffixes)}.")
     return known
 
 
-def writer(path: Path) -> Writer:
+def writer(path: Path, options: Mapping[str, Any] | None = None) -> Writer:
     """The function that writes a model to files of that suffix.
 
+    Args:
+        path: What is to be written.
+        options: Of the format, by name; those that are None stand for the default.
+
     Raises:
-        OptionError: nanogs does not write the format that the suffix stands for.
+        OptionError: nanogs does not write the format that the suffix stands for, the format has no
+            such option, or not that value of it.
     """
-    return _writable(path)[1]
+    known, write = _writable(path)
+    chosen = {}
+    for name, value in (options or {}).items():
+        if value is None:
+            continue
+        if (option := known.options.get(name)) is None:
+            raise OptionError(_foreign(name, known))
+        if value not in option.values:
+            values = " or ".join(map(str, option.values))
+            raise OptionError(f"{name} must be {values}, not {value!r}.")
+        chosen[option.keyword] = value
+    return partial(write, **chosen) if chosen else write
+
+
+def _foreign(name: str, known: Format) -> str:
+    suffixes = [other.suffix for other in FORMATS if name in other.options]
+    if not suffixes:
+        meant = did_you_mean(name, {option for other in FORMATS for option in other.options})
+        return f"There is no option {name!r}{meant} for writing files."
+    return f"{name} is for {' and '.join(suffixes)} files, not for {known.suffix}; leave it out."
+
+
+def has_known_size(path: Path) -> bool:
+    """Whether the size of files of that suffix is known before they are written.
+
+    Raises:
+        OptionError: As for `writer`.
+    """
+    return _writable(path)[0].file_bytes is not None
 
 
 def sizer(path: Path) -> Sizer:
@@ -127,9 +210,17 @@ def losses(path: Path, splats: Splats) -> tuple[str, ...]:
     return _writable(path)[0].losses(splats)
 
 
+def losses_by_format(splats: Splats) -> dict[str, tuple[str, ...]]:
+    """What a file of each suffix that is written cannot hold of a model."""
+    return {known.suffix: known.losses(splats) for known in FORMATS if known.write}
+
+
 def _writable(path: Path) -> tuple[Format, Writer]:
     known = find(path)
     if known is None or known.write is None:
-        suffixes = ", ".join(known.suffix for known in FORMATS if known.write)
-        raise OptionError(f"{path}: nanogs does not write this format; it writes {suffixes}.")
+        suffixes = [known.suffix for known in FORMATS if known.write]
+        meant = did_you_mean(path.suffix, suffixes) if known is None else ""
+        raise OptionError(
+            f"{path}: nanogs does not write this format{meant}; it writes {', '.join(suffixes)}."
+        )
     return known, known.write

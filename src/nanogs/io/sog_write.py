@@ -20,6 +20,7 @@ from nanogs._version import __version__
 from nanogs.errors import ModelError
 from nanogs.io import limits, sog_meta
 from nanogs.io.codebook import codebook, nearest
+from nanogs.io.findings import Finding
 from nanogs.io.folder import atomic_folder
 from nanogs.io.palette import palette
 from nanogs.io.texture import MAX_SIDE, encode
@@ -66,7 +67,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
     """What a SOG file cannot hold of a model, one sentence each."""
     found = limits.left_out(splats, ".sog", max_degree=MAX_DEGREE)
     if wrong := len(splats) - int(splats.finite().sum()):
-        found.append(f"{wrong} splats with NaN or infinite values are left out.")
+        found.append(Finding("{} splats with NaN or infinite values are left out.", wrong))
     return tuple(found)
 
 

@@ -16,6 +16,7 @@ from nanogs._types import F32, F64, U8
 from nanogs.errors import OutputError
 from nanogs.io import limits
 from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.findings import Finding
 from nanogs.io.spz import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
 from nanogs.io.spz_header import (
     ANTIALIASED,
@@ -94,7 +95,8 @@ def losses(splats: Splats) -> tuple[str, ...]:
     )
     bits = _bits(splats)
     if 0 <= bits < USUAL_FRACTION_BITS:
-        out.append(f"Centres are rounded to 1/{1 << bits}, since the scene is so large.")
+        text = "Centres are rounded to 1/{}, since the scene is so large."
+        out.append(Finding(text, 1 << bits, min))
     return tuple(out)
 
 

@@ -1,16 +1,17 @@
 """`nanogs.simplify`: from a model and a wish to a smaller model and a report."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nanogs.io import registry
+from nanogs.io import encoded_bytes, registry
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.job import Job, NanPolicy, prepare_job, refuse_misaligned_elements
 from nanogs.simplify.outcome import Outcome
-from nanogs.simplify.presets import DEFAULT_PRESET, parameters, refuse_psnr
+from nanogs.simplify.presets import DEFAULT_PRESET, parameters, refuse_search
 from nanogs.simplify.target import Goal
 from nanogs.splats import Splats
 
@@ -26,6 +27,7 @@ def simplify(
     size: int | None = None,
     psnr: float | None = None,
     format: str = ".ply",  # noqa: A002 - what it is called everywhere
+    format_options: Mapping[str, Any] | None = None,
     preset: str = DEFAULT_PRESET,
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
@@ -41,11 +43,14 @@ def simplify(
         splats: The model; it is not changed.
         ratio: Compaction ratio in (0, 1]: ceil(ratio x finite splats) are delivered.
         count: Splats to deliver.
-        size: Bytes that the saved file may have: as many splats as fit are delivered.
+        size: Bytes that the saved file may have: as many splats as fit are delivered. Where only
+            writing a file tells its size, results are written to memory until one fits that takes
+            98 % of it or more.
         psnr: dB that the result must reach on views of the original: the smallest count that
             does, to about 1 %, is found by bisection (see `reach`). The views are automatic ones
             or from `cameras`, 256 pixels along the longer side; the mean over them counts.
         format: Suffix of the file that `size` is about.
+        format_options: What that file will be saved with, as `save` takes it.
         preset: Name of a preset.
         cameras: Views that matter, for presets that render and for `psnr`; by default automatic.
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
@@ -65,43 +70,79 @@ def simplify(
     start, clock = time.perf_counter(), StageClock()
     goal = Goal(ratio, count, size, psnr)
     parameters(preset, overrides)
-    if psnr is not None:
-        refuse_psnr(preset)
+    path = Path(f"model.{format.lstrip('.')}")
+    refuse_searches(goal, preset, path)
     # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.threads import use_threads
 
     with use_threads(threads) as threads_used:
         with clock.time("check"):
             job = prepare_job(splats, preset, overrides, cameras, nan, progress)
-            target = target_of(goal, splats, len(job.rows), format)
+            target = target_of(goal, splats, len(job.rows), path)
             refuse_misaligned_elements(splats, 1 if target is None else target)
-        if target is None:
-            outcome = _reach(job, goal.psnr or 0.0, threads_used, clock)
-            target = len(outcome.splats)
-        else:
+        if target is not None:
             outcome = job.deliverer(threads_used, clock)(target, clock)
+            if size is not None:
+                outcome = replace(outcome, achieved_size=registry.sizer(path)(splats, target))
+        elif size is not None:
+            options = dict(format_options or {})
+            encode = partial(encoded_bytes, path=path, **options)
+            outcome = _fit(job, size, encode, threads_used, clock)
+        else:
+            outcome = _reach(job, goal.psnr or 0.0, threads_used, clock)
+        target = len(outcome.splats) if target is None else target
     if size is not None and target == len(job.rows):
         whole = "The whole model fits into the size asked for; nothing was merged."
         outcome = replace(outcome, notes=(*outcome.notes, whole))
     return outcome.splats, job.report(goal, target, outcome, threads_used, clock, start)
 
 
-def target_of(goal: Goal, splats: Splats, available: int, format: str) -> int | None:  # noqa: A002
-    """The count that a wish comes to; None where only measuring can tell.
+def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
+    """Refuse, before anything is read, a wish that only a search can meet and a preset cannot.
+
+    Args:
+        goal: What is asked.
+        preset: Name of a preset.
+        path: What will be written; only its suffix counts.
+
+    Raises:
+        OptionError: The preset runs anew for every count, or the format is not written.
+    """
+    if goal.psnr is not None:
+        refuse_search(preset, "a PSNR")
+    elif goal.size is not None and not registry.has_known_size(path):
+        known = registry.find(path)
+        refuse_search(preset, f"the size of a {known.suffix if known else path.suffix} file")
+
+
+def target_of(goal: Goal, splats: Splats, available: int, path: Path) -> int | None:
+    """The count that a wish comes to; None where only measuring or writing can tell.
 
     Args:
         goal: What is asked.
         splats: The model.
         available: Its usable splats.
-        format: Suffix of the output file.
+        path: What will be written; only its suffix counts.
 
     Raises:
         OptionError: It cannot be had from this model, or not in this format.
     """
     if goal.size is None:
         return goal.target(available, lambda _count: 0)
-    file_bytes = registry.sizer(Path(f"model.{format.lstrip('.')}"))
+    if not registry.has_known_size(path):
+        return None
+    file_bytes = registry.sizer(path)
     return goal.target(available, lambda count: file_bytes(splats, count))
+
+
+def _fit(
+    job: Job, size: int, encode: Callable[[Splats], int], threads: int, clock: StageClock
+) -> Outcome:
+    from nanogs.simplify.fit_size import fit_size, guess_count
+
+    with clock.time("encode"):
+        guess = guess_count(job.splats.take(job.rows), size, encode)
+    return fit_size(job.build(threads, clock), size, guess, encode, clock, job.progress)
 
 
 def _reach(job: Job, psnr: float, threads: int, clock: StageClock) -> Outcome:

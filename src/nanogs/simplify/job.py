@@ -106,6 +106,8 @@ class Job:
             asked_psnr=goal.psnr,
             achieved_psnr=outcome.achieved_psnr,
             probes=outcome.probes,
+            achieved_size=outcome.achieved_size,
+            size_probes=outcome.size_probes,
             dropped_nonfinite=len(self.splats) - len(self.rows),
             pruned=outcome.pruned,
             prune_threshold=outcome.prune_threshold,

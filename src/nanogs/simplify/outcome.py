@@ -3,7 +3,14 @@
 from dataclasses import dataclass
 
 from nanogs.refit.report import RefitReport
-from nanogs.report import CandidateReport, PassReport, ProbeReport, RecolourReport, StopReason
+from nanogs.report import (
+    CandidateReport,
+    PassReport,
+    ProbeReport,
+    RecolourReport,
+    SizeProbeReport,
+    StopReason,
+)
 from nanogs.splats import Splats
 
 
@@ -23,3 +30,5 @@ class Outcome:
     notes: tuple[str, ...] = ()
     achieved_psnr: float | None = None
     probes: tuple[ProbeReport, ...] = ()
+    achieved_size: int | None = None
+    size_probes: tuple[SizeProbeReport, ...] = ()

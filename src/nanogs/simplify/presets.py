@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from nanogs.errors import OptionError
+from nanogs.errors import OptionError, did_you_mean
 
 GRAPHS = ("knn", "random")
 
@@ -128,26 +128,34 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
         OptionError: No such preset or parameter, or a value out of its range.
     """
     if preset not in PRESETS:
-        raise OptionError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
+        meant = did_you_mean(preset, PRESETS)
+        raise OptionError(
+            f"There is no preset {preset!r}{meant}; choose one of {', '.join(PRESETS)}."
+        )
     given = {name: value for name, value in overrides.items() if value is not None}
     known = [entry.name for entry in dataclasses.fields(PRESETS[preset])]
     for name in given:
         if name not in known:
             raise OptionError(
-                f"The preset {preset} has no parameter {name!r}; choose from {', '.join(known)}."
+                f"The preset {preset} has no parameter {name!r}{did_you_mean(name, known)};"
+                f" choose from {', '.join(known)}."
             )
     return dataclasses.replace(PRESETS[preset], **given)
 
 
-def refuse_psnr(preset: str) -> None:
+def refuse_search(preset: str, wish: str) -> None:
     """Only a forest answers many counts for the price of one.
+
+    Args:
+        preset: Its name.
+        wish: What is asked for and has to be searched, for the message.
 
     Raises:
         OptionError: The preset grows none.
     """
     if not isinstance(PRESETS[preset], ForestParameters):
         raise OptionError(
-            f"The preset {preset} cannot be asked for a PSNR, since each count tried would be a "
+            f"The preset {preset} cannot be asked for {wish}, since each count tried would be a "
             "run of its own; choose another preset."
         )
 

@@ -1,0 +1,71 @@
+"""Options that leave out splats before anything else, and how what they took is said."""
+
+from typing import Annotated, Any
+
+import typer
+
+from nanogs import filters
+from nanogs.cli.console import warn
+from nanogs.errors import OptionError
+
+_PANEL = "Filters (before anything else, in this order)"
+
+Crop = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Keep what lies in box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, scene units of IN;"
+        " several times: in all of them.",
+        rich_help_panel=_PANEL,
+    ),
+]
+MinOpacity = Annotated[
+    float | None,
+    typer.Option(help="Leave out splats with an alpha below this.", rich_help_panel=_PANEL),
+]
+DropFloaters = Annotated[
+    bool,
+    typer.Option(
+        "--drop-floaters",
+        help="Leave out splats far from all others but a few.",
+        rich_help_panel=_PANEL,
+    ),
+]
+
+
+def parse_filters(
+    crops: list[str] | None,
+    min_opacity: float | None,
+    *,
+    drop_floaters: bool,
+) -> list[filters.Filter]:
+    """The filters asked for, in the order they are applied.
+
+    Raises:
+        OptionError: One of them makes no sense.
+    """
+    chosen = [_crop(text) for text in crops or ()]
+    if min_opacity is not None:
+        chosen.append(filters.opaque_enough(min_opacity))
+    return [*chosen, filters.in_company()] if drop_floaters else chosen
+
+
+def _crop(text: str) -> filters.Filter:
+    kind, _, rest = text.partition(":")
+    try:
+        numbers = [float(part) for part in rest.split(",")]
+    except ValueError:
+        numbers = []
+    if kind == "box" and len(numbers) == 6:
+        return filters.box(numbers[:3], numbers[3:])
+    if kind == "sphere" and len(numbers) == 4:
+        return filters.sphere(numbers[:3], numbers[3])
+    raise OptionError(
+        f"--crop is box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, each a number, not {text!r}."
+    )
+
+
+def report_filters(run: dict[str, Any]) -> None:
+    """Say on stderr how many splats each filter took."""
+    for entry in run["filters"]:
+        what = f"{entry['name']} {entry['argument']}".strip()
+        warn(f"{what} took {entry['removed']:,} splats; {entry['left']:,} are left.")

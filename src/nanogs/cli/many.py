@@ -1,0 +1,147 @@
+"""One command over several files: what goes where, and what is said of those that fail."""
+
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from nanogs.cli import options
+from nanogs.cli.console import fail, print_json
+from nanogs.cli.streams import DASH, Streams, names
+from nanogs.errors import NanogsError, OptionError, OutputError
+from nanogs.io.collect import Pair, collect, pair_up
+
+_PANEL = "Several files"
+
+Paths = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="IN... OUT",
+        help="Model to read and file to write, - for stdin and stdout; with --out-dir all are"
+        " models, folders of them or patterns.",
+    ),
+]
+OutDir = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder for the results; made if missing.",
+        metavar="FOLDER",
+        rich_help_panel=_PANEL,
+    ),
+]
+FormatOption = Annotated[
+    str | None,
+    typer.Option(
+        "--format",
+        help="Format of the results, e.g. sog.",
+        show_default="each file's own",
+        autocompletion=options.complete_format,
+        rich_help_panel=_PANEL,
+    ),
+]
+
+
+def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> list[Pair]:
+    """What is read and what is written for it.
+
+    Raises:
+        NanogsError: The files and options do not go together, or names collide.
+    """
+    if out_dir is not None:
+        if DASH in paths:
+            raise OptionError("- is one model and does not go with --out-dir; name files.")
+        return pair_up(collect(paths), out_dir, suffix)
+    if suffix is not None:
+        raise OptionError("--format goes with --out-dir; without it the suffix of OUT decides.")
+    if len(paths) != 2:
+        raise OptionError(
+            f"Give IN and OUT, or several inputs and --out-dir FOLDER; these are {len(paths)}"
+            f" path{'s' if len(paths) > 1 else ''} without it."
+        )
+    return [Pair(*paths)]
+
+
+def run_all(
+    pairs: list[Pair],
+    run_one: Callable[[Pair], dict[str, Any]],
+    show: Callable[[dict[str, Any]], None],
+    out_dir: Path | None,
+    streams: Streams,
+    *,
+    json: bool,
+    quiet: bool,
+    writes: bool = True,
+) -> list[dict[str, Any]]:
+    """Do one file after the other; of several, the failure of one leaves the others alone.
+
+    Args:
+        pairs: What is read and written.
+        run_one: Does one of them and returns its report.
+        show: Says a report to people.
+        out_dir: The folder for several, or None for one.
+        streams: Formats of stdin and stdout; with a model on stdout, JSON goes to stderr.
+        json: Reports go to stdout as JSON.
+        quiet: Nothing is said but errors.
+        writes: Whether anything is written, and the folder made for it.
+
+    Raises:
+        NanogsError: The only file failed, or the folder cannot be made.
+        typer.Exit: With code 2, one of several failed.
+    """
+    if out_dir is None:
+        with streams.opened(pairs[0]) as real:
+            run = run_one(real)
+            runs = [run | {k: v for k, v in names(pairs[0]).items() if k in run}]
+        failed: list[dict[str, str]] = []
+    else:
+        for pair in pairs:
+            streams.check(pair)
+        made = writes and _make(out_dir)
+        runs, failed = _run_several(pairs, run_one, None if json or quiet else show)
+        if made:
+            with suppress(OSError):  # unless it holds something
+                out_dir.rmdir()
+    if json:
+        data = runs[0] if out_dir is None else {"files": runs, "failed": failed}
+        print_json(data, sys.stderr if pairs[0].target == DASH else sys.stdout)
+    elif out_dir is None and not quiet:
+        show(runs[0])
+    if failed:
+        fail(f"{len(failed)} of {len(pairs)} files failed; the others are done.")
+        raise typer.Exit(2)
+    return runs
+
+
+def _run_several(
+    pairs: list[Pair],
+    run_one: Callable[[Pair], dict[str, Any]],
+    show: Callable[[dict[str, Any]], None] | None,
+) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
+    """The reports, and of each file that failed its name and why."""
+    runs: list[dict[str, Any]] = []
+    failed: list[dict[str, str]] = []
+    for pair in pairs:
+        try:
+            runs.append(run_one(pair))
+        except NanogsError as error:
+            named = str(error) if str(pair.source) in str(error) else f"{pair.source}: {error}"
+            fail(named)
+            failed.append({"input": str(pair.source), "error": str(error)})
+            continue
+        if show:
+            show(runs[-1])
+    return runs, failed
+
+
+def _make(folder: Path) -> bool:
+    """Make a folder; whether it was missing."""
+    missing = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(f"{folder} cannot be made ({reason}); choose another folder.") from error
+    return missing

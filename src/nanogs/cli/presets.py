@@ -1,0 +1,22 @@
+"""`nanogs presets`."""
+
+from dataclasses import asdict
+
+from nanogs.cli import options
+from nanogs.cli.console import key_value_table, out, print_json
+from nanogs.simplify.presets import DEFAULT_PRESET, PRESETS, SUMMARIES
+
+
+def presets(json: options.Json = False) -> None:
+    """List the presets of `simplify` and `lod`, and their parameters."""
+    if json:
+        print_json(
+            {name: {"summary": SUMMARIES[name], **asdict(own)} for name, own in PRESETS.items()}
+        )
+        return
+    rows = {}
+    for name, own in PRESETS.items():
+        parameters = ", ".join(f"{key} {value}" for key, value in asdict(own).items())
+        usual = " (where none is named)" if name == DEFAULT_PRESET else ""
+        rows[name] = f"{SUMMARIES[name]}{usual}\n{parameters}"
+    out.print(key_value_table(rows))

@@ -1,0 +1,219 @@
+"""Which splats to keep before anything else is done: by place, by opacity, by company.
+
+A filter takes whole splats and changes none. The library's functions return the rest of the model;
+`apply` does several in a row and reports what each took. No Numba unless floaters are looked for.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F64, Bool
+from nanogs.errors import ModelError, OptionError
+from nanogs.simplify.job import refuse_misaligned_elements
+from nanogs.splats import Splats
+
+NEIGHBOURS = 8  # clusters of up to so many splats can be floaters
+DEVIATIONS = 5.0  # of the logarithm of distances
+_LEAST_SPREAD = 0.3  # of that logarithm: evenly spaced splats have none
+_REACH = 3.0  # standard deviations that a splat is taken to extend
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """What decides over splats, and how it is called.
+
+    Attributes:
+        name: As in `--crop`, without the dashes.
+        argument: What it was given, as text; empty where it takes nothing.
+        keep: (N,) bool of a model: the rows that stay.
+    """
+
+    name: str
+    argument: str
+    keep: Callable[[Splats], Bool]
+
+
+@dataclass(frozen=True, slots=True)
+class FilterReport:
+    """What one filter took.
+
+    Attributes:
+        name: Of the filter.
+        argument: What it was given.
+        removed: Splats that it took.
+        left: Splats after it.
+    """
+
+    name: str
+    argument: str
+    removed: int
+    left: int
+
+
+def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[FilterReport, ...]]:
+    """The model that several filters leave, each looking at what those before it left.
+
+    Raises:
+        ModelError: Nothing is left, or an element has one row a splat.
+    """
+    reports = []
+    for each in filters:
+        keep = each.keep(splats)
+        left = int(keep.sum())
+        if not left:
+            what = f"{each.name} {each.argument}".strip()
+            raise ModelError(f"The filter {what} leaves none of {len(splats):,} splats; relax it.")
+        reports.append(FilterReport(each.name, each.argument, len(splats) - left, left))
+        if left < len(splats):
+            refuse_misaligned_elements(splats, left)
+            splats = splats.take(keep)
+    return splats, tuple(reports)
+
+
+def crop_box(splats: Splats, low: Sequence[float], high: Sequence[float]) -> Splats:
+    """The splats whose centres lie in a box along the axes, its faces included.
+
+    Args:
+        splats: N splats; a centre that is not finite lies nowhere.
+        low: x, y, z of the lowest corner, scene units.
+        high: Of the highest.
+
+    Raises:
+        OptionError: A corner is not three numbers, or low is above high.
+        ModelError: No centre lies in it.
+    """
+    return apply(splats, [box(low, high)])[0]
+
+
+def crop_sphere(splats: Splats, centre: Sequence[float], radius: float) -> Splats:
+    """The splats whose centres lie in a ball, its surface included.
+
+    Args:
+        splats: N splats; a centre that is not finite lies nowhere.
+        centre: x, y, z, scene units.
+        radius: Scene units.
+
+    Raises:
+        OptionError: The centre is not three numbers, or the radius is not above 0.
+        ModelError: No centre lies in it.
+    """
+    return apply(splats, [sphere(centre, radius)])[0]
+
+
+def min_opacity(splats: Splats, alpha: float) -> Splats:
+    """The splats whose alpha is not below a value; one that is NaN stays.
+
+    Args:
+        splats: N splats.
+        alpha: In [0, 1].
+
+    Raises:
+        OptionError: It is not.
+        ModelError: All are below.
+    """
+    return apply(splats, [opaque_enough(alpha)])[0]
+
+
+def drop_floaters(
+    splats: Splats, *, neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS
+) -> Splats:
+    """The splats that are not far from everything.
+
+    The distance of each centre to its `neighbours`-th nearest is exact. A splat is a floater if
+    that distance is far above what is usual in the model, and beyond three standard deviations of
+    the splat's longest axis, so that it does not reach there either. Usual is the median; far is
+    above it by `deviations` times 1.4826 median absolute deviations, all of logarithms, so that
+    neither the scale of the scene nor the floaters matter; the deviation counts as 0.3 at least.
+    Distances of zero, between splats in the same place, are left out of what is usual. Groups of up
+    to `neighbours` splats in the void are taken, since the neighbour in question is outside.
+
+    Args:
+        splats: N splats; those whose centre or scale is not finite stay and are no neighbours.
+        neighbours: Which neighbour's distance counts, 1 or more.
+        deviations: How far is too far, above 0.
+
+    Raises:
+        OptionError: A parameter is out of range.
+    """
+    return apply(splats, [in_company(neighbours, deviations)])[0]
+
+
+def box(low: Sequence[float], high: Sequence[float]) -> Filter:
+    """The filter of `crop_box`."""
+    bottom, top = _point(low), _point(high)
+    if (bottom > top).any():
+        raise OptionError(
+            "The lowest corner of a box must not be above the highest: give x0,y0,z0,x1,y1,z1."
+        )
+
+    def keep(splats: Splats) -> Bool:
+        inside: Bool = np.all((splats.means >= bottom) & (splats.means <= top), axis=1)
+        return inside
+
+    text = "box:" + ",".join(f"{value:g}" for value in (*bottom, *top))
+    return Filter("crop", text, keep)
+
+
+def sphere(centre: Sequence[float], radius: float) -> Filter:
+    """The filter of `crop_sphere`."""
+    middle = _point(centre)
+    if not 0 < radius < math.inf:
+        raise OptionError(f"The radius of a sphere must be above 0 and finite, not {radius:g}.")
+
+    def keep(splats: Splats) -> Bool:
+        with np.errstate(over="ignore", invalid="ignore"):
+            offsets = splats.means.astype(np.float64) - middle
+            inside: Bool = np.linalg.norm(offsets, axis=1) <= radius
+        return inside
+
+    text = "sphere:" + ",".join(f"{value:g}" for value in (*middle, radius))
+    return Filter("crop", text, keep)
+
+
+def opaque_enough(alpha: float) -> Filter:
+    """The filter of `min_opacity`."""
+    if not 0 <= alpha <= 1:
+        raise OptionError(f"The lowest opacity must be from 0 to 1, not {alpha:g}.")
+    return Filter("min-opacity", f"{alpha:g}", lambda splats: ~(splats.opacities() < alpha))
+
+
+def in_company(neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS) -> Filter:
+    """The filter of `drop_floaters`."""
+    if neighbours < 1:
+        raise OptionError(f"The number of neighbours must be at least 1, not {neighbours}.")
+    if not 0 < deviations < math.inf:
+        raise OptionError(f"The deviations must be above 0 and finite, not {deviations:g}.")
+    return Filter("drop-floaters", "", lambda splats: ~_floaters(splats, neighbours, deviations))
+
+
+def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:
+    from nanogs.simplify.neighbours import nearest_neighbours
+    from nanogs.threads import use_threads
+
+    found = np.zeros(len(splats), np.bool_)
+    sizes = splats.scales().max(axis=1).astype(np.float64)
+    rows = np.flatnonzero(np.isfinite(splats.means).all(axis=1) & np.isfinite(sizes))
+    means = splats.means[rows].astype(np.float64)
+    if len(rows) < 2:
+        return found
+    with use_threads(None) as threads:
+        nearest = nearest_neighbours(means, neighbours, threads)
+    distances: F64 = np.linalg.norm(means[nearest[:, -1]] - means, axis=1)
+    apart = np.log(distances[distances > 0])
+    if len(apart):
+        usual = float(np.median(apart))
+        spread = max(1.4826 * float(np.median(np.abs(apart - usual))), _LEAST_SPREAD)
+        far = distances > math.exp(usual + deviations * spread)
+        found[rows] = far & (distances > _REACH * sizes[rows])
+    return found
+
+
+def _point(values: Sequence[float]) -> F64:
+    point = np.array(values, np.float64)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        given = ",".join(f"{value:g}" for value in values)
+        raise OptionError(f"A point is three finite numbers x,y,z, not {given}.")
+    return point

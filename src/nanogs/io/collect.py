@@ -1,0 +1,104 @@
+"""From what the user names to the files to read, and the names of what is written for them."""
+
+import glob
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from nanogs.errors import FormatError, OptionError
+from nanogs.io import registry
+
+_WHOLE_FOLDERS = ("lod-meta.json", "meta.json")  # a folder with one of these is a model itself
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A file to read, and the one to write for it."""
+
+    source: Path
+    target: Path
+
+
+def collect(paths: Iterable[Path]) -> list[Path]:
+    """The files that are meant: files as they are, folders and patterns by what is in them.
+
+    A folder stands for the models directly in it, or for itself where it is a SOG model; a pattern
+    (`*`, `?`, `[...]`, `**`) that is no file's name for whatever matches, as in a shell. Each file
+    comes once, in the order given and by name within a folder.
+
+    Raises:
+        FormatError: A folder holds no model.
+        OptionError: Nothing matches a pattern.
+    """
+    found = [file for path in paths for match in _matches(path) for file in _files(match)]
+    return list(dict.fromkeys(found))
+
+
+def _matches(path: Path) -> list[Path]:
+    if path.exists() or not glob.has_magic(str(path)):
+        return [path]
+    matches = [Path(name) for name in sorted(glob.glob(str(path), recursive=True))]  # noqa: PTH207
+    if not matches:
+        raise OptionError(f"Nothing matches {path}; check the pattern and the folder.")
+    return matches
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    for name in _WHOLE_FOLDERS:
+        if (path / name).is_file():
+            return [path / name]
+    inside = [file for file in sorted(path.iterdir()) if file.is_file() and _readable(file)]
+    if not inside:
+        raise FormatError(f"The folder {path} holds no file of a format that nanogs reads.")
+    return inside
+
+
+def _readable(file: Path) -> bool:
+    known = registry.find(file)
+    return known is not None and known.readable
+
+
+def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[Pair]:
+    """Where the result for each file goes: into one folder, under the file's own name.
+
+    A SOG model in a folder gives the folder's name.
+
+    Args:
+        sources: Files to read.
+        folder: For the results.
+        suffix: Format of the results, with or without its dot; by default each file's own.
+
+    Raises:
+        OptionError: The format is not written, or two files would have the same result.
+    """
+    pairs: dict[Path, Pair] = {}
+    for source in sources:
+        target = folder / (_stem(source) + _suffix(source, suffix))
+        if target in pairs:
+            raise OptionError(
+                f"{pairs[target].source} and {source} would both become {target}; rename one or"
+                " run them apart."
+            )
+        pairs[target] = Pair(source, target)
+    return list(pairs.values())
+
+
+def _stem(source: Path) -> str:
+    known = registry.find(source)
+    if known is None:
+        return source.stem
+    stem = source.name[: len(source.name) - len(known.suffix)]
+    return stem or source.resolve().parent.name
+
+
+def _suffix(source: Path, asked: str | None) -> str:
+    if asked is not None:
+        suffix = f".{asked.lstrip('.').lower()}"
+        registry.writer(Path(f"model{suffix}"))
+        return suffix
+    known = registry.find(source)
+    if known is not None and known.write is None:
+        raise OptionError(f"{source}: nanogs does not write {known.suffix}; add --format ply.")
+    return known.suffix if known else source.suffix

@@ -1,0 +1,73 @@
+"""Sentences about a model that can be put together from those about its parts.
+
+A reader that streams sees blocks of rows; what it or a writer says of each block becomes one
+sentence about the model.
+"""
+
+import operator
+from collections.abc import Callable, Iterable
+from typing import Any, Self
+
+
+class Finding(str):
+    """A sentence with a value in it, and how the values of two parts become one.
+
+    Attributes:
+        template: The sentence, with a replacement field for the value.
+        value: Of the part that was looked at.
+        merge: The value of two parts together.
+    """
+
+    __slots__ = ("merge", "template", "value")
+    template: str
+    value: Any
+    merge: Callable[[Any, Any], Any]
+
+    def __new__(
+        cls,
+        template: str,
+        value: Any,  # noqa: ANN401 - whatever the template shows
+        merge: Callable[[Any, Any], Any] = operator.add,
+    ) -> Self:
+        """The sentence as plain text, which is all that most callers look at."""
+        text = super().__new__(cls, template.format(value))
+        text.template, text.value, text.merge = template, value, merge
+        return text
+
+    def __reduce__(self) -> tuple[type[str], tuple[str]]:
+        """A copy is plain text: reports are copied, and are about one whole."""
+        return str, (str(self),)
+
+
+class Names(tuple[str, ...]):
+    """Names in the order met, shown with commas between."""
+
+    __slots__ = ()
+
+    def __format__(self, _spec: str) -> str:
+        return ", ".join(self)
+
+    def union(self, other: "Names") -> "Names":
+        """The names of both, each once."""
+        return Names(dict.fromkeys((*self, *other)))
+
+
+def join_findings(parts: Iterable[Iterable[str]]) -> tuple[str, ...]:
+    """The sentences about a whole from those about its parts, in the order they are first met.
+
+    Args:
+        parts: The sentences about each part; plain texts are kept once.
+    """
+    found: dict[str, str] = {}
+    for sentences in parts:
+        for sentence in sentences:
+            text = sentence
+            if not isinstance(text, Finding):
+                found[text] = text
+                continue
+            before = found.get(text.template)
+            if isinstance(before, Finding):
+                value = text.merge(before.value, text.value)
+                text = Finding(text.template, value, text.merge)
+            found[text.template] = text
+    return tuple(found.values())

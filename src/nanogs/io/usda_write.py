@@ -1,0 +1,103 @@
+"""Writing OpenUSD as text, `.usda`: one ParticleField3DGaussianSplat, as of OpenUSD 26.03.
+
+Schema: https://openusd.org/release/user_guides/schemas/usdVol/ParticleField.html, with what
+generatedSchema.usda of usdVol says of each attribute. Scales and opacities are linear, quaternions
+have their real part first, and the coefficients of a splat lie side by side, by band and then by
+index, RGB each. The stage has y up; the numbers stay in the frame of the model, which a half turn
+about z takes there. Nine digits give every float32 back.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import BinaryIO
+
+import numpy as np
+
+from nanogs._types import F32, F64, Array
+from nanogs._version import __version__
+from nanogs.io import limits
+from nanogs.io.files import BLOCK_ROWS
+from nanogs.splats import Splats
+
+SUFFIX = ".usda"
+_REACH = 3.0  # standard deviations that the extent holds
+_HEADER = """#usda 1.0
+(
+    customLayerData = {{
+        string creator = "nanogs {version}"
+    }}
+    defaultPrim = "Splats"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+
+def ParticleField3DGaussianSplat "Splats"
+{{
+    float3[] extent = [{low}, {high}]
+    uniform token projectionModeHint = "perspective"
+    uniform token sortingModeHint = "zDepth"
+    uniform int radiance:sphericalHarmonicsDegree = {degree}
+    double xformOp:rotateZ = 180
+    uniform token[] xformOpOrder = ["xformOp:rotateZ"]
+"""
+
+
+def write(splats: Splats, file: BinaryIO) -> None:
+    """Write a model; rotations are written with unit length.
+
+    Raises:
+        OutputError: A value is NaN or infinite; nothing has been written then.
+        OSError: The system refuses to write.
+    """
+    limits.refuse_unstorable(splats, SUFFIX)
+    low, high = (_rows(corner[None]).rstrip(",") for corner in _extent(splats))
+    text = _HEADER.format(version=__version__, low=low, high=high, degree=splats.sh_degree)
+    file.write(text.encode())
+    for name, encode in _attributes(splats):
+        file.write(f"    {name} = [".encode())
+        for start in range(0, len(splats), BLOCK_ROWS):
+            text = _rows(encode(slice(start, start + BLOCK_ROWS)))
+            last = start + BLOCK_ROWS >= len(splats)
+            file.write((text[:-1] if last else text + "\n").encode())
+        file.write(b"]\n")
+    file.write(b"}\n")
+
+
+def losses(splats: Splats) -> tuple[str, ...]:
+    """What the file leaves out, one sentence each."""
+    out = limits.left_out(splats, SUFFIX)
+    out += limits.rounded(splats, SUFFIX)
+    return (*out, *limits.lost_mode(splats, SUFFIX))
+
+
+def _attributes(splats: Splats) -> Iterator[tuple[str, Callable[[slice], Array]]]:
+    """Type and name of each array, and what encodes a range of splats, (R, width)."""
+    yield "point3f[] positions", lambda rows: splats.means[rows]
+    yield "quatf[] orientations", lambda rows: splats.span(rows.start, rows.stop).unit_quats()
+    yield "float3[] scales", lambda rows: splats.span(rows.start, rows.stop).scales()
+    yield "float[] opacities", lambda rows: _alphas(splats, rows)
+    yield (
+        "float3[] radiance:sphericalHarmonicsCoefficients",
+        lambda rows: splats.sh[rows].reshape(-1, 3),
+    )
+
+
+def _alphas(splats: Splats, rows: slice) -> F64:
+    return splats.span(rows.start, rows.stop).opacities()[:, None]
+
+
+def _extent(splats: Splats) -> tuple[F32, F32]:
+    """The lowest and the highest corner of a box around all splats."""
+    reach = _REACH * splats.scales().max(axis=1, keepdims=True)
+    with np.errstate(over="ignore"):
+        low = (splats.means - reach).min(axis=0).astype(np.float32)
+        high = (splats.means + reach).max(axis=0).astype(np.float32)
+    limit = np.finfo(np.float32).max
+    return np.clip(low, -limit, limit), np.clip(high, -limit, limit)
+
+
+def _rows(values: Array) -> str:
+    """Rows as USD writes them: tuples, or plain numbers where they have one; each with a comma."""
+    width = values.shape[1]
+    numbers = ",".join(["%.9g"] * width)
+    row = f"({numbers})," if width > 1 else f"{numbers},"
+    return (row * len(values)) % tuple(values.astype(np.float32).ravel().tolist())

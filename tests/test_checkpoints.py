@@ -1,0 +1,281 @@
+"""Checkpoints of gsplat and nerfstudio, and files that try to do more than hold tensors."""
+
+import dataclasses
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+import nanogs
+from builders import random_splats
+from damage import mutate, outcome
+from nanogs import io
+from nanogs.errors import FormatError, OptionError
+from nanogs.io import checkpoint
+from strategies import assert_same, splats
+from torchfiles import File, Raw, call, gsplat, name, nerfstudio, pickled
+
+SHARED = settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=30
+)
+WRITERS = {"a.pt": gsplat, "a.ckpt": nerfstudio}
+
+
+def written(path, content, **kwargs):
+    path.write_bytes(File(content, **kwargs).bytes())
+    return path
+
+
+@SHARED
+@given(model=splats(extras=False))
+@pytest.mark.parametrize("file", WRITERS)
+def test_what_a_trainer_saves_is_read(tmp_path, model, file):
+    model = dataclasses.replace(model, render_mode="default", comments=())
+    if file == "a.ckpt" and model.sh_degree == 0:
+        return  # of which another test says what its colours are
+    path = written(tmp_path / file, WRITERS[file](model))
+    back = io.load(path)
+    assert_same(dataclasses.replace(back, render_mode="default"), model)
+    info = io.inspect(path)
+    assert (info.splats, info.sh_degree) == (len(model), model.sh_degree)
+    assert info.double_means == (model.means.dtype == np.float64)
+
+
+@pytest.mark.parametrize("prefix", ["_model.", "module._model.gauss_params.", ""])
+def test_older_names_and_prefixes(tmp_path, prefix):
+    model = random_splats(9, degree=2)
+    assert_same(io.load(written(tmp_path / "a.ckpt", nerfstudio(model, prefix))), model)
+
+
+def test_colours_without_harmonics_are_logits_at_nerfstudio(tmp_path):
+    model = random_splats(9, degree=0)
+    back = io.load(written(tmp_path / "a.ckpt", nerfstudio(model)))
+    colours = 1 / (1 + np.exp(-model.sh.astype(np.float64)))
+    assert back.sh == pytest.approx((colours - 0.5) / 0.28209479177387814, abs=1e-6)
+    assert_same(io.load(written(tmp_path / "a.pt", gsplat(model))), model)
+
+
+def test_tensors_of_other_layouts(tmp_path):
+    """A transposed view, one that begins inside its storage, other types, the other byte order."""
+    model = random_splats(8, degree=1)
+    content = gsplat(model)
+    parts = content["splats"]
+    parts["means"] = np.asfortranarray(model.means).T.copy().T
+    wide = np.zeros((10, 4), np.float32)
+    wide[2:] = model.quats
+    parts["quats"] = wide[2:]
+    parts["opacities"] = model.opacity_logits.astype(np.float64)
+    for order in ("little", "big"):
+        assert_same(io.load(written(tmp_path / "a.pt", content, order=order)), model)
+    assert_same(io.load(written(tmp_path / "a.pt", content, order_file=False)), model)
+    parts["scales"] = model.log_scales.astype(np.float16)
+    half = io.load(written(tmp_path / "a.pt", content))
+    assert np.array_equal(half.log_scales, parts["scales"].astype(np.float32))
+
+
+def test_bfloat16(tmp_path):
+    model = random_splats(8, degree=0)
+    content = gsplat(model)
+    top = (model.log_scales.view(np.uint32) >> 16).astype(np.uint16)
+    content["splats"]["scales"] = top
+    back = io.load(written(tmp_path / "a.pt", content))
+    assert np.array_equal(back.log_scales.view(np.uint32), top.astype(np.uint32) << 16)
+
+
+def test_ranks_of_a_training_on_several_devices(tmp_path):
+    model = random_splats(5)
+    for rank in range(3):
+        written(tmp_path / f"ckpt_29999_rank{rank}.pt", gsplat(model))
+    written(tmp_path / "ckpt_6999_rank1.pt", gsplat(model))
+    note = io.load(tmp_path / "ckpt_29999_rank0.pt").notes
+    assert note == (
+        "The splats of other devices are in other files: ckpt_29999_rank1.pt, ckpt_29999_rank2.pt.",
+    )
+    assert io.load(tmp_path / "ckpt_6999_rank1.pt").notes == ()
+
+
+# Files that try to do more
+
+
+def exploit(*code):
+    """A pickle that runs something when loaded with pickle."""
+    return File({"means": Raw(b"".join(code))})
+
+
+EXPLOITS = {
+    "os.system": exploit(call(name("os", "system"), "touch pwned")),
+    "posix.system": exploit(call(name("posix", "system"), "touch pwned")),
+    "eval": exploit(call(name("builtins", "eval"), "open('pwned', 'w')")),
+    "getattr": exploit(call(name("builtins", "getattr"), name("os", "system"))),
+    "torch.load": exploit(call(name("torch", "load"), "a.pt")),
+    "torch.hub": exploit(call(name("torch.hub", "load"), "a", "b")),
+    "numpy.load": exploit(call(name("numpy", "load"), "a.npy")),
+    "inst": exploit(b"(X\x0b\x00\x00\x00touch pwnedios\nsystem\n"),
+    "stack_global": exploit(pickled("os"), pickled("system"), b"\x93"),
+    "dotted": exploit(pickled("collections"), pickled("OrderedDict.__init__"), b"\x93"),
+    "ours": exploit(call(name("nanogs.io.torch_file", "TorchFile"), "a.pt")),
+}
+
+
+@pytest.mark.parametrize("kind", EXPLOITS)
+def test_code_in_a_file_is_refused_and_not_run(tmp_path, kind, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.pt").write_bytes(EXPLOITS[kind].bytes())
+    for use in (io.load, io.inspect):
+        with pytest.raises(FormatError, match="could run code") as caught:
+            use("a.pt")
+        assert "\n" not in str(caught.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.pt"]
+
+
+HARMLESS = {
+    # Attributes of what may be named cannot be set, so that the next file finds it as it was.
+    "state_of_the_maker": exploit(
+        name("torch._utils", "_rebuild_tensor_v2"), pickled((None, {"__code__": 1})), b"b"
+    ),
+    "state_of_a_class": exploit(
+        name("collections", "OrderedDict"), pickled((None, {"update": 1})), b"b"
+    ),
+    "a_huge_place": exploit(b"N", b"r\xff\xff\xff\xff"),
+    "unknown_extension": exploit(b"\x82\x01"),
+    "no_storage": exploit(call(name("torch._utils", "_rebuild_tensor_v2"), 1, 0, (), ())),
+    "endless": File({"means": Raw(b"}" + b"q\x00X\x01\x00\x00\x00ah\x00s")}),
+    "nested": exploit(b"]" * 100_000),
+    "truncated": exploit(b"X\xff\xff\xff\x7f"),
+}
+
+
+@pytest.mark.parametrize("kind", HARMLESS)
+def test_odd_pickles_are_refused_in_a_sentence(tmp_path, kind):
+    (tmp_path / "a.pt").write_bytes(HARMLESS[kind].bytes())
+    with pytest.raises(FormatError):
+        io.load(tmp_path / "a.pt")
+    model = random_splats(3)
+    assert_same(io.load(written(tmp_path / "b.pt", gsplat(model))), model)
+
+
+def tensor_of(shape, steps, offset=0, count=12):
+    identity = ("storage", name("torch", "FloatStorage"), "0", "cpu", count)
+    return call(
+        name("torch._utils", "_rebuild_tensor_v2"),
+        Raw(pickled(identity) + b"Q"),
+        offset, shape, steps, False, None,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("shape", "steps", "offset", "count"),
+    [
+        ((4, 3), (3, 1), 1, 12),  # a number too far
+        ((5, 3), (3, 1), 0, 12),
+        ((4, 3), (4, 1), 0, 12),
+        ((1 << 40, 3), (0, 0), 0, 12),  # a number many times over
+        ((4, 3), (-3, 1), 9, 12),
+        ((4, 3), (3, 1), 0, 1 << 40),  # more numbers than the file holds
+        ((4, "3"), (3, 1), 0, 12),
+    ],
+)
+def test_tensors_that_lie_about_their_storage(tmp_path, shape, steps, offset, count):
+    content = gsplat(random_splats(4, degree=0))
+    content["splats"]["means"] = tensor_of(shape, steps, offset, count)
+    file = File(content)
+    file.storages[0] = np.zeros(12, np.float32).tobytes()
+    (tmp_path / "a.pt").write_bytes(file.bytes())
+    with pytest.raises(FormatError):
+        io.load(tmp_path / "a.pt")
+
+
+def test_what_holds_no_splats(tmp_path):
+    model = random_splats(4)
+    cases = {
+        "no splats": {"weights": np.ones(3, np.float32)},
+        "its tensors: none": [1, 2],
+        "network": {"splats": {"means": model.means, "features": model.means}},
+        "2 models": {"a": gsplat(model)["splats"], "b": gsplat(model)["splats"]},
+        "not floats": {"splats": gsplat(model)["splats"] | {"means": np.ones((4, 3), np.int64)}},
+        "must be": {"splats": gsplat(model)["splats"] | {"quats": model.means}},
+        "Save the splats again": {"splats": gsplat(model)["splats"] | {"sh0": model.means[:2]}},
+    }
+    for words, content in cases.items():
+        path = written(tmp_path / "a.pt", content)
+        with pytest.raises(FormatError, match=words):
+            io.load(path)
+    (tmp_path / "a.pt").write_bytes(b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.")
+    with pytest.raises(FormatError, match=r"PyTorch 1\.6"):
+        io.load(tmp_path / "a.pt")
+    packed = written(tmp_path / "a.pt", gsplat(model), method=zipfile.ZIP_DEFLATED)
+    with pytest.raises(FormatError, match="packed"):
+        io.load(packed)
+    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
+        archive.writestr("x", "")
+    with pytest.raises(FormatError, match=r"no data\.pkl"):
+        io.load(tmp_path / "a.pt")
+    with pytest.raises(OptionError, match="does not write"):
+        io.save(model, tmp_path / "b.pt")
+
+
+def test_damaged_files_give_a_format_error_or_a_model(tmp_path):
+    seed, rng = File(nerfstudio(random_splats(3))).bytes(), np.random.default_rng(0)
+    path = tmp_path / "a.ckpt"
+    outcomes = {"model": 0, "refused": 0}
+    for _ in range(400):
+        path.write_bytes(mutate(rng, seed, header=1500, anywhere=0.3))
+        outcomes[outcome(path)] += 1
+    assert min(outcomes.values()) > 0
+
+
+# As people use it
+
+
+def test_the_command_converts_them_and_knows_them_in_a_pipe(tmp_path):
+    model = random_splats(40)
+    path = written(tmp_path / "a.ckpt", nerfstudio(model))
+    command = [sys.executable, "-m", "nanogs", "convert"]
+    assert subprocess.run([*command, path, tmp_path / "a.ply"]).returncode == 0
+    assert_same(nanogs.load(tmp_path / "a.ply"), model)
+    piped = subprocess.run(
+        [*command, "-", "-", "--to", "ply"], input=path.read_bytes(), capture_output=True
+    )
+    assert piped.stdout == (tmp_path / "a.ply").read_bytes()
+
+
+def test_files_of_pytorch_itself(tmp_path):
+    torch = pytest.importorskip("torch")
+    model = random_splats(50, degree=3)
+    content = gsplat(model)
+    splats = {name: torch.from_numpy(array) for name, array in content["splats"].items()}
+    parameters = torch.nn.ParameterDict(splats)
+    optimiser = torch.optim.Adam(parameters.values())
+    sum(value.sum() for value in parameters.values()).backward()
+    optimiser.step()
+    moved = {name: value.detach().numpy() for name, value in parameters.items()}
+    expected = dataclasses.replace(
+        model, means=moved["means"], log_scales=moved["scales"], quats=moved["quats"],
+        opacity_logits=moved["opacities"], sh=np.concatenate([moved["sh0"], moved["shN"]], axis=1),
+    )  # fmt: skip
+    saved = {
+        "step": 1,
+        "splats": parameters.state_dict(),
+        "optimizers": {"means": optimiser.state_dict()},
+        "schedulers": {"means": {"last": np.float64(0.5)}},
+        "shape": torch.Size([3]), "device": torch.device("cpu"), "type": torch.float32,
+    }  # fmt: skip
+    torch.save(saved, tmp_path / "a.pt")
+    assert_same(io.load(tmp_path / "a.pt"), expected)
+    torch.save({"splats": dict(parameters.items())}, tmp_path / "b.pt")
+    assert_same(io.load(tmp_path / "b.pt"), expected)
+    halves = {name: tensor.to(torch.bfloat16) for name, tensor in splats.items()}
+    torch.save({"splats": halves}, tmp_path / "c.pt")
+    assert np.array_equal(
+        io.load(tmp_path / "c.pt").quats, halves["quats"].to(torch.float32).numpy()
+    )
+    torch.save({"splats": parameters.state_dict()}, tmp_path / "d.pt",
+               _use_new_zipfile_serialization=False)  # fmt: skip
+    with pytest.raises(FormatError, match=r"PyTorch 1\.6"):
+        io.load(tmp_path / "d.pt")
+    torch.save(parameters, tmp_path / "e.pt")  # a module, whose class a pickle has to name
+    with pytest.raises(FormatError, match="save the state dictionary alone"):
+        checkpoint.read(tmp_path / "e.pt")

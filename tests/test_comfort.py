@@ -1,0 +1,106 @@
+"""Mistyped names, listings, completion, and what goes into pipes."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs import io
+from nanogs.errors import FormatError, OptionError, did_you_mean
+from nanogs.simplify.presets import PRESETS, parameters
+
+
+def run(*arguments, **environment):
+    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
+    clean = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "NO_COLOR", "COLUMNS")}
+    env = clean | environment
+    return subprocess.run(command, capture_output=True, text=True, env=env, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("word", "choices", "meant"),
+    [
+        ("fats", PRESETS, " (did you mean 'fast'?)"),
+        ("Paper", PRESETS, " (did you mean 'paper'?)"),
+        ("quality", PRESETS, ""),
+        ("", PRESETS, ""),
+        (".plly", [".splat", ".ply"], " (did you mean '.ply'?)"),
+    ],
+)
+def test_the_nearest_name_is_suggested(word, choices, meant):
+    assert did_you_mean(word, choices) == meant
+
+
+def test_every_error_about_a_name_suggests_one(tmp_path):
+    model = random_splats(3)
+    with pytest.raises(OptionError, match="did you mean 'default'"):
+        nanogs.simplify(model, ratio=0.5, preset="defualt")
+    with pytest.raises(OptionError, match="did you mean 'balance'"):
+        parameters("fast", {"balanse": 1})
+    with pytest.raises(OptionError, match=r"did you mean '\.spz'"):
+        io.save(model, tmp_path / "a.spzz")
+    with pytest.raises(FormatError, match=r"did you mean '\.splat'"):
+        io.load(tmp_path / "a.splats")
+    with pytest.raises(OptionError, match="did you mean 'spz_version'"):
+        io.save(model, tmp_path / "a.spz", spz_versoin=4)
+    # A format that is read but not written was meant as it stands.
+    with pytest.raises(OptionError) as caught:
+        io.save(model, tmp_path / "a.ksplat")
+    assert "mean" not in str(caught.value)
+
+
+def test_mistyped_options_and_commands_are_told_the_right_ones():
+    assert "--preset" in run("simplify", "a", "b", "--presett", "fast").stderr
+    assert "simplify" in run("simplfy").stderr
+    assert run("simplfy").returncode == 2
+
+
+def test_presets_are_listed():
+    text = run("presets").stdout
+    assert all(f"{name} " in text for name in PRESETS)
+    report = json.loads(run("presets", "--json").stdout)
+    assert set(report) == set(PRESETS)
+    assert report["paper"]["tau"] == 0.1
+    assert report["fast"]["summary"]
+
+
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [
+        ("nanogs simplify --preset f", ["fast"]),
+        ("nanogs simplify --preset ", list(PRESETS)),
+        ("nanogs convert a.ply --out-dir x --format sp", ["splat", "spz"]),
+        ("nanogs convert - - --to s", ["sog", "splat", "spz"]),
+        ("nanogs conv", ["convert"]),
+        ("nanogs simplify --min", ["--min-opacity"]),
+    ],
+)
+def test_the_shell_completes(words, completed):
+    count = len(words.split(" ")) - 1
+    asked = {"COMP_WORDS": words, "COMP_CWORD": str(count), "_NANOGS_COMPLETE": "complete_bash"}
+    assert sorted(run(**asked).stdout.split()) == sorted(completed)
+
+
+def test_completion_is_installed_where_the_shell_looks(tmp_path):
+    result = run("--install-completion", "bash", HOME=str(tmp_path))
+    assert result.returncode == 0
+    assert "nanogs.sh" in (tmp_path / ".bashrc").read_text()
+
+
+def test_pipes_get_plain_text_in_whole_lines(tmp_path):
+    scene = tmp_path / ("long" * 30 + ".ply")
+    model = random_splats(40)
+    nanogs.save(model, scene)
+    info = run("info", scene, TERM="xterm-256color")
+    small = run("simplify", scene, tmp_path / "b.ply", "-r", "0.5", "--preset", "fast")
+    for text in (info.stdout, small.stderr):
+        assert "\x1b" not in text
+        assert str(scene) in text
+        assert "\r" not in text
+    assert run("info", tmp_path / "no.ply").stderr.startswith("error: ")
+    quiet = run("convert", scene, tmp_path / "c.ply", "-q")
+    assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")

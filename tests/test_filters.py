@@ -1,0 +1,261 @@
+"""Filters: which splats stay, what is said of the others, and how they combine."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import nanogs
+from builders import random_splats
+from conftest import scene_path
+from nanogs import filters
+from nanogs.cli.filtering import parse_filters
+from nanogs.errors import ModelError, OptionError
+from nanogs.splats import ExtraElement
+from strategies import assert_same
+
+
+def run(*arguments):
+    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+def at(points, scale=0.01, **kwargs):
+    """Splats of one size at the given places."""
+    points = np.asarray(points, np.float32)
+    base = random_splats(len(points), **kwargs)
+    logs = np.full((len(points), 3), np.log(scale), np.float32)
+    return dataclasses.replace(base, means=points, log_scales=logs)
+
+
+# Where they are
+
+
+@given(seed=st.integers(0, 1000), size=st.floats(0.2, 2), shift=st.floats(-0.5, 0.5))
+def test_a_box_keeps_what_is_in_it(seed, size, shift):
+    model = random_splats(200, seed=seed)
+    low, high = np.full(3, shift - size / 2), np.full(3, shift + size / 2)
+    inside = [all(low[a] <= float(p[a]) <= high[a] for a in range(3)) for p in model.means]
+    if not any(inside):
+        with pytest.raises(ModelError):
+            filters.crop_box(model, low, high)
+        return
+    assert_same(filters.crop_box(model, low, high), model.take(np.array(inside)))
+
+
+@given(seed=st.integers(0, 1000), radius=st.floats(0.3, 2))
+def test_a_sphere_keeps_what_is_in_it(seed, radius):
+    model, centre = random_splats(200, seed=seed), (0.1, -0.2, 0.3)
+    inside = np.array([np.sum((p.astype(float) - centre) ** 2) <= radius**2 for p in model.means])
+    if not inside.any():
+        with pytest.raises(ModelError):
+            filters.crop_sphere(model, centre, radius)
+        return
+    assert_same(filters.crop_sphere(model, centre, radius), model.take(inside))
+
+
+def test_faces_belong_to_the_box_and_nothing_infinite_does():
+    model = at([[0, 0, 0], [1, 1, 1], [1, 1, 1.001], [np.nan, 0, 0], [0, np.inf, 0]])
+    assert len(filters.crop_box(model, (0, 0, 0), (1, 1, 1))) == 2
+    assert len(filters.crop_sphere(at([[0, 0, 2], [0, 0, 2.001]]), (0, 0, 0), 2)) == 1
+    assert len(filters.crop_sphere(model, (0, 0, 0), 1e200)) == 3
+
+
+# How opaque
+
+
+def test_min_opacity_keeps_what_is_not_below():
+    model = random_splats(300)
+    model.opacity_logits[:5] = 0, np.inf, -np.inf, np.nan, -1e-3
+    left = filters.min_opacity(model, 0.5)
+    assert len(left) == 1 + 1 + 1 + int((model.opacities()[5:] >= 0.5).sum())
+    assert np.isnan(left.opacity_logits).sum() == 1
+    assert_same(filters.min_opacity(model, 0), model)
+    assert (filters.min_opacity(model, 1).opacity_logits[:1] == np.inf).all()
+
+
+# In whose company
+
+
+def cloud(count=3000, seed=0):
+    return np.random.default_rng(seed).normal(size=(count, 3))
+
+
+def kept(points, **kwargs):
+    model = at(points, **kwargs)
+    labelled = dataclasses.replace(model, extras={"row": np.arange(len(model))})
+    return set(filters.drop_floaters(labelled).extras["row"].tolist())
+
+
+@pytest.mark.parametrize("group", [1, 2, 8])
+def test_small_groups_far_away_are_floaters(group):
+    far = np.array([60.0, 0, 0]) + np.random.default_rng(1).normal(size=(group, 3)) * 1e-3
+    rows = kept([*cloud(), *far])
+    assert not rows & set(range(3000, 3000 + group))
+    assert len(rows) >= 0.995 * 3000
+
+
+def test_larger_groups_are_none():
+    far = np.array([60.0, 0, 0]) + np.random.default_rng(1).normal(size=(9, 3)) * 1e-3
+    assert set(range(3000, 3009)) <= kept([*cloud(), *far])
+
+
+def test_a_splat_as_large_as_the_void_around_it_is_none():
+    model = at([*cloud(), [60, 0, 0]])
+    model.log_scales[-1, 1] = np.log(30)
+    assert np.float32(60) in filters.drop_floaters(model).means[:, 0]
+    model.log_scales[-1, 1] = np.log(1)
+    assert np.float32(60) not in filters.drop_floaters(model).means[:, 0]
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1, 1e6])
+def test_the_scale_of_the_scene_does_not_matter(scale):
+    points = np.array([*cloud(), [60, 0, 0], [0, 0, -45]])
+    assert kept(points * scale, scale=0.01 * scale) == kept(points)
+
+
+def test_even_grids_and_places_shared_by_many_lose_nothing():
+    grid = np.stack(np.meshgrid(*[np.arange(8.0)] * 3), axis=-1).reshape(-1, 3)
+    assert len(kept(grid)) == 512
+    assert len(kept(np.zeros((50, 3)))) == 50
+    assert len(kept([[0, 0, 0]])) == 1
+    assert len(kept([[0, 0, 0], [5, 0, 0], [0, 7, 0]])) == 3
+    # All but a few in one place: what is usual is between the others.
+    assert len(kept([*np.zeros((500, 3)), *cloud(300)])) >= 795
+
+
+def test_rows_that_are_not_finite_stay_for_others_to_judge():
+    model = at([*cloud(), [np.nan, 0, 0], [60, 0, 0]])
+    left = filters.drop_floaters(model)
+    assert np.isnan(left.means).any(axis=1).sum() == 1
+    assert np.float32(60) not in left.means[:, 0]
+
+
+def test_floaters_are_the_same_as_by_brute_force():
+    points = np.array([*cloud(400), *(cloud(30, 5) * 6)])
+    distances = np.linalg.norm(points[:, None] - points[None], axis=2)
+    eighth = np.sort(distances, axis=1)[:, 8]
+    logs = np.log(eighth)
+    usual = np.median(logs)
+    spread = max(1.4826 * np.median(np.abs(logs - usual)), 0.3)
+    expected = (logs > usual + 5 * spread) & (eighth > 3 * 0.01)
+    assert 0 < expected.sum() < 30
+    assert kept(points) == set(np.flatnonzero(~expected).tolist())
+
+
+def test_a_real_scene_gains_by_it():
+    model = nanogs.load(scene_path("chair.splat"))
+    left = filters.drop_floaters(model)
+    assert 0.01 < 1 - len(left) / len(model) < 0.05
+    clean = nanogs.load(scene_path("biker.spz"))
+    assert len(filters.drop_floaters(clean)) == len(clean)
+
+
+# Together
+
+
+def test_each_looks_at_what_those_before_left():
+    model = random_splats(500)
+    chosen = [filters.opaque_enough(0.5), filters.sphere((0, 0, 0), 1)]
+    left, reports = filters.apply(model, chosen)
+    assert_same(left, filters.crop_sphere(filters.min_opacity(model, 0.5), (0, 0, 0), 1))
+    assert [report.name for report in reports] == ["min-opacity", "crop"]
+    assert reports[0].left == len(model) - reports[0].removed
+    assert reports[1].left == len(left) == reports[0].left - reports[1].removed
+    assert filters.apply(model, [])[0] is model
+
+
+def test_an_element_with_a_row_a_splat_does_not_fit_what_is_left():
+    rows = np.zeros(20, [("a", "f4")])
+    model = dataclasses.replace(random_splats(20), elements=[ExtraElement("twin", rows)])
+    with pytest.raises(ModelError, match="'twin'"):
+        filters.min_opacity(model, 0.5)
+    assert len(filters.min_opacity(model, 0)) == 20
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda s: filters.crop_box(s, (0, 0), (1, 1, 1)),
+        lambda s: filters.crop_box(s, (0, 0, np.nan), (1, 1, 1)),
+        lambda s: filters.crop_box(s, (0, 2, 0), (1, 1, 1)),
+        lambda s: filters.crop_sphere(s, (0, 0, 0), 0),
+        lambda s: filters.crop_sphere(s, (0, 0, 0), float("nan")),
+        lambda s: filters.crop_sphere(s, (0, 0, 0), float("inf")),
+        lambda s: filters.min_opacity(s, 1.1),
+        lambda s: filters.min_opacity(s, float("nan")),
+        lambda s: filters.drop_floaters(s, neighbours=0),
+        lambda s: filters.drop_floaters(s, deviations=0),
+        lambda _s: parse_filters(["box:1,2,3"], None, drop_floaters=False),
+        lambda _s: parse_filters(["ball:1,2,3,4"], None, drop_floaters=False),
+        lambda _s: parse_filters(["sphere:a,b,c,d"], None, drop_floaters=False),
+    ],
+)
+def test_what_makes_no_sense_is_refused(call):
+    with pytest.raises(OptionError):
+        call(random_splats(5))
+
+
+# From outside
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    model = random_splats(400)
+    model.means[0] = 500
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(model, path)
+    return path
+
+
+OPTIONS = ("--drop-floaters", "--min-opacity", 0.3, "--crop", "box:-1,-1,-1,1,1,500")
+
+
+def test_simplify_counts_what_the_filters_left(scene, tmp_path):
+    small = tmp_path / "a.ply"
+    options = ("-r", 0.5, "--preset", "fast", *OPTIONS)
+    report = json.loads(run("simplify", scene, small, *options, "--json").stdout)
+    names = [entry["name"] for entry in report["filters"]]
+    assert names == ["crop", "min-opacity", "drop-floaters"]
+    assert report["read_count"] == 400
+    assert report["filters"][0]["removed"] == 1
+    left = report["filters"][-1]["left"]
+    assert report["input_count"] == left < 400
+    assert report["achieved_count"] == len(nanogs.load(small)) == -(-left // 2)
+    assert "filter" in report["seconds"]
+    shown = run("simplify", scene, small, *options, "-w").stderr
+    assert "crop box:-1,-1,-1,1,1,500 took 1 splats; 399 are left." in shown
+    assert "of the splats that the filters left" in " ".join(shown.split())
+    plan = run("simplify", scene, tmp_path / "b.ply", *options, "--dry-run", "--json").stdout
+    assert json.loads(plan)["asked_count"] == report["achieved_count"]
+
+
+def test_convert_filters_and_merges_nothing(scene, tmp_path):
+    result = run("convert", scene, tmp_path / "a.ply", *OPTIONS, "--json")
+    report = json.loads(result.stdout)
+    assert report["splats"] == report["filters"][-1]["left"]
+    library = filters.crop_box(nanogs.load(scene), (-1, -1, -1), (1, 1, 500))
+    library = filters.drop_floaters(filters.min_opacity(library, 0.3))
+    assert_same(nanogs.load(tmp_path / "a.ply"), library)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--crop", "box:1,2"), "sphere:x,y,z,r"),
+        (("--crop", "sphere:9000,0,0,1"), "leaves none of 400 splats"),
+        (("--min-opacity", 2), "from 0 to 1"),
+    ],
+)
+def test_bad_filters_write_nothing(scene, tmp_path, options, words):
+    for command in (("simplify", "-r", 0.5), ("convert",)):
+        result = run(command[0], scene, tmp_path / "a.ply", *command[1:], *options)
+        assert (result.returncode, result.stdout) == (2, "")
+        assert words in result.stderr
+        assert result.stderr.count("\n") == 1
+        assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,161 @@
+"""`nanogs info`: what is counted block by block is what the whole model has."""
+
+import copy
+import dataclasses
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+import nanogs
+from builders import random_splats
+from conftest import scene_path
+from nanogs import io
+from nanogs.info import describe
+from nanogs.io import registry
+from nanogs.io.findings import Finding, join_findings
+from nanogs.splats import RenderMode
+from strategies import splats
+
+SHARED = settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=40
+)
+
+
+def described(tmp_path, model, name="a.ply"):
+    io.save(model, tmp_path / name, overwrite=True)
+    return describe(tmp_path / name)
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    """Blocks of three rows, so that a few splats make several."""
+    monkeypatch.setattr("nanogs.io.BLOCK_ROWS", 3)
+    monkeypatch.setattr("nanogs.io.ply_rows.BLOCK_ROWS", 3)
+
+
+@SHARED
+@given(model=splats())
+def test_a_stream_is_the_model_in_parts(tmp_path, small_blocks, model):
+    io.save(model, tmp_path / "a.ply", overwrite=True)
+    blocks = list(io.stream(tmp_path / "a.ply"))
+    assert max(map(len, blocks)) <= 3
+    for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
+        parts = np.concatenate([getattr(block, name) for block in blocks])
+        assert parts.tobytes() == getattr(model, name).tobytes(), name
+    for name, column in model.extras.items():
+        parts = np.concatenate([block.extras[name] for block in blocks])
+        assert parts.tobytes() == column.tobytes(), name
+    assert {block.render_mode for block in blocks} == {model.render_mode}
+    assert {len(block.elements) for block in blocks} == {len(model.elements)}
+
+
+@SHARED
+@given(model=splats(max_n=12))
+def test_what_would_be_lost_is_what_losses_say_of_the_whole(tmp_path, small_blocks, model):
+    wide = np.where(np.arange(len(model))[:, None, None] % 2, 5, 1).astype(np.float32)
+    model = dataclasses.replace(
+        model, sh=model.sh * wide, log_scales=model.log_scales * 3, means=model.means * 3000
+    )
+    found = described(tmp_path, model).losses
+    whole = io.load(tmp_path / "a.ply")
+    assert set(found) == {known.suffix for known in registry.FORMATS if known.write}
+    for suffix, sentences in found.items():
+        # Names of columns may come in another order where the first rows' normals are zero.
+        assert sorted(map(sorted, sentences)) == sorted(
+            map(sorted, io.losses(whole, f"a{suffix}"))
+        ), suffix
+
+
+def test_statistics_are_those_of_numpy(tmp_path):
+    model = random_splats(20_000, degree=1)
+    model.opacity_logits[:5] = np.inf
+    model.means[7] = np.nan
+    info = described(tmp_path, model)
+    good = np.delete(np.arange(len(model)), 7)
+    alphas, scales = model.opacities()[good], model.scales()[good]
+    assert info.alpha.median == pytest.approx(np.median(alphas))
+    assert (info.alpha.p5, info.alpha.p99) == pytest.approx(np.percentile(alphas, [5, 99]))
+    assert (info.scale.min, info.scale.max) == (scales.min(), scales.max())
+    assert info.scale.p25 == pytest.approx(np.percentile(scales, 25))
+    assert (info.nonfinite, info.opaque, info.transparent) == (1, 5, 0)
+    low, high = model.means[good].min(axis=0), model.means[good].max(axis=0)
+    assert np.array_equal(info.bounds, [low, high])
+
+
+def test_nothing_finite_has_no_statistics(tmp_path):
+    model = random_splats(3)
+    model.means[:] = np.nan
+    info = described(tmp_path, model)
+    assert (info.bounds, info.alpha, info.scale, info.nonfinite) == ((), None, None, 3)
+    assert (
+        subprocess.run(
+            [sys.executable, "-m", "nanogs", "info", str(tmp_path / "a.ply")], capture_output=True
+        ).returncode
+        == 0
+    )
+
+
+def test_values_beyond_float_are_counted_over_all_blocks(tmp_path, small_blocks):
+    names = [p for p, _ in io.inspect(_saved(tmp_path, 8)).properties]
+    rows = np.zeros(8, [(name, "f8") for name in names])
+    rows["opacity"] = 1e300
+    rows["rot_0"] = 1
+    lines = ["ply", "format binary_little_endian 1.0", "element vertex 8"]
+    lines += [*(f"property double {name}" for name in names), "end_header", ""]
+    (tmp_path / "b.ply").write_bytes("\n".join(lines).encode() + rows.tobytes())
+    notes = describe(tmp_path / "b.ply").notes
+    assert "8 values of 'opacity' are beyond float and became infinite." in notes
+    assert notes == tuple(io.load(tmp_path / "b.ply").notes)
+
+
+def _saved(tmp_path, count):
+    io.save(random_splats(count, degree=0), tmp_path / "a.ply", overwrite=True)
+    return tmp_path / "a.ply"
+
+
+BOTH_WAYS = [known.suffix for known in registry.FORMATS if known.write and known.readable]
+
+
+@pytest.mark.parametrize("suffix", BOTH_WAYS)
+def test_every_format_is_described(tmp_path, suffix):
+    model = dataclasses.replace(random_splats(70, degree=1), render_mode=RenderMode.MIP)
+    info = described(tmp_path, model, f"a{suffix}")
+    assert info.file.splats == 70
+    assert info.frame
+    kept = suffix != ".splat"
+    assert info.file.render_mode is (RenderMode.MIP if kept else RenderMode.DEFAULT)
+    assert any("render mode" in text for text in info.losses[".splat"]) is kept
+
+
+def test_json_has_it_all(tmp_path):
+    command = [sys.executable, "-m", "nanogs", "info", str(_saved(tmp_path, 9)), "--json"]
+    report = json.loads(subprocess.run(command, capture_output=True, text=True).stdout)
+    assert set(report["alpha"]) == {
+        "min", "p1", "p5", "p25", "median", "p75", "p95", "p99", "max"
+    }  # fmt: skip
+    assert report["frame"].startswith("not stated")
+    assert report["losses"][".ply"] == []
+    assert report["properties"][0] == ["x", "float"]
+
+
+def test_findings_of_parts_add_up():
+    parts = [
+        ("plain", Finding("{:,} splats", 700)),
+        (Finding("{:,} splats", 500), Finding("1/{}", 4, min)),
+        ("plain", Finding("1/{}", 2, min)),
+    ]
+    assert join_findings(parts) == ("plain", "1,200 splats", "1/2")
+    assert join_findings([]) == ()
+    copied = copy.deepcopy(parts[0][1])
+    assert (type(copied), copied) == (str, "700 splats")
+
+
+@pytest.mark.parametrize("name", ["biker.spz", "skull.sog", "chair.splat", "guitar.compressed.ply"])
+def test_real_scenes(name):
+    info = describe(scene_path(name))
+    assert info.file.splats == len(nanogs.load(scene_path(name)))
+    assert info.scale.min < info.scale.median < info.scale.max

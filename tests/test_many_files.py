@@ -1,0 +1,181 @@
+"""Several inputs at once: which files are meant, what the results are called, what fails."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs.errors import FormatError, OptionError
+from nanogs.io import sog_write
+from nanogs.io.collect import Pair, collect, pair_up
+
+
+def run(*arguments, cwd=None):
+    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two models, one more below, a SOG folder, a text, and a damaged model."""
+    here = tmp_path / "in"
+    (here / "below").mkdir(parents=True)
+    nanogs.save(random_splats(60, seed=1), here / "a.ply")
+    nanogs.save(random_splats(70, seed=2), here / "b.spz")
+    nanogs.save(random_splats(80, seed=3), here / "below" / "c.compressed.ply")
+    sog_write.write_folder(random_splats(90, seed=4), here / "garden")
+    (here / "notes.txt").write_text("text")
+    return here
+
+
+# Which files are meant
+
+
+def test_folders_files_and_patterns(folder):
+    assert collect([folder]) == [folder / "a.ply", folder / "b.spz"]
+    assert collect([folder / "garden"]) == [folder / "garden" / "meta.json"]
+    assert collect([folder / "*.ply"]) == [folder / "a.ply"]
+    found = collect([folder / "**" / "*.ply", folder / "a.ply"])
+    assert sorted(found) == [folder / "a.ply", folder / "below" / "c.compressed.ply"]
+    # What is named is taken as it is, to be refused by name.
+    assert collect([folder / "no.ply", folder / "notes.txt"]) == [
+        folder / "no.ply",
+        folder / "notes.txt",
+    ]
+    assert collect([folder / "gar*"]) == [folder / "garden" / "meta.json"]
+
+
+def test_a_file_whose_name_is_a_pattern_is_that_file(folder):
+    odd = folder / "a[1].ply"
+    odd.write_bytes((folder / "a.ply").read_bytes())
+    assert collect([odd]) == [odd]
+
+
+def test_nothing_is_refused(folder, tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FormatError, match="holds no file"):
+        collect([tmp_path / "empty"])
+    with pytest.raises(OptionError, match="Nothing matches"):
+        collect([folder / "*.glb"])
+
+
+# What the results are called
+
+
+@pytest.mark.parametrize(
+    ("source", "suffix", "target"),
+    [
+        ("a.ply", None, "a.ply"),
+        ("a.ply", "sog", "a.sog"),
+        ("a.ply", ".SPZ", "a.spz"),
+        ("b.compressed.ply", None, "b.compressed.ply"),
+        ("b.compressed.ply", "ply", "b.ply"),
+        ("b.v2.PLY", "spz", "b.v2.spz"),
+        ("c.ksplat", "ply", "c.ply"),
+        ("garden/meta.json", "sog", "garden.sog"),
+        ("garden/lod-meta.json", "ply", "garden.ply"),
+        ("other.obj", None, "other.obj"),
+    ],
+)
+def test_names(source, suffix, target):
+    assert pair_up([Path(source)], Path("out"), suffix) == [
+        Pair(Path(source), Path("out") / target)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sources", "suffix", "words"),
+    [
+        (["x/a.ply", "y/a.ply"], None, "x/a.ply and y/a.ply would both become out/a.ply"),
+        (["a.ply", "a.spz"], "sog", "out/a.sog"),
+        (["a.ply"], "obj", "does not write"),
+        (["a.ksplat"], None, "add --format"),
+        (["garden/meta.json"], None, "add --format"),
+    ],
+)
+def test_names_that_cannot_be(sources, suffix, words):
+    with pytest.raises(OptionError, match=words):
+        pair_up([Path(source) for source in sources], Path("out"), suffix)
+
+
+# From outside
+
+
+def test_each_result_is_that_of_the_file_alone(folder, tmp_path):
+    out, options = tmp_path / "out", ("-r", 0.2, "--preset", "fast", "-q")
+    result = run(
+        "simplify", folder, folder / "garden", "--out-dir", out, "--format", "ply", *options
+    )
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    assert names(out) == ["a.ply", "b.ply", "garden.ply"]
+    assert [len(nanogs.load(out / f"{n}.ply")) for n in ("a", "b", "garden")] == [12, 14, 18]
+    run("simplify", folder / "b.spz", tmp_path / "alone.ply", *options)
+    assert (out / "b.ply").read_bytes() == (tmp_path / "alone.ply").read_bytes()
+
+
+def test_one_failure_leaves_the_others_alone(folder, tmp_path):
+    (folder / "a.ply").write_bytes((folder / "a.ply").read_bytes()[:-3])
+    out = tmp_path / "made" / "out"
+    result = run("convert", folder, folder / "notes.txt", "--out-dir", out, "--format", "splat")
+    assert result.returncode == 2
+    assert names(out) == ["b.splat"]
+    errors = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
+    assert ["a.ply" in errors[0], "notes.txt" in errors[1]] == [True, True]
+    assert errors[2] == "error: 2 of 3 files failed; the others are done."
+    assert "b.splat: 70 splats" in result.stderr
+
+
+def test_json_of_several(folder, tmp_path):
+    arguments = (folder, folder / "no.ply", "--out-dir", tmp_path / "out", "--json")
+    result = run("simplify", *arguments, "-n", 7, "--preset", "fast")
+    assert result.returncode == 2
+    report = json.loads(result.stdout)
+    assert [entry["achieved_count"] for entry in report["files"]] == [7, 7]
+    assert [Path(entry["output"]).name for entry in report["files"]] == ["a.ply", "b.spz"]
+    assert [Path(entry["input"]).name for entry in report["failed"]] == ["no.ply"]
+    plans = run("simplify", folder, "--out-dir", tmp_path / "x", "-n", 7, "--dry-run", "--json")
+    assert [plan["asked_count"] for plan in json.loads(plans.stdout)["files"]] == [7, 7]
+    assert not (tmp_path / "x").exists()
+
+
+def test_nothing_is_overwritten_without_the_flag(folder, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "a.splat").write_text("mine")
+    arguments = ("convert", folder, "--out-dir", out, "--format", "splat", "-q")
+    result = run(*arguments)
+    assert result.returncode == 2
+    assert "-w" in result.stderr
+    assert (out / "a.splat").read_text() == "mine"
+    assert len(nanogs.load(out / "b.splat")) == 70
+    assert run(*arguments, "-w").returncode == 0
+    assert len(nanogs.load(out / "a.splat")) == 60
+
+
+def test_collisions_and_missing_folders_write_nothing(folder, tmp_path):
+    for arguments, words in (
+        ((folder / "a.ply", folder / "b.spz", tmp_path / "x.ply"), "--out-dir"),
+        ((folder / "a.ply",), "--out-dir"),
+        ((folder / "a.ply", tmp_path / "x.ply", "--format", "sog"), "--format goes with --out-dir"),
+        ((folder, "--out-dir", folder / "a.ply"), "cannot be made"),
+        ((folder / "**" / "a*", folder / "a.spz", "--out-dir", "y", "--format", "ply"), "both"),
+    ):
+        result = run("convert", *arguments, cwd=tmp_path)
+        assert (result.returncode, result.stdout) == (2, "")
+        assert result.stderr.count("\n") == 1
+        assert words in result.stderr
+        assert names(tmp_path) == ["in"]
+
+
+def test_a_folder_that_nothing_was_written_to_is_not_left_behind(folder, tmp_path):
+    result = run("convert", folder / "notes.txt", "--out-dir", tmp_path / "out")
+    assert result.returncode == 2
+    assert not (tmp_path / "out").exists()

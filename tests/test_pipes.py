@@ -1,0 +1,149 @@
+"""`-` for stdin and stdout: the same bytes as with files, nothing else on stdout."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs.io import registry, spz_write
+from nanogs.io.sniff import sniff
+
+
+def run(*arguments, data=b"", **kwargs):
+    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
+    return subprocess.run(command, input=data, capture_output=True, timeout=120, **kwargs)
+
+
+def refused(result, *words):
+    """Exit code 2, one sentence, nothing on stdout, no name of a temporary file."""
+    text = result.stderr.decode()
+    assert (result.returncode, result.stdout) == (2, b""), text
+    assert text.startswith("error: ")
+    assert text.count("\n") == 1, text
+    assert "nanogs-" not in text
+    for word in words:
+        assert word in text
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(random_splats(300, degree=1), path)
+    return path
+
+
+def test_through_the_pipe_come_the_bytes_of_the_file(scene, tmp_path):
+    options = ("--ratio", "0.1", "--preset", "fast")
+    piped = run("simplify", "-", "-", *options, data=scene.read_bytes())
+    assert piped.returncode == 0
+    run("simplify", scene, tmp_path / "a.ply", *options)
+    assert piped.stdout == (tmp_path / "a.ply").read_bytes()
+    text = piped.stderr.decode()
+    assert "stdin: 300 splats" in text
+    assert "stdout: 30 splats" in text
+    given = run("simplify", "-", "-", *options, "--from", "ply", "--to", "ply", "-q",
+                data=scene.read_bytes())  # fmt: skip
+    assert (given.stdout, given.stderr) == (piped.stdout, b"")
+
+
+def test_one_end_is_a_file(scene, tmp_path):
+    out = run("convert", scene, "-", "--to", "splat")
+    assert out.returncode == 0
+    target = tmp_path / "a.splat"
+    back = run("convert", "-", target, "--from", ".splat", data=out.stdout)
+    assert back.returncode == 0, back.stderr
+    assert target.read_bytes() == out.stdout
+    refused(run("convert", "-", target, "--from", "splat", data=out.stdout), "a.splat", "-w")
+
+
+def test_json_does_not_mix_with_the_model(scene):
+    result = run("convert", scene, "-", "--to", "spz", "--json")
+    report = json.loads(result.stderr)
+    assert (report["input"], report["output"]) == (str(scene), "stdout")
+    assert report["output_bytes"] == len(result.stdout)
+    read = run("convert", "-", os.devnull, "--json", data=scene.read_bytes())
+    assert read.returncode == 2  # no regular file
+    plan = run("simplify", scene, "-", "-r", "0.5", "--dry-run", "--json")
+    assert (json.loads(plan.stderr)["asked_count"], plan.stdout) == (150, b"")
+
+
+SNIFFED = {
+    ".ply": {},
+    ".compressed.ply": {},
+    ".npz": {},
+    ".glb": {},
+    ".sog": {},
+    ".spz": {"spz_version": 3},
+    "v4.spz": {"spz_version": 4},
+}
+
+
+@pytest.mark.parametrize("name", SNIFFED)
+def test_the_first_bytes_say_the_format(tmp_path, name):
+    nanogs.save(random_splats(20), tmp_path / f"a{name}", **SNIFFED[name])
+    found = sniff(tmp_path / f"a{name}")
+    expected = registry.find(tmp_path / f"a{name}").suffix
+    assert found == expected.replace(".compressed", "")
+    raw = (tmp_path / f"a{name}").read_bytes()
+    (tmp_path / f"b{found}").write_bytes(raw)
+    assert len(nanogs.load(tmp_path / f"b{found}")) == 20
+
+
+@pytest.mark.parametrize("data", [b"", b"hello", b"PK\x03\x04 no zip", b"\x00" * 64])
+def test_bytes_that_say_nothing(tmp_path, data):
+    (tmp_path / "a").write_bytes(data)
+    assert sniff(tmp_path / "a") is None
+
+
+def test_spz_4_is_told_by_its_own_magic(tmp_path):
+    with (tmp_path / "a").open("wb") as file:
+        spz_write.write(random_splats(5), file, version=4)
+    assert sniff(tmp_path / "a") == ".spz"
+
+
+def test_what_is_refused(scene, tmp_path):
+    data = scene.read_bytes()
+    splat = run("convert", scene, "-", "--to", "splat").stdout
+    refused(run("convert", "-", "-", data=splat), "--from splat")
+    refused(run("convert", "-", "-"), "stdin is empty")
+    refused(run("convert", "-", "-", data=data[:-5]), "stdin", "cut short")
+    refused(run("convert", "-", "-", "--from", "obj", data=data), "unknown suffix")
+    refused(run("convert", "-", "-", "--to", "obj", data=data), "does not write")
+    refused(run("convert", "-", "-", "--from", "ksplat", data=data), "add --to ply")
+    ksplat = ("--from", "ksplat", "--to", "ply")
+    refused(run("convert", "-", "-", *ksplat, data=data), "stdin.ksplat")
+    refused(run("convert", scene, tmp_path / "a.ply", "--to", "ply"), "--to is for OUT -")
+    refused(run("convert", scene, "-", "--from", "ply"), "--from is for IN -")
+    refused(run("convert", "-", "--out-dir", tmp_path, data=data), "--out-dir")
+    refused(run("simplify", "-", "-", "-r", "2", data=data), "ratio")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_terminal_gets_no_model(scene):
+    pty = pytest.importorskip("pty")
+    leader, follower = pty.openpty()
+    try:
+        command = [sys.executable, "-m", "nanogs", "convert"]
+        to = subprocess.run(
+            [*command, scene, "-"], stdout=follower, stderr=subprocess.PIPE, timeout=60
+        )
+        assert to.returncode == 2
+        assert b"stdout is a terminal" in to.stderr
+        refused(
+            subprocess.run([*command, "-", "-"], stdin=follower, capture_output=True, timeout=60),
+            "stdin is a terminal",
+        )
+    finally:
+        os.close(leader)
+        os.close(follower)
+
+
+def test_no_temporary_file_is_left(scene, tmp_path):
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    for extra in ((), ("--min-opacity", "2")):
+        run("convert", "-", "-", *extra, data=scene.read_bytes(), env=environment)
+        assert [path for path in tmp_path.iterdir() if path.name.startswith("nanogs")] == []

@@ -1,0 +1,117 @@
+"""Files as torch.save writes them, made without PyTorch."""
+
+import io
+import struct
+import zipfile
+
+import numpy as np
+
+KINDS = {"f4": "Float", "f8": "Double", "f2": "Half", "i8": "Long", "u1": "Byte", "u2": "BFloat16"}
+
+
+class Raw(bytes):
+    """Pickle opcodes that leave one object on the stack."""
+
+
+def name(module, attribute):
+    return Raw(f"c{module}\n{attribute}\n".encode())
+
+
+def call(function, *arguments):
+    return Raw(function + pickled(tuple(arguments)) + b"R")
+
+
+class File:
+    """A zip of a pickle and the storages of the arrays in it."""
+
+    def __init__(self, content, *, order="little", order_file=True, method=zipfile.ZIP_STORED):
+        self.order, self.order_file, self.method = order, order_file, method
+        self.storages = []
+        self.pickle = b"\x80\x02" + pickled(content, self.tensor) + b"."
+
+    def tensor(self, array):
+        """The reference to an array, which is stored as it lies in memory where it is a view."""
+        base = array if array.base is None else array.base
+        offset = (array.ctypes.data - base.ctypes.data) // array.itemsize
+        self.storages.append(base.astype(base.dtype.newbyteorder(self.order[0].upper())).tobytes())
+        storage = name("torch", f"{KINDS[array.dtype.str[1:]]}Storage")
+        key = str(len(self.storages) - 1)
+        identity = pickled(("storage", storage, key, "cpu", base.size))
+        steps = tuple(step // array.itemsize for step in array.strides)
+        rest = (offset, array.shape, steps, False, call(name("collections", "OrderedDict")))
+        return call(name("torch._utils", "_rebuild_tensor_v2"), Raw(identity + b"Q"), *rest)
+
+    def bytes(self):
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w", self.method) as archive:
+            archive.writestr("archive/data.pkl", self.pickle)
+            if self.order_file:
+                archive.writestr("archive/byteorder", self.order)
+            for key, data in enumerate(self.storages):
+                archive.writestr(f"archive/data/{key}", data)
+            archive.writestr("archive/version", "3\n")
+        return buffer.getvalue()
+
+
+def pickled(value, tensor=None):
+    """Opcodes of protocol 2; arrays by `tensor`."""
+
+    def inner(entry):
+        return pickled(entry, tensor)
+
+    if isinstance(value, Raw):
+        return value
+    if value is None:
+        return b"N"
+    if isinstance(value, bool):
+        return b"\x88" if value else b"\x89"
+    if isinstance(value, int):
+        return b"\x8a\x09" + value.to_bytes(9, "little", signed=True)
+    if isinstance(value, float):
+        return b"G" + struct.pack(">d", value)
+    if isinstance(value, str):
+        return b"X" + struct.pack("<I", len(value.encode())) + value.encode()
+    if isinstance(value, tuple):
+        return b"(" + b"".join(map(inner, value)) + b"t"
+    if isinstance(value, list):
+        return b"](" + b"".join(map(inner, value)) + b"e"
+    if isinstance(value, dict):
+        return b"}(" + b"".join(inner(k) + inner(v) for k, v in value.items()) + b"u"
+    assert isinstance(value, np.ndarray), type(value)
+    return tensor(value)
+
+
+def gsplat(model):
+    """What gsplat's trainer saves of a model."""
+    splats = {
+        "means": model.means,
+        "scales": model.log_scales,
+        "quats": model.quats,
+        "opacities": model.opacity_logits,
+        "sh0": np.ascontiguousarray(model.sh[:, :1]),
+        "shN": np.ascontiguousarray(model.sh[:, 1:]),
+    }
+    return {"step": 29_999, "splats": splats}
+
+
+def nerfstudio(model, prefix="_model.gauss_params."):
+    """What nerfstudio's trainer saves of a model, optimisers and schedulers among it."""
+    splats = {
+        f"{prefix}means": model.means,
+        f"{prefix}scales": model.log_scales,
+        f"{prefix}quats": model.quats,
+        f"{prefix}opacities": model.opacity_logits[:, None],
+        f"{prefix}features_dc": np.ascontiguousarray(model.sh[:, 0]),
+        f"{prefix}features_rest": np.ascontiguousarray(model.sh[:, 1:]),
+    }
+    moments = np.ones((len(model), 3), np.float32)
+    scalar = call(name("numpy.core.multiarray", "scalar"), name("numpy", "dtype"), "8bytes..")
+    return {
+        "step": 29_999,
+        "pipeline": {**splats, "_model.camera_optimizer.pose_adjustment": moments},
+        "optimizers": {
+            "means": {"state": {0: {"exp_avg": moments}}, "param_groups": [{"lr": 0.1}]}
+        },
+        "schedulers": {"means": {"last_epoch": 3, "_last_lr": [scalar]}},
+        "scalers": {"scale": 65536.0},
+    }
