@@ -67,7 +67,7 @@ def _convert_file(
         progress(f"reading {source.name}")
         with clock.time("read"):
             splats = load(source)
-        read_bytes = source.stat().st_size  # now, as the output may take the input's place
+        read_bytes = inspect(source).file_bytes  # now: the output may take the input's place
         if sh_degree is not None:
             splats = splats.with_sh_degree(sh_degree)
         if turn:

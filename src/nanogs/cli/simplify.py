@@ -149,5 +149,5 @@ def _simplify_file(
     run = with_file_seconds(report.to_dict(), clock, start)
     run["notes"] = [*run["notes"], *losses(small, target)]
     run |= {"input": str(source), "output": str(target)}
-    run |= {"input_bytes": source.stat().st_size, "output_bytes": target.stat().st_size}
+    run |= {"input_bytes": plan.info.file_bytes, "output_bytes": inspect(target).file_bytes}
     return run

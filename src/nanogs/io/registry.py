@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import (
@@ -21,14 +21,23 @@ from nanogs.io import (
     spz,
     spz_write,
 )
+from nanogs.io.folder import Ours
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
+LEVELS = "lod-meta.json"
 Writer = Callable[[Splats, BinaryIO], None]
 Sizer = Callable[[Splats, int], int]
 """Bytes of the file of a model of so many splats that is like the given one in all else."""
 Losses = Callable[[Splats], tuple[str, ...]]
 """What a file of the format cannot hold of a model, one sentence each, besides quantisation."""
+
+
+class FolderWriter(Protocol):
+    """Makes the folder of a model; it may replace one of nanogs' own if told so."""
+
+    def __call__(self, splats: Splats, path: Path, *, overwrite: bool) -> None:
+        """Write the model; see `io.save` for what it raises."""
 
 
 def _nothing(_splats: Splats) -> tuple[str, ...]:
@@ -39,7 +48,9 @@ def _nothing(_splats: Splats) -> tuple[str, ...]:
 class Format:
     """One format: what its files are called, and how they are read and written.
 
-    `file_bytes` tells the size of a file before it is written; never smaller for more splats.
+    `file_bytes` tells the size of a file before it is written; never smaller for more splats. Of a
+    format whose model is a folder, described by the file of the name `suffix` in it, `write_folder`
+    makes that folder and `ours` says what in such a folder nanogs made.
     """
 
     suffix: str
@@ -48,6 +59,8 @@ class Format:
     write: Writer | None = None
     file_bytes: Sizer | None = None
     losses: Losses = _nothing
+    write_folder: FolderWriter | None = None
+    ours: Ours | None = None
 
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
@@ -69,8 +82,15 @@ FORMATS = (
         ".glb", gltf.read, gltf.inspect, gltf_write.write, gltf_write.file_bytes, gltf_write.losses
     ),
     Format(".sog", sog.read, sog.inspect, sog_write.write, losses=sog_write.losses),
-    Format("meta.json", sog.read, sog.inspect),
-    Format("lod-meta.json", sog_levels.read, sog_levels.inspect),
+    Format(
+        "meta.json",
+        sog.read,
+        sog.inspect,
+        losses=sog_write.losses,
+        write_folder=sog_write.write_folder,
+        ours=sog_write.ours,
+    ),
+    Format(LEVELS, sog_levels.read, sog_levels.inspect),
 )
 
 
@@ -94,22 +114,28 @@ def reader(path: Path) -> Format:
     return known
 
 
-def writer(path: Path) -> Writer:
-    """The function that writes a model to files of that suffix.
+def writable(path: Path) -> Format:
+    """The format to write a file with, or a folder.
 
     Raises:
         OptionError: nanogs does not write the format that the suffix stands for.
     """
-    return _writable(path)[1]
+    known = find(path)
+    if known is not None and known.suffix == LEVELS:
+        raise OptionError(f"{path} describes levels of detail; make them with `nanogs lod`.")
+    if known is None or not (known.write or known.write_folder):
+        suffixes = ", ".join(known.suffix for known in FORMATS if known.write or known.write_folder)
+        raise OptionError(f"{path}: nanogs does not write this format; it writes {suffixes}.")
+    return known
 
 
 def sizer(path: Path) -> Sizer:
     """The function that tells how large a file of that suffix will be.
 
     Raises:
-        OptionError: As for `writer`, or the size of such files is not known beforehand.
+        OptionError: As for `writable`, or the size of such files is not known beforehand.
     """
-    known, _ = _writable(path)
+    known = writable(path)
     if known.file_bytes is None:
         raise OptionError(
             f"The size of a {known.suffix} file is only known once it is written; give a ratio or a"
@@ -122,14 +148,6 @@ def losses(path: Path, splats: Splats) -> tuple[str, ...]:
     """What a file of that suffix cannot hold of a model, one sentence each.
 
     Raises:
-        OptionError: As for `writer`.
+        OptionError: As for `writable`.
     """
-    return _writable(path)[0].losses(splats)
-
-
-def _writable(path: Path) -> tuple[Format, Writer]:
-    known = find(path)
-    if known is None or known.write is None:
-        suffixes = ", ".join(known.suffix for known in FORMATS if known.write)
-        raise OptionError(f"{path}: nanogs does not write this format; it writes {suffixes}.")
-    return known, known.write
+    return writable(path).losses(splats)
