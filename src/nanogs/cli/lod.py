@@ -10,12 +10,11 @@ from rich.table import Table
 from nanogs.cli import method, options
 from nanogs.cli.console import count_down, err, print_json, warn
 from nanogs.cli.simplify_report import Plan, show_plan, warn_of_input
-from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text, number_text
 from nanogs.io import inspect, load
 from nanogs.io.folder import check_folder_writable
-from nanogs.lod.chunks import CHUNK, check_chunk
-from nanogs.lod.layout import Layout, Output, made_files, output_of
+from nanogs.lod.chunks import CHUNK
+from nanogs.lod.layout import Output, check_options, made_files, output_of
 from nanogs.lod.levels import check_ratios
 from nanogs.lod.write import write_levels
 from nanogs.report import StopReason
@@ -49,6 +48,9 @@ def lod(
             show_default=str(CHUNK),
         ),
     ] = None,
+    spz: Annotated[
+        bool, typer.Option("--spz", help="3D Tiles with contents packed as CesiumJS draws them.")
+    ] = False,
     threads: options.Threads = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -67,11 +69,11 @@ def lod(
     lambda_geo: method.LambdaGeo = None,
     merge_cap: method.MergeCap = None,
 ) -> None:
-    """Make levels of detail from one build, as files or in chunks for a viewer that streams.
+    """Make levels of detail from one build: a file each, or chunks for a viewer that streams.
 
-    OUT/level_0.ply, the finest, and so on: each is the file that `nanogs simplify --ratio` writes,
-    and levels.json says what is in the folder. OUT_DIR/lod-meta.json: streamed SOG.
-    OUT_DIR/tileset.json: 3D Tiles 1.1 with glTF.
+    OUT/level_0.ply, the finest, and so on are the files that `nanogs simplify --ratio` writes, and
+    levels.json says what is in the folder. OUT/lod-meta.json makes streamed SOG of the levels,
+    OUT/tileset.json 3D Tiles 1.1.
     """
     overrides: dict[str, Any] = {
         "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,
@@ -83,7 +85,7 @@ def lod(
     ratios = options.parse_ratios(levels)
     check_ratios(ratios)
     output = output_of(target)
-    _check_chunk(chunk, output)
+    check_options(output.layout, chunk, spz=spz)
     direction = method.check_views(preset, chosen, views, cameras, up, judged=False)
     info = inspect(source)
     check_folder_writable(output.folder, made_files, overwrite=overwrite)
@@ -93,24 +95,14 @@ def lod(
         _print_plan(plan, output, ratios, json=json)
         return
     given = {name: value for name, value in overrides.items() if value is not None}
-    given |= {"preset": preset, "nan": nan.value, "threads": threads, "chunk": chunk or CHUNK}
+    given |= {"preset": preset, "nan": nan.value, "threads": threads}
+    given |= {"chunk": chunk, "spz": spz}
     run = _write(plan, output, ratios, overwrite, cameras, direction, given, quiet or json)
     if json:
         print_json(run)
     elif not quiet:
         _print_report(run)
     exit_if_short(run)
-
-
-def _check_chunk(chunk: int | None, output: Output) -> None:
-    """Refuse a size that means nothing, or nothing for this output."""
-    if chunk is None:
-        return
-    if output.layout is Layout.PLY:
-        raise OptionError(
-            "--chunk is for lod-meta.json and tileset.json; levels as .ply files are not divided."
-        )
-    check_chunk(chunk)
 
 
 def _write(

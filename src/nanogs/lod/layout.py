@@ -10,7 +10,7 @@ from typing import Protocol
 
 from nanogs.errors import OptionError
 from nanogs.lod import manifest, streamed_sog, tiles
-from nanogs.lod.chunks import Written
+from nanogs.lod.chunks import CHUNK, Written, check_chunk
 from nanogs.lod.manifest import Manifest
 from nanogs.lod.ply_levels import PlyLevels
 from nanogs.splats import Splats
@@ -75,18 +75,42 @@ class LevelWriter(Protocol):
         """What the files leave out of a model, one sentence each."""
 
 
-def writer(layout: Layout, folder: Path, chunk: int) -> LevelWriter:
+def check_options(layout: Layout, chunk: int | None, *, spz: bool) -> None:
+    """Refuse what makes no sense for a layout.
+
+    Raises:
+        OptionError: The size of chunks is below 1 or given for a layout without chunks, or SPZ is
+            asked for outside of 3D Tiles.
+    """
+    if chunk is not None and layout is Layout.PLY:
+        raise OptionError(
+            "The size of chunks is for lod-meta.json and tileset.json; levels as .ply files are"
+            " not divided."
+        )
+    if chunk is not None:
+        check_chunk(chunk)
+    if spz and layout is not Layout.TILES:
+        raise OptionError("Contents are packed as SPZ in 3D Tiles only; write a tileset.json.")
+
+
+def writer(layout: Layout, folder: Path, chunk: int | None, *, spz: bool) -> LevelWriter:
     """What writes a layout into a folder that exists and is empty.
 
     Args:
         layout: How the levels are to lie.
         folder: Where to.
-        chunk: Most splats of a chunk of the finest level, where the layout has chunks.
+        chunk: Most splats of a chunk of the finest level; `CHUNK` by default.
+        spz: Whether the contents of 3D Tiles are packed.
+
+    Raises:
+        OptionError: As for `check_options`.
     """
+    check_options(layout, chunk, spz=spz)
+    most = CHUNK if chunk is None else chunk
     if layout is Layout.SOG:
-        return streamed_sog.StreamedSog(folder, chunk)
+        return streamed_sog.StreamedSog(folder, most)
     if layout is Layout.TILES:
-        return tiles.Tiles(folder, chunk)
+        return tiles.Tiles(folder, most, spz=spz)
     return PlyLevels(folder)
 
 

@@ -19,32 +19,28 @@ from nanogs.io.registry import LEVELS
 from nanogs.io.sog_write import write_files
 from nanogs.lod.boxes import Box, box_around, union
 from nanogs.lod.cells import Cells, divide
-from nanogs.lod.chunks import SortedLevel, Written, check_chunk, generator, plain_paths, read_own
+from nanogs.lod.chunks import SortedLevel, Written, generator, plain_paths, read_own
 from nanogs.lod.manifest import Manifest
 from nanogs.splats import Splats
 
 NAME = LEVELS
 _CHUNKS_A_FILE = 4  # full ones; that makes files of 1 to 2 MB
-_DEVIATIONS = 1.0  # the ellipsoid that the specification's own writer encloses; levels are chosen
-# by the distance to these boxes, and larger ones would bring fine levels too early
+# As the format's own tool has it. A viewer chooses levels by the distance to these boxes, so that
+# larger ones would bring fine levels too early.
+_DEVIATIONS = 1.0
 _META = "meta.json"
 
 
 class StreamedSog:
-    """A folder that is being filled, level by level.
-
-    Raises:
-        OptionError: The size of chunks is below 1.
-    """
+    """A folder that is being filled, level by level."""
 
     def __init__(self, folder: Path, chunk: int) -> None:
         """Begin.
 
         Args:
             folder: Where to; it exists and is empty.
-            chunk: Most splats of the finest level in a leaf.
+            chunk: Most splats of the finest level in a leaf, 1 or more.
         """
-        check_chunk(chunk)
         self._folder, self._chunk = folder, chunk
         self._cells: Cells | None = None
         self._names: list[str] = []

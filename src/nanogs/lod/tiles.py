@@ -5,22 +5,25 @@ first; each is replaced by its children, which are of the next finer level and f
 tileset's frame is that of 3D Tiles, z up; a viewer turns glTF's y there, and `gltf_write` turns the
 y of the model, which points down, to glTF's. Nothing is known of the scene's place on Earth, so the
 root's transform is the identity; whoever knows the place writes it there.
+
+Contents are uncompressed, or packed as SPZ, which is all that CesiumJS draws; see `gltf_spz`.
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from nanogs._types import F64
-from nanogs.io import gltf_write, limits
+from nanogs.io import gltf_spz, gltf_write, limits
 from nanogs.io.gltf import MAX_DEGREE
 from nanogs.io.gltf_scene import EXTENSION
 from nanogs.lod.boxes import Box, box_around, union
 from nanogs.lod.cells import Cells, divide
-from nanogs.lod.chunks import SortedLevel, Written, check_chunk, generator, plain_paths, read_own
+from nanogs.lod.chunks import SortedLevel, Written, generator, plain_paths, read_own
 from nanogs.lod.manifest import Manifest
 from nanogs.splats import Splats
 
@@ -31,6 +34,32 @@ _DEVIATIONS = 3.0  # as far as rasterisers draw; what is outside of a box may be
 # A level's error is the width, in deviations, of what one sees of its splats: by the usual 16
 # pixels of error, a tile is replaced when they are wider than that.
 _WIDTH = 4.0
+
+
+def _plain_losses(splats: Splats) -> tuple[str, ...]:
+    """What `gltf_write` leaves out, and the comments, which would be in every tile."""
+    found = limits.left_out(splats, ".glb", max_degree=MAX_DEGREE)
+    return (*found, *limits.rounded(splats, ".glb"))
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """How contents are written, what they leave out, and the extensions that tell of them."""
+
+    write: Callable[[Splats, BinaryIO], None]
+    losses: Callable[[Splats], tuple[str, ...]]
+    extensions: dict[str, list[str]]
+
+
+_PACKED = [EXTENSION, gltf_spz.PACKED]
+_FORMS = {
+    False: _Form(gltf_write.write, _plain_losses, {"extensionsUsed": [EXTENSION]}),
+    True: _Form(
+        gltf_spz.write,
+        gltf_spz.losses,
+        {"extensionsUsed": _PACKED, "extensionsRequired": _PACKED},
+    ),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,21 +79,17 @@ class _Tile:
 
 
 class Tiles:
-    """A folder that is being filled, level by level.
+    """A folder that is being filled, level by level."""
 
-    Raises:
-        OptionError: The size of chunks is below 1.
-    """
-
-    def __init__(self, folder: Path, chunk: int) -> None:
+    def __init__(self, folder: Path, chunk: int, *, spz: bool = False) -> None:
         """Begin.
 
         Args:
             folder: Where to; it exists and is empty.
-            chunk: Most splats of a tile.
+            chunk: Most splats of a tile, 1 or more.
+            spz: Whether contents are packed.
         """
-        check_chunk(chunk)
-        self._folder, self._chunk = folder, chunk
+        self._folder, self._chunk, self._form = folder, chunk, _FORMS[spz]
         self._cells: Cells | None = None
         self._levels: list[dict[int, _Tile]] = []  # tiles by their node, in the order of the walk
 
@@ -87,7 +112,7 @@ class Tiles:
                 continue
             path = self._folder / f"{len(self._levels)}_{len(tiles)}.glb"
             with path.open("wb") as file:
-                gltf_write.write(part, file)
+                self._form.write(part, file)
             written += path.stat().st_size
             tiles[node] = _Tile(path.name, box_around(part, _DEVIATIONS), _width(part))
         self._levels.append(tiles)
@@ -108,7 +133,7 @@ class Tiles:
         data = {
             "asset": {"version": "1.1", "extras": {"generator": generator()}},
             "extensionsUsed": [_CONTENT],
-            "extensions": {_CONTENT: {"extensionsUsed": [EXTENSION]}},
+            "extensions": {_CONTENT: self._form.extensions},
             "geometricError": max(diagonal, root["geometricError"]),
             "root": {"transform": np.eye(4).ravel().tolist(), "refine": "REPLACE"} | root,
         }
@@ -137,8 +162,7 @@ class Tiles:
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """What the files leave out of a model, one sentence each."""
-        found = limits.left_out(splats, ".glb", max_degree=MAX_DEGREE)
-        return (*found, *limits.rounded(splats, ".glb"))
+        return self._form.losses(splats)
 
 
 def made_files(folder: Path) -> frozenset[str] | None:

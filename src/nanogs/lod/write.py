@@ -7,8 +7,8 @@ from typing import Any
 
 from nanogs._version import __version__
 from nanogs.io.folder import atomic_folder
-from nanogs.lod.chunks import CHUNK, Written
-from nanogs.lod.layout import Layout, LevelWriter, made_files, writer
+from nanogs.lod.chunks import Written
+from nanogs.lod.layout import Layout, LevelWriter, check_options, made_files, writer
 from nanogs.lod.levels import levels
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, describe_chunks, describe_level
 from nanogs.report import SimplifyReport
@@ -22,7 +22,8 @@ def write_levels(
     *,
     source: str,
     layout: Layout = Layout.PLY,
-    chunk: int = CHUNK,
+    chunk: int | None = None,
+    spz: bool = False,
     overwrite: bool = False,
     progress: Callable[[str, int], None] | None = None,
     **options: Any,  # noqa: ANN401 - as `levels` takes them
@@ -35,7 +36,9 @@ def write_levels(
         ratios: As `levels` takes them.
         source: Name of the model for the manifest.
         layout: `.ply` files, streamed SOG, or 3D Tiles.
-        chunk: Most splats of the finest level in a chunk, where the layout has chunks.
+        chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
+            default.
+        spz: Pack the contents of 3D Tiles as SPZ.
         overwrite: Replace the folder if it holds nothing but earlier levels.
         progress: Called before each stage with its name and the number of splats left.
         **options: As `levels` takes them.
@@ -44,16 +47,17 @@ def write_levels(
         What the manifest says, and the report of each level.
 
     Raises:
-        OptionError: As for `levels`, or chunks shall hold nothing.
+        OptionError: As for `levels`, or the layout has no such chunks or contents.
         ModelError: As for `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
     entries: list[Level | ChunkedLevel] = []
     reports: list[SimplifyReport] = []
     left_out: tuple[str, ...] = ()
+    check_options(layout, chunk, spz=spz)
     made = levels(splats, ratios, progress=progress, **options)
     with atomic_folder(folder, made_files, overwrite=overwrite) as temporary:
-        out = writer(layout, temporary, chunk)
+        out = writer(layout, temporary, chunk, spz=spz)
         for ratio in ratios:
             start = time.perf_counter()
             report, written, left_out = _write_next(made, out, progress)
