@@ -206,6 +206,18 @@ def test_more_than_one_top_tile_share_a_root_without_content(splats, tmp_path):
     assert {level_of(tile) for tile in root["children"]} == {1}
 
 
+def test_no_tile_is_more_exact_than_its_children(tmp_path):
+    """A coarser level whose splats are smaller than those of a finer one has its error."""
+    splats = random_splats(30)
+    wide = replace(splats, log_scales=splats.log_scales + np.float32(3))
+    out = Tiles(tmp_path, 100)
+    for level in (splats, wide, splats):
+        out.add(level)
+    out.finish(None)
+    root = tileset(tmp_path / "tileset.json")["root"]
+    assert root["geometricError"] == root["children"][0]["geometricError"] > 10
+
+
 def test_a_cell_that_a_level_leaves_empty_has_no_content_but_is_refined(tmp_path):
     """Merging has moved all of a coarser level's splats to one side."""
     rng = np.random.default_rng(0)
@@ -274,8 +286,11 @@ def test_what_is_left_out_is_said(tmp_path, spz):
         random_splats(60, degree=4, extras=label), comments=["mine"], render_mode=RenderMode.SURFEL
     )
     splats.log_scales[:] = 6.5
-    manifest, _ = write(splats, tmp_path / "t", spz=spz)
+    manifest, _ = write(splats, tmp_path / "t", ratios=[0.5, 0.1], spz=spz)
     notes = " ".join(manifest.notes)
+    if spz:
+        assert manifest.notes[-2].startswith("30 splats have log-scales")
+        assert manifest.notes[-1].startswith("Level 1: 6 splats have log-scales")
     for word in ("label", "comment", "degree 3"):
         assert word in notes
     assert ("log-scales" in notes) == ("render mode" in notes) == spz

@@ -53,15 +53,18 @@ def write_levels(
     """
     entries: list[Level | ChunkedLevel] = []
     reports: list[SimplifyReport] = []
-    left_out: tuple[str, ...] = ()
+    left_out: list[str] = []
     check_options(layout, chunk, spz=spz)
     made = levels(splats, ratios, progress=progress, **options)
     with atomic_folder(folder, made_files, overwrite=overwrite) as temporary:
         out = writer(layout, temporary, chunk, spz=spz)
         for ratio in ratios:
             start = time.perf_counter()
-            report, written, left_out = _write_next(made, out, progress)
+            report, written, losses = _write_next(made, out, progress)
             seconds = time.perf_counter() - start
+            # Said once of the finest level, and of others where it is not the same.
+            prefix = f"Level {len(reports)}: " if reports else ""
+            left_out += [prefix + loss for loss in losses if loss not in left_out]
             reports.append(report)
             if layout is Layout.PLY:
                 path = temporary / written.names[0]
@@ -89,7 +92,7 @@ def _manifest(
     source: str,
     entries: list[Level | ChunkedLevel],
     reports: list[SimplifyReport],
-    left_out: tuple[str, ...],
+    left_out: list[str],
 ) -> Manifest:
     first = reports[0]
     notes = [note for report in reports for note in report.notes]
