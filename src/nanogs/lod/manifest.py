@@ -120,10 +120,12 @@ def describe_chunks(
 
 
 def _measured(report: SimplifyReport) -> tuple[float | None, float | None]:
-    """PSNR and SSIM of what was chosen; None where it was fitted after that."""
+    """PSNR and SSIM of the result, on views that nothing was fitted to; None where not known."""
     chosen = next((entry for entry in report.candidates if entry.chosen), None)
     if chosen is None or report.refit is not None:
         return None, None
+    if report.recolour is not None and report.recolour.kept:
+        return report.recolour.psnr_after, report.recolour.ssim_after
     return chosen.psnr, chosen.ssim
 
 
