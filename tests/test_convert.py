@@ -49,6 +49,20 @@ def test_every_written_format_holds_what_the_library_writes(scene, tmp_path, suf
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
+def test_a_folder_is_written_by_its_description(scene, tmp_path):
+    path = tmp_path / "folder" / "meta.json"
+    report = json.loads(run(scene, path, "--json").stdout)
+    nanogs.save(nanogs.load(scene), tmp_path / "other" / "meta.json")
+    written = {entry.name: entry.read_bytes() for entry in path.parent.iterdir()}
+    other = {entry.name: entry.read_bytes() for entry in (tmp_path / "other").iterdir()}
+    assert written == other
+    assert report["output_bytes"] == sum(map(len, written.values()))
+    again = json.loads(run(path, path, "-w", "--sh-degree", "0", "--json").stdout)
+    assert again["input_bytes"] == report["output_bytes"]
+    assert nanogs.load(path).sh_degree == 0
+    assert "add -w" in run(scene, path).stderr
+
+
 def test_losses_are_told(scene, tmp_path):
     result = run(scene, tmp_path / "a.glb")
     assert "note: Extra columns are left out, .glb has no room for them: label." in result.stderr

@@ -62,7 +62,7 @@ def test_what_would_be_lost_is_what_losses_say_of_the_whole(tmp_path, small_bloc
     )
     found = described(tmp_path, model).losses
     whole = io.load(tmp_path / "a.ply")
-    assert set(found) == {known.suffix for known in registry.FORMATS if known.write}
+    assert set(found) == {known.suffix for known in registry.FORMATS if known.writable}
     for suffix, sentences in found.items():
         # Names of columns may come in another order where the first rows' normals are zero.
         assert sorted(map(sorted, sentences)) == sorted(

@@ -1,6 +1,7 @@
 """Encoding SOG: what comes back, and what the codebooks and palettes cost."""
 
 import itertools
+import json
 import zipfile
 from dataclasses import replace
 
@@ -175,6 +176,47 @@ def test_folder(tmp_path):
     (foreign / "meta.json").write_text('{"asset": {"generator": "another"}}')
     with pytest.raises(OutputError, match="did not make"):
         sog_write.write_folder(model, foreign, overwrite=True)
+
+
+def test_save_makes_a_folder(tmp_path):
+    model = random_model(100, 1)
+    io.save(model, tmp_path / "m" / "meta.json")
+    assert_same(io.load(tmp_path / "m" / "meta.json"), saved(tmp_path, model))
+    assert io.losses(model, tmp_path / "m" / "meta.json") == io.losses(model, "a.sog")
+    for refused in (io.check_writable, lambda path: io.save(model, path)):
+        with pytest.raises(OutputError, match="add -w"):
+            refused(tmp_path / "m" / "meta.json")
+        with pytest.raises(OutputError, match="did not make"):
+            refused(tmp_path / "meta.json")  # beside a.sog
+        with pytest.raises(OutputError, match="does not exist"):
+            refused(tmp_path / "no" / "m" / "meta.json")
+        with pytest.raises(OptionError, match=r"is called meta\.json"):
+            refused(tmp_path / "m.meta.json")
+        with pytest.raises(OptionError, match="nanogs lod"):
+            refused(tmp_path / "m" / "lod-meta.json")
+    small = replace(model, sh=model.sh[:, :1])
+    io.check_writable(tmp_path / "m" / "meta.json", overwrite=True)
+    io.save(small, tmp_path / "m" / "meta.json", overwrite=True)
+    assert io.load(tmp_path / "m" / "meta.json").sh_degree == 0
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a.sog", "m"]
+
+
+def test_a_changed_description_leads_to_no_file_elsewhere(tmp_path):
+    described = {"asset": {"generator": "nanogs"}, "means": {"files": ["../a", "b.webp", 5]}}
+    (tmp_path / "meta.json").write_text(json.dumps(described))
+    assert sog_write.ours(tmp_path) == {"meta.json", "b.webp", "5"}
+
+
+def test_groups_stay_together_and_in_their_order(tmp_path):
+    model = random_model(60, 0)
+    groups = np.arange(60) * 7 % 3
+    sog_write.write_files(model, tmp_path, groups)
+    back = io.load(tmp_path / "meta.json")
+    rows = cKDTree(model.means).query(back.means)[1]
+    assert groups[rows].tolist() == [0] * 20 + [1] * 20 + [2] * 20
+    whole = cKDTree(model.means).query(saved(tmp_path, model).means)[1]
+    for group in range(3):  # Morton order within
+        assert rows[groups[rows] == group].tolist() == whole[groups[whole] == group].tolist()
 
 
 def squared_error(values, runs):

@@ -13,7 +13,7 @@ from nanogs.cli.console import err, spinner, warn, with_file_seconds
 from nanogs.filters import Filter, apply
 from nanogs.formatting import bytes_text
 from nanogs.frames import half_turn
-from nanogs.io import check_writable, inspect, load, losses, registry, save
+from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.report import StageClock
 from nanogs.splats import RenderMode, Splats
@@ -101,7 +101,7 @@ def _convert_file(
         "filters": [asdict(report) for report in took],
         "turned": turn,
         "input_bytes": read_bytes,
-        "output_bytes": target.stat().st_size,
+        "output_bytes": bytes_on_disk(target),
         **_written(target, splats),
         "notes": list(splats.notes),
         "losses": list(losses(splats, target)),

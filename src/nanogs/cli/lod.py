@@ -13,8 +13,9 @@ from nanogs.cli.simplify_report import Plan, show_plan, warn_of_input
 from nanogs.formatting import bytes_text, number_text
 from nanogs.io import inspect, load
 from nanogs.io.folder import check_folder_writable
+from nanogs.lod.chunks import CHUNK
+from nanogs.lod.layout import Output, check_options, made_files, output_of
 from nanogs.lod.levels import check_ratios
-from nanogs.lod.manifest import made_files
 from nanogs.lod.write import write_levels
 from nanogs.report import StopReason
 from nanogs.simplify.cameras import requested_cameras
@@ -24,14 +25,31 @@ from nanogs.simplify.target import Goal, target_count
 
 def lod(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
-    folder: Annotated[Path, typer.Argument(metavar="OUT_DIR", help="Folder to make.")],
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="Folder to make, for .ply files; or lod-meta.json (streamed SOG) or tileset.json"
+            " (3D Tiles) in it.",
+        ),
+    ],
     levels: Annotated[
         str, typer.Option(help="Ratios from the finest level to the coarsest, commas between.")
     ] = "0.5,0.25,0.1,0.01",
     preset: method.Preset = DEFAULT_PRESET,
     nan: method.NanOption = method.Nan.drop,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", "-w", help="Replace OUT_DIR if nanogs lod made it.")
+        bool, typer.Option("--overwrite", "-w", help="Replace the folder if nanogs lod made it.")
+    ] = False,
+    chunk: Annotated[
+        int | None,
+        typer.Option(
+            help="Most splats of a chunk of the finest level, in streamed SOG and 3D Tiles.",
+            show_default=str(CHUNK),
+        ),
+    ] = None,
+    spz: Annotated[
+        bool, typer.Option("--spz", help="3D Tiles with contents packed as CesiumJS draws them.")
     ] = False,
     threads: options.Threads = None,
     json: options.Json = False,
@@ -51,9 +69,11 @@ def lod(
     lambda_geo: method.LambdaGeo = None,
     merge_cap: method.MergeCap = None,
 ) -> None:
-    """Make levels of detail from one build: OUT_DIR/level_0.ply, the finest, and so on.
+    """Make levels of detail from one build: a file each, or chunks for a viewer that streams.
 
-    Each is the file that `nanogs simplify --ratio` writes; levels.json says what is in the folder.
+    OUT/level_0.ply, the finest, and so on are the files that `nanogs simplify --ratio` writes, and
+    levels.json says what is in the folder. OUT/lod-meta.json makes streamed SOG of the levels,
+    OUT/tileset.json 3D Tiles 1.1.
     """
     overrides: dict[str, Any] = {
         "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,
@@ -64,17 +84,20 @@ def lod(
     chosen = parameters(preset, overrides)
     ratios = options.parse_ratios(levels)
     check_ratios(ratios)
+    output = output_of(target)
+    check_options(output.layout, chunk, spz=spz)
     direction = method.check_views(preset, chosen, views, cameras, up, judged=False)
     info = inspect(source)
-    check_folder_writable(folder, made_files, overwrite=overwrite)
+    check_folder_writable(output.folder, made_files, overwrite=overwrite)
     finest = target_count(info.splats, ratios[0], None)
     plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen)
     if dry_run:
-        _print_plan(plan, folder, ratios, json=json)
+        _print_plan(plan, output, ratios, json=json)
         return
     given = {name: value for name, value in overrides.items() if value is not None}
     given |= {"preset": preset, "nan": nan.value, "threads": threads}
-    run = _write(plan, folder, ratios, overwrite, cameras, direction, given, quiet or json)
+    given |= {"chunk": chunk, "spz": spz}
+    run = _write(plan, output, ratios, overwrite, cameras, direction, given, quiet or json)
     if json:
         print_json(run)
     elif not quiet:
@@ -84,7 +107,7 @@ def lod(
 
 def _write(
     plan: Plan,
-    folder: Path,
+    output: Output,
     ratios: tuple[float, ...],
     overwrite: bool,
     cameras: str,
@@ -99,25 +122,27 @@ def _write(
         splats = load(info.path)
         manifest, reports = write_levels(
             splats,
-            folder,
+            output.folder,
             ratios,
             source=info.path.name,
+            layout=output.layout,
             overwrite=overwrite,
             cameras=requested_cameras(splats, cameras, up, plan.parameters),
             progress=progress,
             **given,
         )
-    run = manifest.to_dict() | {"input": str(info.path), "output": str(folder)}
+    run = manifest.to_dict() | {"input": str(info.path), "output": str(output.path)}
+    run["layout"] = output.layout.value
     run["dropped_nonfinite"] = reports[0].dropped_nonfinite
     run["reports"] = [report.to_dict() for report in reports]
     return run | {"total_seconds": time.perf_counter() - start}
 
 
-def _print_plan(plan: Plan, folder: Path, ratios: tuple[float, ...], *, json: bool) -> None:
+def _print_plan(plan: Plan, output: Output, ratios: tuple[float, ...], *, json: bool) -> None:
     counts = [target_count(plan.info.splats, ratio, None) for ratio in ratios]
     asked = [{"ratio": r, "count": c} for r, c in zip(ratios, counts, strict=True)]
-    text = f"{folder}: levels of {', '.join(f'{c:,}' for c in counts)} splats"
-    show_plan(plan, {"levels": asked}, text, json=json)
+    text = f"{output.path}: levels of {', '.join(f'{c:,}' for c in counts)} splats"
+    show_plan(plan, {"levels": asked, "layout": output.layout.value}, text, json=json)
 
 
 def _print_report(run: dict[str, Any]) -> None:
@@ -125,9 +150,9 @@ def _print_report(run: dict[str, Any]) -> None:
     table = Table("level", box=None, pad_edge=False)
     for heading in ("asked", "splats", "file", "PSNR", "SSIM", "seconds"):
         table.add_column(heading, justify="right")
-    for level in run["levels"]:
+    for number, level in enumerate(run["levels"]):
         table.add_row(
-            level["file"],
+            _name(number, level),
             f"{level['ratio']:g}",
             f"{level['count']:,}",
             bytes_text(level["bytes"]),
@@ -139,10 +164,20 @@ def _print_report(run: dict[str, Any]) -> None:
     err.print(f"{run['output']}: {len(run['levels'])} levels, {run['total_seconds']:.2f} s")
 
 
+def _name(number: int, level: dict[str, Any]) -> str:
+    """A level's file, or its number and that of its files."""
+    if "file" in level:
+        return str(level["file"])
+    files = len(level["files"])
+    return f"{number}, {files} {'file' if files == 1 else 'files'}"
+
+
 def exit_if_short(run: dict[str, Any]) -> None:
     """Name the levels that have more splats than asked for, and leave with exit code 3."""
-    short = [level for level in run["levels"] if level["stop"] != StopReason.TARGET]
-    for level in short:
-        warn(f"{level['file']}: stopped before the asked count: {level['stop']}.")
+    levels = list(enumerate(run["levels"]))
+    short = [(number, level) for number, level in levels if level["stop"] != StopReason.TARGET]
+    for number, level in short:
+        name = level.get("file", f"Level {number}")
+        warn(f"{name}: stopped before the asked count: {level['stop']}.")
     if short:
         raise typer.Exit(3)

@@ -11,7 +11,7 @@ from nanogs.cli import filtering, many, method, options, streams
 from nanogs.cli.console import count_down, warn, with_file_seconds
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_report, stop_text
 from nanogs.filters import Filter, FilterReport, apply
-from nanogs.io import check_writable, inspect, load, losses, registry, save
+from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.report import StageClock, StopReason
 from nanogs.simplify.api import refuse_searches, target_of
@@ -206,5 +206,5 @@ def _simplify_file(plan: Plan, pair: Pair, request: _Request) -> dict[str, Any]:
     run["notes"] = [*run["notes"], *losses(small, target)]
     run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in took]}
     run |= {"input": str(source), "output": str(target)}
-    run |= {"input_bytes": plan.info.file_bytes, "output_bytes": target.stat().st_size}
+    run |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(target)}
     return run

@@ -13,7 +13,7 @@ from nanogs.compare.comparison import (
 from nanogs.compare.page import render_page
 from nanogs.compare.scoring import Background, ReferenceView
 from nanogs.errors import OptionError
-from nanogs.io import load
+from nanogs.io import inspect, load
 from nanogs.io.atomic import atomic_write
 from nanogs.render.source import cameras_for
 
@@ -62,7 +62,7 @@ def compare_files(
     models = []
     for name, path in (reference, *tests):
         tell(f"read {name}")
-        models.append(NamedModel(name, load(path), path.stat().st_size))
+        models.append(NamedModel(name, load(path), inspect(path).file_bytes))
     options: dict[str, Any] = {
         "background": background,
         "extras": extras,

@@ -6,13 +6,16 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from nanogs.errors import OptionError
 from nanogs.io import atomic, registry
 from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.folder import check_folder_writable
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
 __all__ = [
     "FileInfo",
+    "bytes_on_disk",
     "check_writable",
     "encoded_bytes",
     "inspect",
@@ -62,6 +65,9 @@ def save(
 ) -> None:
     """Write a model to a file, which appears whole or not at all.
 
+    `folder/meta.json` makes the folder of a SOG model; of a folder that exists, nothing is replaced
+    but what nanogs made.
+
     Args:
         splats: The model.
         path: The file; its suffix says the format.
@@ -72,9 +78,14 @@ def save(
         ModelError: The format cannot hold the model at all.
         OptionError: nanogs does not write the format that the suffix stands for, or the format has
             no such option.
-        OutputError: The file exists and `overwrite` is off, or it cannot be written.
+        OutputError: The file or folder exists and `overwrite` is off, or it cannot be written.
     """
     path = Path(path)
+    known = registry.writable(path)
+    if known.write_folder:
+        folder, chosen = _folder_of(path, known), registry.keywords(known, options)
+        known.write_folder(splats, folder, overwrite=overwrite, **chosen)
+        return
     write = registry.writer(path, options)
     with atomic.atomic_write(path, overwrite=overwrite) as file:
         write(splats, file)
@@ -114,6 +125,19 @@ def inspect(path: str | PathLike[str]) -> FileInfo:
     return registry.reader(path).inspect(path)
 
 
+def bytes_on_disk(path: str | PathLike[str]) -> int:
+    """Bytes of a model that has been written: of its file, or of all the files of its folder.
+
+    Raises:
+        FormatError: As for `inspect`.
+    """
+    path = Path(path)
+    known = registry.find(path)
+    if known is not None and known.ours:
+        return known.inspect(path).file_bytes
+    return path.stat().st_size
+
+
 def check_writable(
     path: str | PathLike[str],
     *,
@@ -127,5 +151,23 @@ def check_writable(
         OutputError: As for `save`, except for a full disk.
     """
     path = Path(path)
-    registry.writer(path, options)
-    atomic.check_writable(path, overwrite=overwrite)
+    known = registry.writable(path)
+    registry.keywords(known, options)
+    if known.ours:
+        check_folder_writable(_folder_of(path, known), known.ours, overwrite=overwrite)
+    else:
+        atomic.check_writable(path, overwrite=overwrite)
+
+
+def _folder_of(path: Path, known: registry.Format) -> Path:
+    """The folder that a file describes.
+
+    Raises:
+        OptionError: The file is not called what the format has it called.
+    """
+    if path.name != known.suffix:
+        raise OptionError(
+            f"{path}: the file that describes a folder is called {known.suffix}; name it"
+            f" {path.parent / path.stem / known.suffix}."
+        )
+    return path.parent

@@ -4,18 +4,20 @@ The files go to a temporary folder beside the target, which then takes the targe
 existing folder is only replaced if it holds nothing but files that its own manifest names.
 """
 
+import contextlib
 import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from nanogs.errors import OutputError
 from nanogs.io.atomic import output_error
 
 Ours = Callable[[Path], frozenset[str] | None]
-"""Names of the files that nanogs made in a folder, or None for a folder that it did not make."""
+"""The files that nanogs made in a folder, as paths from it with slashes, or None for a folder that
+it did not make."""
 
 
 @contextmanager
@@ -78,19 +80,31 @@ def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> N
         return
     if not target.is_dir():
         raise OutputError(f"{path} is a file; name a folder as the output.")
-    present = {entry.name for entry in target.iterdir()}
-    if not present:
+    if Path.cwd().is_relative_to(target):
+        raise OutputError(f"{path} is the folder you are in; name another one as the output.")
+    if not any(target.iterdir()):
         return
     known = ours(target)
     if known is None:
         raise OutputError(f"{path} holds files that nanogs did not make; choose another folder.")
     if not overwrite:
         raise OutputError(f"{path} exists already; add -w to replace it.")
-    if foreign := sorted(present - known):
+    if foreign := sorted(set(_contents(target)) - known):
         raise OutputError(
             f"{path} also holds {foreign[0]!r}, which nanogs did not make; move it away or choose "
             "another folder."
         )
+
+
+def _contents(folder: Path, prefix: str = "") -> Iterator[str]:
+    """Paths of all files below a folder, and of empty folders; links are not followed."""
+    for entry in folder.iterdir():
+        if entry.is_symlink() or not entry.is_dir():
+            yield prefix + entry.name
+        elif any(entry.iterdir()):
+            yield from _contents(entry, f"{prefix}{entry.name}/")
+        else:
+            yield f"{prefix}{entry.name}/"
 
 
 def _take_place(temporary: Path, target: Path, ours: Ours) -> None:
@@ -106,6 +120,11 @@ def _take_place(temporary: Path, target: Path, ours: Ours) -> None:
         old.replace(target)
         raise
     # By name and not as a tree: what came into it meanwhile is not ours to delete.
-    for name in ours(old) or ():
+    names = ours(old) or frozenset()
+    for name in names:
         (old / name).unlink(missing_ok=True)
+    inner = {parent for name in names for parent in PurePosixPath(name).parents if parent.parts}
+    for folder in sorted(inner, key=lambda folder: -len(folder.parts)):
+        with contextlib.suppress(FileNotFoundError):
+            (old / folder).rmdir()
     old.rmdir()

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Protocol
 
 from nanogs.errors import FormatError, OptionError, did_you_mean
 from nanogs.io import (
@@ -24,9 +24,11 @@ from nanogs.io import (
     spz_write,
     usda_write,
 )
+from nanogs.io.folder import Ours
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
+LEVELS = "lod-meta.json"
 Writer = Callable[..., None]
 """Writes a model to a file that is open for binary writing."""
 Sizer = Callable[[Splats, int], int]
@@ -38,6 +40,13 @@ Losses = Callable[[Splats], tuple[str, ...]]
 _UNSTATED = "not stated in the file; y down by habit"
 _SPZ_FRAME = "not stated in the file; y up by the specification, though many files have y down"
 _GLTF_FRAME = "y up in the file, turned to y down when read"
+
+
+class FolderWriter(Protocol):
+    """Makes the folder of a model; it may replace one of nanogs' own if told so."""
+
+    def __call__(self, splats: Splats, path: Path, *, overwrite: bool) -> None:
+        """Write the model; see `io.save` for what it raises."""
 
 
 def _unread(path: Path) -> NoReturn:
@@ -62,7 +71,9 @@ class Format:
 
     `file_bytes` tells the size of a file before it is written; never smaller for more splats.
     `stream` yields the model in blocks of rows. `frame` says which way is up. `options` are what
-    `save` takes for this format alone.
+    `save` takes for this format alone. Of a format whose model is a folder, described by the file
+    of the name `suffix` in it, `write_folder` makes that folder and `ours` says what in such a
+    folder nanogs made.
     """
 
     suffix: str
@@ -74,11 +85,18 @@ class Format:
     stream: Callable[[Path], Iterator[Splats]] | None = None
     frame: str = _UNSTATED
     options: Mapping[str, WriteOption] = field(default_factory=dict)
+    write_folder: FolderWriter | None = None
+    ours: Ours | None = None
 
     @property
     def readable(self) -> bool:
         """Whether nanogs reads it."""
         return self.read is not _unread
+
+    @property
+    def writable(self) -> bool:
+        """Whether nanogs writes it, as a file or as a folder."""
+        return bool(self.write or self.write_folder)
 
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
@@ -118,8 +136,15 @@ FORMATS = (
     Format(".usda", _unread, _unread, usda_write.write, losses=usda_write.losses),
     Format(".pt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
     Format(".ckpt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
-    Format("meta.json", sog.read, sog.inspect),
-    Format("lod-meta.json", sog_levels.read, sog_levels.inspect),
+    Format(
+        "meta.json",
+        sog.read,
+        sog.inspect,
+        losses=sog_write.losses,
+        write_folder=sog_write.write_folder,
+        ours=sog_write.ours,
+    ),
+    Format(LEVELS, sog_levels.read, sog_levels.inspect),
 )
 
 
@@ -155,9 +180,23 @@ def writer(path: Path, options: Mapping[str, Any] | None = None) -> Writer:
         OptionError: nanogs does not write the format that the suffix stands for, the format has no
             such option, or not that value of it.
     """
-    known, write = _writable(path)
+    known = writable(path)
+    if known.write is None:
+        raise OptionError(
+            f"{path} describes a folder of files; name a file, such as {path.with_suffix('.sog')}."
+        )
+    chosen = keywords(known, options or {})
+    return partial(known.write, **chosen) if chosen else known.write
+
+
+def keywords(known: Format, options: Mapping[str, Any]) -> dict[str, Any]:
+    """What a format's writer takes, from options by name; None stands for the default.
+
+    Raises:
+        OptionError: The format has no such option, or not that value of it.
+    """
     chosen = {}
-    for name, value in (options or {}).items():
+    for name, value in options.items():
         if value is None:
             continue
         if (option := known.options.get(name)) is None:
@@ -166,7 +205,7 @@ def writer(path: Path, options: Mapping[str, Any] | None = None) -> Writer:
             values = " or ".join(map(str, option.values))
             raise OptionError(f"{name} must be {values}, not {value!r}.")
         chosen[option.keyword] = value
-    return partial(write, **chosen) if chosen else write
+    return chosen
 
 
 def _foreign(name: str, known: Format) -> str:
@@ -183,16 +222,16 @@ def has_known_size(path: Path) -> bool:
     Raises:
         OptionError: As for `writer`.
     """
-    return _writable(path)[0].file_bytes is not None
+    return writable(path).file_bytes is not None
 
 
 def sizer(path: Path) -> Sizer:
     """The function that tells how large a file of that suffix will be.
 
     Raises:
-        OptionError: As for `writer`, or the size of such files is not known beforehand.
+        OptionError: As for `writable`, or the size of such files is not known beforehand.
     """
-    known, _ = _writable(path)
+    known = writable(path)
     if known.file_bytes is None:
         raise OptionError(
             f"The size of a {known.suffix} file is only known once it is written; give a ratio or a"
@@ -205,22 +244,29 @@ def losses(path: Path, splats: Splats) -> tuple[str, ...]:
     """What a file of that suffix cannot hold of a model, one sentence each.
 
     Raises:
-        OptionError: As for `writer`.
+        OptionError: As for `writable`.
     """
-    return _writable(path)[0].losses(splats)
+    return writable(path).losses(splats)
 
 
 def losses_by_format(splats: Splats) -> dict[str, tuple[str, ...]]:
     """What a file of each suffix that is written cannot hold of a model."""
-    return {known.suffix: known.losses(splats) for known in FORMATS if known.write}
+    return {known.suffix: known.losses(splats) for known in FORMATS if known.writable}
 
 
-def _writable(path: Path) -> tuple[Format, Writer]:
+def writable(path: Path) -> Format:
+    """The format to write a file with, or a folder.
+
+    Raises:
+        OptionError: nanogs does not write the format that the suffix stands for.
+    """
     known = find(path)
-    if known is None or known.write is None:
-        suffixes = [known.suffix for known in FORMATS if known.write]
+    if known is not None and known.suffix == LEVELS:
+        raise OptionError(f"{path} describes levels of detail; make them with `nanogs lod`.")
+    if known is None or not known.writable:
+        suffixes = [known.suffix for known in FORMATS if known.writable]
         meant = did_you_mean(path.suffix, suffixes) if known is None else ""
         raise OptionError(
             f"{path}: nanogs does not write this format{meant}; it writes {', '.join(suffixes)}."
         )
-    return known, known.write
+    return known

@@ -22,6 +22,7 @@ from nanogs.io import limits, sog_meta
 from nanogs.io.codebook import codebook, nearest
 from nanogs.io.findings import Finding
 from nanogs.io.folder import atomic_folder
+from nanogs.io.json_fields import is_plain
 from nanogs.io.palette import palette
 from nanogs.io.texture import MAX_SIDE, encode
 from nanogs.splats import RenderMode, Splats
@@ -58,9 +59,29 @@ def write_folder(splats: Splats, path: Path, *, overwrite: bool = False) -> None
         ModelError: As for `write`.
         OutputError: The folder exists and may not be replaced, or it cannot be made.
     """
-    with atomic_folder(path, _ours, overwrite=overwrite) as folder:
-        for name, data in _files(splats).items():
-            (folder / name).write_bytes(data)
+    with atomic_folder(path, ours, overwrite=overwrite) as folder:
+        write_files(splats, folder)
+
+
+def write_files(splats: Splats, folder: Path, groups: I64 | None = None) -> int:
+    """Write `meta.json` and its textures into a folder that is being filled.
+
+    Args:
+        splats: N splats.
+        folder: Where to; it exists.
+        groups: (N,) numbers from 0 on. Splats go in their order, those of one group in Morton
+            order; by default all are one group.
+
+    Returns:
+        Bytes written.
+
+    Raises:
+        ModelError: As for `write`.
+    """
+    files = _files(splats, groups)
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    return sum(map(len, files.values()))
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
@@ -71,21 +92,25 @@ def losses(splats: Splats) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _ours(folder: Path) -> frozenset[str] | None:
-    """The names of a folder that nanogs wrote."""
+def ours(folder: Path) -> frozenset[str] | None:
+    """The names of a folder that nanogs wrote, or None for other folders."""
     try:
         data = json.loads((folder / "meta.json").read_text(encoding="utf-8"))
         if not str(data["asset"]["generator"]).startswith(_GENERATOR):
             return None
         named = [
-            name for own in data.values() if isinstance(own, dict) for name in own.get("files", [])
+            str(name)
+            for own in data.values()
+            if isinstance(own, dict)
+            for name in own.get("files", [])
         ]
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
-    return frozenset({"meta.json", *named})
+    # Plain names only: a description that someone changed must not lead out of its folder.
+    return frozenset({"meta.json", *filter(is_plain, named)})
 
 
-def _files(splats: Splats) -> dict[str, bytes]:
+def _files(splats: Splats, groups: I64 | None = None) -> dict[str, bytes]:
     """The contents of all files by name."""
     import numba
 
@@ -100,16 +125,16 @@ def _files(splats: Splats) -> dict[str, bytes]:
         def submit(name: str, texels: U8) -> None:
             encoding[name] = pool.submit(encode, texels)
 
-        meta = _encode(splats, rows, submit)
+        meta = _encode(splats, rows, None if groups is None else groups[rows], submit)
         files = {name: future.result() for name, future in encoding.items()}
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
     return files | {"meta.json": text.encode()}
 
 
-def _encode(splats: Splats, rows: I64, submit: Submit) -> dict[str, Any]:
+def _encode(splats: Splats, rows: I64, groups: I64 | None, submit: Submit) -> dict[str, Any]:
     """Submit every texture; the contents of `meta.json`."""
     codes, bounds = _codes(splats.means[rows])
-    order = _morton_order(codes)
+    order = _morton_order(codes, groups)
     rows, codes = rows[order], codes[order]
     submit("means_l.webp", _picture((codes & 255).astype(np.uint8)))
     submit("means_u.webp", _picture((codes >> 8).astype(np.uint8)))
@@ -147,12 +172,12 @@ def _codes(means: Array) -> tuple[U16, dict[str, list[float]]]:
     return codes, {"mins": low.tolist(), "maxs": high.tolist()}
 
 
-def _morton_order(codes: U16) -> I64:
-    """Rows by the interleaved bits of their codes, ties as they come."""
+def _morton_order(codes: U16, groups: I64 | None) -> I64:
+    """Rows by their group, then by the interleaved bits of their codes; ties as they come."""
     key = np.zeros(len(codes), np.uint64)
     for axis in range(3):
         key |= _spread(codes[:, axis].astype(np.uint64)) << np.uint64(axis)
-    return np.argsort(key, kind="stable")
+    return np.argsort(key, kind="stable") if groups is None else np.lexsort((key, groups))
 
 
 def _spread(bits: U64) -> U64:

@@ -1,4 +1,4 @@
-"""`levels.json`: what a folder of levels holds."""
+"""What a folder of levels holds; the folder of `.ply` files says it in its `levels.json`."""
 
 import hashlib
 import json
@@ -17,7 +17,7 @@ _BLOCK = 1 << 20  # bytes
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """One level of detail.
+    """One level of detail in a file of its own.
 
     Attributes:
         file: Name of its file in the folder.
@@ -44,6 +44,31 @@ class Level:
 
 
 @dataclass(frozen=True, slots=True)
+class ChunkedLevel:
+    """One level of detail in chunks.
+
+    Attributes:
+        files: The chunks' files in the folder, in the order of their cells.
+        ratio: The compaction ratio asked for.
+        count: Splats in all of them.
+        bytes: Size of these files and of those that they name.
+        psnr: As in `Level`.
+        ssim: As in `Level`.
+        stop: Why its merging stopped.
+        seconds: Making and writing it; the first level's hold what all levels share.
+    """
+
+    files: tuple[str, ...]
+    ratio: float
+    count: int
+    bytes: int
+    psnr: float | None
+    ssim: float | None
+    stop: StopReason
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
 class Manifest:
     """What `levels.json` says, besides its format and version.
 
@@ -62,7 +87,7 @@ class Manifest:
     source_count: int
     preset: str
     parameters: dict[str, float | int | str | bool]
-    levels: tuple[Level, ...]
+    levels: tuple[Level | ChunkedLevel, ...]
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -84,6 +109,14 @@ def describe_level(file: Path, ratio: float, report: SimplifyReport, seconds: fl
         stop=report.stop,
         seconds=seconds,
     )
+
+
+def describe_chunks(
+    files: tuple[str, ...], size: int, ratio: float, report: SimplifyReport, seconds: float
+) -> ChunkedLevel:
+    """One entry of a level in chunks, whose files take `size` bytes."""
+    psnr, ssim = _measured(report)
+    return ChunkedLevel(files, ratio, report.achieved_count, size, psnr, ssim, report.stop, seconds)
 
 
 def _measured(report: SimplifyReport) -> tuple[float | None, float | None]:

@@ -1,16 +1,16 @@
-"""Write the levels of a model into a folder, one at a time, with their `levels.json`."""
+"""Write the levels of a model into a folder, one at a time, with what describes them."""
 
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from nanogs._version import __version__
-from nanogs.io import save
 from nanogs.io.folder import atomic_folder
+from nanogs.lod.chunks import Written
+from nanogs.lod.layout import Layout, LevelWriter, check_options, made_files, writer
 from nanogs.lod.levels import levels
-from nanogs.lod.manifest import NAME, Level, Manifest, describe_level, made_files
+from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, describe_chunks, describe_level
 from nanogs.report import SimplifyReport
 from nanogs.splats import Splats
 
@@ -21,17 +21,24 @@ def write_levels(
     ratios: Sequence[float],
     *,
     source: str,
+    layout: Layout = Layout.PLY,
+    chunk: int | None = None,
+    spz: bool = False,
     overwrite: bool = False,
     progress: Callable[[str, int], None] | None = None,
     **options: Any,  # noqa: ANN401 - as `levels` takes them
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
-    """Make `level_0.ply`, the finest, and so on, and `levels.json`; all of it or nothing.
+    """Make the levels of a model; all of the folder appears or nothing.
 
     Args:
         splats: The model.
         folder: The folder to make.
         ratios: As `levels` takes them.
         source: Name of the model for the manifest.
+        layout: `.ply` files, streamed SOG, or 3D Tiles.
+        chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
+            default.
+        spz: Pack the contents of 3D Tiles as SPZ.
         overwrite: Replace the folder if it holds nothing but earlier levels.
         progress: Called before each stage with its name and the number of splats left.
         **options: As `levels` takes them.
@@ -40,46 +47,55 @@ def write_levels(
         What the manifest says, and the report of each level.
 
     Raises:
-        OptionError: As for `levels`.
+        OptionError: As for `levels`, or the layout has no such chunks or contents.
         ModelError: As for `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
-    entries: list[Level] = []
+    entries: list[Level | ChunkedLevel] = []
     reports: list[SimplifyReport] = []
+    left_out: list[str] = []
+    check_options(layout, chunk, spz=spz)
     made = levels(splats, ratios, progress=progress, **options)
     with atomic_folder(folder, made_files, overwrite=overwrite) as temporary:
+        out = writer(layout, temporary, chunk, spz=spz)
         for ratio in ratios:
             start = time.perf_counter()
-            path = temporary / level_name(len(entries))
-            reports.append(_write_next(made, path, progress))
+            report, written, losses = _write_next(made, out, progress)
             seconds = time.perf_counter() - start
-            entries.append(describe_level(path, ratio, reports[-1], seconds))
-        manifest = _manifest(source, entries, reports)
-        text = json.dumps(manifest.to_dict(), indent=2, allow_nan=False)
-        (temporary / NAME).write_text(text + "\n", encoding="utf-8")
+            # Said once of the finest level, and of others where it is not the same.
+            prefix = f"Level {len(reports)}: " if reports else ""
+            left_out += [prefix + loss for loss in losses if loss not in left_out]
+            reports.append(report)
+            if layout is Layout.PLY:
+                path = temporary / written.names[0]
+                entries.append(describe_level(path, ratio, report, seconds))
+            else:
+                entries.append(describe_chunks(*written, ratio, report, seconds))
+        manifest = _manifest(source, entries, reports, left_out)
+        out.finish(manifest)
     return manifest, tuple(reports)
-
-
-def level_name(level: int) -> str:
-    """The file of a level; 0 is the finest."""
-    return f"level_{level}.ply"
 
 
 def _write_next(
     made: Iterator[tuple[Splats, SimplifyReport]],
-    path: Path,
+    out: LevelWriter,
     progress: Callable[[str, int], None] | None,
-) -> SimplifyReport:
-    """Make and write one level; nothing of it is kept but its report."""
+) -> tuple[SimplifyReport, Written, tuple[str, ...]]:
+    """Make and write one level; nothing of it is kept but its report and what was left out."""
     small, report = next(made)
     if progress:
         progress("write", len(small))
-    save(small, path)
-    return report
+    return report, out.add(small), out.losses(small)
 
 
-def _manifest(source: str, entries: list[Level], reports: list[SimplifyReport]) -> Manifest:
+def _manifest(
+    source: str,
+    entries: list[Level | ChunkedLevel],
+    reports: list[SimplifyReport],
+    left_out: list[str],
+) -> Manifest:
     first = reports[0]
+    notes = [note for report in reports for note in report.notes]
     return Manifest(
         generator=f"nanogs {__version__}",
         source=source,
@@ -87,5 +103,5 @@ def _manifest(source: str, entries: list[Level], reports: list[SimplifyReport]) 
         preset=first.preset,
         parameters=first.parameters,
         levels=tuple(entries),
-        notes=tuple(dict.fromkeys(note for report in reports for note in report.notes)),
+        notes=tuple(dict.fromkeys([*notes, *left_out])),
     )

@@ -1,0 +1,121 @@
+"""What `nanogs lod` can make of the levels of a model, and what it may replace.
+
+The output's name says which: `out/lod-meta.json`, `out/tileset.json`, or the folder itself.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Protocol
+
+from nanogs.errors import OptionError
+from nanogs.lod import manifest, streamed_sog, tiles
+from nanogs.lod.chunks import CHUNK, Written, check_chunk
+from nanogs.lod.manifest import Manifest
+from nanogs.lod.ply_levels import PlyLevels
+from nanogs.splats import Splats
+
+
+class Layout(StrEnum):
+    """How the levels lie in the folder."""
+
+    PLY = "ply"  # a file a level
+    SOG = "streamed sog"
+    TILES = "3d tiles"
+
+
+NAMES = {Layout.SOG: streamed_sog.NAME, Layout.TILES: tiles.NAME}
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Where the levels go.
+
+    Attributes:
+        folder: The folder to make.
+        layout: How they lie in it.
+    """
+
+    folder: Path
+    layout: Layout
+
+    @property
+    def path(self) -> Path:
+        """What a viewer opens: the file that describes the folder, or the folder."""
+        return self.folder / NAMES.get(self.layout, "")
+
+
+def output_of(path: Path) -> Output:
+    """The folder and the layout that a name asks for.
+
+    Raises:
+        OptionError: It is that of another `.json` file.
+    """
+    for layout, name in NAMES.items():
+        if path.name == name:
+            return Output(path.parent, layout)
+    if path.suffix.lower() == ".json":
+        raise OptionError(
+            f"{path}: levels are described by a file called {' or '.join(NAMES.values())}; name"
+            f" that, as in {path.parent / path.stem / streamed_sog.NAME}, or a folder."
+        )
+    return Output(path, Layout.PLY)
+
+
+class LevelWriter(Protocol):
+    """Writes levels into a folder, one after the other."""
+
+    def add(self, splats: Splats) -> Written:
+        """Write the next level, the finest first."""
+
+    def finish(self, made: Manifest) -> None:
+        """Write what describes the folder."""
+
+    def losses(self, splats: Splats) -> tuple[str, ...]:
+        """What the files leave out of a model, one sentence each."""
+
+
+def check_options(layout: Layout, chunk: int | None, *, spz: bool) -> None:
+    """Refuse what makes no sense for a layout.
+
+    Raises:
+        OptionError: The size of chunks is below 1 or given for a layout without chunks, or SPZ is
+            asked for outside of 3D Tiles.
+    """
+    if chunk is not None and layout is Layout.PLY:
+        raise OptionError(
+            "The size of chunks is for lod-meta.json and tileset.json; levels as .ply files are"
+            " not divided."
+        )
+    if chunk is not None:
+        check_chunk(chunk)
+    if spz and layout is not Layout.TILES:
+        raise OptionError("Contents are packed as SPZ in 3D Tiles only; write a tileset.json.")
+
+
+def writer(layout: Layout, folder: Path, chunk: int | None, *, spz: bool) -> LevelWriter:
+    """What writes a layout into a folder that exists and is empty.
+
+    Args:
+        layout: How the levels are to lie.
+        folder: Where to.
+        chunk: Most splats of a chunk of the finest level; `CHUNK` by default.
+        spz: Whether the contents of 3D Tiles are packed.
+
+    Raises:
+        OptionError: As for `check_options`.
+    """
+    check_options(layout, chunk, spz=spz)
+    most = CHUNK if chunk is None else chunk
+    if layout is Layout.SOG:
+        return streamed_sog.StreamedSog(folder, most)
+    if layout is Layout.TILES:
+        return tiles.Tiles(folder, most, spz=spz)
+    return PlyLevels(folder)
+
+
+def made_files(folder: Path) -> frozenset[str] | None:
+    """The files of a folder that `nanogs lod` made, in any layout; None for other folders."""
+    owners = (manifest.made_files, streamed_sog.made_files, tiles.made_files)
+    known = [names for made in owners if (names := made(folder)) is not None]
+    return frozenset[str]().union(*known) if known else None

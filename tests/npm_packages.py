@@ -1,0 +1,61 @@
+"""Packages of npm that some tests open files with, and a web server on this machine for them."""
+
+import contextlib
+import http.server
+import os
+import shutil
+import subprocess
+import threading
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parent / "npm"
+
+
+def package(name):
+    """The folder of a package; skips the test where it is not installed."""
+    path = FOLDER / "node_modules" / name
+    if not path.exists():
+        pytest.skip(f"the npm package {name} is absent: run npm ci --prefix tests/npm")
+    return path
+
+
+def node(script, *arguments):
+    """What a script prints that may require the packages; skips the test without Node."""
+    command = shutil.which("node")
+    if command is None:
+        pytest.skip("Node is absent")
+    result = subprocess.run(
+        [command, "-e", script, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"NODE_PATH": str(FOLDER / "node_modules")},
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+@contextlib.contextmanager
+def served(**folders):
+    """The address of a server; `/name/` is each folder, and what was asked for."""
+    asked = []
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def translate_path(self, path):
+            _, name, rest = path.partition("?")[0].split("/", 2)
+            asked.append(f"{name}/{rest}")
+            return str(folders.get(name, Path(os.devnull)) / rest)
+
+        def log_message(self, *_):
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}", asked
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()

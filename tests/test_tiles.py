@@ -1,0 +1,347 @@
+"""3D Tiles: structure, frame, contents, and what other tools say of them."""
+
+import hashlib
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from conftest import scene_path
+from nanogs import io
+from nanogs.errors import OptionError, OutputError
+from nanogs.lod.layout import Layout, made_files
+from nanogs.lod.tiles import Tiles
+from nanogs.lod.write import write_levels
+from nanogs.splats import RenderMode
+from nanogs.threads import use_threads
+from npm_packages import node, package
+from test_cli import run
+
+RATIOS = (0.5, 0.1, 0.02)
+CHUNK = 60
+PREFIX = "KHR_gaussian_splatting"
+PACKED = f"{PREFIX}_compression_spz_2"
+
+
+@pytest.fixture(scope="module")
+def splats():
+    return random_splats(900, degree=1)
+
+
+@pytest.fixture(scope="module", params=["plain", "spz"])
+def made(request, splats, tmp_path_factory):
+    """The `tileset.json` that the command makes of a scene, and in which form the contents are."""
+    folder = tmp_path_factory.mktemp("tiles")
+    nanogs.save(splats, folder / "scene.ply")
+    path = folder / "levels" / "tileset.json"
+    options = ["--levels", "0.5,0.1,0.02", "--preset", "fast", "--chunk", CHUNK, "-q"]
+    options += ["--spz"] if request.param == "spz" else []
+    result = run("lod", folder / "scene.ply", path, *options)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    return path, request.param
+
+
+def write(splats, folder, ratios=RATIOS, **options):
+    return write_levels(
+        splats, folder, ratios, source="a.ply", preset="fast", layout=Layout.TILES, **options
+    )
+
+
+def tileset(path):
+    return json.loads(path.read_text())
+
+
+def tiles(path):
+    """Every tile with its parent."""
+    waiting = [(tileset(path)["root"], None)]
+    while waiting:
+        tile, parent = waiting.pop()
+        yield tile, parent
+        waiting += [(child, tile) for child in tile.get("children", [])]
+
+
+def glb(path):
+    """The JSON and the body of a file, by the specification of glTF."""
+    data = path.read_bytes()
+    magic, version, size, length, kind = struct.unpack_from("<4sIII4s", data)
+    assert (magic, version, size, kind) == (b"glTF", 2, len(data), b"JSON")
+    document = json.loads(data[20 : 20 + length])
+    body, kind = struct.unpack_from("<I4s", data, 20 + length)
+    assert (kind, 28 + length + body) == (b"BIN\0", size)
+    return document, data[28 + length :]
+
+
+def content(path, tile, folder):
+    """The splats of a tile's content, in the frame of the model."""
+    file = path.parent / tile["content"]["uri"]
+    document, body = glb(file)
+    if PACKED not in document["extensionsUsed"]:
+        return io.load(file)
+    packed = folder / f"{file.stem}.spz"
+    packed.write_bytes(body[: document["bufferViews"][0]["byteLength"]])
+    return io.load(packed)
+
+
+def level_of(tile):
+    return int(tile["content"]["uri"].split("_")[0])
+
+
+def corners(tile):
+    """The lowest and the highest corner of a tile's box, whose axes are those of the tileset."""
+    box = np.array(tile["boundingVolume"]["box"])
+    axes = box[3:].reshape(3, 3)
+    assert (axes == np.diag(np.diag(axes))).all()
+    return box[:3] - np.diag(axes), box[:3] + np.diag(axes)
+
+
+def test_the_tree_by_the_specification(made):
+    path, form = made
+    data = tileset(path)
+    assert data["asset"]["version"] == "1.1"
+    assert data["extensionsUsed"] == list(data["extensions"]) == ["3DTILES_content_gltf"]
+    used = [PREFIX] if form == "plain" else [PREFIX, PACKED]
+    assert data["extensions"]["3DTILES_content_gltf"]["extensionsUsed"] == used
+    assert "extensionsRequired" not in data
+    assert data["root"]["transform"] == np.eye(4).ravel().tolist()
+    assert data["root"]["refine"] == "REPLACE"
+    assert data["geometricError"] >= data["root"]["geometricError"]
+    for tile, parent in tiles(path):
+        assert len(tile["boundingVolume"]["box"]) == 12
+        assert tile.get("refine", "REPLACE") == "REPLACE"
+        assert ("children" in tile) == (tile["geometricError"] > 0)
+        if parent:
+            assert tile["geometricError"] <= parent["geometricError"]
+            assert "transform" not in tile
+            assert level_of(tile) == level_of(parent) - 1
+            inner, outer = corners(tile), corners(parent)
+            assert (inner[0] >= outer[0] - 1e-9).all()
+            assert (inner[1] <= outer[1] + 1e-9).all()
+    files = {entry.name for entry in path.parent.iterdir()}
+    assert files == made_files(path.parent)
+    assert files == {"tileset.json"} | {tile["content"]["uri"] for tile, _ in tiles(path)}
+
+
+def test_errors_fall_from_level_to_level(made):
+    path, _ = made
+    errors = {}
+    for tile, _ in tiles(path):
+        errors.setdefault(level_of(tile), []).append(tile["geometricError"])
+    means = [np.mean(errors[level]) for level in range(3)]
+    assert 0 == means[0] < means[1] < means[2]
+
+
+def test_the_tiles_of_a_level_are_the_level(splats, made, tmp_path):
+    """Uncompressed bit for bit, so that nothing is twice or missing."""
+    path, form = made
+    parts = {}
+    for tile, _ in tiles(path):
+        part = content(path, tile, tmp_path)
+        assert 1 <= len(part) <= CHUNK
+        parts.setdefault(level_of(tile), []).append(part)
+    for level, (small, _) in enumerate(nanogs.levels(splats, RATIOS, preset="fast")):
+        means = np.concatenate([part.means for part in parts[level]])
+        sh = np.concatenate([part.sh for part in parts[level]])
+        assert len(means) == len(small)
+        order, expected = np.lexsort(means.T), np.lexsort(small.means.T)
+        if form == "plain":
+            assert np.array_equal(means[order], small.means[expected])
+            assert np.array_equal(sh[order], small.sh[expected])
+        else:
+            bits = 1e-4  # of coordinates within ±1, and so with 16 bits behind the point
+            assert np.abs(means[order] - small.means[expected]).max() < bits
+            assert np.abs(sh[order, 0] - small.sh[expected, 0]).max() < 0.5 / 255 / 0.15 + 1e-6
+
+
+def test_contents_lie_in_their_boxes_once_the_frames_are_turned(made, tmp_path):
+    """What is in the file, by the node's transform and then from y up to z up."""
+    path, _ = made
+    for tile, _ in tiles(path):
+        document, _ = glb(path.parent / tile["content"]["uri"])
+        scene_node = document["nodes"][0]
+        if "matrix" in scene_node:
+            turn = np.reshape(scene_node["matrix"], (4, 4)).T[:3, :3]
+        else:
+            assert scene_node["rotation"] == [0, 0, 1, 0]  # xyzw: half a turn about z
+            turn = np.diag([-1, -1, 1])
+        z_up = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # y becomes z
+        part = content(path, tile, tmp_path)
+        means = part.means @ (z_up @ turn).T
+        low, high = corners(tile)
+        assert (means >= low).all()
+        assert (means <= high).all()
+        bounds = document["accessors"][
+            document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+        ]
+        assert np.allclose(bounds["min"], part.means.min(axis=0), atol=1e-4)
+        # The splats reach the box: three deviations along some axis of the scene.
+        if level_of(tile) == 0:
+            reach = 3 * part.scales().max()
+            assert ((means.min(axis=0) - low) <= reach + 1e-4).all()
+
+
+def test_the_up_of_the_model_is_z(tmp_path):
+    """A tower against -y, which is up in a 3DGS file, becomes one along z."""
+    splats = random_splats(200)
+    splats.means[:, 1] -= 50
+    write(splats, tmp_path / "t", ratios=[1.0])
+    low, high = corners(tileset(tmp_path / "t" / "tileset.json")["root"])
+    assert low[2] > 40
+    assert high[2] < 60
+
+
+def test_more_than_one_top_tile_share_a_root_without_content(splats, tmp_path):
+    write(splats, tmp_path / "t", ratios=[0.9, 0.5], chunk=100)
+    data = tileset(tmp_path / "t" / "tileset.json")
+    root = data["root"]
+    assert "content" not in root
+    assert len(root["children"]) > 4
+    low, high = corners(root)
+    diagonal = np.linalg.norm(high - low)
+    assert root["geometricError"] == pytest.approx(diagonal)
+    assert data["geometricError"] == root["geometricError"]
+    assert {level_of(tile) for tile in root["children"]} == {1}
+
+
+def test_no_tile_is_more_exact_than_its_children(tmp_path):
+    """A coarser level whose splats are smaller than those of a finer one has its error."""
+    splats = random_splats(30)
+    wide = replace(splats, log_scales=splats.log_scales + np.float32(3))
+    out = Tiles(tmp_path, 100)
+    for level in (splats, wide, splats):
+        out.add(level)
+    out.finish(None)
+    root = tileset(tmp_path / "tileset.json")["root"]
+    assert root["geometricError"] == root["children"][0]["geometricError"] > 10
+
+
+def test_a_cell_that_a_level_leaves_empty_has_no_content_but_is_refined(tmp_path):
+    """Merging has moved all of a coarser level's splats to one side."""
+    rng = np.random.default_rng(0)
+    means = rng.normal(0, 0.1, (40, 3)).astype(np.float32)
+    means[20:, 0] += 10
+    fine = replace(random_splats(40), means=means)
+    out = Tiles(tmp_path, 20)
+    out.add(fine)
+    out.add(fine.take(np.r_[np.arange(20), np.arange(5)]))
+    out.add(fine.take(np.arange(10)))
+    out.finish(None)
+    root = tileset(tmp_path / "tileset.json")["root"]
+    assert root["content"]["uri"] == "2_0.glb"
+    full, empty = sorted(root["children"], key=lambda tile: "content" not in tile)
+    assert full["content"]["uri"] == "1_0.glb"
+    assert "content" not in empty
+    assert 0 < empty["geometricError"] <= root["geometricError"]
+    assert [tile["content"]["uri"] for tile in empty["children"]] == ["0_1.glb"]
+    assert len(io.load(tmp_path / "1_0.glb")) == 25  # more than asked for, but of one finer cell
+
+
+@pytest.mark.parametrize("spz", [False, True])
+def test_same_bytes_for_any_number_of_threads(splats, tmp_path, spz):
+    digests = []
+    for threads in (1, 2):
+        try:
+            with use_threads(threads):
+                write(splats, tmp_path / str(threads), chunk=CHUNK, threads=threads, spz=spz)
+        except OptionError:
+            pytest.skip("this machine has one thread")
+        files = sorted((tmp_path / str(threads)).iterdir())
+        digests.append([hashlib.sha256(file.read_bytes()).digest() for file in files])
+    assert digests[0] == digests[1]
+
+
+def test_a_tileset_is_replaced_but_nothing_else(splats, tmp_path):
+    write(splats, tmp_path / "t", chunk=CHUNK)
+    with pytest.raises(OutputError, match="add -w"):
+        write(splats, tmp_path / "t")
+    write(splats, tmp_path / "t", overwrite=True)
+    assert len(list((tmp_path / "t").iterdir())) == 4
+    (tmp_path / "t" / "9_9.glb").write_text("mine")
+    with pytest.raises(OutputError, match=r"9_9\.glb"):
+        write(splats, tmp_path / "t", overwrite=True)
+
+
+def test_a_changed_tileset_leads_to_no_file_elsewhere(tmp_path):
+    data = {
+        "asset": {"extras": {"generator": "nanogs 1"}},
+        "root": {
+            "content": {"uri": "../mine.glb"},
+            "children": [{"content": {"uri": "a.glb"}, "children": 3}, 5, {"content": "b.glb"}],
+        },
+    }
+    (tmp_path / "tileset.json").write_text(json.dumps(data))
+    assert made_files(tmp_path) == {"tileset.json", "a.glb"}
+    data["asset"]["extras"] = "nanogs"
+    (tmp_path / "tileset.json").write_text(json.dumps(data))
+    assert made_files(tmp_path) is None
+
+
+@pytest.mark.parametrize("spz", [False, True])
+def test_what_is_left_out_is_said(tmp_path, spz):
+    label = {"label": np.arange(60, dtype=np.int32)}
+    splats = replace(
+        random_splats(60, degree=4, extras=label), comments=["mine"], render_mode=RenderMode.SURFEL
+    )
+    splats.log_scales[:] = 6.5
+    manifest, _ = write(splats, tmp_path / "t", ratios=[0.5, 0.1], spz=spz)
+    notes = " ".join(manifest.notes)
+    if spz:
+        assert "  30 splats have log-scales" in "  ".join(manifest.notes)
+        assert "  Level 1: 6 splats have log-scales" in "  ".join(manifest.notes)
+    for word in ("label", "comment", "degree 3"):
+        assert word in notes
+    assert ("log-scales" in notes) == ("render mode" in notes) == spz
+
+
+def test_packed_contents_name_the_attributes_of_the_draft(made):
+    path, form = made
+    document, body = glb(path.parent / "2_0.glb")
+    primitive = document["meshes"][0]["primitives"][0]
+    if form == "plain":
+        assert "extensionsRequired" not in document
+        return
+    assert document["extensionsRequired"] == document["extensionsUsed"] == [PREFIX, PACKED]
+    assert primitive["extensions"][PREFIX]["extensions"][PACKED] == {"bufferView": 0}
+    names = [f"{PREFIX}:SH_DEGREE_1_COEF_{n}" for n in range(3)]
+    expected = ["POSITION", "COLOR_0", f"{PREFIX}:ROTATION", f"{PREFIX}:SCALE", *names]
+    assert list(primitive["attributes"]) == expected
+    assert {accessor["count"] for accessor in document["accessors"]} == {18}
+    assert not any("bufferView" in accessor for accessor in document["accessors"])
+    assert body[:2] == b"\x1f\x8b"  # gzip: SPZ up to version 3
+
+
+def test_the_khronos_validator_finds_no_fault(made):
+    """It does not know the extension yet, and so neither the names of its attributes."""
+    package("gltf-validator")
+    path, _ = made
+    script = (
+        "const fs = require('fs'), v = require('gltf-validator');"
+        "Promise.all(process.argv.slice(1).map(f => v.validateBytes("
+        "new Uint8Array(fs.readFileSync(f)), {maxIssues: 0})))"
+        ".then(all => console.log(JSON.stringify(all.map(r => r.issues.messages))))"
+    )
+    reports = json.loads(node(script, *sorted(path.parent.glob("*.glb"))))
+    assert len(reports) > 10
+    for issues in reports:
+        other = [
+            issue["code"]
+            for issue in issues
+            if not issue["pointer"].split("/")[-1].startswith(PREFIX)
+        ]
+        # Data that only the extension refers to are not used, for all that it knows.
+        assert set(other) <= {"UNSUPPORTED_EXTENSION", "UNUSED_OBJECT"}
+
+
+def test_real_scene(tmp_path):
+    model = io.load(scene_path("biker.compressed.ply"))
+    manifest, reports = write(model, tmp_path / "biker", ratios=[0.5, 0.1, 0.01])
+    counts = dict.fromkeys(range(3), 0)
+    for tile, _ in tiles(tmp_path / "biker" / "tileset.json"):
+        info = io.inspect(tmp_path / "biker" / tile["content"]["uri"])
+        counts[level_of(tile)] += info.splats
+    assert list(counts.values()) == [report.achieved_count for report in reports]
+    assert list(counts.values()) == [76_373, 15_275, 1_528]
+    assert [len(level.files) for level in manifest.levels] == [4, 1, 1]
