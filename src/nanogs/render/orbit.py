@@ -14,6 +14,7 @@ from nanogs.render.poses import level_frame, look_at, low_discrepancy, view_hits
 GRID_HALF = 4.0  # half-width of the grid in radii: orbits lie about inside
 HIGHEST = np.radians(30)
 LOWEST = np.radians(-15)  # lower, a ground would be seen from beneath
+OVERVIEW = np.radians(12)
 HELD = 0.9  # share of the matter within the radius
 # Times the distance at which the radius just fits the image: it then appears 1.4 times
 # as large as the image, or 0.7 times.
@@ -44,6 +45,19 @@ def poses(matter: Matter, core: Core, up: F64, lens: F64, numbers: I64) -> list[
     distance = NEAREST * (FARTHEST / NEAREST) ** pull * radius / lens.min()
     places = zip((2 * np.pi * turn).tolist(), elevation.tolist(), distance.tolist(), strict=True)
     return [_unblocked(grid, centre, level_frame(up), lens, *place) for place in places]
+
+
+def overview(matter: Matter, core: Core, up: F64, lens: F64) -> tuple[F64, float, F64]:
+    """The pose and near plane of a view of all of the model, and (3,) what it looks at.
+
+    The arguments are those of `poses`.
+    """
+    centre, radius = _focus(matter, core)
+    grid = build_grid(matter, centre, GRID_HALF * radius)
+    # Half a turn from the first level direction: for y down, along z, as such models are posed.
+    place = (np.pi, OVERVIEW, FARTHEST * radius / float(lens.min()))
+    pose, near = _unblocked(grid, centre, level_frame(up), lens, *place)
+    return pose, near, centre
 
 
 def _focus(matter: Matter, core: Core) -> tuple[F64, float]:

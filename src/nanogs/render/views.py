@@ -6,6 +6,7 @@ members are for testing: the two sets are disjoint, and the first n of a larger 
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,7 @@ from nanogs._types import F64
 from nanogs.errors import OptionError
 from nanogs.render import inside, orbit
 from nanogs.render.camera import Camera
-from nanogs.render.occupancy import find_core, sample
+from nanogs.render.occupancy import Core, Matter, find_core, sample
 from nanogs.render.up import detect_up
 from nanogs.splats import Splats
 
@@ -23,6 +24,23 @@ Split = Literal["fit", "test"]
 
 ORBIT_FOV = 50.0  # degrees, of the longer side
 INSIDE_FOV = 75.0
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What is known of a model before cameras are placed.
+
+    Attributes:
+        matter: A sample of its visible splats.
+        core: The part of it that views are about.
+        up: (3,) float64, unit.
+        kind: How to look at it: "orbit" or "inside".
+    """
+
+    matter: Matter
+    core: Core
+    up: F64
+    kind: Kind
 
 
 def automatic_cameras(
@@ -63,31 +81,42 @@ def automatic_cameras(
         ModelError: No splat is visible, so that every view would be empty.
         OptionError: An argument is out of range.
     """
-    _check(count, width, height, kind, fov, split)
+    _check(count, width, height, fov, split)
+    scene = survey(splats, kind, up)
+    angle = np.radians(fov or (ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV))
+    focal = max(width, height) / 2 / np.tan(angle / 2)
+    lens = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
+    numbers = 2 * np.arange(count) + (split == "test")
+    place = orbit.poses if scene.kind == "orbit" else inside.poses
+    return [
+        Camera(width, height, focal, focal, width / 2, height / 2, pose, f"{split}_{i:03}", near)
+        for i, (pose, near) in enumerate(place(scene.matter, scene.core, scene.up, lens, numbers))
+    ]
+
+
+def survey(splats: Splats, kind: Kind = "auto", up: Sequence[float] | F64 | None = None) -> Survey:
+    """Find what `automatic_cameras` places its cameras by; the arguments are its own.
+
+    Raises:
+        ModelError: No splat is visible.
+        OptionError: An argument is out of range.
+    """
+    if kind not in ("auto", "orbit", "inside"):
+        raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
     given = None if up is None else _unit(up)
     matter = sample(splats)
     core = find_core(matter)
     upward = detect_up(matter, core) if given is None else given
     if kind == "auto":
         kind = "inside" if inside.is_room(matter, core, upward) else "orbit"
-    angle = np.radians(fov or (ORBIT_FOV if kind == "orbit" else INSIDE_FOV))
-    focal = max(width, height) / 2 / np.tan(angle / 2)
-    lens = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
-    numbers = 2 * np.arange(count) + (split == "test")
-    place = orbit.poses if kind == "orbit" else inside.poses
-    return [
-        Camera(width, height, focal, focal, width / 2, height / 2, pose, f"{split}_{i:03}", near)
-        for i, (pose, near) in enumerate(place(matter, core, upward, lens, numbers))
-    ]
+    return Survey(matter, core, upward, kind)
 
 
-def _check(count: int, width: int, height: int, kind: str, fov: float | None, split: str) -> None:
+def _check(count: int, width: int, height: int, fov: float | None, split: str) -> None:
     if count < 1 or width < 1 or height < 1:
         raise OptionError(
             f"Cameras need a count and a size of 1 or more, not {count} of {width} x {height}."
         )
-    if kind not in ("auto", "orbit", "inside"):
-        raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
     if split not in ("fit", "test"):
         raise OptionError(f"The split of views is fit or test, not {split!r}.")
     if fov is not None and not 1 <= fov <= 170:
