@@ -14,6 +14,7 @@ from nanogs.cli.lod import lod
 from nanogs.cli.refit import refit
 from nanogs.cli.render import render
 from nanogs.cli.simplify import simplify
+from nanogs.cli.view import view
 
 app = typer.Typer(
     help="Make 3D Gaussian splatting models smaller: no training, no photographs, no GPU.",
@@ -46,5 +47,6 @@ app.command()(convert)
 app.command()(info)
 app.command()(render)
 app.command()(compare)
+app.command()(view)
 app.command()(bench)
 app.command()(demo)
