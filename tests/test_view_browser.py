@@ -53,7 +53,7 @@ def chromium(driver):
 class Seen:
     """A page in the browser, with the requests it made and the errors it had."""
 
-    def __init__(self, browser, path, width=300, height=240, **options):
+    def __init__(self, browser, path, width=200, height=160, **options):
         size = {"width": width, "height": height}
         self.context = browser.new_context(viewport=size, **options)
         self.page = self.context.new_page()
@@ -156,12 +156,12 @@ def test_the_line_moves_by_mouse_and_by_keys(two):
     assert slider.get_attribute("aria-valuenow") == "50"
     assert edge(two.pixels()) == pytest.approx(0.5, abs=0.01)
     mouse = two.page.mouse
-    mouse.move(150, 60)
+    mouse.move(100, 40)
     mouse.down()
-    mouse.move(180, 100)
+    mouse.move(120, 60)
     mouse.up()
     assert edge(two.pixels()) == pytest.approx(0.6, abs=0.01)
-    mouse.move(120, 60)  # let go: it stays
+    mouse.move(80, 40)  # let go: it stays
     two.page.keyboard.press("ArrowLeft")  # the line has the focus now
     assert edge(two.pixels()) == pytest.approx(0.58, abs=0.01)
     for key, share in ((",", "56"), (".", "58"), ("PageDown", "48"), ("End", "100"), ("Home", "0")):
@@ -188,9 +188,9 @@ def test_mouse_and_keys_move_the_camera_of_both_sides(two):
         return pixels
 
     def drag(button="left"):
-        page.mouse.move(60, 120)
+        page.mouse.move(40, 80)
         page.mouse.down(button=button)
-        page.mouse.move(90, 140, steps=3)
+        page.mouse.move(60, 95, steps=3)
         page.mouse.up(button=button)
 
     moved(lambda: page.keyboard.press("ArrowRight"))

@@ -1,9 +1,9 @@
 // What is seen, and how to move about it.
 
 const HELP = [
-  ["turn", "drag, or one finger", ["←", "→", "↑", "↓"]],
+  ["turn", "drag, or one finger", ["← → ↑ ↓"]],
   ["nearer, farther", "wheel, or pinch", ["+", "−"]],
-  ["move", "right button, or two fingers", ["Shift", "←", "→", "↑", "↓"]],
+  ["move", "right button, or two fingers", ["Shift", "← → ↑ ↓"]],
   ["first view", "", ["0"]],
 ];
 const HELP_TWO = ["the line", "drag", [",", "."]];
