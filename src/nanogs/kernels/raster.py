@@ -208,11 +208,12 @@ def _blend_splat(
     open_rows: I64,
     planes: F32,
     weights: F32,
+    probes: F32,
     sums: F32,
 ) -> None:
     """Blend splat i into the tile whose corner is (x0, y0).
 
-    sums gets the weights by column, unless it is empty.
+    sums (P, 16) gets the weights times the probes (P, 16, 16), by column.
     """
     u, v = geometry[i, 0] - x0 - 0.5, geometry[i, 1] - y0 - 0.5
     inv_w, slope, inv_yy, reach = geometry[i, 2], geometry[i, 3], geometry[i, 4], geometry[i, 5]
@@ -220,8 +221,9 @@ def _blend_splat(
     ey, width = math.sqrt(reach / inv_yy), 1.0 / inv_w
     top = math.ceil(max(v - ey, 0.0))
     bottom = math.floor(min(v + ey, TILE - 1.0))
-    for x in range(len(sums)):
-        sums[x] = np.float32(0.0)
+    for p in range(len(sums)):
+        for x in range(len(weights)):
+            sums[p, x] = np.float32(0.0)
     for r in range(top, bottom + 1):
         dy = r - v
         q = dy * dy * inv_yy
@@ -235,8 +237,9 @@ def _blend_splat(
             value = features[i, c]
             for x in range(len(weights)):
                 planes[c, r, x] += value * weights[x]
-        for x in range(len(sums)):
-            sums[x] += weights[x]
+        for p in range(len(sums)):
+            for x in range(len(weights)):
+                sums[p, x] += weights[x] * probes[p, r, x]
 
 
 @inline
@@ -279,9 +282,10 @@ def blend_tiles(
     background: F32,
     image: F32,
     transmittance: F32,
+    probes: F32,
     partial: F32,
 ) -> None:
-    """Blend every tile's splats front to back ([K] eq. 3).
+    """Blend every tile's splats front to back ([K] eq. 3), and probe their weights.
 
     Args:
         geometry: (N, 8) rows of projected splats.
@@ -291,7 +295,8 @@ def blend_tiles(
         background: (C,) added with the transmittance that is left.
         image: (H, W, C) out.
         transmittance: (H, W) out, what is left of the light.
-        partial: (E,) out, sum of the weights T alpha of each entry over its tile; or (0,).
+        probes: (P, H, W) what the weights T alpha are multiplied by; P may be 0.
+        partial: (E, P) out, sums of these products for each entry over its tile.
     """
     height, width, channels = image.shape
     tiles_x = (width + TILE - 1) // TILE
@@ -305,12 +310,16 @@ def blend_tiles(
         left = np.empty((TILE, TILE), np.float32)
         planes = np.zeros((channels, TILE, TILE), np.float32)
         weights = np.empty(TILE, np.float32)
-        sums = np.empty(TILE if len(partial) > 0 else 0, np.float32)
+        sums = np.empty((len(probes), TILE), np.float32)
+        probed = np.zeros((len(probes), TILE, TILE), np.float32)
+        for p in range(len(probes)):
+            for r in range(min(TILE, height - y0)):
+                for x in range(min(TILE, width - x0)):
+                    probed[p, r, x] = probes[p, y0 + r, x0 + x]
         lanes = np.arange(TILE).astype(np.float32)
         open_rows = np.empty(TILE, np.int64)
         start_tile(left, x0, y0, width, height)
-        if len(partial) > 0:
-            partial[starts[tile] : starts[tile + 1]] = np.float32(0.0)
+        partial[starts[tile] : starts[tile + 1]] = np.float32(0.0)
         rows = np.empty((BATCH, 8), np.float64)
         values = np.empty((BATCH, channels), np.float32)
         for first in range(starts[tile], starts[tile + 1], BATCH):
@@ -319,23 +328,26 @@ def blend_tiles(
             count = min(BATCH, starts[tile + 1] - first)
             fetch(geometry, features, entries[first : first + count], rows, values)
             for j in range(count):
-                _blend_splat(rows, values, j, x0, y0, lanes, left, open_rows, planes, weights, sums)
-                if len(partial) > 0:
-                    partial[first + j] = np.sum(sums)
+                _blend_splat(
+                    rows, values, j, x0, y0, lanes, left, open_rows, planes, weights, probed, sums
+                )
+                for p in range(len(sums)):
+                    partial[first + j, p] = np.sum(sums[p])
         _write_tile(x0, y0, left, planes, background, image, transmittance)
 
 
 @kernel
 def sum_entries(entries: I32, partial: F32, totals: F64) -> None:
-    """Add each entry's partial sum to its splat's total, in the order of the tiles.
+    """Add each entry's partial sums to its splat's totals, in the order of the tiles.
 
     Args:
         entries: (E,) from `list_tiles`.
-        partial: (E,) from `blend_tiles`.
-        totals: (N,) in and out.
+        partial: (E, P) from `blend_tiles`.
+        totals: (N, P) in and out.
     """
     for e in range(len(entries)):
-        totals[entries[e]] += partial[e]
+        for p in range(partial.shape[1]):
+            totals[entries[e], p] += partial[e, p]
 
 
 @kernel

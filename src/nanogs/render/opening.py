@@ -10,7 +10,7 @@ from nanogs.render import inside, orbit
 from nanogs.render.camera import Camera
 from nanogs.render.occupancy import build_grid
 from nanogs.render.poses import view_hits
-from nanogs.render.views import INSIDE_FOV, ORBIT_FOV, Kind, Survey, survey
+from nanogs.render.views import INSIDE_FOV, ORBIT_FOV, UP, Kind, Survey, survey
 from nanogs.splats import Splats
 
 SHORTEST = 0.1  # from the camera to what it turns about, over the core's radius
@@ -59,7 +59,7 @@ def opening_for(
     """
     if isinstance(place, Camera):
         scene = survey(splats, "orbit", up)
-        pose = place.world_to_camera
+        pose = place.world_to_camera @ scene.turn.T  # of the model's own frame, as below
         lens = min(place.width / place.fx, place.height / place.fy) / 2
         return _opening(scene, pose, lens, place.near, _ahead(pose, scene.core.centre))
     scene = survey(splats, place, up)
@@ -67,18 +67,20 @@ def opening_for(
     lens = float(np.tan(np.radians(angle / 2)))
     square = np.full(2, lens)
     if scene.kind == "orbit":
-        pose, near, centre = orbit.overview(scene.matter, scene.core, scene.up, square)
+        pose, near, centre = orbit.overview(scene.matter, scene.core, np.array(UP), square)
         return _opening(scene, pose, lens, near, _ahead(pose, centre))
     first = np.zeros(1, np.int64)
-    [(pose, near)] = inside.poses(scene.matter, scene.core, scene.up, square, first)
+    [(pose, near)] = inside.poses(scene.matter, scene.core, np.array(UP), square, first)
     return _opening(scene, pose, lens, near, _depth(scene, pose, square))
 
 
 def _opening(scene: Survey, pose: F64, lens: float, near: float, distance: float) -> Opening:
+    """The opening in scene coordinates, from a pose (4, 4) in the model's own frame."""
     distance = max(distance, SHORTEST * scene.core.radius)
+    pose = pose @ scene.turn
     position: F64 = -pose[:3, :3].T @ pose[:3, 3]
     target: F64 = position + distance * pose[2, :3]
-    return Opening(position, target, scene.up, lens, near / distance)
+    return Opening(position, target, scene.turn[2, :3], lens, near / distance)
 
 
 def _ahead(pose: F64, point: F64) -> float:

@@ -14,7 +14,7 @@ from nanogs.render.poses import level_frame, look_at, low_discrepancy, view_hits
 GRID_HALF = 4.0  # half-width of the grid in radii: orbits lie about inside
 HIGHEST = np.radians(30)
 LOWEST = np.radians(-15)  # lower, a ground would be seen from beneath
-OVERVIEW = np.radians(12)
+OVERVIEW = (np.radians(60), np.radians(12))  # azimuth: the broad side and some of the narrow one
 HELD = 0.9  # share of the matter within the radius
 # Times the distance at which the radius just fits the image: it then appears 1.4 times
 # as large as the image, or 0.7 times.
@@ -54,8 +54,7 @@ def overview(matter: Matter, core: Core, up: F64, lens: F64) -> tuple[F64, float
     """
     centre, radius = _focus(matter, core)
     grid = build_grid(matter, centre, GRID_HALF * radius)
-    # Half a turn from the first level direction: for y down, along z, as such models are posed.
-    place = (np.pi, OVERVIEW, FARTHEST * radius / float(lens.min()))
+    place = (*OVERVIEW, FARTHEST * radius / float(lens.min()))
     pose, near = _unblocked(grid, centre, level_frame(up), lens, *place)
     return pose, near, centre
 

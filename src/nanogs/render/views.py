@@ -1,6 +1,7 @@
 """Cameras for a model that came without any: around objects, inside rooms.
 
-Everything is measured in the model's own extent, so moving or scaling a model moves its cameras.
+Everything is measured in the model's own extent and in its own frame, so moving, scaling or turning
+a model does the same to its cameras, as long as which way is up turns too.
 Directions come from one low-discrepancy sequence, whose even members are for fitting and whose odd
 members are for testing: the two sets are disjoint, and the first n of a larger set are the smaller.
 """
@@ -15,6 +16,7 @@ from nanogs._types import F64
 from nanogs.errors import OptionError
 from nanogs.render import inside, orbit
 from nanogs.render.camera import Camera
+from nanogs.render.heading import model_frame, seen_from
 from nanogs.render.occupancy import Core, Matter, find_core, sample
 from nanogs.render.up import detect_up
 from nanogs.splats import Splats
@@ -22,6 +24,7 @@ from nanogs.splats import Splats
 Kind = Literal["auto", "orbit", "inside"]
 Split = Literal["fit", "test"]
 
+UP = (0.0, 0.0, 1.0)  # in the model's own frame
 ORBIT_FOV = 50.0  # degrees, of the longer side
 INSIDE_FOV = 75.0
 
@@ -31,15 +34,15 @@ class Survey:
     """What is known of a model before cameras are placed.
 
     Attributes:
-        matter: A sample of its visible splats.
-        core: The part of it that views are about.
-        up: (3,) float64, unit.
+        matter: A sample of its visible splats, in the model's own frame.
+        core: The part of it that views are about, in that frame.
+        turn: (4, 4) float64, from scene coordinates to that frame, which has up along z.
         kind: How to look at it: "orbit" or "inside".
     """
 
     matter: Matter
     core: Core
-    up: F64
+    turn: F64
     kind: Kind
 
 
@@ -89,8 +92,12 @@ def automatic_cameras(
     numbers = 2 * np.arange(count) + (split == "test")
     place = orbit.poses if scene.kind == "orbit" else inside.poses
     return [
-        Camera(width, height, focal, focal, width / 2, height / 2, pose, f"{split}_{i:03}", near)
-        for i, (pose, near) in enumerate(place(scene.matter, scene.core, scene.up, lens, numbers))
+        Camera(width, height, focal, focal, width / 2, height / 2, pose @ scene.turn, name, near)
+        for name, (pose, near) in zip(
+            (f"{split}_{i:03}" for i in range(count)),
+            place(scene.matter, scene.core, np.array(UP), lens, numbers),
+            strict=True,
+        )
     ]
 
 
@@ -105,11 +112,14 @@ def survey(splats: Splats, kind: Kind = "auto", up: Sequence[float] | F64 | None
         raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
     given = None if up is None else _unit(up)
     matter = sample(splats)
+    upward = detect_up(matter, find_core(matter)) if given is None else given
+    turn = np.eye(4)
+    turn[:3, :3] = model_frame(matter, upward)
+    matter = seen_from(matter, turn[:3, :3])
     core = find_core(matter)
-    upward = detect_up(matter, core) if given is None else given
     if kind == "auto":
-        kind = "inside" if inside.is_room(matter, core, upward) else "orbit"
-    return Survey(matter, core, upward, kind)
+        kind = "inside" if inside.is_room(matter, core, np.array(UP)) else "orbit"
+    return Survey(matter, core, turn, kind)
 
 
 def _check(count: int, width: int, height: int, fov: float | None, split: str) -> None:

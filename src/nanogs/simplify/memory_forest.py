@@ -56,10 +56,12 @@ def forest_stages(
         "match": max(leaves + match, second + int(_LEFT * match)),
         "merge": max(leaves + second, second + int(_LEFT * second)),
     }
+    fitted = 8 * _F8 + 4 * _TILES * _F4 + features if parameters.measure else 0
     beside = {
         "cut": grown + count * (6 * _F8 + 4 * _I4 + 2 * _I8),
         "reassign": _reassign(count, target, node, grown) if parameters.rounds else 0,
         "store": grown + count * (5 * _I4) + best + max(result, drawing),
+        "recolour": grown + drawing + best + target * fitted if fitted else 0,
         "refit": grown + _refit(count, target, features) if parameters.refit else 0,
     }
     stages = {"look": look, "activate": rows + count * (_NODE + 17 * _F8)} | growing
