@@ -88,12 +88,17 @@ class Seen:
 
 
 def solid(color, *, count=300):
-    """A ball of one colour: what is on which side can be told."""
+    """An egg of one colour, longer than high and wide: sides can be told, and turns."""
     splats = random_splats(count, degree=0)
-    means = splats.means / np.maximum(1, np.linalg.norm(splats.means, axis=1, keepdims=True))
+    ball = splats.means / np.maximum(1, np.linalg.norm(splats.means, axis=1, keepdims=True))
     sh = np.tile(((np.array(color) - 0.5) / 0.2820948).astype(np.float32), (count, 1, 1))
-    opaque = np.full(count, 6, np.float32)
-    return dataclasses.replace(splats, means=means.astype(np.float32), sh=sh, opacity_logits=opaque)
+    return dataclasses.replace(
+        splats,
+        means=(ball * (1, 0.6, 0.4)).astype(np.float32),
+        log_scales=np.full((count, 3), np.log(0.08), np.float32),
+        sh=sh,
+        opacity_logits=np.full(count, 6, np.float32),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -178,12 +183,13 @@ def test_mouse_and_keys_move_the_camera_of_both_sides(two):
     page = two.page
 
     def moved(action):
-        """The picture after the action; both sides differ from the first one."""
-        action()
+        """The picture after some of the action; both sides differ from the first one."""
+        for _ in range(3):
+            action()
         pixels = two.pixels()
         half = pixels.shape[1] // 2
         for side in (np.s_[:, :half], np.s_[:, half:]):
-            assert (np.abs(pixels[side] - first[side]).max(axis=-1) > 0.1).mean() > 0.003
+            assert (np.abs(pixels[side] - first[side]).max(axis=-1) > 0.1).mean() > 0.01
         page.keyboard.press("0")
         assert np.array_equal(two.pixels(), first)
         return pixels

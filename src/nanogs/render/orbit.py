@@ -14,11 +14,13 @@ from nanogs.render.poses import level_frame, look_at, low_discrepancy, view_hits
 GRID_HALF = 4.0  # half-width of the grid in radii: orbits lie about inside
 HIGHEST = np.radians(30)
 LOWEST = np.radians(-15)  # lower, a ground would be seen from beneath
-OVERVIEW = (np.radians(60), np.radians(12))  # azimuth: the broad side and some of the narrow one
 HELD = 0.9  # share of the matter within the radius
 # Times the distance at which the radius just fits the image: it then appears 1.4 times
 # as large as the image, or 0.7 times.
 NEAREST, FARTHEST = 0.5**0.5, 2**0.5
+# Azimuth, elevation and distance, as above, of a view of everything: the broad side and some of the
+# narrow one.
+OVERVIEW = (np.radians(60), np.radians(12), 1.6)
 STEEPEST = 1.2  # radians, for a camera raised over an obstacle
 TOO_NEAR = 0.45  # of the distance to the centre: what stops rays before blocks the view
 ACCEPTED = 0.1  # share of blocked rays that is good enough
@@ -54,8 +56,9 @@ def overview(matter: Matter, core: Core, up: F64, lens: F64) -> tuple[F64, float
     """
     centre, radius = _focus(matter, core)
     grid = build_grid(matter, centre, GRID_HALF * radius)
-    place = (*OVERVIEW, FARTHEST * radius / float(lens.min()))
-    pose, near = _unblocked(grid, centre, level_frame(up), lens, *place)
+    azimuth, elevation, distance = OVERVIEW
+    distance *= radius / float(lens.min())
+    pose, near = _unblocked(grid, centre, level_frame(up), lens, azimuth, elevation, distance)
     return pose, near, centre
 
 
