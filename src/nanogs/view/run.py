@@ -95,7 +95,8 @@ def view_files(
     Args:
         inputs: Names and files; the first is the original, on the left.
         page: The page to write.
-        cameras: See `cameras_for`; the page begins with its first camera, or the middlemost view.
+        cameras: See `cameras_for`; the page begins at the first one of a file, or with a view of
+            everything.
         views: Number of automatic views to measure on.
         width: Width of automatic views, pixels.
         height: Height of automatic views, pixels.
@@ -111,6 +112,7 @@ def view_files(
     check_built()
     tell = progress or (lambda _text: None)
     clock = StageClock()
+    measured = psnr and len(inputs) > 1
     models = []
     with clock.time("read"):
         for name, path in inputs:
@@ -118,10 +120,12 @@ def view_files(
             models.append(load(path))
     tell("cameras")
     with clock.time("cameras"):
-        found = cameras_for(models[0], cameras, count=views, width=width, height=height, up=up)
-        start = opening_for(models[0], AUTOMATIC.get(cameras, found[0]), up)
+        found: list[Camera] = []
+        if measured or cameras not in AUTOMATIC:
+            found = cameras_for(models[0], cameras, count=views, width=width, height=height, up=up)
+        start = opening_for(models[0], AUTOMATIC.get(cameras) or found[0], up)
     score = _Score()
-    if psnr and len(models) > 1:
+    if measured:
         with clock.time("measure"):
             score = _measure(inputs, models, found, background, tell)
     with clock.time("pack"):
