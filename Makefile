@@ -10,7 +10,7 @@ STAMP := $(VENV)/installed
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
 
-$(STAMP): pyproject.toml
+$(STAMP): pyproject.toml hatch_build.py $(wildcard viewer/*.* viewer/src/*)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	touch $(STAMP)
@@ -35,4 +35,4 @@ types: $(STAMP) ## check types
 check: lint types test ## everything CI checks
 
 clean: ## remove what these targets made
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) demo viewer/node_modules src/nanogs/view/viewer.js

@@ -15,6 +15,7 @@ from nanogs.cli.presets import presets
 from nanogs.cli.refit import refit
 from nanogs.cli.render import render
 from nanogs.cli.simplify import simplify
+from nanogs.cli.view import view
 
 app = typer.Typer(
     help="Make 3D Gaussian splatting models smaller: no training, no photographs, no GPU.",
@@ -48,5 +49,6 @@ app.command()(info)
 app.command()(presets)
 app.command()(render)
 app.command()(compare)
+app.command()(view)
 app.command()(bench)
 app.command()(demo)

@@ -10,6 +10,7 @@ from nanogs.cli import options
 from nanogs.cli.console import err, out, print_json, spinner, warn
 from nanogs.formatting import bytes_text, number_text
 from nanogs.io.atomic import check_writable
+from nanogs.view.bundle import is_built
 
 if TYPE_CHECKING:
     from nanogs.compare.comparison import Comparison
@@ -28,6 +29,10 @@ def compare(
     report: Annotated[
         Path | None, typer.Option(help="Write a page with pictures: one .html file.")
     ] = None,
+    interactive: Annotated[
+        bool,
+        typer.Option(help="Put the models into the page, to be loaded and moved there."),
+    ] = True,
     photos: Annotated[
         Path | None,
         typer.Option(
@@ -65,6 +70,9 @@ def compare(
     extras = [name.strip() for name in metrics.split(",") if name.strip()]
     if report:
         check_writable(report, overwrite=overwrite)
+    if report and interactive and not is_built():
+        warn("The page has no interactive part: this installation was built without the viewer.")
+        interactive = False
     from nanogs.compare.run import compare_files
     from nanogs.threads import use_threads
 
@@ -74,7 +82,7 @@ def compare(
             [options.parse_named(test) for test in tests],
             cameras=cameras, views=views, width=width, height=height, up=direction,
             background=color, extras=extras, photos=photos, images=images, split=split,
-            report=report, overwrite=overwrite, progress=progress,
+            report=report, interactive=interactive, overwrite=overwrite, progress=progress,
         )  # fmt: skip
     if json:
         print_json(comparison.to_dict())
@@ -86,7 +94,8 @@ def compare(
             warn(f"{model.name}: {note}")
     out.print(_table(comparison))
     if report and not quiet:
-        err.print(f"report: {report}")
+        size = bytes_text(report.stat().st_size)
+        err.print(f"report: {report} ({size})", markup=False, soft_wrap=True)
 
 
 def _table(comparison: "Comparison") -> Table:

@@ -9,15 +9,20 @@ from nanogs.compare.comparison import Comparison, Sheet
 from nanogs.compare.pictures import ERROR_FULL_SCALE
 from nanogs.compare.scoring import ModelScore
 from nanogs.formatting import bytes_text, number_text
+from nanogs.view.page import POLICY
 
 
-def render_page(comparison: Comparison, sheets: Sequence[Sheet], title: str) -> str:
+def render_page(
+    comparison: Comparison, sheets: Sequence[Sheet], title: str, viewer: str | None = None
+) -> str:
     """HTML that needs no other file and no network.
 
     Args:
         comparison: The numbers.
         sheets: The pictures, from `compare_models(..., pictures=True)`.
         title: Heading of the page.
+        viewer: From `nanogs.view.page.viewer_part`: the page then has an interactive part, which
+            starts when a button is pressed.
     """
     from jinja2 import Environment
 
@@ -34,6 +39,8 @@ def render_page(comparison: Comparison, sheets: Sequence[Sheet], title: str) -> 
         sheets=sheets,
         full_scale=ERROR_FULL_SCALE,
         extras=sorted({name for model in comparison.models for name in model.extras}),
+        viewer=viewer,
+        viewer_policy=POLICY,
         plot=rate_distortion_plot(comparison.models) if several else "",
     )
 

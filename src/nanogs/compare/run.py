@@ -15,7 +15,11 @@ from nanogs.compare.scoring import Background, ReferenceView
 from nanogs.errors import OptionError
 from nanogs.io import inspect, load
 from nanogs.io.atomic import atomic_write
-from nanogs.render.source import cameras_for
+from nanogs.render.opening import Opening, opening_for
+from nanogs.render.source import AUTOMATIC, cameras_for
+from nanogs.view.bundle import check_built
+from nanogs.view.pack import pack
+from nanogs.view.page import Shown, facts_of, viewer_part
 
 
 def compare_files(
@@ -33,6 +37,7 @@ def compare_files(
     images: str | None = None,
     split: str = "test",
     report: Path | None = None,
+    interactive: bool = False,
     overwrite: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
@@ -52,12 +57,15 @@ def compare_files(
         images: Folder of the photographs in a COLMAP data set.
         split: Photographs to use, "test" or "train".
         report: Page to write, or None.
+        interactive: Put the models into the page too, to be loaded and moved there.
         overwrite: Replace the page if it exists.
         progress: Told what is being done.
 
     Raises:
         NanogsError: A file or an option is not usable.
     """
+    if report and interactive:
+        check_built()
     tell = progress or (lambda _text: None)
     models = []
     for name, path in (reference, *tests):
@@ -76,12 +84,41 @@ def compare_files(
         comparison, sheets = compare_models(models[0], models[1:], chosen, **options)
     else:
         frames = photographs(photos, images, split, background)
+        chosen = [frame.camera for frame in frames]
         comparison, sheets = compare_with_photographs(str(photos), models, frames, **options)
     if report:
-        page = render_page(comparison, sheets, f"{reference[0]}: comparison")
+        viewer = None
+        if interactive:
+            tell("encode the models")
+            place = chosen[0] if photos else AUTOMATIC.get(cameras, chosen[0])
+            start = opening_for(models[0].splats, place, up)
+            viewer = viewer_part(_shown(models, comparison, start), start, background)
+        tell(f"write {report.name}")
+        page = render_page(comparison, sheets, f"{reference[0]}: comparison", viewer)
         with atomic_write(report, overwrite=overwrite) as file:
             file.write(page.encode("utf-8"))
     return comparison
+
+
+def _shown(models: Sequence[NamedModel], comparison: Comparison, start: Opening) -> list[Shown]:
+    """The models as the page's viewer has them, with their scores."""
+    scores = (
+        comparison.models if len(comparison.models) == len(models) else (None, *comparison.models)
+    )
+    original = models[0].splats
+    return [
+        Shown(
+            model.name,
+            facts_of(
+                len(model.splats),
+                model.file_bytes,
+                reference=None if place == 0 else len(original),
+                psnr=None if score is None else score.psnr,
+            ),
+            pack(model.splats, start),
+        )
+        for place, (model, score) in enumerate(zip(models, scores, strict=True))
+    ]
 
 
 def photographs(

@@ -18,6 +18,9 @@ HELD = 0.9  # share of the matter within the radius
 # Times the distance at which the radius just fits the image: it then appears 1.4 times
 # as large as the image, or 0.7 times.
 NEAREST, FARTHEST = 0.5**0.5, 2**0.5
+# Azimuth, elevation and distance, as above, of a view of everything: the broad side and some of the
+# narrow one.
+OVERVIEW = (np.radians(60), np.radians(12), 1.6)
 STEEPEST = 1.2  # radians, for a camera raised over an obstacle
 TOO_NEAR = 0.45  # of the distance to the centre: what stops rays before blocks the view
 ACCEPTED = 0.1  # share of blocked rays that is good enough
@@ -44,6 +47,19 @@ def poses(matter: Matter, core: Core, up: F64, lens: F64, numbers: I64) -> list[
     distance = NEAREST * (FARTHEST / NEAREST) ** pull * radius / lens.min()
     places = zip((2 * np.pi * turn).tolist(), elevation.tolist(), distance.tolist(), strict=True)
     return [_unblocked(grid, centre, level_frame(up), lens, *place) for place in places]
+
+
+def overview(matter: Matter, core: Core, up: F64, lens: F64) -> tuple[F64, float, F64]:
+    """The pose and near plane of a view of all of the model, and (3,) what it looks at.
+
+    The arguments are those of `poses`.
+    """
+    centre, radius = _focus(matter, core)
+    grid = build_grid(matter, centre, GRID_HALF * radius)
+    azimuth, elevation, distance = OVERVIEW
+    distance *= radius / float(lens.min())
+    pose, near = _unblocked(grid, centre, level_frame(up), lens, azimuth, elevation, distance)
+    return pose, near, centre
 
 
 def _focus(matter: Matter, core: Core) -> tuple[F64, float]:

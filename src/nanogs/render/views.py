@@ -7,6 +7,7 @@ members are for testing: the two sets are disjoint, and the first n of a larger 
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from nanogs.errors import OptionError
 from nanogs.render import inside, orbit
 from nanogs.render.camera import Camera
 from nanogs.render.heading import model_frame, seen_from
-from nanogs.render.occupancy import find_core, sample
+from nanogs.render.occupancy import Core, Matter, find_core, sample
 from nanogs.render.up import detect_up
 from nanogs.splats import Splats
 
@@ -26,6 +27,23 @@ Split = Literal["fit", "test"]
 UP = (0.0, 0.0, 1.0)  # in the model's own frame
 ORBIT_FOV = 50.0  # degrees, of the longer side
 INSIDE_FOV = 75.0
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What is known of a model before cameras are placed.
+
+    Attributes:
+        matter: A sample of its visible splats, in the model's own frame.
+        core: The part of it that views are about, in that frame.
+        turn: (4, 4) float64, from scene coordinates to that frame, which has up along z.
+        kind: How to look at it: "orbit" or "inside".
+    """
+
+    matter: Matter
+    core: Core
+    turn: F64
+    kind: Kind
 
 
 def automatic_cameras(
@@ -66,7 +84,32 @@ def automatic_cameras(
         ModelError: No splat is visible, so that every view would be empty.
         OptionError: An argument is out of range.
     """
-    _check(count, width, height, kind, fov, split)
+    _check(count, width, height, fov, split)
+    scene = survey(splats, kind, up)
+    angle = np.radians(fov or (ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV))
+    focal = max(width, height) / 2 / np.tan(angle / 2)
+    lens = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
+    numbers = 2 * np.arange(count) + (split == "test")
+    place = orbit.poses if scene.kind == "orbit" else inside.poses
+    return [
+        Camera(width, height, focal, focal, width / 2, height / 2, pose @ scene.turn, name, near)
+        for name, (pose, near) in zip(
+            (f"{split}_{i:03}" for i in range(count)),
+            place(scene.matter, scene.core, np.array(UP), lens, numbers),
+            strict=True,
+        )
+    ]
+
+
+def survey(splats: Splats, kind: Kind = "auto", up: Sequence[float] | F64 | None = None) -> Survey:
+    """Find what `automatic_cameras` places its cameras by; the arguments are its own.
+
+    Raises:
+        ModelError: No splat is visible.
+        OptionError: An argument is out of range.
+    """
+    if kind not in ("auto", "orbit", "inside"):
+        raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
     given = None if up is None else _unit(up)
     matter = sample(splats)
     upward = detect_up(matter, find_core(matter)) if given is None else given
@@ -76,28 +119,14 @@ def automatic_cameras(
     core = find_core(matter)
     if kind == "auto":
         kind = "inside" if inside.is_room(matter, core, np.array(UP)) else "orbit"
-    angle = np.radians(fov or (ORBIT_FOV if kind == "orbit" else INSIDE_FOV))
-    focal = max(width, height) / 2 / np.tan(angle / 2)
-    lens = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
-    numbers = 2 * np.arange(count) + (split == "test")
-    place = orbit.poses if kind == "orbit" else inside.poses
-    return [
-        Camera(width, height, focal, focal, width / 2, height / 2, pose @ turn, name, near)
-        for name, (pose, near) in zip(
-            (f"{split}_{i:03}" for i in range(count)),
-            place(matter, core, np.array(UP), lens, numbers),
-            strict=True,
-        )
-    ]
+    return Survey(matter, core, turn, kind)
 
 
-def _check(count: int, width: int, height: int, kind: str, fov: float | None, split: str) -> None:
+def _check(count: int, width: int, height: int, fov: float | None, split: str) -> None:
     if count < 1 or width < 1 or height < 1:
         raise OptionError(
             f"Cameras need a count and a size of 1 or more, not {count} of {width} x {height}."
         )
-    if kind not in ("auto", "orbit", "inside"):
-        raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
     if split not in ("fit", "test"):
         raise OptionError(f"The split of views is fit or test, not {split!r}.")
     if fov is not None and not 1 <= fov <= 170:

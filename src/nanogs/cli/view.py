@@ -1,0 +1,98 @@
+"""`nanogs view`."""
+
+import os
+import sys
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nanogs.cli import options
+from nanogs.cli.console import err, out, print_json, spinner, warn
+from nanogs.formatting import bytes_text, number_text
+from nanogs.io.atomic import check_writable
+
+
+def view(
+    model: Annotated[
+        str, typer.Argument(metavar="A", help="Model to look at; name=path calls it by a name.")
+    ],
+    against: Annotated[
+        str | None,
+        typer.Option(metavar="B", help="A second model: one camera, and a line to drag between."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Page to write.", show_default="A.html, or A-B.html"),
+    ] = None,
+    psnr: Annotated[
+        bool, typer.Option(help="Measure B against A on views of A, as compare does.")
+    ] = True,
+    open_page: Annotated[
+        bool | None,
+        typer.Option(
+            "--open/--no-open", help="Open the page in a browser.", show_default="on a terminal"
+        ),
+    ] = None,
+    views: options.Views = 8,
+    size: options.Size = "512",
+    cameras: options.Cameras = "auto",
+    up: options.Up = None,
+    background: options.BackgroundOption = "black",
+    overwrite: options.Overwrite = False,
+    threads: options.Threads = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Write a page that shows one or two models in 3D, offline; mouse, touch and keys move them."""
+    width, height = options.parse_size(size)
+    color = options.parse_background(background)
+    direction = options.parse_direction(up)
+    inputs = [options.parse_named(text) for text in (model, against) if text is not None]
+    from nanogs.view.bundle import check_built
+    from nanogs.view.run import page_path, view_files
+
+    check_built()
+    page = output or page_path([path for _, path in inputs])
+    check_writable(page, overwrite=overwrite)
+    with spinner(quiet=quiet or json) as progress, _threads(threads, against is not None and psnr):
+        report = view_files(
+            inputs, page, cameras=cameras, views=views, width=width, height=height, up=direction,
+            background=color, psnr=psnr, overwrite=overwrite, progress=progress,
+        )  # fmt: skip
+    if json:
+        print_json(report.to_dict())
+    else:
+        for shown in report.models:
+            for note in shown.notes:
+                warn(f"{shown.name}: {note}")
+    if not (json or quiet):
+        measured = "" if report.psnr is None else f"; PSNR {number_text(report.psnr)} dB"
+        text = f"{page}: {bytes_text(report.output_bytes)}{measured}"
+        err.print(text, markup=False, soft_wrap=True)
+    wanted = open_page if open_page is not None else not json and _has_screen()
+    if wanted and not webbrowser.open(page.resolve().as_uri()):
+        warn(f"No browser could be started; open {page} in one.")
+
+
+@contextmanager
+def _threads(asked: int | None, measured: bool) -> Iterator[None]:
+    """The threads to use; what only reads and writes does not wait for Numba."""
+    if asked is None and not measured:
+        yield
+        return
+    from nanogs.threads import use_threads
+
+    with use_threads(asked):
+        yield
+
+
+def _has_screen() -> bool:
+    """Whether someone sits at a terminal whose browser would have a window."""
+    graphical = sys.platform in ("win32", "darwin") or any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
+    return err.is_terminal and out.is_terminal and graphical

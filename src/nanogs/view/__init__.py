@@ -1,0 +1,1 @@
+"""Interactive pages: models in a browser, in one file, without a network."""

@@ -1,0 +1,43 @@
+"""The viewer's program, which the build of the package bundles (viewer/bundle.py)."""
+
+import base64
+import gzip
+from importlib.resources import files
+
+from nanogs.errors import OptionError
+
+_PACKAGE, _PROGRAM, _LICENCES = "nanogs.view", "viewer.js", "LICENSES.txt"
+
+
+def is_built() -> bool:
+    """Whether this installation has the viewer."""
+    return files(_PACKAGE).joinpath(_PROGRAM).is_file()
+
+
+def check_built() -> None:
+    """Fail before any computing where the viewer is missing.
+
+    Raises:
+        OptionError: It is; the message says what to do.
+    """
+    if not is_built():
+        raise OptionError(
+            "This installation was built without the viewer; install nanogs again with `pip install"
+            " .` and without NANOGS_NO_VIEWER, where npm reaches its registry."
+        )
+
+
+def program() -> str:
+    """The program, gzipped, as base64: a third of its size.
+
+    Raises:
+        OptionError: It was not built.
+    """
+    check_built()
+    plain = files(_PACKAGE).joinpath(_PROGRAM).read_bytes()
+    return base64.b64encode(gzip.compress(plain, 9, mtime=0)).decode("ascii")
+
+
+def licences() -> str:
+    """Licences of what the program holds."""
+    return files(_PACKAGE).joinpath(_LICENCES).read_text(encoding="utf-8")

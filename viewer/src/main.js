@@ -1,0 +1,68 @@
+// The interactive part of a page: one or two models, one camera, a line between them.
+//
+// `host` is an empty element with a size; `scene` is what nanogs.view.scene describes; `unpack`
+// gives the bytes that an element of the page holds as text. The host's data-state tells how far
+// it is: "loading", "busy" (drawing or sorting), "still" (what is seen is final) or "failed".
+
+import { makeDivider } from "./divider.js";
+import { makeLabels } from "./labels.js";
+import { makeNavigation } from "./navigation.js";
+import { makeStage } from "./stage.js";
+import css from "./style.css";
+
+export async function mount(host, scene, unpack) {
+  host.classList.add("nanogs-view");
+  host.replaceChildren();
+  const style = document.createElement("style");
+  style.textContent = css;
+  host.append(style);
+  const status = Object.assign(document.createElement("p"), { className: "nv-status" });
+  status.setAttribute("role", "status");
+  const say = (text) => {
+    status.textContent = text;
+    status.hidden = !text;
+  };
+  host.append(status);
+  host.dataset.state = "loading";
+  try {
+    await start(host, scene, unpack, say);
+  } catch (error) {
+    host.dataset.state = "failed";
+    say(`The models cannot be shown: ${error.message}`);
+    throw error;
+  }
+}
+
+async function start(host, scene, unpack, say) {
+  const two = scene.models.length > 1;
+  const canvas = document.createElement("canvas");
+  canvas.tabIndex = 0;
+  canvas.setAttribute("role", "application");
+  canvas.setAttribute("aria-label", scene.models.map((model) => model.name).join(" and "));
+  host.prepend(canvas);
+  const stage = makeStage(host, canvas, scene, two ? 2 : 1);
+  const navigation = makeNavigation(canvas, scene.camera, stage.invalidate);
+  stage.camera = navigation.camera;
+  stage.beforeDraw = navigation.update;
+  stage.onResize = navigation.resize;
+  stage.onLost = () => say("The graphics processor gave up: load the page again.");
+  const divider = two && makeDivider(host, scene.models, (share) => stage.divide(share));
+  const load = async (side, index) => {
+    const model = scene.models[index];
+    host.dataset.state = "loading";
+    say(`Reading ${model.name} …`);
+    await new Promise((shown) => setTimeout(shown, 20)); // or the words would come after the work
+    await stage.show(side, unpack(model.id), model.mip);
+    say("");
+  };
+  makeLabels(host, scene, {
+    choose: (index) => load(1, index).catch((error) => say(`It cannot be read: ${error.message}`)),
+    reset: navigation.reset,
+  });
+  const keys = host.dataset.keys === "page" ? document : host;
+  keys.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest?.("select")) return;
+    if (navigation.key(event) || (divider && divider.key(event))) event.preventDefault();
+  });
+  for (let side = 0; side < (two ? 2 : 1); side += 1) await load(side, side);
+}

@@ -1,0 +1,120 @@
+// Draws one scene for each side into its part of one canvas, and only when something changed.
+
+import { SparkRenderer, SplatFileType, SplatMesh } from "@sparkjsdev/spark";
+import { Scene, WebGLRenderer } from "three";
+import { rewriteHarmonics } from "./harmonics.js";
+
+// As nanogs.render has it, so that the page shows what the figures were measured on: a splat
+// reaches to alpha 1/255, the variance on screen grows by 0.3, nearest means least depth.
+const FAINTEST = 1 / 255;
+const REACH = Math.sqrt(2 * Math.log(255));
+const DILATION = 0.3;
+const SPARK = {
+  maxStdDev: REACH,
+  minAlpha: FAINTEST,
+  maxPixelRadius: 16384, // the few splats of a very small model are large, and must stay so
+  clipXY: 3, // and reach into the view from far outside
+  sortRadial: false,
+  enableLod: false,
+  accumExtSplats: true, // centres in single precision, not half
+};
+const MOST_PIXELS = 2; // of the screen for one of CSS: phones have 3, and too little power
+
+export function makeStage(host, canvas, scene, sides) {
+  const renderer = openRenderer(canvas);
+  renderer.setClearColor(scene.background, 1);
+  let requested = false;
+  let share = sides > 1 ? 0.5 : 1;
+  const size = { width: 1, height: 1 };
+  const stage = { camera: null, beforeDraw: () => {}, onResize: () => {}, onLost: () => {} };
+
+  stage.invalidate = () => {
+    if (host.dataset.state === "still") host.dataset.state = "busy";
+    if (!requested) {
+      requested = true;
+      requestAnimationFrame(draw);
+    }
+  };
+  const panes = Array.from({ length: sides }, () => new Pane(renderer, stage.invalidate));
+
+  stage.divide = (value) => {
+    share = value;
+    stage.invalidate();
+  };
+  stage.show = async (side, bytes, mip) => {
+    await panes[side].show(bytes, mip);
+    if (panes.every((pane) => pane.mesh)) host.dataset.state = "busy";
+    stage.invalidate();
+  };
+
+  function draw() {
+    requested = false;
+    stage.beforeDraw();
+    const edge = Math.round(share * size.width);
+    renderer.setScissorTest(true);
+    panes.forEach((pane, side) => {
+      const [left, right] = side === 0 ? [0, edge] : [edge, size.width];
+      if (right <= left) return;
+      renderer.setScissor(left, 0, right - left, size.height);
+      renderer.render(pane.scene, stage.camera);
+    });
+    const busy = panes.some((pane) => pane.busy);
+    if (!requested && !busy && host.dataset.state === "busy") host.dataset.state = "still";
+  }
+
+  new ResizeObserver(() => {
+    size.width = Math.max(1, host.clientWidth);
+    size.height = Math.max(1, host.clientHeight);
+    renderer.setPixelRatio(Math.min(window.devicePixelRatio, MOST_PIXELS));
+    renderer.setSize(size.width, size.height);
+    stage.onResize(size.width, size.height);
+    draw(); // at once: the new canvas is empty
+  }).observe(host);
+  canvas.addEventListener("webglcontextlost", (event) => {
+    event.preventDefault();
+    host.dataset.state = "failed";
+    stage.onLost();
+  });
+  return stage;
+}
+
+function openRenderer(canvas) {
+  try {
+    return new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
+  } catch {
+    throw new Error("this browser has no WebGL 2, or it is switched off.");
+  }
+}
+
+class Pane {
+  constructor(renderer, invalidate) {
+    this.scene = new Scene();
+    this.spark = new SparkRenderer({ renderer, onDirty: invalidate, ...SPARK });
+    this.scene.add(this.spark);
+    this.mesh = null;
+    this.wanted = null;
+  }
+
+  get busy() {
+    return this.spark.sorting || this.spark.sortDirty;
+  }
+
+  async show(bytes, mip) {
+    this.wanted = bytes;
+    const mesh = new SplatMesh({ fileBytes: bytes, fileType: SplatFileType.SPZ, extSplats: true });
+    await mesh.initialized;
+    await rewriteHarmonics(mesh.extSplats.extra, bytes);
+    if (this.wanted !== bytes) {
+      mesh.dispose(); // another was chosen meanwhile
+      return;
+    }
+    if (this.mesh) {
+      this.scene.remove(this.mesh);
+      this.mesh.dispose();
+    }
+    this.spark.preBlurAmount = mip ? 0 : DILATION;
+    this.spark.blurAmount = mip ? DILATION : 0; // the opacity makes up for this one
+    this.mesh = mesh;
+    this.scene.add(mesh);
+  }
+}
