@@ -231,10 +231,11 @@ def test_blend(timed, scene):
     view = rasterize.project(scene["prepared"], scene["camera"])
     features = np.ascontiguousarray(view.features[:, :3])
     image, left = np.empty((512, 512, 3), np.float32), np.empty((512, 512), np.float32)
-    behind, partial = np.zeros(4, np.float32), np.empty(0, np.float32)
+    behind, probes = np.zeros(4, np.float32), np.empty((0, 512, 512), np.float32)
+    partial = np.empty((len(view.entries), 0), np.float32)
     timed(
         lambda: blend_tiles(
-            view.geometry, features, view.starts, view.entries, behind, image, left, partial
+            view.geometry, features, view.starts, view.entries, behind, image, left, probes, partial
         ),
         view.entries, image,
     )  # fmt: skip

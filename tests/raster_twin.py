@@ -56,8 +56,10 @@ def splat_on_screen(splats, camera, i):
     return np.float32(z), centre, after, opacity, colour
 
 
-def render_twin(splats, camera, background=(0.0, 0.0, 0.0)):
+def render_twin(splats, camera, background=(0.0, 0.0, 0.0), probes=None):
     """Returns color, alpha, depth, contributions and the mask of pixels that are near no threshold.
+
+    With probes (P, H, W) the contributions are (N, P): weights times these, summed.
 
     Beside a threshold (alpha 1/255, transmittance 1e-4) one rounding decides whether a splat is
     blended: no tolerance is right there, so `sure` is false for the pixel.
@@ -65,7 +67,9 @@ def render_twin(splats, camera, background=(0.0, 0.0, 0.0)):
     shape = (camera.height, camera.width)
     columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
     left, full, sure = np.ones(shape), np.zeros(shape, bool), np.ones(shape, bool)
-    color, depth, contributions = np.zeros((*shape, 3)), np.zeros(shape), np.zeros(len(splats))
+    color, depth = np.zeros((*shape, 3)), np.zeros(shape)
+    probes = np.ones((1, *shape)) if probes is None else probes
+    contributions = np.zeros((len(splats), len(probes)))
     seen = {i: splat_on_screen(splats, camera, i) for i in np.flatnonzero(splats.finite())}
     for i in sorted((i for i in seen if seen[i] is not None), key=lambda i: (seen[i][0], i)):
         z, centre, covariance, opacity, colour = seen[i]
@@ -80,7 +84,7 @@ def render_twin(splats, camera, background=(0.0, 0.0, 0.0)):
         weights = np.where(full, 0, left * alpha)
         color += weights[..., None] * colour
         depth += weights * z
-        contributions[i] = weights.sum()
+        contributions[i] = np.einsum("hw,phw->p", weights, probes)
         left = np.where(full, left, after)
     color += left[..., None] * np.array(background)
     return color, 1 - left, depth, contributions, sure

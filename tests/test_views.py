@@ -257,3 +257,27 @@ def test_real_objects_are_seen_from_around(name):
         uv, z = pixels(camera, rows["mean"].astype(np.float64))
         inside = (z > camera.near) & ((uv > 0) & (uv < 512)).all(axis=1)
         assert inside.mean() > 0.4
+
+
+@pytest.mark.parametrize("kind", ["orbit", "inside"])
+def test_turning_the_scene_and_up_turns_the_cameras(kind):
+    exact = replace(SCENE, means=SCENE.means.astype(np.float64))
+    w, x, y, z = quat = np.array([0.5, -0.1, 0.7, 0.5])
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    turn = np.eye(3) + 2 * (w * cross + cross @ cross) / (quat @ quat)
+    quats = product(quat, exact.quats).astype(np.float32)
+    turned = replace(exact, means=exact.means @ turn.T, quats=quats)
+    up = np.array([0.1, -1.0, 0.0])
+    before = automatic_cameras(exact, 6, kind=kind, up=up)
+    after = automatic_cameras(turned, 6, kind=kind, up=turn @ up)
+    for one, other in zip(before, after, strict=True):
+        assert np.allclose(one.position @ turn.T, other.position, atol=1e-5)
+        moved = one.world_to_camera[:3, :3] @ turn.T
+        assert np.allclose(moved, other.world_to_camera[:3, :3], atol=1e-5)
+
+
+def product(a, b):
+    """Quaternion a times each row of b, wxyz."""
+    v, w = a[1:], b[:, 1:]
+    scalars = a[0] * b[:, :1] - w @ v[:, None]
+    return np.hstack([scalars, a[0] * w + b[:, :1] * v + np.cross(np.broadcast_to(v, w.shape), w)])

@@ -49,7 +49,8 @@ def test_weights_of_hidden_splats_are_a_hundredth():
 def test_the_original_is_judged_as_perfect_and_every_second_view_judges():
     splats = box_with_something_inside()
     views = visibility.look(splats, count=12)
-    assert len(views.cameras) == len(views.images) == 6
+    assert [view.camera.name for view in views.judging] == [f"fit_{i:03}" for i in range(0, 12, 2)]
+    assert [view.camera.name for view in views.other] == [f"fit_{i:03}" for i in range(1, 12, 2)]
     assert visibility.judge(splats, views) == (100.0, pytest.approx(1.0))
     assert visibility.judge(splats.take(np.arange(100)), views)[0] < 30
 
@@ -58,7 +59,8 @@ def test_the_users_cameras_are_the_ones_looked_through():
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=1000, height=500)
     views = visibility.look(splats, cameras)
-    assert {(camera.width, camera.height) for camera in views.cameras} == {(256, 128)}
+    assert {(view.camera.width, view.camera.height) for view in views.all} == {(256, 128)}
+    assert {view.image.shape for view in views.all} == {(128, 256, 3)}
 
 
 def test_hidden_splats_are_merged_first():

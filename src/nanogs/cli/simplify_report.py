@@ -129,6 +129,7 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
         "kept": f"{after / before:.3%} of the splats (asked: {_asked_text(run)})",
         "passes": f"{len(run['passes'])}, stopped by: {run['stop']}",
         "chosen": choice_text(run["candidates"]),
+        "colours": recolour_text(run["recolour"]),
         "refit": _refit_text(run["refit"]),
         "reached": _reached_text(run),
         "time": f"{run['total_seconds']:.2f} s on {run['threads']} threads",
@@ -169,6 +170,16 @@ def choice_text(candidates: list[dict[str, Any]]) -> str:
     what = f"balance {chosen['balance']:g}{moved}, growth {chosen['growth']:g}"
     shown = f"{chosen['psnr']:.2f} dB, SSIM {chosen['ssim']:.3f} on the views it was chosen by"
     return f"{what} of {len(candidates)} tried{lead}: {shown}"
+
+
+def recolour_text(recolour: dict[str, Any] | None) -> str:
+    """What fitting the colours gained, and whether it was kept."""
+    if recolour is None:
+        return ""
+    gain = recolour["psnr_after"] - recolour["psnr_before"]
+    if not recolour["kept"]:
+        return f"as merged; fitted, they are {gain:+.2f} dB on views that the fit has not seen"
+    return f"fitted to views of the original, {gain:+.2f} dB on others"
 
 
 def _refit_text(refit: dict[str, Any] | None) -> str:

@@ -208,11 +208,12 @@ def _blend_splat(
     open_rows: I64,
     planes: F32,
     weights: F32,
+    probes: F32,
     sums: F32,
 ) -> None:
     """Blend splat i into the tile whose corner is (x0, y0).
 
-    sums gets the weights by column, unless it is empty.
+    sums (P, 16) gets the weights times the probes (P, 16, 16), by column.
     """
     u, v = geometry[i, 0] - x0 - 0.5, geometry[i, 1] - y0 - 0.5
     inv_w, slope, inv_yy, reach = geometry[i, 2], geometry[i, 3], geometry[i, 4], geometry[i, 5]
@@ -220,8 +221,9 @@ def _blend_splat(
     ey, width = math.sqrt(reach / inv_yy), 1.0 / inv_w
     top = math.ceil(max(v - ey, 0.0))
     bottom = math.floor(min(v + ey, TILE - 1.0))
-    for x in range(len(sums)):
-        sums[x] = np.float32(0.0)
+    for p in range(len(sums)):
+        for x in range(len(weights)):
+            sums[p, x] = np.float32(0.0)
     for r in range(top, bottom + 1):
         dy = r - v
         q = dy * dy * inv_yy
@@ -235,15 +237,18 @@ def _blend_splat(
             value = features[i, c]
             for x in range(len(weights)):
                 planes[c, r, x] += value * weights[x]
-        for x in range(len(sums)):
-            sums[x] += weights[x]
+        for p in range(len(sums)):
+            for x in range(len(weights)):
+                sums[p, x] += weights[x] * probes[p, r, x]
 
 
 @inline
-def fetch(geometry: F64, features: F32, batch: I32, rows: F64, values: F32) -> None:
-    """Copy a batch's splats side by side: many reads of far memory then wait at the same time."""
-    for j in range(len(batch)):
-        i = batch[j]
+def fetch(
+    geometry: F64, features: F32, entries: I32, first: int, count: int, rows: F64, values: F32
+) -> None:
+    """Copy some splats side by side: many reads of far memory then wait at the same time."""
+    for j in range(count):
+        i = entries[first + j]
         for k in range(8):
             rows[j, k] = geometry[i, k]
         for c in range(features.shape[1]):
@@ -270,6 +275,61 @@ def scattered(slot: int, per_class: int) -> int:
     return (slot % per_class) * STRIDE + slot // per_class
 
 
+@kernel
+def _blend_tile(
+    geometry: F64,
+    features: F32,
+    entries: I32,
+    x0: int,
+    y0: int,
+    background: F32,
+    image: F32,
+    transmittance: F32,
+    probes: F32,
+    partial: F32,
+) -> None:
+    """Blend the splats of the tile whose corner is (x0, y0); entries and partial are its own.
+
+    A function of its own and not inlined: in a parallel one each array expression here would
+    become a parallel loop, which takes seconds to compile and nothing in running.
+    """
+    height, width, channels = image.shape
+    left = np.empty((TILE, TILE), np.float32)
+    planes = np.zeros((channels, TILE, TILE), np.float32)
+    weights = np.empty(TILE, np.float32)
+    sums = np.empty((len(probes), TILE), np.float32)
+    probed = np.zeros((len(probes), TILE, TILE), np.float32)
+    lanes = np.empty(TILE, np.float32)
+    open_rows = np.empty(TILE, np.int64)
+    rows = np.empty((BATCH, 8), np.float64)
+    values = np.empty((BATCH, channels), np.float32)
+    for x in range(TILE):
+        lanes[x] = np.float32(x)
+    for p in range(len(probes)):
+        for r in range(min(TILE, height - y0)):
+            for x in range(min(TILE, width - x0)):
+                probed[p, r, x] = probes[p, y0 + r, x0 + x]
+    start_tile(left, x0, y0, width, height)
+    for e in range(len(partial)):
+        for p in range(len(probes)):
+            partial[e, p] = np.float32(0.0)
+    for first in range(0, len(entries), BATCH):
+        if count_open(left, open_rows) == 0:
+            break
+        count = min(BATCH, len(entries) - first)
+        fetch(geometry, features, entries, first, count, rows, values)
+        for j in range(count):
+            _blend_splat(
+                rows, values, j, x0, y0, lanes, left, open_rows, planes, weights, probed, sums
+            )
+            for p in range(len(sums)):
+                total = np.float32(0.0)
+                for x in range(len(weights)):
+                    total += sums[p, x]
+                partial[first + j, p] = total
+    _write_tile(x0, y0, left, planes, background, image, transmittance)
+
+
 @parallel_kernel
 def blend_tiles(
     geometry: F64,
@@ -279,9 +339,10 @@ def blend_tiles(
     background: F32,
     image: F32,
     transmittance: F32,
+    probes: F32,
     partial: F32,
 ) -> None:
-    """Blend every tile's splats front to back ([K] eq. 3).
+    """Blend every tile's splats front to back ([K] eq. 3), and probe their weights.
 
     Args:
         geometry: (N, 8) rows of projected splats.
@@ -291,51 +352,42 @@ def blend_tiles(
         background: (C,) added with the transmittance that is left.
         image: (H, W, C) out.
         transmittance: (H, W) out, what is left of the light.
-        partial: (E,) out, sum of the weights T alpha of each entry over its tile; or (0,).
+        probes: (P, H, W) what the weights T alpha are multiplied by; P may be 0.
+        partial: (E, P) out, sums of these products for each entry over its tile.
     """
-    height, width, channels = image.shape
-    tiles_x = (width + TILE - 1) // TILE
+    tiles_x = (image.shape[1] + TILE - 1) // TILE
     tiles = len(starts) - 1
     per_class = (tiles + STRIDE - 1) // STRIDE
     for slot in numba.prange(per_class * STRIDE):
         tile = scattered(slot, per_class)
-        if tile >= tiles:
-            continue
-        x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        left = np.empty((TILE, TILE), np.float32)
-        planes = np.zeros((channels, TILE, TILE), np.float32)
-        weights = np.empty(TILE, np.float32)
-        sums = np.empty(TILE if len(partial) > 0 else 0, np.float32)
-        lanes = np.arange(TILE).astype(np.float32)
-        open_rows = np.empty(TILE, np.int64)
-        start_tile(left, x0, y0, width, height)
-        if len(partial) > 0:
-            partial[starts[tile] : starts[tile + 1]] = np.float32(0.0)
-        rows = np.empty((BATCH, 8), np.float64)
-        values = np.empty((BATCH, channels), np.float32)
-        for first in range(starts[tile], starts[tile + 1], BATCH):
-            if count_open(left, open_rows) == 0:
-                break
-            count = min(BATCH, starts[tile + 1] - first)
-            fetch(geometry, features, entries[first : first + count], rows, values)
-            for j in range(count):
-                _blend_splat(rows, values, j, x0, y0, lanes, left, open_rows, planes, weights, sums)
-                if len(partial) > 0:
-                    partial[first + j] = np.sum(sums)
-        _write_tile(x0, y0, left, planes, background, image, transmittance)
+        if tile < tiles:
+            first, end = starts[tile], starts[tile + 1]
+            _blend_tile(
+                geometry,
+                features,
+                entries[first:end],
+                (tile % tiles_x) * TILE,
+                (tile // tiles_x) * TILE,
+                background,
+                image,
+                transmittance,
+                probes,
+                partial[first:end],
+            )
 
 
 @kernel
 def sum_entries(entries: I32, partial: F32, totals: F64) -> None:
-    """Add each entry's partial sum to its splat's total, in the order of the tiles.
+    """Add each entry's partial sums to its splat's totals, in the order of the tiles.
 
     Args:
         entries: (E,) from `list_tiles`.
-        partial: (E,) from `blend_tiles`.
-        totals: (N,) in and out.
+        partial: (E, P) from `blend_tiles`.
+        totals: (N, P) in and out.
     """
     for e in range(len(entries)):
-        totals[entries[e]] += partial[e]
+        for p in range(partial.shape[1]):
+            totals[entries[e], p] += partial[e, p]
 
 
 @kernel

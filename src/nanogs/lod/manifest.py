@@ -72,20 +72,28 @@ class Manifest:
 
 def describe_level(file: Path, ratio: float, report: SimplifyReport, seconds: float) -> Level:
     """One entry, from the file as it was written."""
-    chosen = next((entry for entry in report.candidates if entry.chosen), None)
-    if report.refit is not None:
-        chosen = None  # measured before the fit
+    psnr, ssim = _measured(report)
     return Level(
         file=file.name,
         ratio=ratio,
         count=report.achieved_count,
         bytes=file.stat().st_size,
         sha256=_sha256(file),
-        psnr=chosen.psnr if chosen else None,
-        ssim=chosen.ssim if chosen else None,
+        psnr=psnr,
+        ssim=ssim,
         stop=report.stop,
         seconds=seconds,
     )
+
+
+def _measured(report: SimplifyReport) -> tuple[float | None, float | None]:
+    """PSNR and SSIM of the result, on views that nothing was fitted to; None where not known."""
+    chosen = next((entry for entry in report.candidates if entry.chosen), None)
+    if chosen is None or report.refit is not None:
+        return None, None
+    if report.recolour is not None and report.recolour.kept:
+        return report.recolour.psnr_after, report.recolour.ssim_after
+    return chosen.psnr, chosen.ssim
 
 
 def made_files(folder: Path) -> frozenset[str] | None:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, F64, U16
-from nanogs.kernels import backward, raster
+from nanogs.kernels import backward
 from nanogs.render.camera import Camera
-from nanogs.render.rasterize import PreparedSplats, Projection, project, render
+from nanogs.render.rasterize import PreparedSplats, Projection, blend, project, render
 
 # Viewers show a model over any background. Over black and white alike the mean squared error of
 # a pixel with errors dc in its colours and da in its alpha is, for each channel,
@@ -59,12 +59,7 @@ def _blend(model: PreparedSplats, camera: Camera) -> tuple[Projection, F32, F32]
     features = np.zeros_like(view.features)  # rows that are not drawn hold junk
     features[view.order, :3] = view.features[view.order, :3] - np.float32(WHITE)
     features[:, 3] = ALPHA
-    image = np.empty((camera.height, camera.width, 4), np.float32)
-    left = np.empty((camera.height, camera.width), np.float32)
-    nothing, none = np.zeros(4, np.float32), np.empty(0, np.float32)
-    raster.blend_tiles(
-        view.geometry, features, view.starts, view.entries, nothing, image, left, none
-    )
+    image, _, _ = blend(view, camera, features, np.zeros(4, np.float32))
     return view, features, image
 
 

@@ -174,19 +174,15 @@ def render(
     prepared = splats if isinstance(splats, PreparedSplats) else prepare(splats)
     behind = _background(background)
     view = project(prepared, camera, sh_degree=sh_degree)
-    partial = np.empty(len(view.entries) if contributions else 0, np.float32)
-    image = np.empty((camera.height, camera.width, 4 if depth else 3), np.float32)
-    left = np.empty((camera.height, camera.width), np.float32)
     features = view.features if depth else np.ascontiguousarray(view.features[:, :3])
-    raster.blend_tiles(
-        view.geometry, features, view.starts, view.entries, behind, image, left, partial
-    )
+    probes = np.ones((1 if contributions else 0, camera.height, camera.width), np.float32)
+    image, left, totals = blend(view, camera, features, behind, probes)
     alpha = 1 - left
     return Rendering(
         color=np.ascontiguousarray(image[..., :3]),
         alpha=alpha,
         depth=_expected_depth(image[..., 3], alpha) if depth else None,
-        contributions=_totals(len(prepared), view.entries, partial) if contributions else None,
+        contributions=totals[:, 0].copy() if contributions else None,
         unhidden=_unhidden(view, camera) if contributions else None,
         drawn=len(view.order),
         skipped=prepared.skipped,
@@ -239,6 +235,53 @@ def project(
     return Projection(geometry, boxes, features, order, starts, entries)
 
 
+def blend(
+    view: Projection,
+    camera: Camera,
+    features: F32,
+    background: F32,
+    probes: F32 | None = None,
+) -> tuple[F32, F32, F64]:
+    """Blend features of the splats front to back.
+
+    Args:
+        view: From `project`, of this camera.
+        camera: Where to look from.
+        features: (N, C) float32; rows that are not drawn may hold junk.
+        background: (C,) float32, seen through what is left.
+        probes: (P, H, W) float32, see there; none by default.
+
+    Returns:
+        The image (H, W, C), the transmittance (H, W), and for every splat (N, P) float64 the sums
+        over the pixels of its share T alpha times the probes, 0 for one that is not drawn.
+    """
+    if probes is None:
+        probes = np.empty((0, camera.height, camera.width), np.float32)
+    probes = np.ascontiguousarray(probes)  # another layout would be another kernel to compile
+    image = np.empty((camera.height, camera.width, features.shape[1]), np.float32)
+    left = np.empty(image.shape[:2], np.float32)
+    partial = np.empty((len(view.entries), len(probes)), np.float32)
+    raster.blend_tiles(
+        view.geometry, features, view.starts, view.entries, background, image, left, probes, partial
+    )
+    totals = np.zeros((len(features), len(probes)))
+    if len(probes):
+        raster.sum_entries(view.entries, partial, totals)
+    return image, left, totals
+
+
+def probe(view: Projection, camera: Camera, probes: F32) -> F64:
+    """(N, P) float64: sums over the pixels of each splat's share T alpha times the probes.
+
+    Args:
+        view: From `project`, of this camera.
+        camera: Where to look from.
+        probes: (P, H, W) float32.
+    """
+    nothing = np.empty((len(view.features), 0), np.float32)
+    return blend(view, camera, nothing, np.empty(0, np.float32), probes)[2]
+
+
 def _depth_order(features: F32, boxes: I64) -> I64:
     """Indices of the drawn splats, nearest first, ties by index."""
     keys = np.empty(len(boxes), np.uint64)
@@ -246,12 +289,6 @@ def _depth_order(features: F32, boxes: I64) -> I64:
     other = np.empty_like(keys)
     keys = other if radix_sort(keys, other) else keys
     return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
-
-
-def _totals(n: int, entries: I32, partial: F32) -> F64:
-    totals = np.zeros(n, np.float64)
-    raster.sum_entries(entries, partial, totals)
-    return totals
 
 
 def _unhidden(view: Projection, camera: Camera) -> F64:

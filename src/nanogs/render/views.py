@@ -1,6 +1,7 @@
 """Cameras for a model that came without any: around objects, inside rooms.
 
-Everything is measured in the model's own extent, so moving or scaling a model moves its cameras.
+Everything is measured in the model's own extent and in its own frame, so moving, scaling or turning
+a model does the same to its cameras, as long as which way is up turns too.
 Directions come from one low-discrepancy sequence, whose even members are for fitting and whose odd
 members are for testing: the two sets are disjoint, and the first n of a larger set are the smaller.
 """
@@ -14,6 +15,7 @@ from nanogs._types import F64
 from nanogs.errors import OptionError
 from nanogs.render import inside, orbit
 from nanogs.render.camera import Camera
+from nanogs.render.heading import model_frame, seen_from
 from nanogs.render.occupancy import find_core, sample
 from nanogs.render.up import detect_up
 from nanogs.splats import Splats
@@ -21,6 +23,7 @@ from nanogs.splats import Splats
 Kind = Literal["auto", "orbit", "inside"]
 Split = Literal["fit", "test"]
 
+UP = (0.0, 0.0, 1.0)  # in the model's own frame
 ORBIT_FOV = 50.0  # degrees, of the longer side
 INSIDE_FOV = 75.0
 
@@ -66,18 +69,25 @@ def automatic_cameras(
     _check(count, width, height, kind, fov, split)
     given = None if up is None else _unit(up)
     matter = sample(splats)
+    upward = detect_up(matter, find_core(matter)) if given is None else given
+    turn = np.eye(4)
+    turn[:3, :3] = model_frame(matter, upward)
+    matter = seen_from(matter, turn[:3, :3])
     core = find_core(matter)
-    upward = detect_up(matter, core) if given is None else given
     if kind == "auto":
-        kind = "inside" if inside.is_room(matter, core, upward) else "orbit"
+        kind = "inside" if inside.is_room(matter, core, np.array(UP)) else "orbit"
     angle = np.radians(fov or (ORBIT_FOV if kind == "orbit" else INSIDE_FOV))
     focal = max(width, height) / 2 / np.tan(angle / 2)
     lens = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
     numbers = 2 * np.arange(count) + (split == "test")
     place = orbit.poses if kind == "orbit" else inside.poses
     return [
-        Camera(width, height, focal, focal, width / 2, height / 2, pose, f"{split}_{i:03}", near)
-        for i, (pose, near) in enumerate(place(matter, core, upward, lens, numbers))
+        Camera(width, height, focal, focal, width / 2, height / 2, pose @ turn, name, near)
+        for name, (pose, near) in zip(
+            (f"{split}_{i:03}" for i in range(count)),
+            place(matter, core, np.array(UP), lens, numbers),
+            strict=True,
+        )
     ]
 
 

@@ -36,7 +36,7 @@ def choose_model(
     judge: Callable[[Splats], tuple[float, float]],
     balances: Sequence[float],
     growth: float,
-) -> tuple[Splats, tuple[CandidateReport, ...]]:
+) -> tuple[Candidate, tuple[CandidateReport, ...]]:
     """Try cuts of several balances, the best one reassigned, the best of these grown more.
 
     No more than two models are held at a time.
@@ -50,7 +50,7 @@ def choose_model(
         growth: That of the first candidates.
 
     Returns:
-        The chosen model, and how every candidate did, the chosen one marked.
+        The chosen one, and how every candidate did, the chosen one marked.
     """
     reports: list[CandidateReport] = []
 
@@ -78,7 +78,7 @@ def choose_model(
                 break
             winner = further
     marked = (replace(report, chosen=report is winner.report) for report in reports)
-    return winner.model, tuple(marked)
+    return winner, tuple(marked)
 
 
 def better(first: Candidate | None, second: Candidate) -> Candidate:

@@ -1,4 +1,7 @@
-"""The default method, stage by stage: look, grow, cut, reassign, choose (`docs/method.md`)."""
+"""The default method, stage by stage: look, grow, cut, reassign, choose, recolour.
+
+`docs/method.md` says why.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,17 +12,18 @@ from nanogs.refit.api import refit
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import RefitReport
 from nanogs.render.camera import Camera
-from nanogs.report import CandidateReport, StageClock, StopReason
-from nanogs.simplify.choose import BALANCES, choose_model
+from nanogs.report import CandidateReport, RecolourReport, StageClock, StopReason
+from nanogs.simplify.choose import BALANCES, Candidate, choose_model
 from nanogs.simplify.cut import cut
 from nanogs.simplify.extent import dilation
 from nanogs.simplify.gaussians import scene_origin
-from nanogs.simplify.nodes import Nodes, activate_nodes, normalised
+from nanogs.simplify.nodes import Nodes, activate_nodes, normalised, stored_order
 from nanogs.simplify.order import morton_order
 from nanogs.simplify.outcome import Outcome
 from nanogs.simplify.pipeline import Progress
 from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.reassign import reassign
+from nanogs.simplify.recolour import recolour
 from nanogs.simplify.store import store_groups
 from nanogs.simplify.tree import Forest, grow_forest
 from nanogs.simplify.visibility import OriginalViews, judge, look, visible_weights
@@ -117,10 +121,14 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
     if build.views is None or groups == forest.splats:
         small = _group(build, groups, clock, progress)
         candidates: tuple[CandidateReport, ...] = ()
+        recoloured = None
     else:
         progress("choose", groups)
         with clock.time("choose"):
-            small, candidates = _choose(build, groups, build.views)
+            chosen, candidates = _choose(build, groups, build.views)
+        progress("recolour", groups)
+        with clock.time("recolour"):
+            small, recoloured = _recolour(build, chosen, build.views)
     fitted, notes = None, build.notes
     if build.parameters.refit and groups < forest.splats:
         progress("refit", groups)
@@ -132,6 +140,7 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
         passes=forest.passes,
         stop=StopReason.TARGET if groups == target else forest.stop,
         candidates=candidates,
+        recolour=recoloured,
         refit=fitted,
         notes=notes,
     )
@@ -162,8 +171,8 @@ def _group(build: Build, groups: int, clock: StageClock, progress: Progress) -> 
 
 def _choose(
     build: Build, groups: int, views: OriginalViews
-) -> tuple[Splats, tuple[CandidateReport, ...]]:
-    """The model that does best on views of the original, and how the others did."""
+) -> tuple[Candidate, tuple[CandidateReport, ...]]:
+    """What does best on views of the original, and how the others did."""
     return choose_model(
         lambda labels: _regroup(build, labels, groups),
         lambda balance: cut(build.forest, groups, balance),
@@ -172,6 +181,15 @@ def _choose(
         sorted({*BALANCES, build.parameters.balance}),
         build.parameters.growth,
     )
+
+
+def _recolour(
+    build: Build, chosen: Candidate, views: OriginalViews
+) -> tuple[Splats, RecolourReport | None]:
+    """The chosen model with its colours fitted, where that brings it nearer."""
+    _, _, merged = stored_order(build.leaves, chosen.labels, len(chosen.model))
+    before = chosen.report.psnr, chosen.report.ssim
+    return recolour(chosen.model, merged, views, before)
 
 
 def _regroup(build: Build, labels: I32, groups: int) -> I32:

@@ -51,6 +51,7 @@ def forest_stages(
     best = target * row if looked else 0  # of those tried before
     draw = target * (_PREPARED + _DRAWN) if looked else 0
     labels = 2 * count * _I4 if looked else count * _I4
+    fitted = 8 * _F8 + 4 * _TILES * _F4 + features if parameters.measure else 0
     stages = {
         "look": count * (_I4 + _PREPARED + _DRAWN + _SHARES) if looked else 0,
         "activate": leaves,
@@ -60,6 +61,7 @@ def forest_stages(
         if parameters.rounds
         else 0,
         "store": forest + labels + best + target * row + max(draw, _store(count, target, row)),
+        "recolour": forest + labels + best + target * row + draw + target * fitted if fitted else 0,
         "refit": forest + _refit(count, target, features) if parameters.refit else 0,
     }
     return leaves, {stage: held for stage, held in stages.items() if held}

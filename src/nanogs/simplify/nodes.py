@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64
+from nanogs._types import F32, F64, I32, I64, Bool
 from nanogs.kernels.nodes import (
     covariances_of,
     gather_moments,
@@ -209,6 +209,19 @@ def dominant_members(nodes: Nodes, labels: I32, groups: int) -> I64:
     return dominant
 
 
+def stored_order(leaves: Nodes, labels: I32, groups: int) -> tuple[I64, I64, Bool]:
+    """How groups are stored: in the order of their dominant members in the input.
+
+    Returns:
+        Each (groups,), in this order: the row in the input of the dominant member, the group, and
+        whether it has several members.
+    """
+    sources = leaves.rows[dominant_members(leaves, labels, groups)].astype(np.int64)
+    order = np.argsort(sources)
+    merged = np.bincount(labels, minlength=groups) > 1
+    return sources[order], order, merged[order]
+
+
 def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float, growth: float) -> F64:
     """(G, 6) float64: covariances, larger where even an opaque splat would cover too little.
 
@@ -256,10 +269,8 @@ def store_nodes(
         pixel: As `footprints` takes it.
         growth: Most that an axis may grow.
     """
-    sources = leaves.rows[dominant_members(leaves, labels, len(merged))]
-    order = np.argsort(sources)
-    stored = splats.take(sources[order])
-    new = (np.bincount(labels, minlength=len(merged)) > 1)[order]
+    sources, order, new = stored_order(leaves, labels, len(merged))
+    stored = splats.take(sources)
     fresh = order[new]
     scales = np.empty((len(fresh), 3), np.float32)
     quats = np.empty((len(fresh), 4), np.float32)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from nanogs.refit.report import RefitReport
-from nanogs.report import CandidateReport, PassReport, ProbeReport, StopReason
+from nanogs.report import CandidateReport, PassReport, ProbeReport, RecolourReport, StopReason
 from nanogs.splats import Splats
 
 
@@ -18,6 +18,7 @@ class Outcome:
     prune_threshold: float = 0.0
     prune_limited: bool = False
     candidates: tuple[CandidateReport, ...] = ()
+    recolour: RecolourReport | None = None
     refit: RefitReport | None = None
     notes: tuple[str, ...] = ()
     achieved_psnr: float | None = None

@@ -109,7 +109,7 @@ PRESETS: Mapping[str, Parameters] = {
     "paper": PaperParameters(),
 }
 SUMMARIES: Mapping[str, str] = {
-    "default": "one merge forest; of several cuts, the one that looks most like the original",
+    "default": "one merge forest; the cut that looks most like the original, its colours fitted",
     "fast": "the same forest, one cut, nothing rendered",
     "best": "default, then fitted to renders of the original; takes minutes",
     "paper": "NanoGS as published",

@@ -7,7 +7,7 @@ import numpy as np
 
 from nanogs._types import F64, I32, I64
 from nanogs.simplify.blocks import BLOCK_GROUPS, BLOCK_MEMBERS
-from nanogs.simplify.nodes import Nodes, dominant_members, gather, member_lists, store_nodes
+from nanogs.simplify.nodes import Nodes, gather, member_lists, store_nodes, stored_order
 from nanogs.splats import Splats
 
 
@@ -35,7 +35,9 @@ def store_groups(
     if len(blocks) == 1:
         merged = gather(leaves, labels, groups)
         return store_nodes(merged, leaves, labels, splats, origin, pixel, growth)
-    places = _places(leaves.rows[dominant_members(leaves, labels, groups)])
+    _, order, _ = stored_order(leaves, labels, groups)
+    places = np.empty_like(order)
+    places[order] = np.arange(groups)
     result = _room(splats, groups)
     for block in blocks:
         sizes = np.diff(starts[block.start : block.stop + 1])
@@ -55,13 +57,6 @@ def _blocks(starts: I64) -> Iterator[slice]:
         end = min(max(full, first + 1), first + BLOCK_GROUPS, groups)
         yield slice(first, end)
         first = end
-
-
-def _places(sources: I32) -> I64:
-    """(G,) int64: where each group comes when their rows in the input ascend."""
-    places = np.empty(len(sources), dtype=np.int64)
-    places[np.argsort(sources)] = np.arange(len(sources))
-    return places
 
 
 def _room(splats: Splats, count: int) -> Splats:

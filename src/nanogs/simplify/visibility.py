@@ -18,19 +18,42 @@ JUDGED = 2  # every second view is also one to choose by
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class OriginalView:
+    """One view of the original.
+
+    Attributes:
+        camera: Where it was looked at from.
+        image: (H, W, 3) float32 in [0, 1], over black.
+        alpha: (H, W) float32.
+    """
+
+    camera: Camera
+    image: F32
+    alpha: F32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class OriginalViews:
     """The original as some views show it.
 
     Attributes:
         visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
             which it lies; 1 for one that lies in none.
-        cameras: The views to judge by.
-        images: (H, W, 3) float32 in [0, 1] each.
+        all: Every view.
     """
 
     visible: F64
-    cameras: tuple[Camera, ...]
-    images: tuple[F32, ...]
+    all: tuple[OriginalView, ...]
+
+    @property
+    def judging(self) -> tuple[OriginalView, ...]:
+        """The views to judge by."""
+        return self.all[::JUDGED]
+
+    @property
+    def other(self) -> tuple[OriginalView, ...]:
+        """The views that nothing was chosen by."""
+        return tuple(view for i, view in enumerate(self.all) if i % JUDGED)
 
 
 def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 12) -> OriginalViews:
@@ -50,17 +73,17 @@ def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 1
         chosen = automatic_cameras(splats, count, width=SIZE, height=SIZE)
     prepared = prepare(splats)
     seen, whole = np.zeros(len(splats)), np.zeros(len(splats))
-    images = []
+    views = []
     for camera in chosen:
         view = render(prepared, camera, contributions=True)
         assert view.contributions is not None  # noqa: S101 - asked for
         assert view.unhidden is not None  # noqa: S101 - asked for
         seen += view.contributions
         whole += view.unhidden
-        images.append(view.shown())
+        views.append(OriginalView(camera, view.shown(), view.alpha))
     visible = np.ones(len(splats))
     np.divide(seen, whole, out=visible, where=whole > 0)
-    return OriginalViews(np.minimum(visible, 1.0), tuple(chosen[::JUDGED]), tuple(images[::JUDGED]))
+    return OriginalViews(np.minimum(visible, 1.0), tuple(views))
 
 
 def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
@@ -84,9 +107,9 @@ def judge(small: Splats, views: OriginalViews) -> tuple[float, float]:
     """
     prepared = prepare(small)
     scores = []
-    for camera, image in zip(views.cameras, views.images, strict=True):
-        shown = render(prepared, camera).shown()
-        grey = ssim(image @ LUMA, shown @ LUMA)
-        scores.append((min(psnr(image, shown), 100.0), grey))
+    for view in views.judging:
+        shown = render(prepared, view.camera).shown()
+        grey = ssim(view.image @ LUMA, shown @ LUMA)
+        scores.append((min(psnr(view.image, shown), 100.0), grey))
     means = np.mean(scores, axis=0)
     return float(means[0]), float(means[1])

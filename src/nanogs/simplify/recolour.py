@@ -1,0 +1,84 @@
+"""Recolour: give merged splats the colours with which they look most like the original.
+
+A merged splat has the mean colour of its members. What the members show is not that mean: they
+hide each other, are cut off at black where a colour falls below it, and leave gaps where the
+merged ones do not. Two steps of least squares on the views' pixels set the mean colours right.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from nanogs._types import F32, F64, Bool
+from nanogs.kernels.harmonics import C0
+from nanogs.render.rasterize import Projection, blend, prepare, probe, project
+from nanogs.report import RecolourReport
+from nanogs.simplify.choose import quality
+from nanogs.simplify.visibility import OriginalView, OriginalViews, judge
+from nanogs.splats import Splats
+
+WHITE = 0.25  # share of white in the background; viewers show black, mostly
+PRIOR = 1.0  # opaque pixels of which the colour that a splat has already counts as much
+
+
+def recolour(
+    small: Splats, merged: Bool, views: OriginalViews, before: tuple[float, float]
+) -> tuple[Splats, RecolourReport | None]:
+    """Fit the colours to the views that nothing was chosen by, then to those that judge.
+
+    The first step is kept, and the second made, only if the model then looks more like the
+    original on the views that judge, which the first has not seen.
+
+    Args:
+        small: The chosen model, N splats.
+        merged: (N,) which of them may change: those of one member keep their bytes.
+        views: Of the original.
+        before: The model's PSNR and SSIM on the views that judge.
+
+    Returns:
+        The model, and what the first step gained; None where there are too few views to tell.
+    """
+    if not views.other:
+        return small, None
+    moved = _step(small, merged, views.other)
+    after = judge(moved, views)
+    kept = quality(*after) > quality(*before)
+    if kept:
+        small = _step(moved, merged, views.judging)
+    return small, RecolourReport(*before, *after, kept)
+
+
+def _step(small: Splats, merged: Bool, views: Sequence[OriginalView]) -> Splats:
+    """The model after one step for all splats at the same time.
+
+    The colour of splat k enters a pixel with the weight w_k = T alpha, and the weights of a pixel
+    add up to its alpha A. Least squares for pixels that all lack r of what they should show,
+
+        dc_k = sum w_k r / (sum w_k A + prior),
+
+    never go too far: the quadratic with these curvatures lies above the true one (De Pierro, 1995).
+    """
+    prepared = prepare(small)
+    pulls, curvatures = np.zeros((len(small), 3)), np.full((len(small), 1), PRIOR)
+    for view in views:
+        shown = project(prepared, view.camera)
+        totals = probe(shown, view.camera, _planes(shown, view))
+        pulls += totals[:, :3]
+        curvatures += totals[:, 3:]
+    moved = small.sh.copy()
+    changes: F64 = pulls[merged] / curvatures[merged] / C0
+    moved[merged, 0] += changes.astype(np.float32)
+    return replace(small, sh=moved)
+
+
+def _planes(shown: Projection, view: OriginalView) -> F32:
+    """(4, H, W): what the colours of the pixels lack, and their alpha."""
+    colours = np.ascontiguousarray(shown.features[:, :3])
+    image, left, _ = blend(shown, view.camera, colours, np.zeros(3, np.float32))
+    alpha = 1 - left
+    # Over white, what the alpha lacks is lacking less.
+    lack = view.image - np.minimum(image, 1.0) - WHITE * (view.alpha - alpha)[..., None]
+    planes = np.empty((4, *alpha.shape), np.float32)
+    planes[:3], planes[3] = np.moveaxis(lack, 2, 0), alpha
+    return planes
