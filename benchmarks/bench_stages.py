@@ -55,8 +55,8 @@ def scene(splats):
     log_determinants(leaves.covariances, dets)
     costs = np.empty((len(pairs), 2), np.float32)
     merge_increments(
-        pairs, leaves.weights, leaves.means, leaves.covariances, dets,
-        leaves.features, leaves.rows, costs,
+        np.ascontiguousarray(pairs), leaves.weights, leaves.means, leaves.covariances, dets,
+        leaves.features, leaves.rows, leaves.seconds, leaves.shares, costs,
     )  # fmt: skip
     forest = grow_forest(leaves, 8, 1.0, THREADS, nothing)
     target = max(1, len(leaves) // RATIO)
@@ -135,7 +135,8 @@ def test_pairs(timed, scene):
 
 
 def test_increments(timed, scene):
-    leaves, pairs, out = scene["leaves"], scene["pairs"], np.empty_like(scene["costs"])
+    leaves, out = scene["leaves"], np.empty_like(scene["costs"])
+    pairs = np.ascontiguousarray(scene["pairs"])
     timed(
         lambda: merge_increments(
             pairs,
@@ -145,6 +146,8 @@ def test_increments(timed, scene):
             scene["dets"],
             leaves.features,
             leaves.rows,
+            leaves.seconds,
+            leaves.shares,
             out,
         ),
         pairs, leaves.means, leaves.covariances, leaves.features, out,

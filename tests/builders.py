@@ -30,7 +30,8 @@ def gaussians_of(splats):
         quats=splats.unit_quats(),
         opacities=splats.opacities(),
         features=splats.sh.reshape(count, -1),
-        sources=np.arange(count),
+        rows=np.arange(count, dtype=np.int32),
+        sources=np.arange(count, dtype=np.int32),
         merged=np.zeros(count, dtype=bool),
     )
 
@@ -42,7 +43,7 @@ def row(gaussians, index):
         "scales": gaussians.scales[index],
         "quat": gaussians.quats[index],
         "opacity": gaussians.opacities[index],
-        "features": gaussians.features[index],
+        "features": gaussians.colours()[index],
     }
 
 

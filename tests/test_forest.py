@@ -13,7 +13,7 @@ from builders import model_bytes, random_splats
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.render.views import automatic_cameras
 from nanogs.report import PassReport, StageClock, StopReason
-from nanogs.simplify import choose, forest_pipeline, reassign, tree
+from nanogs.simplify import choose, forest_pipeline, reassign, store, tree
 from nanogs.simplify.choose import choose_model, quality
 from nanogs.simplify.cut import cut, merge_scores
 from nanogs.simplify.extent import core_radius, dilation
@@ -23,11 +23,13 @@ from nanogs.simplify.nodes import (
     activate_nodes,
     footprints,
     gather,
+    gather_pairs,
     normalised,
     store_nodes,
 )
 from nanogs.simplify.order import morton_order
 from nanogs.simplify.presets import PRESETS
+from nanogs.simplify.store import store_groups
 from nanogs.simplify.tree import Forest, grow_forest
 from nanogs.splats import RenderMode
 
@@ -117,6 +119,44 @@ def test_weighted_means_of_the_whole_are_conserved(n, seed):
     assert np.allclose(whole.covariances, again.covariances, rtol=1e-9, atol=1e-12)
 
 
+def own_features(nodes):
+    """The same nodes, with features of their own."""
+    mixed = nodes.features[nodes.rows] * nodes.shares[:, :1]
+    mixed += nodes.features[nodes.seconds] * nodes.shares[:, 1:]
+    rows = np.arange(len(nodes), dtype=np.int32)
+    none = {"seconds": np.empty(0, np.int32), "shares": np.empty((0, 2))}
+    return dataclasses.replace(nodes, features=mixed.astype(np.float32), rows=rows, **none)
+
+
+@SOME
+@given(st.integers(4, 60), st.integers(0, 2**31))
+def test_pairs_keep_the_features_of_splats_and_stand_for_their_means(n, seed):
+    nodes, _ = nodes_of(random_splats(n, seed=seed), 0.01)
+    labels = np.random.default_rng(seed).permutation(np.arange(n) % (2 * n // 3)).astype(np.int32)
+    groups = 2 * n // 3
+    pairs, stored = (join(nodes, labels, groups) for join in (gather_pairs, gather))
+    assert pairs.features is nodes.features
+    own = own_features(pairs)
+    for name in ("weights", "coverages", "means", "covariances"):
+        assert np.array_equal(getattr(pairs, name), getattr(stored, name))
+    assert np.allclose(own.features, stored.features, rtol=1e-6, atol=1e-6)
+    halves = (np.arange(groups) // 2).astype(np.int32)
+    again = [gather(x, halves, int(halves[-1]) + 1).features for x in (pairs, own)]
+    assert np.allclose(*again, rtol=1e-6, atol=1e-6)
+
+
+def test_growing_needs_no_coverages():
+    nodes, _ = nodes_of(random_splats(50, seed=6), 0.01)
+    bare = dataclasses.replace(nodes, coverages=nodes.weights)
+    labels = (np.arange(50) // 2).astype(np.int32)
+    merged = gather_pairs(bare, labels, 25)
+    assert merged.coverages is merged.weights
+    assert np.array_equal(merged.weights, gather(nodes, labels, 25).weights)
+    forests = [grow_forest(x, 8, 1.0, 1, silent) for x in (nodes, bare)]
+    assert np.array_equal(forests[0].children, forests[1].children)
+    assert np.array_equal(forests[0].increments, forests[1].increments)
+
+
 def test_weights_are_about_one_and_never_zero():
     weights = normalised(np.array([0.0, 1.0, 3.0]))
     assert weights == pytest.approx([1e-9, 0.75, 2.25])
@@ -145,6 +185,19 @@ def test_stored_groups_cover_what_their_members_did(n, seed, pixel):
     assert np.allclose(covered[by_centre][chosen], expected[chosen], rtol=1e-3)
     assert (covered[by_centre][pairs] <= 1.001 * expected[pairs]).all()
     assert (alphas <= 1).all()
+
+
+@pytest.mark.parametrize(("groups", "members"), [(1, 1), (7, 10**6), (10**6, 11), (10**6, 1)])
+def test_groups_are_stored_alike_in_blocks_of_any_size(monkeypatch, groups, members):
+    splats = random_splats(90, seed=8, extras={"label": np.arange(90, dtype=np.uint8)})
+    leaves, _ = nodes_of(splats, 0.01)
+    labels = cut(grow_forest(leaves, 8, 1.0, 1, silent), 40, 0.8)
+    stored = [store_groups(leaves, labels, splats, np.zeros(3), 0.01, 1.1)]
+    monkeypatch.setattr(store, "BLOCK_GROUPS", groups)
+    monkeypatch.setattr(store, "BLOCK_MEMBERS", members)
+    stored.append(store_groups(leaves, labels, splats, np.zeros(3), 0.01, 1.1))
+    assert model_bytes(stored[0]) == model_bytes(stored[1])
+    assert stored[1].extras["label"].tolist() == sorted(stored[1].extras["label"].tolist())
 
 
 def test_groups_that_would_need_more_than_alpha_one_stay_a_hair_below():

@@ -1,5 +1,7 @@
 """Each kernel against its plain float64 twin."""
 
+import dataclasses
+import importlib
 import math
 import os
 import subprocess
@@ -28,7 +30,7 @@ from nanogs.kernels.nodes import (
     heaviest_members,
     principal_axes,
 )
-from nanogs.kernels.pairs import cost_keys, count_pairs, fill_pairs
+from nanogs.kernels.pairs import collect_free, count_pairs, fill_firsts, fill_seconds, tally_free
 from nanogs.kernels.quaternion import rotation_matrix, unit_quaternion
 from nanogs.kernels.radix import radix_sort
 from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix
@@ -39,6 +41,10 @@ from nanogs.simplify.merge import merge
 from nanogs.simplify.neighbours import coincident_groups, nearest_neighbours
 from nanogs.simplify.order import morton_codes
 from nanogs.simplify.presets import PaperParameters
+
+stage_four = importlib.import_module(
+    "nanogs.simplify.match"
+)  # the package has a function so called
 
 
 def random_quats(count, seed=0):
@@ -142,6 +148,34 @@ def test_costs_equal_the_twin(samples, degree):
     assert np.allclose(costs, expected, rtol=1e-5, atol=1e-5)
 
 
+def test_costs_and_merges_of_pairs_are_those_of_splats_with_their_features():
+    """The first merge keeps the model's features and mixes them; the second stores its own."""
+    g = gaussians_of(random_splats(40, degree=2, seed=33))
+    first = np.arange(0, 24, dtype=np.int32).reshape(-1, 2)
+    pairs = merge(g, MergePlan(first, np.zeros(12, np.float32), 0), log_masses(g))
+    assert pairs.features is g.features
+    for at, (i, j) in zip(range(12), first, strict=True):
+        expected = twins.merged(row(g, i), row(g, j))["features"]
+        assert np.allclose(pairs.colours()[at], expected, atol=1e-6)
+    own = dataclasses.replace(
+        pairs,
+        features=pairs.colours(),
+        rows=np.arange(28, dtype=np.int32),
+        seconds=np.empty(0, np.int32),
+        shares=np.empty((0, 2)),
+    )
+    every = neighbour_pairs(pairs.means, 5, threads=1)
+    masses, parameters = log_masses(pairs), PaperParameters()
+    costs = [pair_costs(x, every, masses, parameters) for x in (pairs, own)]
+    assert np.array_equal(*costs)
+    second = np.array([[0, 3], [5, 20], [22, 27]], dtype=np.int32)
+    plan = MergePlan(second, np.zeros(3, np.float32), 0)
+    again, too = (merge(x, plan, masses) for x in (pairs, own))
+    assert len(again.features) == len(again) == 25
+    assert np.array_equal(again.colours(), too.colours())
+    assert np.array_equal(again.take(np.array([4, 9])).colours(), again.colours()[[4, 9]])
+
+
 def test_cost_of_equal_splats_is_near_zero_and_of_colours_is_their_distance():
     g = gaussians_of(random_splats(1, degree=0, seed=8).take(np.array([0, 0])))
     g.features[1, 0] += 2
@@ -190,8 +224,9 @@ def test_merge_leaves_other_rows_and_their_order_alone():
     result = merge(g, plan, log_masses(g))
     others = [0, 1, 3, 4, 5, 6, 7, 9]
     places = [0, 1, 3, 4, 5, 6, 7, 8]
-    for name in ("means", "scales", "quats", "opacities", "features", "sources"):
+    for name in ("means", "scales", "quats", "opacities", "sources"):
         assert np.array_equal(getattr(result, name)[places], getattr(g, name)[others])
+    assert np.array_equal(result.colours()[places], g.colours()[others])
     assert not result.merged[places].any()
     assert result.merged[2]
 
@@ -259,22 +294,64 @@ def test_pairs_of_a_row_that_all_others_have_as_their_neighbour():
     """Its list of pairs is long, and most of it comes from the others."""
     neighbours = np.stack([(np.arange(400) + 1) % 400, np.full(400, 200)], axis=1).astype(np.int32)
     neighbours[199:201, 1] = [5, 7]
-    one_sided, starts = np.empty((400, 2), dtype=bool), np.empty(401, dtype=np.int64)
-    count_pairs(neighbours, one_sided, starts)
-    pairs = np.empty((starts[-1], 2), dtype=np.int32)
-    fill_pairs(neighbours, one_sided, starts, starts[:-1].copy(), pairs)
-    assert list(map(tuple, pairs.tolist())) == twins.pairs_of(neighbours)
+    expected, starts = twins.pairs_of(neighbours), np.empty(401, dtype=np.int64)
+    count_pairs(neighbours, starts)
+    firsts, seconds = np.empty((2, starts[-1]), dtype=np.int32)
+    fill_seconds(neighbours, starts, starts[:-1].copy(), seconds)
+    fill_firsts(starts, firsts)
+    assert list(zip(firsts.tolist(), seconds.tolist(), strict=True)) == expected
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-3, 15.0])
 def test_cost_keys_sort_like_costs_and_pairs(spread):
     rng = np.random.default_rng(19)
     costs = (rng.choice([-1, 1], 3000) * np.exp(spread * rng.normal(size=3000))).astype(np.float32)
-    keys = np.empty(3000, dtype=np.uint64)
-    assert cost_keys(costs, keys) == 3000
+    rows, free = np.arange(6000, dtype=np.int32).reshape(2, 3000), np.zeros(6000, dtype=bool)
+    counts, keys = np.zeros(1 << 16, dtype=np.int64), np.empty(3000, dtype=np.uint64)
+    assert tally_free(*rows, costs, free, counts) == 0
+    assert counts.sum() == collect_free(*rows, costs, free, 1 << 16, keys) == 3000
     other = np.empty_like(keys)
     found = other if radix_sort(keys, other) else keys
     assert (found & np.uint64(0xFFFFFFFF)).tolist() == np.argsort(costs, kind="stable").tolist()
+    upper = found >> np.uint64(48)
+    assert counts.tolist() == np.bincount(upper.astype(np.int64), minlength=1 << 16).tolist()
+
+
+@pytest.mark.parametrize(
+    ("end", "bound"), [(0, -math.inf), (0x8000, 0), (0xBF80, 1), (1 << 16, math.inf)]
+)
+def test_collected_are_the_free_pairs_below_a_bound(end, bound):
+    rng = np.random.default_rng(29)
+    costs = rng.normal(size=500).astype(np.float32)
+    costs[::7], costs[1::7] = np.nan, -0.0
+    firsts, seconds = rng.integers(0, 60, (2, 500)).astype(np.int32)
+    taken = rng.random(60) < 0.3
+    expected = np.flatnonzero((costs < bound) & ~taken[firsts] & ~taken[seconds])
+    keys = np.empty(500, dtype=np.uint64)
+    count = collect_free(firsts, seconds, costs, taken, end, keys)
+    assert (keys[:count] & np.uint64(0xFFFFFFFF)).tolist() == expected.tolist()
+    counts = np.zeros(1 << 16, dtype=np.int64)
+    assert tally_free(firsts, seconds, costs, taken, counts) == np.isnan(costs).sum()
+    assert counts[:end].sum() == count
+
+
+def test_matching_in_batches_changes_nothing(monkeypatch):
+    rng = np.random.default_rng(34)
+    pairs = neighbour_pairs(rng.normal(size=(800, 3)), 8, threads=1)
+    costs = rng.choice([*rng.normal(size=90), math.nan, 0.0, -0.0], len(pairs)).astype(np.float32)
+    plans, batches, whole = [], [], stage_four._sorted_keys
+    monkeypatch.setattr(
+        stage_four, "_sorted_keys", lambda *given: batches.append(1) or whole(*given)
+    )
+    monkeypatch.setattr(stage_four, "BATCH", 0.0)
+    for smallest in (1 << 16, 50, 1):
+        monkeypatch.setattr(stage_four, "SMALLEST_BATCH", smallest)
+        plans.append(match(pairs, costs, 800, 390))
+    expected = twins.greedy(pairs, costs.tolist(), 390)
+    for plan in plans:
+        assert list(map(tuple, plan.pairs.tolist())) == expected
+        assert plan.without_cost == np.isnan(costs).sum() > 0
+    assert len(batches) > 20
 
 
 @given(
@@ -371,13 +448,18 @@ def test_group_members_and_heaviest_members():
         assert heaviest[group] == expected[np.argmax(weights[expected])]  # the first of equal ones
 
 
-def test_gathered_moments_equal_the_twin():
+@pytest.mark.parametrize("own", [True, False])
+def test_gathered_moments_equal_the_twin(own):
     nodes = random_moments(40, seed=22)
+    held = (*shuffled(nodes[-1]), *ALONE)
+    if not own:
+        held, features = mixed(40, 12, seed=31)
+        nodes = (*nodes[:-1], features)
     labels = np.r_[np.arange(9), np.random.default_rng(22).integers(0, 9, 31)].astype(np.int32)
     starts, members = np.zeros(10, np.int64), np.empty(40, np.int32)
     group_members(labels, starts, members)
     new = (np.empty(9), np.empty(9), np.empty((9, 3)), np.empty((9, 6)), np.empty((9, 12), "f4"))
-    gather_moments(starts, members, *nodes[:-1], *shuffled(nodes[-1]), *new)
+    gather_moments(starts, members, *nodes[:-1], *held, *new)
     weights, coverages, means, covariances, features = nodes
     sigmas = np.array([twins.unpack(six) for six in covariances])
     for group in range(9):
@@ -422,17 +504,35 @@ def shuffled(features):
     return moved, rows
 
 
-def increments_of(pairs, weights, means, covariances, features):
+ALONE = np.empty(0, np.int32), np.empty((0, 2))  # of nodes that have one row of features each
+
+
+def mixed(count, channels, seed):
+    """Features of which each node's are the mean of two, as the kernels take them, and these."""
+    rng = np.random.default_rng(seed)
+    table = rng.normal(size=(count + 5, channels)).astype(np.float32)
+    rows, seconds = rng.integers(0, count + 5, (2, count)).astype(np.int32)
+    shares = rng.dirichlet((1, 1), count)
+    shares[0] = (1, 0)
+    features = shares[:, :1] * table[rows] + shares[:, 1:] * table[seconds]
+    return (table, rows, seconds, shares), features.astype(np.float32)
+
+
+def increments_of(pairs, weights, means, covariances, held):
     dets, out = np.empty(len(means)), np.empty((len(pairs), 2), np.float32)
     log_determinants(covariances, dets)
-    merge_increments(pairs, weights, means, covariances, dets, *shuffled(features), out)
+    merge_increments(pairs, weights, means, covariances, dets, *held, out)
     return out
 
 
-def test_merge_increments_equal_the_twin():
+@pytest.mark.parametrize("own", [True, False])
+def test_merge_increments_equal_the_twin(own):
     weights, _, means, covariances, features = random_moments(20, seed=25)
+    held = (*shuffled(features), *ALONE)
+    if not own:
+        held, features = mixed(20, 12, seed=30)
     pairs = np.array([(i, j) for i in range(20) for j in range(i + 1, 20)], dtype=np.int32)
-    found = increments_of(pairs, weights, means, covariances, features)
+    found = increments_of(pairs, weights, means, covariances, held)
     sigmas = np.array([twins.unpack(six) for six in covariances])
     for pair, increment in zip(pairs, found, strict=True):
         expected = twins.merge_increment(weights[pair], means[pair], sigmas[pair], features[pair])
@@ -447,7 +547,11 @@ def test_the_increment_of_geometry_bounds_the_divergence(apart):
     covariances = random_covariances(1, seed=26)[[0, 0]] * np.array([[1.0], [1 + apart]])
     sigmas = np.array([twins.unpack(six) for six in covariances])
     found = increments_of(
-        np.array([[0, 1]], np.int32), weights, means, covariances, np.zeros((2, 3), np.float32)
+        np.array([[0, 1]], np.int32),
+        weights,
+        means,
+        covariances,
+        (*shuffled(np.zeros((2, 3), np.float32)), *ALONE),
     )
     divergence = twins.divergence_from_merged(weights, means, sigmas, 20_000, seed=26)
     assert found[0, 1] / weights.sum() >= divergence - 0.02

@@ -7,6 +7,8 @@ import pytest
 
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
+from nanogs.io import ply as reader
+from nanogs.io import ply_rows
 from plyfiles import BASE, ENCODINGS, ply, vertex
 
 GOOD = ply(("vertex", vertex()))
@@ -120,3 +122,17 @@ def test_every_truncation_is_refused(tmp_path, encoding):
         path.write_bytes(data[:end])
         with pytest.raises(FormatError):
             io.load(path)
+
+
+def test_a_file_that_becomes_shorter_while_it_is_read(tmp_path, monkeypatch):
+    path = tmp_path / "shrinking.ply"
+    path.write_bytes(ply(("vertex", vertex(9))))
+    check = ply_rows.check_body
+
+    def check_and_cut(header):
+        check(header)
+        with path.open("r+b") as file:
+            file.truncate(path.stat().st_size - 5)
+
+    monkeypatch.setattr(reader, "check_body", check_and_cut)
+    refused(path, "became shorter while it was read")

@@ -123,8 +123,7 @@ class Splats:
 
     def opacities(self) -> F64:
         """(N,) float64 in [0, 1]: alpha; double precision keeps 1 - alpha for opaque splats."""
-        with np.errstate(over="ignore"):
-            return 1.0 / (1.0 + np.exp(-self.opacity_logits.astype(np.float64)))
+        return alphas(self.opacity_logits)
 
     def unit_quats(self) -> F32:
         """(N, 4) float32, wxyz, unit; a zero quaternion stands for no rotation."""
@@ -182,6 +181,12 @@ class Splats:
         if degree >= self.sh_degree:
             return self
         return replace(self, sh=np.ascontiguousarray(self.sh[:, : (degree + 1) ** 2]))
+
+
+def alphas(logits: F32) -> F64:
+    """(N,) float64 in [0, 1]: what logits stand for."""
+    with np.errstate(over="ignore"):
+        return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
 
 
 def unit(quats: F32) -> F32:

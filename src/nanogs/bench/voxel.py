@@ -7,6 +7,7 @@ met. Splitting goes by rank, so coincident centres can be told apart too.
 """
 
 import heapq
+from dataclasses import replace
 
 import numpy as np
 
@@ -133,11 +134,12 @@ def merge_groups(gaussians: Gaussians, labels: I64) -> Gaussians:
     result.scales[many] = scales[many]
     result.quats[many] = quats[many]
     result.opacities[many] = np.minimum(_mean(ordered.opacities, shares, starts), 1.0)[many]
-    for column in range(ordered.features.shape[1]):
-        mixed = _mean(ordered.features[:, column], shares, starts)
-        result.features[many, column] = mixed[many]
+    features = ordered.colours()
+    colours = features[dominant]
+    for column in range(features.shape[1]):
+        colours[many, column] = _mean(features[:, column], shares, starts)[many]
     result.merged[many] = True
-    return result
+    return replace(result, features=colours, rows=np.arange(len(colours), dtype=np.int32))
 
 
 def _log_masses(gaussians: Gaussians) -> F64:

@@ -22,7 +22,7 @@ class Block:
 
     element: Element
     rows: slice
-    values: Array  # (R,) structured
+    values: Array  # (R,) structured; only until the next block is asked for
 
 
 def check_body(header: Header) -> None:
@@ -105,15 +105,25 @@ def _spans(count: int) -> Iterator[slice]:
 
 
 def _binary_blocks(header: Header) -> Iterator[Block]:
-    offset = header.size
-    for element in header.elements:
-        if element.count == 0:
-            continue
-        dtype = element.dtype(header.order)
-        rows = np.memmap(header.path, dtype, "r", offset, (element.count,))
-        for span in _spans(element.count):
-            yield Block(element, span, rows[span])
-        offset += element.count * dtype.itemsize
+    """Blocks in one buffer, which the next overwrites: a mapped file would count as memory."""
+    with header.path.open("rb", buffering=0) as file:
+        file.seek(header.size)
+        for element in header.elements:
+            if element.count == 0:
+                continue
+            buffer = np.empty(min(element.count, BLOCK_ROWS), element.dtype(header.order))
+            for span in _spans(element.count):
+                values = buffer[: span.stop - span.start]
+                _fill(header.path, file, values)
+                yield Block(element, span, values)
+
+
+def _fill(path: Path, file: BinaryIO, values: Array) -> None:
+    left = values.view(np.uint8).data
+    while left:
+        if not (count := file.readinto(left)):  # type: ignore[attr-defined]
+            raise FormatError(f"{path} became shorter while it was read; {_AGAIN}")
+        left = left[count:]
 
 
 def _ascii_blocks(header: Header) -> Iterator[Block]:

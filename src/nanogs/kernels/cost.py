@@ -3,9 +3,11 @@
 import math
 
 import numba
+import numpy as np
 
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.mass import mass_fraction
+from nanogs.kernels.mixed import feature
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.quaternion import Matrix3, Row3, rotation_matrix, row3
 from nanogs.kernels.symmetric3 import covariance, log_det, mix
@@ -65,14 +67,15 @@ def _expected_log_mixture(
 
 @parallel_kernel
 def published_costs(
-    pairs: I32, means: F64, scales: F32, quats: F32, log_masses: F64, features: F32,
+    pairs: I32, means: F64, scales: F32, quats: F32, log_masses: F64,
+    features: F32, rows: I32, seconds: I32, shares: F64,
     normals: F64, jitter: float, lambda_geo: float, lambda_app: float, out: F32,
 ) -> None:  # fmt: skip
     """C = lambda_geo KL(pi N_i + (1 - pi) N_j || N_m) + lambda_app |f_i - f_j|^2 for each pair.
 
     pairs: (E, 2); means, scales: (N, 3); quats: (N, 4) wxyz unit; log_masses: (N,);
-    features: (N, C); normals: (S, 3) standard normal draws; jitter: added to every variance,
-    squared scene units; out: (E,).
+    features: (F, C), rows, seconds and shares: see `mixed.py`; normals: (S, 3)
+    standard normal draws; jitter: added to every variance, squared scene units; out: (E,).
     """
     for edge in numba.prange(len(pairs)):
         i, j = pairs[edge, 0], pairs[edge, 1]
@@ -103,8 +106,10 @@ def published_costs(
             kl += pi * _expected_log_mixture(ri, vi, di, li, rj, vj, dj, lj, (x, y, z), normals)
         if pj > 0.0:
             kl += pj * _expected_log_mixture(rj, vj, dj, lj, ri, vi, di, li, (-x, -y, -z), normals)
-        distance = 0.0
+        distance = np.float64(0.0)
         for c in range(features.shape[1]):
-            difference = features[i, c] - features[j, c]
+            difference = feature(features, rows, seconds, shares, i, c) - feature(
+                features, rows, seconds, shares, j, c
+            )
             distance += difference * difference
         out[edge] = lambda_geo * kl + lambda_app * distance

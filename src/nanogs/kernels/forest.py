@@ -10,6 +10,7 @@ import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I32, Bool
+from nanogs.kernels.mixed import feature
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 from nanogs.kernels.symmetric3 import Symmetric3, mix
@@ -33,7 +34,7 @@ def log_determinants(covariances: F64, out: F64) -> None:
 @parallel_kernel
 def merge_increments(
     pairs: I32, weights: F64, means: F64, covariances: F64, log_dets: F64,
-    features: F32, rows: I32, out: F32,
+    features: F32, rows: I32, seconds: I32, shares: F64, out: F32,
 ) -> None:  # fmt: skip
     """What merging each pair adds to the error of colour and of geometry.
 
@@ -41,7 +42,7 @@ def merge_increments(
     - pi log |Sigma_i| - (1 - pi) log |Sigma_j|), pi = w_i / (w_i + w_j): the upper bound on the
     divergence of [R], eq. 21. Both add up over a subtree.
     pairs: (E, 2); weights: (N,) above 0; means: (N, 3); covariances: (N, 6); log_dets: (N,);
-    features: (F, C); rows: (N,) of the features; out: (E, 2), colour and geometry.
+    features, rows, seconds and shares: see `mixed.py`; out: (E, 2), colour and geometry.
     """
     for edge in numba.prange(len(pairs)):
         i, j = pairs[edge, 0], pairs[edge, 1]
@@ -56,7 +57,9 @@ def merge_increments(
         )
         distance = np.float32(0.0)
         for c in range(features.shape[1]):
-            difference = features[rows[i], c] - features[rows[j], c]
+            difference = feature(features, rows, seconds, shares, i, c) - feature(
+                features, rows, seconds, shares, j, c
+            )
             distance += difference * difference
         out[edge, 0] = total * pi * pj * distance
         growth = math.log(_determinant(merged)) - pi * log_dets[i] - pj * log_dets[j]

@@ -14,13 +14,14 @@ from nanogs.kernels.symmetric3 import covariance, eigen, mix
 @parallel_kernel
 def merge_pairs(
     pairs: I32, rows: I64, log_masses: F64,
-    means: F64, scales: F32, quats: F32, opacities: F64, features: F32,
-    new_means: F64, new_scales: F32, new_quats: F32, new_opacities: F64, new_features: F32,
+    means: F64, scales: F32, quats: F32, opacities: F64,
+    new_means: F64, new_scales: F32, new_quats: F32, new_opacities: F64, shares: F64,
 ) -> None:  # fmt: skip
     """Write the merge of each pair into its row of the new arrays.
 
     pairs: (P, 2) disjoint rows of the old arrays; rows: (P,) rows of the new arrays; log_masses:
-    (N,); means, scales: (N, 3); quats: (N, 4) wxyz unit; opacities: (N,); features: (N, C).
+    (N,); means, scales: (N, 3); quats: (N, 4) wxyz unit; opacities: (N,); shares: (M, 2), filled
+    at `rows`: the weights of both in the mean of their features.
     """
     for p in numba.prange(len(pairs)):
         i, j, row = pairs[p, 0], pairs[p, 1], rows[p]
@@ -48,5 +49,4 @@ def merge_pairs(
         for part in range(4):
             new_quats[row, part] = q[part]
         new_opacities[row] = 1.0 - (1.0 - opacities[i]) * (1.0 - opacities[j])
-        for c in range(features.shape[1]):
-            new_features[row, c] = wi * features[i, c] + wj * features[j, c]
+        shares[row, 0], shares[row, 1] = wi, wj

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64
+from nanogs.kernels.mixed import feature
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
 from nanogs.kernels.symmetric3 import Symmetric3, covariance, eigen
@@ -70,15 +71,16 @@ def heaviest_members(labels: I32, weights: F64, members: I64) -> None:
 @parallel_kernel
 def gather_moments(
     starts: I64, members: I32,
-    weights: F64, coverages: F64, means: F64, covariances: F64, features: F32, rows: I32,
+    weights: F64, coverages: F64, means: F64, covariances: F64,
+    features: F32, rows: I32, seconds: I32, shares: F64,
     new_weights: F64, new_coverages: F64, new_means: F64, new_covariances: F64, new_features: F32,
 ) -> None:  # fmt: skip
     """Weighted mean, covariance and features of every group; sums of weights and coverages.
 
     mu_m = sum w mu / W, Sigma_m = sum w (Sigma + (mu - mu_m)(mu - mu_m)^T) / W, f_m = sum w f / W.
     starts (G + 1,) and members (N,): from `group_members`; weights: (N,), all above 0; coverages:
-    (N,); means: (N, 3); covariances: (N, 6); features: (F, C); rows: (N,) of the features; the new
-    ones have G rows.
+    (N,); means: (N, 3); covariances: (N, 6); features, rows, seconds and shares: see `mixed.py`;
+    the new ones have G rows.
     """
     channels = features.shape[1]
     for group in numba.prange(len(starts) - 1):
@@ -110,7 +112,7 @@ def gather_moments(
             yz += share * (covariances[row, 4] + dy * dz)
             zz += share * (covariances[row, 5] + dz * dz)
             for c in range(channels):
-                colour[c] += share * features[rows[row], c]
+                colour[c] += share * feature(features, rows, seconds, shares, row, c)
         new_weights[group], new_coverages[group] = total, covered
         new_means[group, 0], new_means[group, 1], new_means[group, 2] = x, y, z
         new_covariances[group, 0], new_covariances[group, 1] = xx, xy

@@ -12,16 +12,17 @@ def _lists(neighbours: I32, row: int, value: int) -> bool:
     """Whether a row's neighbours hold a value; without an early exit, the loop is vectorised."""
     hits = 0
     for place in range(neighbours.shape[1]):
-        hits += neighbours[row, place] == value
+        # Another thread may be marking the row.
+        hits += (neighbours[row, place] == value) | (neighbours[row, place] == ~value)
     return hits != 0
 
 
 @parallel_kernel
-def count_pairs(neighbours: I32, one_sided: Bool, starts: I64) -> None:
+def count_pairs(neighbours: I32, starts: I64) -> None:
     """Find where the pairs of each row start; a pair belongs to its smaller row.
 
-    neighbours: (N, k); one_sided: (N, k), filled: the neighbour is the smaller row and does not
-    have this row among its own; starts: (N + 1,), filled, the last is the number of pairs.
+    neighbours: (N, k), those marked by their complement that are the smaller row and do not have
+    this row among their own; starts: (N + 1,), filled, the last is the number of pairs.
     """
     n, k = neighbours.shape
     for i in numba.prange(n):
@@ -29,30 +30,31 @@ def count_pairs(neighbours: I32, one_sided: Bool, starts: I64) -> None:
         for place in range(k):
             j = neighbours[i, place]
             larger += i < j
-            one_sided[i, place] = j < i and not _lists(neighbours, j, i)
+            if j < i and not _lists(neighbours, j, i):
+                neighbours[i, place] = ~j
         starts[i + 1] = larger
     for i in range(n):
         for place in range(k):
-            if one_sided[i, place]:
-                starts[neighbours[i, place] + 1] += 1
+            if neighbours[i, place] < 0:
+                starts[~neighbours[i, place] + 1] += 1
     starts[0] = 0
     for i in range(n):
         starts[i + 1] += starts[i]
 
 
 @parallel_kernel
-def fill_pairs(neighbours: I32, one_sided: Bool, starts: I64, nexts: I64, pairs: I32) -> None:
-    """Each unordered pair of the union of both directions once, ascending.
+def fill_seconds(neighbours: I32, starts: I64, nexts: I64, seconds: I32) -> None:
+    """The larger row of each unordered pair of the union of both directions, ascending.
 
-    neighbours, one_sided, starts: see `count_pairs`; nexts: (N,) a copy of the starts, changed;
-    pairs: (E, 2), filled, smaller row first.
+    neighbours, starts: from `count_pairs`; nexts: (N,) a copy of the starts, changed; seconds:
+    (E,), filled: those of row i from starts[i] to starts[i + 1].
     """
     n, k = neighbours.shape
     for i in range(n):  # the rows i ascend, and so do those given to each j
         for place in range(k):
-            if one_sided[i, place]:
-                j = neighbours[i, place]
-                pairs[nexts[j], 1] = i
+            if neighbours[i, place] < 0:
+                j = ~neighbours[i, place]
+                seconds[nexts[j]] = i
                 nexts[j] += 1
     for i in numba.prange(n):
         count = nexts[i]
@@ -60,51 +62,84 @@ def fill_pairs(neighbours: I32, one_sided: Bool, starts: I64, nexts: I64, pairs:
             j = neighbours[i, place]
             if i < j:
                 hole = count
-                while hole > starts[i] and pairs[hole - 1, 1] > j:
-                    pairs[hole, 1] = pairs[hole - 1, 1]
+                while hole > starts[i] and seconds[hole - 1] > j:
+                    seconds[hole] = seconds[hole - 1]
                     hole -= 1
-                pairs[hole, 1] = j
+                seconds[hole] = j
                 count += 1
-        for pair in range(starts[i], count):
-            pairs[pair, 0] = i
+
+
+@parallel_kernel
+def fill_firsts(starts: I64, firsts: I32) -> None:
+    """The smaller row of each pair. starts: (N + 1,) from `count_pairs`; firsts: (E,), filled."""
+    for i in numba.prange(len(starts) - 1):
+        for pair in range(starts[i], starts[i + 1]):
+            firsts[pair] = i
+
+
+@inline
+def _sortable(bits: np.uint32) -> np.uint32:
+    """An integer that sorts like the float32 of these bits; -0.0 ties with 0.0."""
+    if bits == np.uint32(0x80000000):
+        return bits
+    return np.uint32(~bits if bits >> np.uint32(31) else bits | np.uint32(0x80000000))
 
 
 @kernel
-def greedy_matching(pairs: I32, keys: U64, taken: Bool, limit: int, chosen: I64) -> int:
-    """Walk the pairs in order and choose those whose ends are both free, at most `limit`.
+def tally_free(firsts: I32, seconds: I32, costs: F32, taken: Bool, counts: I64) -> int:
+    """Count the pairs whose ends are both free by the upper half of their cost's bits.
 
-    pairs: (E, 2); keys: (E',) from `cost_keys`, sorted; taken: (N,) all False, changed;
-    chosen: (limit,) rows of pairs, filled in order. Returns how many were chosen.
+    firsts, seconds, costs: (E,), those without a number left out; taken: (N,); counts: (65536,)
+    zeros, filled. Returns how many were left out.
     """
+    bits = costs.view(np.uint32)
+    without = 0
+    for edge in range(len(costs)):
+        if np.isnan(costs[edge]):
+            without += 1
+        elif not (taken[firsts[edge]] or taken[seconds[edge]]):
+            counts[_sortable(bits[edge]) >> np.uint32(16)] += 1
+    return without
+
+
+@kernel
+def collect_free(
+    firsts: I32, seconds: I32, costs: F32, taken: Bool, end: int, keys: U64
+) -> int:  # fmt: skip
+    """Integers that sort like (cost, row of the pair), of pairs whose ends are both free.
+
+    firsts, seconds, costs, taken: as `tally_free` takes them; end: the first upper half that is too
+    high; keys: with room for all of them, filled by rows. Returns how many there are.
+    """
+    bits = costs.view(np.uint32)
     count = 0
+    for edge in range(len(costs)):
+        free = not (taken[firsts[edge]] or taken[seconds[edge]])
+        if free and not np.isnan(costs[edge]):
+            b = _sortable(bits[edge])
+            if b >> np.uint32(16) < end:
+                keys[count] = np.uint64(b) << np.uint64(32) | np.uint64(edge)
+                count += 1
+    return count
+
+
+@kernel
+def greedy_matching(
+    firsts: I32, seconds: I32, keys: U64, taken: Bool, chosen: I64, count: int
+) -> int:  # fmt: skip
+    """Walk the pairs in order and choose those whose ends are both free, until there is no room.
+
+    firsts, seconds: (E,); keys: from `collect_free`, sorted; taken: (N,), changed; chosen: (limit,)
+    rows of pairs, filled from place `count`. Returns how many there are.
+    """
     for key in keys:
-        if count == limit:
+        if count == len(chosen):
             break
         edge = np.int64(key & np.uint64(0xFFFFFFFF))
-        i = pairs[edge, 0]
-        j = pairs[edge, 1]
+        i, j = firsts[edge], seconds[edge]
         if not taken[i] and not taken[j]:
             taken[i] = True
             taken[j] = True
             chosen[count] = edge
             count += 1
-    return count
-
-
-@kernel
-def cost_keys(costs: F32, keys: U64) -> int:
-    """Integers that sort like (cost, row of the pair); pairs whose cost is NaN are left out.
-
-    costs: (E,); keys: (E,), the first of which are filled. Returns how many.
-    The bits of a float sort like integers once negative ones are reversed.
-    """
-    bits = costs.view(np.uint32)
-    count = 0
-    for edge in range(len(costs)):
-        if np.isnan(costs[edge]):
-            continue
-        b = bits[edge] if costs[edge] != 0 else np.uint32(0)  # -0.0 ties with 0.0
-        b = ~b if b >> np.uint32(31) else b | np.uint32(0x80000000)
-        keys[count] = np.uint64(b) << np.uint64(32) | np.uint64(edge)
-        count += 1
     return count

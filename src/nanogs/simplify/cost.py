@@ -4,6 +4,7 @@ import numpy as np
 
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.cost import published_costs
+from nanogs.simplify.blocks import BLOCK_PAIRS, blocks
 from nanogs.simplify.gaussians import Gaussians
 from nanogs.simplify.presets import PaperParameters
 
@@ -35,17 +36,21 @@ def pair_costs(gaussians: Gaussians, pairs: I32, masses: F64, parameters: PaperP
     """
     normals = np.random.default_rng(parameters.seed).standard_normal((parameters.samples, 3))
     costs = np.empty(len(pairs), dtype=np.float32)
-    published_costs(
-        pairs,
-        gaussians.means,
-        gaussians.scales,
-        gaussians.quats,
-        masses,
-        gaussians.features,
-        normals,
-        JITTER,
-        float(parameters.lambda_geo),
-        float(parameters.lambda_app),
-        costs,
-    )
+    for block in blocks(len(pairs), BLOCK_PAIRS):
+        published_costs(
+            np.ascontiguousarray(pairs[block]),
+            gaussians.means,
+            gaussians.scales,
+            gaussians.quats,
+            masses,
+            gaussians.features,
+            gaussians.rows,
+            gaussians.seconds,
+            gaussians.shares,
+            normals,
+            JITTER,
+            float(parameters.lambda_geo),
+            float(parameters.lambda_app),
+            costs[block],
+        )
     return costs

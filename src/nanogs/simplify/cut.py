@@ -26,16 +26,21 @@ def merge_scores(forest: Forest, balance: float) -> F64:
         forest: The merges.
         balance: In [0, 1].
     """
-    increments = forest.increments[:, 0] + LAMBDA_GEO * forest.increments[:, 1].astype(np.float64)
+    first = forest.splats
+    increments = LAMBDA_GEO * forest.increments[:, 1].astype(np.float64)
+    increments += forest.increments[:, 0]
     # Rounding can leave the increment of two equal splats a hair below zero.
-    sums = np.zeros(forest.splats + len(forest.children))
-    subtree_sums(forest.children, np.maximum(increments, 0.0), sums)
-    errors = np.maximum(sums[forest.splats :], np.finfo(np.float64).tiny)
-    scores = np.full(len(sums), -np.inf)
-    scores[forest.splats :] = (1 - balance) * forest.levels
-    scores[forest.splats :] += balance * np.log2(errors / np.median(errors))
+    np.maximum(increments, 0.0, out=increments)
+    sums = np.zeros(first + len(forest.children))
+    subtree_sums(forest.children, increments, sums)
+    errors = np.maximum(sums[first:], np.finfo(np.float64).tiny, out=increments)
+    errors /= np.median(errors)
+    scores = sums  # in the same memory
+    scores[:first] = -np.inf
+    scores[first:] = (1 - balance) * forest.levels
+    scores[first:] += np.multiply(balance, np.log2(errors, out=errors), out=errors)
     raise_to_children(forest.children, scores)  # log2 may round two errors the wrong way
-    return scores[forest.splats :]
+    return scores[first:]
 
 
 def cut(forest: Forest, target: int, balance: float) -> I32:

@@ -6,7 +6,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from nanogs._types import F64, I32, I64
+from nanogs._types import F64, I32
 from nanogs.errors import ModelError
 from nanogs.refit.api import refit
 from nanogs.refit.parameters import RefitParameters
@@ -17,20 +17,14 @@ from nanogs.simplify.choose import BALANCES, Candidate, choose_model
 from nanogs.simplify.cut import cut
 from nanogs.simplify.extent import dilation
 from nanogs.simplify.gaussians import scene_origin
-from nanogs.simplify.nodes import (
-    Nodes,
-    activate_nodes,
-    gather,
-    normalised,
-    store_nodes,
-    stored_order,
-)
+from nanogs.simplify.nodes import Nodes, activate_nodes, normalised, stored_order
 from nanogs.simplify.order import morton_order
 from nanogs.simplify.outcome import Outcome
 from nanogs.simplify.pipeline import Progress
 from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.reassign import reassign
 from nanogs.simplify.recolour import recolour
+from nanogs.simplify.store import store_groups
 from nanogs.simplify.tree import Forest, grow_forest
 from nanogs.simplify.visibility import OriginalViews, judge, look, visible_weights
 from nanogs.splats import Splats
@@ -69,7 +63,7 @@ class Build:
 
 def build_forest(
     splats: Splats,
-    rows: I64,
+    rows: I32,
     parameters: ForestParameters,
     cameras: Sequence[Camera] | None,
     threads: int,
@@ -105,12 +99,19 @@ def build_forest(
 
     # Made again for what follows: the passes are the most that is held, and they have no use for
     # the leaves after the first.
-    forest = grow_forest(leaves(), parameters.k, parameters.lambda_app, threads, progress)
+    forest = grow_forest(
+        _without_coverages(leaves()), parameters.k, parameters.lambda_app, threads, progress
+    )
     for one_pass in forest.passes:
         clock.add(one_pass.seconds)
     return Build(
         splats, leaves(), forest, origin, pixel, views, cameras, parameters, threads, notes
     )
+
+
+def _without_coverages(nodes: Nodes) -> Nodes:
+    """The nodes for growing, which has no use for coverages: they take no memory of their own."""
+    return replace(nodes, coverages=nodes.weights)
 
 
 def deliver(build: Build, target: int, clock: StageClock, progress: Progress) -> Outcome:
@@ -196,13 +197,6 @@ def _regroup(build: Build, labels: I32, groups: int) -> I32:
 
 
 def _model(build: Build, labels: I32, growth: float) -> Splats:
-    merged = gather(build.leaves, labels, int(labels.max()) + 1)
-    return store_nodes(
-        merged,
-        build.leaves,
-        labels,
-        build.splats,
-        build.origin,
-        build.pixel,
-        growth,
-    )
+    return store_groups(
+        build.leaves, labels, build.splats, build.origin, build.pixel, growth
+    )  # fmt: skip

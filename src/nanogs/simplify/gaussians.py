@@ -1,12 +1,14 @@
 """The working set of a simplification: activated values, converted once at each edge."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from nanogs._types import F32, F64, I64, Bool, F
+from nanogs._types import F32, F64, I32, I64, Bool, F
+from nanogs.kernels.mixed import mean_features
+from nanogs.simplify.blocks import blocks
 from nanogs.simplify.order import morton_order
-from nanogs.splats import Splats
+from nanogs.splats import Splats, alphas, unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,9 +20,14 @@ class Gaussians:
         scales: (N, 3) float32, standard deviations, scene units.
         quats: (N, 4) float32, wxyz, unit.
         opacities: (N,) float64, alpha in [0, 1].
-        features: (N, C) float32, all spherical-harmonic coefficients.
-        sources: (N,) int64, row in the input of the splat itself or of its dominant member.
+        features: (F, C) float32, all spherical-harmonic coefficients; those of splats are the
+            input's own, in its order, and are not copied.
+        rows: (N,) int32, which row of the features is each splat's.
+        sources: (N,) int32, row in the input of the splat itself or of its dominant member.
         merged: (N,) bool, False for a splat of the input as it was.
+        seconds: (N,) int32, another row of each splat, whose features are then the mean of both;
+            none, (0,), where each has its own.
+        shares: (N, 2) float64, the weights of that mean, or (0, 2).
     """
 
     means: F64
@@ -28,23 +35,48 @@ class Gaussians:
     quats: F32
     opacities: F64
     features: F32
-    sources: I64
+    rows: I32
+    sources: I32
     merged: Bool
+    seconds: I32 = field(default_factory=lambda: np.empty(0, np.int32))
+    shares: F64 = field(default_factory=lambda: np.empty((0, 2)))
 
     def __len__(self) -> int:
         return len(self.means)
 
-    def take(self, rows: I64 | Bool) -> "Gaussians":
+    def take(self, rows: I64 | I32 | Bool) -> "Gaussians":
         """The given rows, by index or mask."""
         return Gaussians(
             self.means[rows],
             self.scales[rows],
             self.quats[rows],
             self.opacities[rows],
-            self.features[rows],
+            self.features,
+            self.rows[rows],
             self.sources[rows],
             self.merged[rows],
+            self.seconds[rows] if len(self.seconds) else self.seconds,
+            self.shares[rows] if len(self.shares) else self.shares,
         )
+
+    def colours(self) -> F32:
+        """(N, C) float32: the features of every splat."""
+        every, alone = np.arange(len(self), dtype=np.int32), np.array((1.0, 0.0))
+        return self.mean_features(every, every, np.broadcast_to(alone, (len(self), 2)).copy())
+
+    def mean_features(self, firsts: I32, others: I32, weights: F64) -> F32:
+        """(M, C) float32: means of the features of two splats each.
+
+        Args:
+            firsts: (M,) one of the two.
+            others: (M,) the other one, which may be the same.
+            weights: (M, 2) of both, 1 together.
+        """
+        means = np.empty((len(firsts), self.features.shape[1]), np.float32)
+        mean_features(
+            self.features, self.rows, self.seconds, self.shares, firsts, others, weights, means
+        )
+        return means
 
 
 def scene_origin(means: F) -> F64:
@@ -58,7 +90,7 @@ def scene_origin(means: F) -> F64:
     return origin
 
 
-def activate(splats: Splats, rows: I64, origin: F64) -> Gaussians:
+def activate(splats: Splats, rows: I64 | I32, origin: F64) -> Gaussians:
     """Activated values of the given rows, in Morton order of their centres.
 
     Args:
@@ -66,19 +98,24 @@ def activate(splats: Splats, rows: I64, origin: F64) -> Gaussians:
         rows: (M,) rows of it, all finite.
         origin: (3,) taken off the centres, scene units.
     """
-    means = splats.means[rows] - origin
-    order = morton_order(means)
-    rows = rows[order]
-    chosen = splats.take(rows)
-    return Gaussians(
-        means=means[order],
-        scales=chosen.scales(),
-        quats=chosen.unit_quats(),
-        opacities=chosen.opacities(),
-        features=chosen.sh.reshape(len(rows), -1),
+    rows = rows[morton_order(splats.means[rows] - origin)].astype(np.int32)
+    result = Gaussians(
+        means=np.empty((len(rows), 3)),
+        scales=np.empty((len(rows), 3), np.float32),
+        quats=np.empty((len(rows), 4), np.float32),
+        opacities=np.empty(len(rows)),
+        features=np.ascontiguousarray(splats.sh).reshape(len(splats), -1),
+        rows=rows,
         sources=rows,
         merged=np.zeros(len(rows), dtype=bool),
     )
+    for block in blocks(len(rows)):
+        some = rows[block]
+        result.means[block] = splats.means[some] - origin
+        result.scales[block] = np.exp(splats.log_scales[some])
+        result.quats[block] = unit(splats.quats[some])
+        result.opacities[block] = alphas(splats.opacity_logits[some])
+    return result
 
 
 def store(gaussians: Gaussians, splats: Splats, origin: F64) -> Splats:
@@ -92,14 +129,16 @@ def store(gaussians: Gaussians, splats: Splats, origin: F64) -> Splats:
         splats: The input it came from.
         origin: (3,) what `activate` took off the centres, scene units.
     """
-    gaussians = gaussians.take(np.argsort(gaussians.sources))
-    stored = splats.take(gaussians.sources)
-    new = gaussians.merged
-    fresh = gaussians.take(new)
-    stored.means[new] = fresh.means + origin
-    stored.quats[new] = fresh.quats
-    stored.sh[new] = fresh.features.reshape(len(fresh), *stored.sh.shape[1:])
-    with np.errstate(divide="ignore"):  # a scale of 0 is stored as -inf, alpha 0 and 1 as ±inf
-        stored.log_scales[new] = np.log(fresh.scales)
-        stored.opacity_logits[new] = np.log(fresh.opacities) - np.log1p(-fresh.opacities)
+    order = np.argsort(gaussians.sources)
+    stored = splats.take(gaussians.sources[order])
+    new = np.flatnonzero(gaussians.merged[order])
+    for block in blocks(len(new)):
+        at = new[block]
+        fresh = gaussians.take(order[at])
+        stored.means[at] = fresh.means + origin
+        stored.quats[at] = fresh.quats
+        stored.sh[at] = fresh.colours().reshape(len(fresh), *stored.sh.shape[1:])
+        with np.errstate(divide="ignore"):  # a scale of 0 is stored as -inf, alpha 0, 1 as ±inf
+            stored.log_scales[at] = np.log(fresh.scales)
+            stored.opacity_logits[at] = np.log(fresh.opacities) - np.log1p(-fresh.opacities)
     return stored

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from nanogs._types import F64, I32, I64, Bool
-from nanogs.kernels.pairs import count_pairs, fill_pairs
+from nanogs._types import F64, I32, I64
+from nanogs.kernels.pairs import count_pairs, fill_firsts, fill_seconds
 from nanogs.simplify.neighbours import nearest_neighbours
 from nanogs.threads import use_threads
 
@@ -17,16 +17,18 @@ def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
         threads: Threads for the query.
 
     Returns:
-        (E, 2) int32, i < j in every row, each pair once, ascending.
+        (E, 2) int32, i < j in every row, each pair once, ascending; one column after the other in
+        memory.
     """
     neighbours = nearest_neighbours(means, k, threads)
-    one_sided: Bool = np.empty(neighbours.shape, dtype=bool)
     starts: I64 = np.empty(len(neighbours) + 1, dtype=np.int64)
     with use_threads(threads):
-        count_pairs(neighbours, one_sided, starts)
-        pairs = np.empty((starts[-1], 2), dtype=np.int32)
-        fill_pairs(neighbours, one_sided, starts, starts[:-1].copy(), pairs)
-    return pairs
+        count_pairs(neighbours, starts)
+        columns: I32 = np.empty((2, starts[-1]), dtype=np.int32)
+        fill_seconds(neighbours, starts, starts[:-1].copy(), columns[1])
+        del neighbours  # the other column takes no memory before it is written
+        fill_firsts(starts, columns[0])
+    return columns.T
 
 
 def random_pairs(n: int, k: int, seed: int) -> I32:

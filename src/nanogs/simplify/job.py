@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from nanogs._types import I64
+from nanogs._types import I32
 from nanogs.errors import ModelError
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.outcome import Outcome
@@ -30,7 +30,7 @@ class Job:
 
     Attributes:
         splats: The model.
-        rows: (M,) int64, its usable rows, ascending.
+        rows: (M,) int32, its usable rows, ascending.
         preset: Name of the preset.
         parameters: Of the method.
         cameras: The user's views, or None for automatic ones.
@@ -38,7 +38,7 @@ class Job:
     """
 
     splats: Splats
-    rows: I64
+    rows: I32
     preset: str
     parameters: Parameters
     cameras: "Sequence[Camera] | None"
@@ -144,14 +144,14 @@ def prepare_job(
     return Job(splats, usable_rows(splats, nan), preset, chosen, cameras, observe)
 
 
-def usable_rows(splats: Splats, nan: NanPolicy) -> I64:
-    """(M,) int64: rows that are finite, ascending.
+def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
+    """(M,) int32: rows that are finite, ascending.
 
     Raises:
         ModelError: None is, or one is not and the policy is "error".
     """
     finite = splats.finite()
-    rows = np.flatnonzero(finite)
+    rows = np.flatnonzero(finite).astype(np.int32)
     if len(rows) == 0:
         raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
     if nan == "error" and len(rows) < len(splats):

@@ -5,13 +5,14 @@ No Numba here: `--dry-run` uses it without compiling anything.
 
 from dataclasses import dataclass
 
-from nanogs.simplify.memory_forest import PAIRS_PER_NEIGHBOUR, TREE, forest_stages
+from nanogs.simplify.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
 from nanogs.simplify.presets import PaperParameters, Parameters
 
-LIBRARIES = 215_000_000  # bytes, measured, of Python and its libraries, which the plan leaves out
+LIBRARIES = 205_000_000  # bytes, measured, of Python and its libraries, which the plan leaves out
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
-_GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I8 + 1  # Gaussians without the features
+_GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # Gaussians; their features are the model's
+_LEFT = 0.55  # share of the splats that a pass leaves at least; the method leaves half or more
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +55,8 @@ def plan_memory(
     row = 11 * _F4 + features + extra_bytes
     neighbours = min(parameters.k, max(count - 1, 0))
     if isinstance(parameters, PaperParameters):
-        working_set = count * (_GEOMETRY + features)
-        beside = _paper_stages(count, row, working_set, neighbours)
-        held = {stage: working_set + more for stage, more in beside.items()}
+        working_set = count * (_I4 + _GEOMETRY)
+        held = _paper_stages(count, row, features, neighbours, target)
     else:
         working_set, held = forest_stages(
             count, row, features, neighbours, parameters, target, judged=judged
@@ -65,15 +65,18 @@ def plan_memory(
     return MemoryPlan(count * row, working_set, stages, max(stages.values()))
 
 
-def _paper_stages(count: int, row: int, working_set: int, k: int) -> dict[str, int]:
-    pairs, neighbours = PAIRS_PER_NEIGHBOUR * k, k * _I4
-    marked = neighbours + k  # and a flag for each neighbour
-    held = 2 * _I4 * pairs + _F4 * pairs + _F8  # pairs, costs and masses
-    return {
-        "activate": count * (row + 4 * _F8),
-        "graph": int(count * max(TREE + neighbours, marked + 2 * _I8 + 2 * _I4 * pairs)),
-        "cost": int(count * (held + 2 * _F8)),
-        "match": int(count * (held + 2 * _I8 * pairs + _I8 + 1)),
-        # The result of a merge has at least half the splats.
-        "merge": int(count * held + working_set),
+def _paper_stages(count: int, row: int, features: int, k: int, target: int) -> dict[str, int]:
+    pairs, masses = pairs_of(k), 6 * _F8  # logarithms of scales and opacity among them
+    # Splats; pairs of them, whose features are theirs; then splats with features of their own.
+    second = _LEFT * (_GEOMETRY + 2 * _I4 + 2 * _F8)
+    third = _LEFT**2 * (_GEOMETRY + _I4 + features)
+    lists = 3 * _I4 + _I8 + 1 + 2 * _F8
+    splats = {
+        "activate": max(_GEOMETRY, 9 * _F8),
+        "graph": _GEOMETRY + graph_bytes(k),
+        "cost": _GEOMETRY + 2 * _I4 * pairs + max(_F4 * pairs + _F8, masses),
+        "match": _GEOMETRY + match_bytes(k),
+        "merge": max(_GEOMETRY + masses + lists + second, second + _LEFT * lists + third),
     }
+    held = {stage: int(count * (_I4 + bytes_each)) for stage, bytes_each in splats.items()}
+    return held | {"store": count * _I4 + target * (_GEOMETRY + features + row + 2 * _I8)}

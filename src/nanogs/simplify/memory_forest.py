@@ -1,18 +1,23 @@
 """Memory of the presets that grow a forest: bytes a splat, stage by stage."""
 
+from nanogs.simplify.blocks import BLOCK_GROUPS, BLOCK_MEMBERS
 from nanogs.simplify.presets import ForestParameters
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
-_NODE = 2 * _F8 + 3 * _F8 + 6 * _F8 + _I4  # weights and coverages, means, covariances, row
+_BARE = _F8 + 3 * _F8 + 6 * _F8 + _I4  # weights, means, covariances, row: what growing needs
+_NODE = _BARE + _F8  # and coverages
+_MIXED = _I4 + 2 * _F8  # of a pair of splats, whose features are theirs: second row and shares
 _MERGE = 2 * _I4 + _I4 + 2 * _F4  # children, level and increments, one a merge
-TREE = 2 * 3 * _F8 + _I4 + 12 + 1  # scaled centres, reordered ones and their rows, boxes, a flag
+_TREE = 3 * _F8 + _I4 + 12 + 1  # scaled centres and their rows, boxes, a flag
 # Pairs for each splat and neighbour: both directions of most neighbours coincide. Measured 0.55 to
 # 0.66 on trained scenes at k = 8 to 16; the plan takes the upper end.
-PAIRS_PER_NEIGHBOUR = 0.66
+_PAIRS_PER_NEIGHBOUR = 0.66
 _LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
+_CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the median, flags
 _TILES = 3  # tiles of a 256-pixel view that a splat lies in, on average at most
 _PREPARED = 9 * _F4 + _F4 + 1  # factors, alpha and mask, as the rasteriser reads them
-_DRAWN = 8 * _F8 + 4 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
+_DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
+_SHARES = 5 * _F8 + _TILES * _F4  # of every splat in a view and in all
 _GROUPS = 12  # see `reassign.NEIGHBOURS`
 _FIT_VIEWS, _FIT_PIXELS, _FIT_TILES = 38, 512 * 512, 6  # see `forest_pipeline.REFIT`
 _FIT_SUMS = 10 + 55 + 1  # of each splat in double precision, twice, beside its colour
@@ -39,44 +44,79 @@ def forest_stages(
         target: Splats in the largest result.
         judged: Whether results are rendered whatever the preset.
     """
-    node, grown = _NODE + features, count * _MERGE
-    rows = count * (_I8 + _F8)  # of the model, in the leaves' order, and what is visible of each
-    leaves = rows + count * _NODE  # their features are the model's
     looked = parameters.measure or judged
-    look = count * (_PREPARED + _DRAWN + 13 * _F8 + _TILES * _F4) if looked else 0
-    # The passes after the first have fewer nodes, but features of their own.
-    second = rows + int(_LEFT * (node + _MERGE) * count)
-    result = target * (node + row + 4 * _F8)
-    drawing = target * (row + _PREPARED + _DRAWN) if looked else 0
+    kept = count * (_I4 + (_F8 if looked else 0))  # which rows are used, what is visible of each
+    leaves = kept + count * _NODE  # their features are the model's
+    forest = leaves + count * _MERGE
     best = target * row if looked else 0  # of those tried before
-    match = int(count * (PAIRS_PER_NEIGHBOUR * k * (2 * _I4 + 2 * _F4 + _F4 + _F8) + 2 * _F8))
-    graph = _graph(count, k)
-    growing = {
-        "graph": max(leaves + graph, second + int(_LEFT * graph)),
-        "match": max(leaves + match, second + int(_LEFT * match)),
-        "merge": max(leaves + second, second + int(_LEFT * second)),
-    }
+    draw = target * (_PREPARED + _DRAWN) if looked else 0
+    labels = 2 * count * _I4 if looked else count * _I4
     fitted = 8 * _F8 + 4 * _TILES * _F4 + features if parameters.measure else 0
-    beside = {
-        "cut": grown + count * (6 * _F8 + 4 * _I4 + 2 * _I8),
-        "reassign": _reassign(count, target, node, grown) if parameters.rounds else 0,
-        "store": grown + count * (5 * _I4) + best + max(result, drawing),
-        "recolour": grown + drawing + best + target * fitted if fitted else 0,
-        "refit": grown + _refit(count, target, features) if parameters.refit else 0,
+    stages = {
+        "look": count * (_I4 + _PREPARED + _DRAWN + _SHARES) if looked else 0,
+        "activate": leaves,
+        **{stage: kept + held for stage, held in _growing(count, features, k).items()},
+        "cut": forest + count * _CUT + labels + best,
+        "reassign": forest + labels + best + _reassign(count, target, features)
+        if parameters.rounds
+        else 0,
+        "store": forest + labels + best + target * row + max(draw, _store(count, target, row)),
+        "recolour": forest + labels + best + target * row + draw + target * fitted if fitted else 0,
+        "refit": forest + _refit(count, target, features) if parameters.refit else 0,
     }
-    stages = {"look": look, "activate": rows + count * (_NODE + 17 * _F8)} | growing
-    stages |= {stage: leaves + held for stage, held in beside.items() if held}
     return leaves, {stage: held for stage, held in stages.items() if held}
 
 
-def _graph(count: int, k: int) -> int:
-    pairs = PAIRS_PER_NEIGHBOUR * k
-    return int(count * max(TREE + k * _I4, k * (_I4 + 1) + 2 * _I8 + 2 * _I4 * pairs))
+def graph_bytes(k: int) -> float:
+    """Bytes a splat while the neighbours are searched for and made pairs."""
+    pairs, neighbours = pairs_of(k), k * _I4
+    starts = 2 * _I8
+    return max(_TREE + neighbours, neighbours + starts + _I4 * pairs, _I8 + 2 * _I4 * pairs)
 
 
-def _reassign(count: int, target: int, node: int, grown: int) -> int:
-    merged = target * (node + 7 * _F8 + _GROUPS * _I4 + TREE)
-    return grown + merged + count * (5 * _I4 + 3 * _F8)
+def match_bytes(k: int) -> float:
+    """Bytes a splat of pairs, costs, a batch of keys, flags and what is chosen."""
+    return pairs_of(k) * (2 * _I4 + _F4) + 0.5 * 2 * _I8 + 1 + 0.5 * _I8
+
+
+def pairs_of(k: int) -> float:
+    """Pairs for each splat."""
+    return _PAIRS_PER_NEIGHBOUR * k
+
+
+def _growing(count: int, features: int, k: int) -> dict[str, int]:
+    """The passes: splats; pairs of them, whose features are theirs; then nodes with their own."""
+    nodes = (_BARE, _LEFT * (_BARE + _MIXED), _LEFT**2 * (_BARE + features))
+    left = (1.0, _LEFT, _LEFT**2)
+    # The order of the rows is a node's own in the first pass; then it is kept beside the nodes.
+    held = [n + (1 - x) * _MERGE + (_I4 if x < 1 else 0) for n, x in zip(nodes, left, strict=True)]
+    during = {
+        "graph": graph_bytes(k),
+        "cost": pairs_of(k) * (2 * _I4 + _F4) + _F8,
+        "match": match_bytes(k) + _F8,
+    }
+    stages = {
+        stage: max(h + x * more for h, x in zip(held, left, strict=True))
+        for stage, more in during.items()
+    }
+    # What was chosen and what is kept of it, numbers, labels and flags of the nodes, and members.
+    lists = (1 - _LEFT) * (6 * _I4 + 2 * _F4) + 3 * _I4 + 1 + _LEFT * 2 * _I8
+    stages["merge"] = max(
+        h + x * lists + n for h, x, n in zip(held, left, nodes[1:], strict=False)
+    )  # fmt: skip
+    return {stage: int(count * most) for stage, most in stages.items()}
+
+
+def _reassign(count: int, target: int, features: int) -> int:
+    merged = target * (_NODE + features + 7 * _F8 + _GROUPS * _I4 + _TREE + _I8)
+    return merged + count * (_I4 + 3 * _F8 + _F8 // 2)
+
+
+def _store(count: int, target: int, row: int) -> int:
+    """Lists of the groups' members, and one block of groups: nodes, features twice, rows."""
+    groups, members = min(target, BLOCK_GROUPS), min(count, BLOCK_MEMBERS)
+    lists = count * _I4 + target * 3 * _I8
+    return lists + groups * (_NODE + 4 * row) + members * (_NODE + 3 * _F8)
 
 
 def _refit(count: int, target: int, features: int) -> int:

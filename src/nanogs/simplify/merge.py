@@ -1,5 +1,7 @@
 """Stage 5, merge: execute a plan by mass-preserving moment matching (arXiv 2603.16103)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from nanogs._types import F64
@@ -25,8 +27,12 @@ def merge(gaussians: Gaussians, plan: MergePlan, masses: F64) -> Gaussians:
     first, second = plan.pairs[:, 0], plan.pairs[:, 1]
     stays = np.ones(len(gaussians), dtype=bool)
     stays[second] = False
-    result = gaussians.take(stays)
+    kept = np.flatnonzero(stays).astype(np.int32)
     rows = (np.cumsum(stays) - 1)[first]
+    others, shares = kept.copy(), np.zeros((len(kept), 2))
+    others[rows] = second
+    shares[:, 0] = 1.0
+    result = gaussians.take(kept)
     merge_pairs(
         plan.pairs,
         rows,
@@ -35,14 +41,21 @@ def merge(gaussians: Gaussians, plan: MergePlan, masses: F64) -> Gaussians:
         gaussians.scales,
         gaussians.quats,
         gaussians.opacities,
-        gaussians.features,
         result.means,
         result.scales,
         result.quats,
         result.opacities,
-        result.features,
+        shares,
     )
     dominant = np.where(masses[second] > masses[first], second, first)
     result.sources[rows] = gaussians.sources[dominant]
     result.merged[rows] = True
-    return result
+    if not gaussians.merged.any():  # the features of splats, which are the model's, serve again
+        return replace(result, seconds=gaussians.rows[others], shares=shares)
+    return replace(
+        result,
+        features=gaussians.mean_features(kept, others, shares),
+        rows=np.arange(len(kept), dtype=np.int32),
+        seconds=np.empty(0, np.int32),
+        shares=np.empty((0, 2)),
+    )

@@ -31,11 +31,10 @@ def nearest_neighbours(means: F64, k: int, threads: int) -> I32:
     neighbours = np.empty((n, max(k, 0)), dtype=np.int32)
     if k <= 0:
         return neighbours
-    scaled = _scaled(means)
     crowded = np.empty(n, dtype=bool)
-    _search(scaled, threads, neighbours, crowded)
+    _search(_scaled(means), threads, neighbours, crowded)
     if crowded.any():
-        _uncrowd(scaled, np.flatnonzero(crowded), neighbours)
+        _uncrowd(_scaled(means), np.flatnonzero(crowded), neighbours)
     return neighbours
 
 
@@ -61,10 +60,11 @@ def _scaled(means: F64) -> F64:
 
 
 def _search(scaled: F64, threads: int, neighbours: I32, crowded: Bool) -> None:
+    """Fill the neighbours; the scaled centres are reordered."""
     rows = np.arange(len(neighbours), dtype=np.int32)
     leaves = -(-len(rows) // LANES)
     boxes = np.empty((2 << (leaves - 1).bit_length(), 6))
-    points = scaled.reshape(-1).copy()
+    points = scaled.reshape(-1)
     with use_threads(threads):
         build_tree(points, rows, boxes, (threads - 1).bit_length())
         search_tree(points, rows, boxes, neighbours, crowded)

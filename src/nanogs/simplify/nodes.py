@@ -4,7 +4,7 @@ The weight of a node is what it may lose by: its footprint, times the share of i
 Its coverage is the footprint alone, which a merge must conserve (`store_nodes`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from nanogs.kernels.nodes import (
     heaviest_members,
     principal_axes,
 )
-from nanogs.splats import Splats, unit
+from nanogs.simplify.blocks import blocks
+from nanogs.splats import Splats, alphas, unit
 
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
 MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
@@ -34,6 +35,9 @@ class Nodes:
         features: (F, C) float32, all spherical-harmonic coefficients; those of splats are the
             input's own, in its order, and are not copied.
         rows: (N,) int32, which row of the features is each node's.
+        seconds: (N,) int32, another row of each node, whose features are then the mean of both;
+            none, (0,), where each has its own.
+        shares: (N, 2) float64, the weights of that mean, or (0, 2).
     """
 
     weights: F64
@@ -42,9 +46,22 @@ class Nodes:
     covariances: F64
     features: F32
     rows: I32
+    seconds: I32 = field(default_factory=lambda: np.empty(0, np.int32))
+    shares: F64 = field(default_factory=lambda: np.empty((0, 2)))
 
     def __len__(self) -> int:
         return len(self.means)
+
+    def take(self, rows: I32) -> "Nodes":
+        """The given nodes, of which none is mixed; the features stay where they are."""
+        return Nodes(
+            self.weights[rows],
+            self.coverages[rows],
+            self.means[rows],
+            self.covariances[rows],
+            self.features,
+            self.rows[rows],
+        )
 
 
 def footprints(covariances: F64, pixel: float) -> F64:
@@ -67,7 +84,7 @@ def footprints(covariances: F64, pixel: float) -> F64:
     return areas
 
 
-def activate_nodes(splats: Splats, rows: I64, origin: F64, pixel: float) -> Nodes:
+def activate_nodes(splats: Splats, rows: I64 | I32, origin: F64, pixel: float) -> Nodes:
     """One node for each splat, all of the splat's footprint visible.
 
     Args:
@@ -79,23 +96,28 @@ def activate_nodes(splats: Splats, rows: I64, origin: F64, pixel: float) -> Node
     Returns:
         The nodes; their rows are those of the input.
     """
-    means = splats.means[rows] - origin
-    scales = splats.log_scales[rows]
-    np.exp(scales, out=scales)
-    covariances = np.empty((len(rows), 6))
-    least = _least(scales, means, pixel)
-    covariances_of(scales, unit(splats.quats[rows]), FLATTEST, least, covariances)
-    coverages = splats.opacities()[rows] * footprints(covariances, pixel)
+    rows = rows.astype(np.int32, copy=False)
+    means, covariances = np.empty((len(rows), 3)), np.empty((len(rows), 6))
+    coverages = np.empty(len(rows))
+    for block in blocks(len(rows)):
+        means[block] = splats.means[rows[block]] - origin
+    least = _least(splats, rows, means, pixel)
+    for block in blocks(len(rows)):
+        some, sigmas = rows[block], covariances[block]
+        scales, quats = np.exp(splats.log_scales[some]), unit(splats.quats[some])
+        covariances_of(scales, quats, FLATTEST, least, sigmas)
+        coverages[block] = alphas(splats.opacity_logits[some]) * footprints(sigmas, pixel)
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
-    weights = normalised(coverages)
-    return Nodes(weights, coverages, means, covariances, features, rows.astype(np.int32))
+    return Nodes(normalised(coverages), coverages, means, covariances, features, rows)
 
 
-def _least(scales: F32, means: F64, pixel: float) -> float:
+def _least(splats: Splats, rows: I32, means: F64, pixel: float) -> float:
     """Thinnest axis of any node, scene units: points have one too; above 0 for every scene."""
-    longest = float(scales.max())
+    if pixel > 0:
+        return 1e-3 * pixel
+    longest = max(float(np.exp(splats.log_scales[rows[b]]).max()) for b in blocks(len(rows)))
     extent = float(np.ptp(means, axis=0).max())
-    return 1e-3 * pixel or 1e-6 * longest or 1e-6 * extent or 1.0
+    return 1e-6 * longest or 1e-6 * extent or 1.0
 
 
 def normalised(weights: F64) -> F64:
@@ -113,14 +135,44 @@ def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:
         groups: Their number.
     """
     starts, members = member_lists(labels, groups)
-    channels = nodes.features.shape[1]
+    rows = np.arange(groups, dtype=np.int32)
+    return _gathered(nodes, starts, members, nodes.features, rows)
+
+
+def gather_pairs(leaves: Nodes, labels: I32, groups: int) -> Nodes:
+    """As `gather`, for groups of one or two splats; their features stay those of the splats.
+
+    Args:
+        leaves: N nodes, one a splat.
+        labels: As `gather` takes them.
+        groups: Their number.
+    """
+    starts, members = member_lists(labels, groups)
+    merged = _gathered(leaves, starts, members, np.empty((0, 0), np.float32), leaves.rows[:0])
+    first, last = members[starts[:-1]], members[starts[1:] - 1]
+    shares = np.empty((groups, 2))
+    shares[:, 0] = leaves.weights[first] / merged.weights
+    shares[:, 1] = np.where(first == last, 0.0, leaves.weights[last] / merged.weights)
+    return replace(
+        merged,
+        features=leaves.features,
+        rows=leaves.rows[first],
+        seconds=leaves.rows[last],
+        shares=shares,
+    )
+
+
+def _gathered(nodes: Nodes, starts: I64, members: I32, features: F32, rows: I32) -> Nodes:
+    """The nodes of `gather`, with the means of these features and these rows of them."""
+    groups = len(starts) - 1
+    weights = np.empty(groups)
     result = Nodes(
-        np.empty(groups),
-        np.empty(groups),
+        weights,
+        weights if nodes.coverages is nodes.weights else np.empty(groups),
         np.empty((groups, 3)),
         np.empty((groups, 6)),
-        np.empty((groups, channels), np.float32),
-        np.arange(groups, dtype=np.int32),
+        np.empty((groups, features.shape[1]), np.float32),
+        rows,
     )
     gather_moments(
         starts,
@@ -129,8 +181,10 @@ def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:
         nodes.coverages,
         nodes.means,
         nodes.covariances,
-        nodes.features,
+        features,
         nodes.rows,
+        nodes.seconds,
+        nodes.shares,
         result.weights,
         result.coverages,
         result.means,
@@ -184,7 +238,8 @@ def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float, growth: float
     """
     groups = len(merged)
     with np.errstate(divide="ignore", over="ignore"):
-        squares = leaves.weights**2 / leaves.coverages
+        squares = leaves.weights**2
+        squares /= leaves.coverages
     wanted = merged.weights**2 / np.bincount(labels, squares, groups)
     factors = np.clip(wanted / footprints(merged.covariances, pixel), 1.0, growth**2)
     return merged.covariances * factors[:, None]

@@ -68,18 +68,19 @@ def _one_pass(
             pairs = neighbour_pairs(gaussians.means, parameters.k, threads)
     progress("cost", count)
     with clock.time("cost"):
-        masses = log_masses(gaussians)
-        costs = pair_costs(gaussians, pairs, masses, parameters)
+        costs = pair_costs(gaussians, pairs, log_masses(gaussians), parameters)
     progress("match", count)
     with clock.time("match"):
         limit = min(count - target, max(1, int(parameters.merge_cap * count)))
         plan = match(pairs, costs, count, limit)
+    candidates = len(pairs)
+    del pairs, costs  # and the masses were not kept either: matching takes the most memory
     progress("merge", count)
     with clock.time("merge"):
-        merged = merge(gaussians, plan, masses)
+        merged = merge(gaussians, plan, log_masses(gaussians))
     report = PassReport(
         count_before=count,
-        candidates=len(pairs),
+        candidates=candidates,
         without_cost=plan.without_cost,
         merged=len(plan),
         count_after=len(merged),

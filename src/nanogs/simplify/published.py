@@ -1,6 +1,6 @@
 """The preset `paper`: prune, then merge pass by pass (arXiv 2603.16103), between two edges."""
 
-from nanogs._types import I64
+from nanogs._types import I32
 from nanogs.report import StageClock
 from nanogs.simplify.gaussians import activate, scene_origin, store
 from nanogs.simplify.outcome import Outcome
@@ -12,7 +12,7 @@ from nanogs.splats import Splats
 
 def simplify_as_published(
     splats: Splats,
-    rows: I64,
+    rows: I32,
     target: int,
     parameters: PaperParameters,
     threads: int,

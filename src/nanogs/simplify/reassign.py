@@ -56,7 +56,8 @@ def _one_round(leaves: Nodes, labels: I32, groups: int, threads: int) -> I32:
         moved,
         distances,
     )
-    _refill(moved, distances * leaves.weights, groups)
+    distances *= leaves.weights
+    _refill(moved, distances, groups)
     return moved
 
 
@@ -66,7 +67,7 @@ def _refill(labels: I32, misfits: F64, groups: int) -> None:
     empty = np.flatnonzero(sizes == 0)
     if len(empty) == 0:
         return
-    worst = iter(np.argsort(-misfits, kind="stable").tolist())
+    worst = iter(np.argsort(-misfits, kind="stable"))
     for group in empty:
         # There are at least as many splats as groups, so one is always left.
         row = next(row for row in worst if sizes[labels[row]] > 1)

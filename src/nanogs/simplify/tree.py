@@ -10,9 +10,10 @@ import numpy as np
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.forest import log_determinants, merge_increments
 from nanogs.report import PassReport, StageClock, StopReason
+from nanogs.simplify.blocks import BLOCK_PAIRS, blocks
 from nanogs.simplify.graph import neighbour_pairs
 from nanogs.simplify.match import MergePlan, match
-from nanogs.simplify.nodes import Nodes, gather
+from nanogs.simplify.nodes import Nodes, gather, gather_pairs
 from nanogs.simplify.pipeline import Progress
 
 
@@ -79,7 +80,8 @@ def grow_forest(
             ids = ids[stays]
             labels = (np.cumsum(stays) - 1).astype(np.int32)
             labels[second] = labels[first]
-            nodes = gather(nodes, labels, len(ids))
+            # The features of pairs of splats, half a model, are not stored but mixed when needed.
+            nodes = (gather if passes else gather_pairs)(nodes, labels, len(ids))
         passes.append(replace(report, seconds=report.seconds | clock.seconds))
     children, levels, errors = _joined(parts)
     return Forest(count, children, levels, errors, tuple(passes), stop)
@@ -97,7 +99,7 @@ def _one_pass(
     with clock.time("cost"):
         dets = np.empty(count)
         log_determinants(nodes.covariances, dets)
-        costs = _weighed(_increments(pairs, nodes, dets), lambda_app)
+        costs = _costs(pairs, nodes, dets, lambda_app)
     progress("match", count)
     with clock.time("match"):
         plan = match(pairs, costs, count, count // 2)
@@ -110,8 +112,12 @@ def _one_pass(
     return plan, chosen, report
 
 
-def _weighed(increments: F32, lambda_app: float) -> F32:
-    costs: F32 = np.float32(lambda_app) * increments[:, 0] + increments[:, 1]
+def _costs(pairs: I32, nodes: Nodes, dets: F64, lambda_app: float) -> F32:
+    """(E,) float32: increments weighed, block by block, since both are twice as large."""
+    costs = np.empty(len(pairs), dtype=np.float32)
+    for block in blocks(len(pairs), BLOCK_PAIRS):
+        increments = _increments(np.ascontiguousarray(pairs[block]), nodes, dets)
+        costs[block] = np.float32(lambda_app) * increments[:, 0] + increments[:, 1]
     return costs
 
 
@@ -119,7 +125,7 @@ def _increments(pairs: I32, nodes: Nodes, dets: F64) -> F32:
     increments = np.empty((len(pairs), 2), dtype=np.float32)
     merge_increments(
         pairs, nodes.weights, nodes.means, nodes.covariances, dets,
-        nodes.features, nodes.rows, increments,
+        nodes.features, nodes.rows, nodes.seconds, nodes.shares, increments,
     )  # fmt: skip
     return increments
 

@@ -1,0 +1,41 @@
+"""Features that need not be stored: the mean of two rows of a table.
+
+Those of the second generation would take nearly half the memory of the model's own. They are
+computed from these where they are needed instead, with the rounding that storing them would bring.
+
+Throughout, features: (F, C); rows: (N,) row of each of N splats; seconds: (N,) another row of each,
+or (0,) where they have one alone; shares: (N, 2) weights of both, or (0, 2).
+"""
+
+import numba
+import numpy as np
+
+from nanogs._types import F32, F64, I32
+from nanogs.kernels.policy import inline, parallel_kernel
+
+
+@inline
+def feature(
+    features: F32, rows: I32, seconds: I32, shares: F64, splat: int, channel: int
+) -> np.float32:  # fmt: skip
+    """One channel of a splat."""
+    if len(seconds) == 0:
+        return np.float32(features[rows[splat], channel])
+    first, second = features[rows[splat], channel], features[seconds[splat], channel]
+    return np.float32(shares[splat, 0] * first + shares[splat, 1] * second)
+
+
+@parallel_kernel
+def mean_features(
+    features: F32, rows: I32, seconds: I32, shares: F64,
+    firsts: I32, others: I32, weights: F64, out: F32,
+) -> None:  # fmt: skip
+    """Means of the features of two splats each.
+
+    firsts, others: (M,) the splats; weights: (M, 2); out: (M, C).
+    """
+    for i in numba.prange(len(out)):
+        for c in range(features.shape[1]):
+            first = feature(features, rows, seconds, shares, firsts[i], c)
+            other = feature(features, rows, seconds, shares, others[i], c)
+            out[i, c] = weights[i, 0] * first + weights[i, 1] * other

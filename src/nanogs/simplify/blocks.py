@@ -1,0 +1,13 @@
+"""Rows taken a block at a time: what is computed on the way takes no memory worth counting."""
+
+from collections.abc import Iterator
+
+BLOCK = 1 << 16
+BLOCK_PAIRS = 1 << 18
+BLOCK_GROUPS, BLOCK_MEMBERS = 1 << 14, 1 << 16  # see `store.py`
+
+
+def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
+    """Consecutive rows, so many at a time."""
+    for start in range(0, count, size):
+        yield slice(start, min(start + size, count))
