@@ -7,19 +7,21 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from nanogs.ahead import compile_ahead
 from nanogs.cli import method, options
 from nanogs.cli.console import count_down, err, print_json, warn
 from nanogs.cli.simplify_report import Plan, show_plan, warn_of_input
 from nanogs.formatting import bytes_text, number_text
 from nanogs.io import inspect, load
 from nanogs.io.folder import check_folder_writable
+from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.chunks import CHUNK
 from nanogs.lod.layout import Output, check_options, made_files, output_of
 from nanogs.lod.levels import check_ratios
 from nanogs.lod.write import write_levels
 from nanogs.report import StopReason
 from nanogs.simplify.cameras import requested_cameras
-from nanogs.simplify.presets import DEFAULT_PRESET, parameters
+from nanogs.simplify.presets import DEFAULT_PRESET, parameters, renders
 from nanogs.simplify.target import Goal, target_count
 
 
@@ -117,6 +119,8 @@ def _write(
 ) -> dict[str, Any]:
     """Read, and make every level; the manifest with the files' names and the reports."""
     start, info = time.perf_counter(), plan.info
+    if renders(plan.parameters):
+        when_compiling(compile_ahead)
     with count_down(info.splats, 1, quiet=quiet) as progress:
         progress("read", info.splats)
         splats = load(info.path)

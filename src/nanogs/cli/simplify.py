@@ -7,18 +7,20 @@ from typing import Annotated, Any
 
 import typer
 
+from nanogs.ahead import compile_ahead
 from nanogs.cli import filtering, many, method, options, streams
 from nanogs.cli.console import count_down, warn, with_file_seconds
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_report, stop_text
 from nanogs.filters import Filter, FilterReport, apply
 from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
+from nanogs.kernels.compiling import when_compiling
 from nanogs.report import StageClock, StopReason
 from nanogs.simplify.api import refuse_searches, target_of
 from nanogs.simplify.api import simplify as library_simplify
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.job import usable_rows
-from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters
+from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters, renders
 from nanogs.simplify.target import Goal
 
 
@@ -178,6 +180,8 @@ def _simplify_file(plan: Plan, pair: Pair, request: _Request) -> dict[str, Any]:
     start, clock, goal = time.perf_counter(), StageClock(), plan.goal
     source, target, saving = pair.source, pair.target, request.saving
     known = registry.find(target)
+    if renders(plan.parameters):
+        when_compiling(compile_ahead)
     with count_down(plan.info.splats, plan.count or 1, quiet=request.quiet) as progress:
         progress("read", plan.info.splats)
         with clock.time("read"):

@@ -1,0 +1,46 @@
+"""Compile ahead: on a first run, a second process compiles what the first will need later.
+
+Numba compiles one function at a time in a process, and half of what a preset that renders takes
+to compile is needed only once the original has been looked at. Both put what they compiled into
+the same cache on disk. Should the second be late or fail, the first compiles for itself.
+"""
+
+import atexit
+import os
+import subprocess
+import sys
+from functools import cache
+
+
+@cache
+def compile_ahead() -> None:
+    """Start the second process, where there is a processor for it; it ends with this one.
+
+    Called again, it does nothing.
+    """
+    if (os.cpu_count() or 1) < 2:
+        return
+    process = subprocess.Popen(
+        [sys.executable, "-m", "nanogs.ahead"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    atexit.register(process.kill)  # the cache's files are written beside their places and renamed
+
+
+def compile_later_stages() -> None:
+    """Run what follows the look at the original, on a model of no importance."""
+    import numpy as np
+
+    import nanogs
+    from nanogs.datasets.synthetic import make_scene
+    from nanogs.metrics import ssim
+
+    nanogs.simplify(make_scene(200), ratio=0.1, preset="fast", rounds=1)
+    grey = np.zeros((16, 16), np.float32)
+    ssim(grey, grey)
+
+
+if __name__ == "__main__":
+    compile_later_stages()
