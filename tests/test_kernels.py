@@ -566,3 +566,28 @@ def test_compiling_is_told_once_and_only_where_the_cache_is_empty(tmp_path):
         return run.stdout.strip()
 
     assert [told(), told()] == ["1", "0"]
+
+
+def test_every_kernel_is_compiled_for_one_layout_of_its_arguments():
+    """A second one costs each user seconds on the first run, for no gain."""
+    if os.environ.get("NUMBA_DISABLE_JIT") == "1":
+        pytest.skip("once is enough")
+    code = """
+import importlib, pkgutil
+import nanogs, nanogs.kernels
+from nanogs.datasets.synthetic import make_scene
+small, _ = nanogs.simplify(make_scene(1000), ratio=0.1)
+for module in pkgutil.iter_modules(nanogs.kernels.__path__, "nanogs.kernels."):
+    for name, value in vars(importlib.import_module(module.name)).items():
+        options = getattr(value, "targetoptions", {})
+        if len(getattr(value, "signatures", ())) > 1 and not options.get("forceinline"):
+            print(name, *value.signatures, sep="\\n  ")
+"""
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "0"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout == ""

@@ -243,10 +243,12 @@ def _blend_splat(
 
 
 @inline
-def fetch(geometry: F64, features: F32, batch: I32, rows: F64, values: F32) -> None:
-    """Copy a batch's splats side by side: many reads of far memory then wait at the same time."""
-    for j in range(len(batch)):
-        i = batch[j]
+def fetch(
+    geometry: F64, features: F32, entries: I32, first: int, count: int, rows: F64, values: F32
+) -> None:
+    """Copy some splats side by side: many reads of far memory then wait at the same time."""
+    for j in range(count):
+        i = entries[first + j]
         for k in range(8):
             rows[j, k] = geometry[i, k]
         for c in range(features.shape[1]):
@@ -271,6 +273,61 @@ def _write_tile(
 def scattered(slot: int, per_class: int) -> int:
     """The tile of a slot: slots in a row, which go to one thread, are STRIDE tiles apart."""
     return (slot % per_class) * STRIDE + slot // per_class
+
+
+@kernel
+def _blend_tile(
+    geometry: F64,
+    features: F32,
+    entries: I32,
+    x0: int,
+    y0: int,
+    background: F32,
+    image: F32,
+    transmittance: F32,
+    probes: F32,
+    partial: F32,
+) -> None:
+    """Blend the splats of the tile whose corner is (x0, y0); entries and partial are its own.
+
+    A function of its own and not inlined: in a parallel one each array expression here would
+    become a parallel loop, which takes seconds to compile and nothing in running.
+    """
+    height, width, channels = image.shape
+    left = np.empty((TILE, TILE), np.float32)
+    planes = np.zeros((channels, TILE, TILE), np.float32)
+    weights = np.empty(TILE, np.float32)
+    sums = np.empty((len(probes), TILE), np.float32)
+    probed = np.zeros((len(probes), TILE, TILE), np.float32)
+    lanes = np.empty(TILE, np.float32)
+    open_rows = np.empty(TILE, np.int64)
+    rows = np.empty((BATCH, 8), np.float64)
+    values = np.empty((BATCH, channels), np.float32)
+    for x in range(TILE):
+        lanes[x] = np.float32(x)
+    for p in range(len(probes)):
+        for r in range(min(TILE, height - y0)):
+            for x in range(min(TILE, width - x0)):
+                probed[p, r, x] = probes[p, y0 + r, x0 + x]
+    start_tile(left, x0, y0, width, height)
+    for e in range(len(partial)):
+        for p in range(len(probes)):
+            partial[e, p] = np.float32(0.0)
+    for first in range(0, len(entries), BATCH):
+        if count_open(left, open_rows) == 0:
+            break
+        count = min(BATCH, len(entries) - first)
+        fetch(geometry, features, entries, first, count, rows, values)
+        for j in range(count):
+            _blend_splat(
+                rows, values, j, x0, y0, lanes, left, open_rows, planes, weights, probed, sums
+            )
+            for p in range(len(sums)):
+                total = np.float32(0.0)
+                for x in range(len(weights)):
+                    total += sums[p, x]
+                partial[first + j, p] = total
+    _write_tile(x0, y0, left, planes, background, image, transmittance)
 
 
 @parallel_kernel
@@ -298,42 +355,25 @@ def blend_tiles(
         probes: (P, H, W) what the weights T alpha are multiplied by; P may be 0.
         partial: (E, P) out, sums of these products for each entry over its tile.
     """
-    height, width, channels = image.shape
-    tiles_x = (width + TILE - 1) // TILE
+    tiles_x = (image.shape[1] + TILE - 1) // TILE
     tiles = len(starts) - 1
     per_class = (tiles + STRIDE - 1) // STRIDE
     for slot in numba.prange(per_class * STRIDE):
         tile = scattered(slot, per_class)
-        if tile >= tiles:
-            continue
-        x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        left = np.empty((TILE, TILE), np.float32)
-        planes = np.zeros((channels, TILE, TILE), np.float32)
-        weights = np.empty(TILE, np.float32)
-        sums = np.empty((len(probes), TILE), np.float32)
-        probed = np.zeros((len(probes), TILE, TILE), np.float32)
-        for p in range(len(probes)):
-            for r in range(min(TILE, height - y0)):
-                for x in range(min(TILE, width - x0)):
-                    probed[p, r, x] = probes[p, y0 + r, x0 + x]
-        lanes = np.arange(TILE).astype(np.float32)
-        open_rows = np.empty(TILE, np.int64)
-        start_tile(left, x0, y0, width, height)
-        partial[starts[tile] : starts[tile + 1]] = np.float32(0.0)
-        rows = np.empty((BATCH, 8), np.float64)
-        values = np.empty((BATCH, channels), np.float32)
-        for first in range(starts[tile], starts[tile + 1], BATCH):
-            if count_open(left, open_rows) == 0:
-                break
-            count = min(BATCH, starts[tile + 1] - first)
-            fetch(geometry, features, entries[first : first + count], rows, values)
-            for j in range(count):
-                _blend_splat(
-                    rows, values, j, x0, y0, lanes, left, open_rows, planes, weights, probed, sums
-                )
-                for p in range(len(sums)):
-                    partial[first + j, p] = np.sum(sums[p])
-        _write_tile(x0, y0, left, planes, background, image, transmittance)
+        if tile < tiles:
+            first, end = starts[tile], starts[tile + 1]
+            _blend_tile(
+                geometry,
+                features,
+                entries[first:end],
+                (tile % tiles_x) * TILE,
+                (tile // tiles_x) * TILE,
+                background,
+                image,
+                transmittance,
+                probes,
+                partial[first:end],
+            )
 
 
 @kernel

@@ -257,6 +257,7 @@ def blend(
     """
     if probes is None:
         probes = np.empty((0, camera.height, camera.width), np.float32)
+    probes = np.ascontiguousarray(probes)  # another layout would be another kernel to compile
     image = np.empty((camera.height, camera.width, features.shape[1]), np.float32)
     left = np.empty(image.shape[:2], np.float32)
     partial = np.empty((len(view.entries), len(probes)), np.float32)

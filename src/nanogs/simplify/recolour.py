@@ -79,4 +79,6 @@ def _planes(shown: Projection, view: OriginalView) -> F32:
     alpha = 1 - left
     # Over white, what the alpha lacks is lacking less.
     lack = view.image - np.minimum(image, 1.0) - WHITE * (view.alpha - alpha)[..., None]
-    return np.concatenate([np.moveaxis(lack, 2, 0), alpha[None]])
+    planes = np.empty((4, *alpha.shape), np.float32)
+    planes[:3], planes[3] = np.moveaxis(lack, 2, 0), alpha
+    return planes
