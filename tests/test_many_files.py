@@ -175,6 +175,18 @@ def test_collisions_and_missing_folders_write_nothing(folder, tmp_path):
         assert names(tmp_path) == ["in"]
 
 
+def test_a_plan_checks_the_folder_of_a_single_file(folder, tmp_path):
+    options = ("-n", 7, "--dry-run")
+    result = run("simplify", folder / "a.ply", tmp_path / "no" / "b.ply", *options)
+    assert result.returncode == 2
+    assert "does not exist" in result.stderr
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "a.ply").write_text("mine")
+    result = run("simplify", folder / "a.ply", "--out-dir", tmp_path / "out", *options)
+    assert result.returncode == 2
+    assert "exists already" in result.stderr
+
+
 def test_a_folder_that_nothing_was_written_to_is_not_left_behind(folder, tmp_path):
     result = run("convert", folder / "notes.txt", "--out-dir", tmp_path / "out")
     assert result.returncode == 2

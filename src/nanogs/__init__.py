@@ -1,5 +1,6 @@
 """nanogs makes 3D Gaussian splatting models smaller, without training."""
 
+from nanogs import filters
 from nanogs._version import __version__
 from nanogs.errors import NanogsError
 from nanogs.io import load, save
@@ -22,6 +23,7 @@ __all__ = [
     "SimplifyReport",
     "Splats",
     "__version__",
+    "filters",
     "levels",
     "load",
     "refit",

@@ -91,6 +91,7 @@ def simplify(
         up=method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None),
         given=given | {"preset": preset, "nan": nan.value, "threads": threads},
         quiet=quiet or json,
+        folder_later=out_dir is not None and not out_dir.exists(),
     )
 
     def plan_one(pair: Pair) -> dict[str, Any]:
@@ -130,6 +131,7 @@ class _Request:
         up: Up direction of automatic views, or None.
         given: What the library's `simplify` takes beside.
         quiet: Whether no progress is shown.
+        folder_later: Whether the folder of the results is still to be made.
     """
 
     goal: Goal
@@ -141,6 +143,7 @@ class _Request:
     up: tuple[float, float, float] | None
     given: dict[str, Any]
     quiet: bool
+    folder_later: bool
 
 
 def _nothing(_run: dict[str, Any]) -> None:
@@ -161,7 +164,7 @@ def _plan(pair: Pair, request: _Request, *, dry_run: bool) -> Plan:
     goal, filters = request.goal, request.filters
     refuse_searches(goal, request.preset, pair.target)
     info = inspect(pair.source)
-    if not dry_run or pair.target.parent.exists():  # a folder is only made when it is needed
+    if not (dry_run and request.folder_later):
         check_writable(pair.target, **request.saving)
     if goal.size is None and not (filters and dry_run):
         count = goal.target(info.splats, lambda _count: 0)
