@@ -4,8 +4,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/installed
+DOCS_STAMP := $(VENV)/docs-installed
 
-.PHONY: demo test lint types check clean help
+.PHONY: demo test lint types check docs clean help
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -34,5 +35,12 @@ types: $(STAMP) ## check types
 
 check: lint types test ## everything CI checks
 
+$(DOCS_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $(DOCS_STAMP)
+
+docs: $(DOCS_STAMP) ## build the documentation, with its pictures, into build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
 clean: ## remove what these targets made
-	rm -rf $(VENV) demo viewer/node_modules src/nanogs/view/viewer.js
+	rm -rf $(VENV) build/site demo viewer/node_modules src/nanogs/view/viewer.js

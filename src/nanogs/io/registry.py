@@ -40,6 +40,7 @@ Losses = Callable[[Splats], tuple[str, ...]]
 _UNSTATED = "not stated in the file; y down by habit"
 _SPZ_FRAME = "not stated in the file; y up by the specification, though many files have y down"
 _GLTF_FRAME = "y up in the file, turned to y down when read"
+_USD_FRAME = "y up in the file, by a transform; the model's own y is taken to be down"
 
 
 class FolderWriter(Protocol):
@@ -133,7 +134,14 @@ FORMATS = (
         frame=_GLTF_FRAME,
     ),
     Format(".sog", sog.read, sog.inspect, sog_write.write, losses=sog_write.losses),
-    Format(".usda", _unread, _unread, usda_write.write, losses=usda_write.losses),
+    Format(
+        ".usda",
+        _unread,
+        _unread,
+        usda_write.write,
+        losses=usda_write.losses,
+        frame=_USD_FRAME,
+    ),
     Format(".pt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
     Format(".ckpt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
     Format(

@@ -1,0 +1,109 @@
+"""The pictures and numbers of the tutorial: the demo scene, simplified at a small size."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from io import BytesIO
+
+import numpy as np
+
+import nanogs
+from nanogs._types import F32, U8
+from nanogs.compare.comparison import Comparison, NamedModel, compare_models
+from nanogs.compare.pictures import error_map
+from nanogs.datasets.synthetic import make_scene
+from nanogs.render.camera import Camera
+from nanogs.render.images import to_bytes
+from nanogs.render.rasterize import render
+from nanogs.render.views import automatic_cameras
+from nanogs.splats import Splats
+
+SPLATS = 30_000
+RATIOS = (0.25, 0.1, 0.03)
+WIDTH, HEIGHT, VIEWS = 480, 320, 4
+SHOWN = 1  # of the views
+
+NAMES = ("original.png", "tenth.png", "random.png", "difference.png", "curve.png")
+
+
+@dataclass(frozen=True, slots=True)
+class Tutorial:
+    """What the tutorial shows.
+
+    Attributes:
+        pictures: PNG files by name.
+        scores: A table in Markdown.
+    """
+
+    pictures: Mapping[str, bytes]
+    scores: str
+
+
+@cache
+def make() -> Tutorial:
+    """Simplify, render and compare; the same bytes every time on one machine."""
+    original = NamedModel("original", make_scene(SPLATS))
+    levels = [
+        NamedModel(f"{ratio:.0%}", small)
+        for ratio, (small, _) in zip(RATIOS, nanogs.levels(original.splats, RATIOS), strict=True)
+    ]
+    tenth = levels[RATIOS.index(0.1)]
+    chance = NamedModel("10%, at random", _at_random(original.splats, len(tenth.splats)))
+    cameras = automatic_cameras(
+        original.splats, VIEWS, width=WIDTH, height=HEIGHT, kind="orbit", split="test"
+    )
+    comparison, _ = compare_models(original, [*levels, chance], cameras)
+    views = {
+        name: _view(model.splats, cameras[SHOWN])
+        for name, model in (("original", original), ("tenth", tenth), ("random", chance))
+    }
+    pictures = {f"{name}.png": _png(to_bytes(view)) for name, view in views.items()}
+    pictures["difference.png"] = _png(to_bytes(error_map(views["original"], views["tenth"])))
+    pictures["curve.png"] = _curve(comparison)
+    return Tutorial(pictures, _table(comparison))
+
+
+def _at_random(splats: Splats, count: int) -> Splats:
+    rows = np.random.default_rng(0).choice(len(splats), count, replace=False)
+    return splats.take(np.sort(rows))
+
+
+def _view(splats: Splats, camera: Camera) -> F32:
+    return render(splats, camera).color
+
+
+def _png(image: U8) -> bytes:
+    from PIL import Image
+
+    buffer = BytesIO()
+    Image.fromarray(image).save(buffer, format="PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def _curve(comparison: Comparison) -> bytes:
+    """PSNR over the share of splats kept."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH / 80, HEIGHT / 80), layout="constrained")
+    axes = figure.add_subplot()
+    levels = comparison.models[: len(RATIOS)]
+    axes.plot([100 * ratio for ratio in RATIOS], [level.psnr for level in levels], "o-")
+    chance = (10, comparison.models[-1].psnr)
+    axes.plot(*chance, "x", color="tab:red")
+    axes.annotate("at random", chance, (8, -4), textcoords="offset points")
+    axes.set(xscale="log", xlabel="splats kept, %", ylabel="PSNR, dB")
+    axes.set_xticks([3, 10, 25], ["3", "10", "25"])
+    axes.minorticks_off()
+    axes.grid(alpha=0.3)
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=80, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _table(comparison: Comparison) -> str:
+    rows = ["| kept | splats | PSNR, dB | SSIM |", "|---|--:|--:|--:|"]
+    rows += [
+        f"| {model.name} | {model.splats:,} | {model.psnr:.2f} | {model.ssim:.3f} |"
+        for model in comparison.models
+    ]
+    return "\n".join(rows)

@@ -1,0 +1,232 @@
+"""The documentation: what it shows works, what it links to is there, and the site can be built."""
+
+import importlib.util
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nanogs
+from nanogs.cli import options
+from nanogs.cli.filtering import parse_filters
+from nanogs.datasets.synthetic import make_scene
+from nanogs.io import registry
+from nanogs.simplify.presets import PRESETS
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.rglob("*.md")])
+NAMES = [page.relative_to(ROOT).as_posix() for page in PAGES]
+NOTEBOOK = ROOT / "examples" / "quickstart.ipynb"
+
+OF_OTHERS = {  # options of other programs that the text names
+    "--antialiased", "--app_opt", "--auto-scale-poses", "--center-method", "--export-every",
+    "--orientation-method", "--save_ply", "--prefix",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def hooks():
+    """The modules that the build of the site uses."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(DOCS / "hooks"))
+        import commands
+        import formats
+        import pages
+
+        yield {"commands": commands, "formats": formats, "pages": pages}
+
+
+@pytest.fixture(scope="module")
+def commands(hooks):
+    return hooks["commands"].tree()
+
+
+def option_names(command):
+    return {name for param in command.params for name in (*param.opts, *param.secondary_opts)}
+
+
+def shown_commands(page):
+    """The arguments of every `$ nanogs ...` in the page's consoles."""
+    found = []
+    for block in re.findall(r"^```console\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
+        lines = block.replace("\\\n", " ").splitlines()
+        for line in (line[2:] for line in lines if line.startswith("$ ")):
+            lexer = shlex.shlex(line, posix=True, punctuation_chars="|>;&")
+            lexer.whitespace_split = True
+            words = list(lexer)
+            while words:
+                end = next((i for i, word in enumerate(words) if word[0] in "|>;&"), len(words))
+                if words[:1] == ["nanogs"]:
+                    found.append(words[1:end])
+                words = words[end + 1 :]
+    return found
+
+
+def check_values(name, values):
+    """What the parser leaves to the command: presets, formats, directions, and what is written."""
+    formats = {known.suffix.lstrip(".") for known in registry.FORMATS}
+    if values.get("preset"):
+        assert values["preset"] in PRESETS
+    for key in ("out_format", "read_as", "write_as"):
+        assert not values.get(key) or str(values[key]).lstrip(".") in formats
+    options.parse_direction(values.get("up"))
+    parse_filters(list(values.get("crop") or ()), values.get("min_opacity"), drop_floaters=False)
+    if name == "simplify" and values["size"]:
+        options.parse_bytes(values["size"])
+    paths = [Path(path) for path in values.get("paths") or ()]
+    if name in ("simplify", "convert") and len(paths) == 2 and paths[1].name != "-":
+        registry.writable(paths[1])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_every_command_that_is_shown_can_be_parsed(page, commands):
+    for words in shown_commands(page):
+        name, *arguments = words
+        assert name in commands, words
+        context = commands[name].make_context(name, list(arguments))
+        check_values(name, context.params)
+
+
+def test_commands_are_found_and_wrong_ones_are_not_parsed(commands, tmp_path):
+    """The test above would pass without looking at anything."""
+    assert sum(len(shown_commands(page)) for page in PAGES) > 60
+    page = tmp_path / "page.md"
+    page.write_text("```console\n$ cat a.ply | nanogs info a.ply --jsn > b  # why\n```\n")
+    assert shown_commands(page) == [["info", "a.ply", "--jsn"]]
+    with pytest.raises(Exception, match="--jsn"):
+        commands["info"].make_context("info", ["a.ply", "--jsn"])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_every_option_that_the_text_names_exists(page, commands):
+    known = OF_OTHERS | {"--help", "--install-completion"}
+    known = known.union(*map(option_names, commands.values()))
+    for code in re.findall(r"(?<!`)`([^`\n]+)`(?!`)", page.read_text()):
+        words = code.split()
+        if words[0] == "nanogs" and len(words) > 1 and re.fullmatch("[a-z]+", words[1]):
+            assert words[1] in commands, code
+            assert {word for word in words[2:] if word[0] == "-"} <= option_names(
+                commands[words[1]]
+            ), code
+        elif words[0].startswith("--"):
+            assert words[0].partition("=")[0] in known, code
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_every_link_between_documents_leads_somewhere(page, hooks):
+    made = {(DOCS / name).resolve() for name in hooks["pages"].MADE}
+    for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", page.read_text()):
+        if not target.startswith(("https://", "mailto:")):
+            path = (page.parent / target).resolve()
+            assert path.exists() or path in made, target
+
+
+def test_every_page_is_in_the_navigation(hooks):
+    listed = re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
+    there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
+    assert sorted(listed) == sorted(there | set(hooks["pages"].PAGES))
+
+
+def test_every_marker_is_known_and_used(hooks):
+    pages = hooks["pages"]
+    used = [name for page in PAGES for name in pages.MARKER.findall(page.read_text())]
+    assert sorted(used) == sorted(pages.TEXTS)
+
+
+def test_the_reference_of_commands_names_all(hooks, commands):
+    text = hooks["commands"].reference()
+    for name, command in commands.items():
+        assert f"\n## nanogs {name}\n" in text
+        for option in option_names(command):
+            assert option[0] != "-" or f"`{option}`" in text
+
+
+def test_the_readme_lists_every_format(hooks):
+    table = hooks["formats"].readme_table(ROOT / "README.md")
+    for known in registry.FORMATS:
+        assert known.suffix in table
+
+
+@pytest.mark.parametrize(
+    "known",
+    [known for known in registry.FORMATS if known.write and known.readable],
+    ids=lambda known: known.suffix,
+)
+def test_formats_keep_what_the_table_says(known, hooks, tmp_path):
+    """The table asks for losses; this writes and reads."""
+    plain = replace(make_scene(60, sh_degree=4), comments=())
+    kept = hooks["formats"].kept(known, plain)
+    for number, (name, model) in enumerate(hooks["formats"].variants(plain).items()):
+        back = written_and_read(model, known, tmp_path / str(number))
+        found = {
+            "columns": np.array_equal(
+                back.extras.get("label", ()), model.extras.get("label", np.zeros(1))
+            ),
+            "elements": [element.name for element in back.elements] == ["camera"],
+            "comments": "made by hand" in back.comments,
+            "mip": back.render_mode == model.render_mode,
+            "surfel": back.render_mode == model.render_mode,
+        }
+        assert found[name] == getattr(kept, name), name
+    assert written_and_read(plain, known, tmp_path / "plain").sh_degree == kept.sh_degree
+
+
+def written_and_read(splats, known, folder):
+    folder.mkdir()
+    path = folder / f"a{known.suffix}"
+    nanogs.save(splats, path)
+    return nanogs.load(path)
+
+
+def test_the_notebook_runs_and_holds_no_results(tmp_path):
+    cells = json.loads(NOTEBOOK.read_text())["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert len(code) >= 5
+    for cell in code:
+        assert cell["outputs"] == []
+        assert cell["execution_count"] is None
+    script = tmp_path / "quickstart.py"
+    script.write_text("\n\n".join("".join(cell["source"]) for cell in code))
+    environment = {**os.environ, "MPLBACKEND": "agg"}
+    result = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True,
+        timeout=300,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "2,000 splats, stopped by: target" in result.stdout
+    assert "default: PSNR" in result.stdout
+    assert len(nanogs.load(tmp_path / "small.spz")) == 2000
+
+
+NEEDED = ("mkdocs", "material", "mkdocstrings", "mkdocstrings_handlers")
+MISSING = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+
+
+@pytest.mark.skipif(bool(MISSING), reason="mkdocs is not installed: `make docs` installs it")
+def test_the_site_can_be_built_and_asks_nothing_of_others(tmp_path):
+    site = tmp_path / "site"
+    result = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", site],
+        cwd=ROOT, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    pages = list(site.rglob("*.html"))
+    assert len(pages) > 20
+    for page in pages:
+        text = page.read_text()
+        assert "<!-- made:" not in text
+        assert not re.findall(r"<(?:script|img|iframe|source)[^>]*(?:https?:)?//[^>]*>", text), page
+        assert not re.findall(r"<link[^>]*href=\"?(?:https?:)?//[^>]*>", text), page
+    for style in site.rglob("*.css"):
+        assert not re.findall(r"url\([\"']?(?:https?:)?//|@import", style.read_text()), style
+    pictures = list((site / "pictures").glob("*.png"))
+    assert len(pictures) == 5
+    assert all(picture.read_bytes()[:4] == b"\x89PNG" for picture in pictures)
