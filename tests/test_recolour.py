@@ -120,3 +120,6 @@ def test_simplify_reports_it_and_unmerged_splats_keep_their_bytes():
     assert len(rows) > 200
     assert model_bytes(small.take(np.array(untouched))) == model_bytes(splats.take(rows))
     assert nanogs.simplify(splats, ratio=0.9, preset="fast")[1].recolour is None
+    plain, report = nanogs.simplify(splats, ratio=0.9, recolour=False)
+    assert report.recolour is None
+    assert model_bytes(plain) != model_bytes(small)

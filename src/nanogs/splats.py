@@ -142,8 +142,8 @@ class Splats:
                 ok &= flags.reshape(len(self), -1).all(axis=1)
         return ok
 
-    def take(self, rows: I64 | I32 | Bool) -> "Splats":
-        """The given rows (indices or a mask), every column and tag with them."""
+    def take(self, rows: I64 | I32 | Bool | slice) -> "Splats":
+        """The given rows (indices, a mask or a slice), every column and tag with them."""
         return replace(
             self,
             means=self.means[rows],
@@ -156,16 +156,7 @@ class Splats:
 
     def span(self, start: int, stop: int) -> "Splats":
         """The rows from `start` up to but not `stop`, as views of these."""
-        rows = slice(start, stop)
-        return replace(
-            self,
-            means=self.means[rows],
-            log_scales=self.log_scales[rows],
-            quats=self.quats[rows],
-            opacity_logits=self.opacity_logits[rows],
-            sh=self.sh[rows],
-            extras={name: column[rows] for name, column in self.extras.items()},
-        )
+        return self.take(slice(start, stop))
 
     def with_sh_degree(self, degree: int) -> "Splats":
         """The same splats without the bands of spherical harmonics above a degree.

@@ -126,9 +126,11 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
         progress("choose", groups)
         with clock.time("choose"):
             chosen, candidates = _choose(build, groups, build.views)
-        progress("recolour", groups)
-        with clock.time("recolour"):
-            small, recoloured = _recolour(build, chosen, build.views)
+        small, recoloured = chosen.model, None
+        if build.parameters.recolour:
+            progress("recolour", groups)
+            with clock.time("recolour"):
+                small, recoloured = _recolour(build, chosen, build.views)
     fitted, notes = None, build.notes
     if build.parameters.refit and groups < forest.splats:
         progress("refit", groups)

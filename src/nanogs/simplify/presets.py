@@ -67,6 +67,8 @@ class ForestParameters:
         growth: Most that a merged splat's axes may grow where an opaque one would cover too little.
         measure: Render the original: weigh splats by what is seen of them, and choose between
             results by how they look.
+        recolour: Fit the mean colours of the result to views of the original, where these are
+            rendered.
         refit: Fit the result to renders of the original.
         views: Views of the original to render, where it is.
     """
@@ -79,6 +81,7 @@ class ForestParameters:
     hidden: float = 0.01
     growth: float = 1.1
     measure: bool = True
+    recolour: bool = True
     refit: bool = False
     views: int = 12
 
