@@ -113,7 +113,7 @@ def test_settings_that_mean_nothing_are_refused(options, words):
 
 
 def test_every_ablation_is_a_method():
-    assert len(set(ABLATIONS)) == len(ABLATIONS) == 17
+    assert len(set(ABLATIONS)) == len(ABLATIONS) == 18
     assert set(PRESETS) <= set(ABLATIONS)
     for name in ABLATIONS:
         assert callable(find_method(name))
