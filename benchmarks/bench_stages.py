@@ -24,6 +24,7 @@ from nanogs.simplify import cost, cut, gaussians, graph, match, merge, neighbour
 from nanogs.simplify.extent import dilation
 from nanogs.simplify.presets import PaperParameters
 from nanogs.simplify.reassign import reassign
+from nanogs.simplify.store import store_groups
 from nanogs.simplify.tree import grow_forest
 
 THREADS = os.cpu_count() or 1
@@ -188,8 +189,7 @@ def test_reassign(timed, scene):
 
 def test_store(timed, scene):
     timed(
-        lambda: nodes.store_nodes(
-            scene["merged"],
+        lambda: store_groups(
             scene["leaves"],
             scene["labels"],
             scene["splats"],

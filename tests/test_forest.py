@@ -13,23 +13,21 @@ from builders import model_bytes, random_splats
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.render.views import automatic_cameras
 from nanogs.report import PassReport, StageClock, StopReason
-from nanogs.simplify import choose, forest_pipeline, reassign, store, tree
+from nanogs.simplify import choose, forest_pipeline, reassign, tree
 from nanogs.simplify.choose import choose_model, quality
 from nanogs.simplify.cut import cut, merge_scores
 from nanogs.simplify.extent import core_radius, dilation
 from nanogs.simplify.match import MergePlan
 from nanogs.simplify.nodes import (
-    MOST_OPAQUE,
     activate_nodes,
     footprints,
     gather,
     gather_pairs,
     normalised,
-    store_nodes,
 )
 from nanogs.simplify.order import morton_order
 from nanogs.simplify.presets import PRESETS
-from nanogs.simplify.store import store_groups
+from nanogs.simplify.store import MOST_OPAQUE, store_groups
 from nanogs.simplify.tree import Forest, grow_forest
 from nanogs.splats import RenderMode
 
@@ -171,7 +169,7 @@ def test_stored_groups_cover_what_their_members_did(n, seed, pixel):
     labels = (np.arange(n) // 2).astype(np.int32)
     groups = int(labels[-1]) + 1
     merged = gather(nodes, labels, groups)
-    small = store_nodes(merged, nodes, labels, splats, np.zeros(3), pixel, 1.0)
+    small = store_groups(nodes, labels, splats, np.zeros(3), pixel, 1.0)
     assert len(small) == groups
     alphas = small.opacities()
     sigmas = [twins.pack(twins.covariance(s, q)) for s, q in
@@ -185,19 +183,6 @@ def test_stored_groups_cover_what_their_members_did(n, seed, pixel):
     assert np.allclose(covered[by_centre][chosen], expected[chosen], rtol=1e-3)
     assert (covered[by_centre][pairs] <= 1.001 * expected[pairs]).all()
     assert (alphas <= 1).all()
-
-
-@pytest.mark.parametrize(("groups", "members"), [(1, 1), (7, 10**6), (10**6, 11), (10**6, 1)])
-def test_groups_are_stored_alike_in_blocks_of_any_size(monkeypatch, groups, members):
-    splats = random_splats(90, seed=8, extras={"label": np.arange(90, dtype=np.uint8)})
-    leaves, _ = nodes_of(splats, 0.01)
-    labels = cut(grow_forest(leaves, 8, 1.0, 1, silent), 40, 0.8)
-    stored = [store_groups(leaves, labels, splats, np.zeros(3), 0.01, 1.1)]
-    monkeypatch.setattr(store, "BLOCK_GROUPS", groups)
-    monkeypatch.setattr(store, "BLOCK_MEMBERS", members)
-    stored.append(store_groups(leaves, labels, splats, np.zeros(3), 0.01, 1.1))
-    assert model_bytes(stored[0]) == model_bytes(stored[1])
-    assert stored[1].extras["label"].tolist() == sorted(stored[1].extras["label"].tolist())
 
 
 def test_groups_that_would_need_more_than_alpha_one_stay_a_hair_below():

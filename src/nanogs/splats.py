@@ -184,10 +184,11 @@ def unit(quats: F32) -> F32:
     """(N, 4) float32: quaternions of length 1; a zero one stands for no rotation."""
     # In single precision, but divided by the largest part first: tiny and huge quaternions
     # must not under- or overflow. The result is unit to 1e-7 either way.
-    largest = np.abs(quats).max(axis=1, keepdims=True)
-    zero = largest[:, 0] == 0
+    w, x, y, z = np.abs(quats).T
+    largest = np.maximum(np.maximum(w, x), np.maximum(y, z))
+    zero = largest == 0
     largest[zero] = 1
-    result: F32 = quats / largest
+    result: F32 = quats / largest[:, None]
     result[zero] = (1, 0, 0, 0)
     result /= np.sqrt(np.einsum("ij,ij->i", result, result))[:, None]
     return result

@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 
 BLOCK = 1 << 16
-BLOCK_PAIRS = 1 << 18
-BLOCK_GROUPS, BLOCK_MEMBERS = 1 << 14, 1 << 16  # see `store.py`
+BLOCK_PAIRS = 1 << 20  # more, since threads wait for each other after every block
 
 
 def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:

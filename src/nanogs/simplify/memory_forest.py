@@ -1,6 +1,5 @@
 """Memory of the presets that grow a forest: bytes a splat, stage by stage."""
 
-from nanogs.simplify.blocks import BLOCK_GROUPS, BLOCK_MEMBERS
 from nanogs.simplify.presets import ForestParameters
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
@@ -60,7 +59,7 @@ def forest_stages(
         "reassign": forest + labels + best + _reassign(count, target, features)
         if parameters.rounds
         else 0,
-        "store": forest + labels + best + target * row + max(draw, _store(count, target, row)),
+        "store": forest + labels + best + target * row + max(draw, _store(count, target)),
         "recolour": forest + labels + best + target * row + draw + target * fitted if fitted else 0,
         "refit": forest + _refit(count, target, features) if parameters.refit else 0,
     }
@@ -112,11 +111,9 @@ def _reassign(count: int, target: int, features: int) -> int:
     return merged + count * (_I4 + 3 * _F8 + _F8 // 2)
 
 
-def _store(count: int, target: int, row: int) -> int:
-    """Lists of the groups' members, and one block of groups: nodes, features twice, rows."""
-    groups, members = min(target, BLOCK_GROUPS), min(count, BLOCK_MEMBERS)
-    lists = count * _I4 + target * 3 * _I8
-    return lists + groups * (_NODE + 4 * row) + members * (_NODE + 3 * _F8)
+def _store(count: int, target: int) -> int:
+    """Labels in the order of the result and members; nodes, whose features the result takes."""
+    return count * (2 * _I4 + 2 * _F8) + target * (_NODE + 2 * 6 * _F8 + 7 * _F4 + 3 * _I8)
 
 
 def _refit(count: int, target: int, features: int) -> int:

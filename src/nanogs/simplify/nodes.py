@@ -1,7 +1,7 @@
 """Nodes: splats, or groups of splats, by their moments; what the merge forest is made of.
 
 The weight of a node is what it may lose by: its footprint, times the share of it that views see.
-Its coverage is the footprint alone, which a merge must conserve (`store_nodes`).
+Its coverage is the footprint alone, which a merge must conserve (`store_groups`).
 """
 
 from dataclasses import dataclass, field, replace
@@ -14,13 +14,11 @@ from nanogs.kernels.nodes import (
     gather_moments,
     group_members,
     heaviest_members,
-    principal_axes,
 )
 from nanogs.simplify.blocks import blocks
 from nanogs.splats import Splats, alphas, unit
 
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
-MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,17 +49,6 @@ class Nodes:
 
     def __len__(self) -> int:
         return len(self.means)
-
-    def take(self, rows: I32) -> "Nodes":
-        """The given nodes, of which none is mixed; the features stay where they are."""
-        return Nodes(
-            self.weights[rows],
-            self.coverages[rows],
-            self.means[rows],
-            self.covariances[rows],
-            self.features,
-            self.rows[rows],
-        )
 
 
 def footprints(covariances: F64, pixel: float) -> F64:
@@ -98,26 +85,28 @@ def activate_nodes(splats: Splats, rows: I64 | I32, origin: F64, pixel: float) -
     """
     rows = rows.astype(np.int32, copy=False)
     means, covariances = np.empty((len(rows), 3)), np.empty((len(rows), 6))
+    scales = np.empty((len(rows), 3), np.float32)
+    quats = np.empty((len(rows), 4), np.float32)
+    for block in blocks(len(rows)):
+        some = rows[block]
+        means[block] = splats.means[some] - origin
+        scales[block] = np.exp(splats.log_scales[some])
+        quats[block] = unit(splats.quats[some])
+    covariances_of(scales, quats, FLATTEST, _least(scales, means, pixel), covariances)
+    del scales, quats
     coverages = np.empty(len(rows))
     for block in blocks(len(rows)):
-        means[block] = splats.means[rows[block]] - origin
-    least = _least(splats, rows, means, pixel)
-    for block in blocks(len(rows)):
-        some, sigmas = rows[block], covariances[block]
-        scales, quats = np.exp(splats.log_scales[some]), unit(splats.quats[some])
-        covariances_of(scales, quats, FLATTEST, least, sigmas)
-        coverages[block] = alphas(splats.opacity_logits[some]) * footprints(sigmas, pixel)
+        opacities = alphas(splats.opacity_logits[rows[block]])
+        coverages[block] = opacities * footprints(covariances[block], pixel)
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
     return Nodes(normalised(coverages), coverages, means, covariances, features, rows)
 
 
-def _least(splats: Splats, rows: I32, means: F64, pixel: float) -> float:
+def _least(scales: F32, means: F64, pixel: float) -> float:
     """Thinnest axis of any node, scene units: points have one too; above 0 for every scene."""
     if pixel > 0:
         return 1e-3 * pixel
-    longest = max(float(np.exp(splats.log_scales[rows[b]]).max()) for b in blocks(len(rows)))
-    extent = float(np.ptp(means, axis=0).max())
-    return 1e-6 * longest or 1e-6 * extent or 1.0
+    return 1e-6 * float(scales.max()) or 1e-6 * float(np.ptp(means, axis=0).max()) or 1.0
 
 
 def normalised(weights: F64) -> F64:
@@ -243,45 +232,3 @@ def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float, growth: float
     wanted = merged.weights**2 / np.bincount(labels, squares, groups)
     factors = np.clip(wanted / footprints(merged.covariances, pixel), 1.0, growth**2)
     return merged.covariances * factors[:, None]
-
-
-def store_nodes(
-    merged: Nodes,
-    leaves: Nodes,
-    labels: I32,
-    splats: Splats,
-    origin: F64,
-    pixel: float,
-    growth: float,
-) -> Splats:
-    """Stored values of merged nodes, in the order of their dominant members in the input.
-
-    alpha = min(1, coverage / footprint): the screen stays covered as much as it was; where that
-    asks for more than an opaque splat, it grows (`grown`). A group of one gets the input's bytes
-    back; a larger one takes its extra columns from its dominant member.
-
-    Args:
-        merged: (G) from `gather`.
-        leaves: (M) nodes, one for each splat.
-        labels: (M,) the group of each.
-        splats: The input.
-        origin: (3,) what `activate_nodes` took off the centres, scene units.
-        pixel: As `footprints` takes it.
-        growth: Most that an axis may grow.
-    """
-    sources, order, new = stored_order(leaves, labels, len(merged))
-    stored = splats.take(sources)
-    fresh = order[new]
-    scales = np.empty((len(fresh), 3), np.float32)
-    quats = np.empty((len(fresh), 4), np.float32)
-    covariances = grown(merged, leaves, labels, pixel, growth)[fresh]
-    principal_axes(covariances, scales, quats)
-    alphas = merged.coverages[fresh] / footprints(covariances, pixel)
-    alphas = np.minimum(alphas, MOST_OPAQUE)
-    stored.means[new] = merged.means[fresh] + origin
-    stored.quats[new] = quats
-    stored.sh[new] = merged.features[fresh].reshape(len(fresh), *stored.sh.shape[1:])
-    with np.errstate(divide="ignore"):  # alpha 0 is stored as -inf
-        stored.log_scales[new] = np.log(scales)
-        stored.opacity_logits[new] = np.log(alphas) - np.log1p(-alphas)
-    return stored

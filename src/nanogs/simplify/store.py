@@ -1,14 +1,16 @@
-"""Groups of splats as stored splats, a block of groups at a time."""
+"""Groups of splats as stored splats."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from nanogs._types import F64, I32, I64
-from nanogs.simplify.blocks import BLOCK_GROUPS, BLOCK_MEMBERS
-from nanogs.simplify.nodes import Nodes, gather, member_lists, store_nodes, stored_order
+from nanogs._types import F64, I32
+from nanogs.kernels.nodes import principal_axes
+from nanogs.simplify.blocks import blocks
+from nanogs.simplify.nodes import Nodes, footprints, gather, grown, stored_order
 from nanogs.splats import Splats
+
+MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
 
 
 def store_groups(
@@ -19,68 +21,41 @@ def store_groups(
     pixel: float,
     growth: float,
 ) -> Splats:
-    """The model that groups make, as `gather` and `store_nodes` do; only the model is held whole.
+    """Stored values of groups, in the order of their dominant members in the input.
+
+    alpha = min(1, coverage / footprint): the screen stays covered as much as it was; where that
+    asks for more than an opaque splat, it grows (`grown`). A group of one gets the input's bytes
+    back; a larger one takes its extra columns from its dominant member.
 
     Args:
-        leaves: N nodes, one a splat.
-        labels: (N,) the group of each; no group is empty.
-        splats: As `store_nodes` takes them, and so what follows.
-        origin: (3,) scene units.
-        pixel: Scene units.
+        leaves: (M) nodes, one for each splat.
+        labels: (M,) the group of each; no group is empty.
+        splats: The input.
+        origin: (3,) what `activate_nodes` took off the centres, scene units.
+        pixel: As `footprints` takes it.
         growth: Most that an axis may grow.
     """
     groups = int(labels.max()) + 1
-    starts, members = member_lists(labels, groups)
-    blocks = list(_blocks(starts))
-    if len(blocks) == 1:
-        merged = gather(leaves, labels, groups)
-        return store_nodes(merged, leaves, labels, splats, origin, pixel, growth)
-    _, order, _ = stored_order(leaves, labels, groups)
-    places = np.empty_like(order)
-    places[order] = np.arange(groups)
-    result = _room(splats, groups)
-    for block in blocks:
-        sizes = np.diff(starts[block.start : block.stop + 1])
-        some = leaves.take(members[starts[block.start] : starts[block.stop]])
-        own = np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
-        merged = gather(some, own, len(sizes))
-        stored = store_nodes(merged, some, own, splats, origin, pixel, growth)
-        _put(stored, result, np.sort(places[block]))  # both in the order of the input
-    return result
-
-
-def _blocks(starts: I64) -> Iterator[slice]:
-    """Consecutive groups, with no more members than a block has, or one; starts: (G + 1,)."""
-    groups, first = len(starts) - 1, 0
-    while first < groups:
-        full = int(np.searchsorted(starts, starts[first] + BLOCK_MEMBERS, side="right")) - 1
-        end = min(max(full, first + 1), first + BLOCK_GROUPS, groups)
-        yield slice(first, end)
-        first = end
-
-
-def _room(splats: Splats, count: int) -> Splats:
-    """A model of so many splats with the columns of another one, not filled yet."""
-
-    def like(column: np.ndarray) -> np.ndarray:
-        return np.empty((count, *column.shape[1:]), column.dtype)
-
-    return replace(
-        splats,
-        means=like(splats.means),
-        log_scales=like(splats.log_scales),
-        quats=like(splats.quats),
-        opacity_logits=like(splats.opacity_logits),
-        sh=like(splats.sh),
-        extras={name: like(column) for name, column in splats.extras.items()},
-    )
-
-
-def _put(part: Splats, whole: Splats, rows: I64) -> None:
-    whole.means[rows] = part.means
-    whole.log_scales[rows] = part.log_scales
-    whole.quats[rows] = part.quats
-    whole.opacity_logits[rows] = part.opacity_logits
-    whole.sh[rows] = part.sh
-    for name, column in part.extras.items():
-        whole.extras[name][rows] = column
+    sources, order, new = stored_order(leaves, labels, groups)
+    places = np.empty(groups, np.int32)
+    places[order] = np.arange(groups, dtype=np.int32)
+    # Gathered in the order in which they are stored, the features are the result's own.
+    labels = places[labels]
+    merged = gather(leaves, labels, groups)
+    scales = np.empty((np.count_nonzero(new), 3), np.float32)
+    quats = np.empty((len(scales), 4), np.float32)
+    covariances = grown(merged, leaves, labels, pixel, growth)[new]
+    principal_axes(covariances, scales, quats)
+    alphas = merged.coverages[new] / footprints(covariances, pixel)
+    alphas = np.minimum(alphas, MOST_OPAQUE)
+    stored = replace(splats, sh=splats.sh[:, :1]).take(sources)
+    stored.means[new] = merged.means[new] + origin
+    stored.quats[new] = quats
+    with np.errstate(divide="ignore"):  # alpha 0 is stored as -inf
+        stored.log_scales[new] = np.log(scales)
+        stored.opacity_logits[new] = np.log(alphas) - np.log1p(-alphas)
+    sh = merged.features.reshape(groups, *splats.sh.shape[1:])
+    alone = np.flatnonzero(~new)
+    for block in blocks(len(alone)):
+        sh[alone[block]] = splats.sh[sources[alone[block]]]
+    return replace(stored, sh=sh)
