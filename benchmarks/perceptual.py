@@ -1,0 +1,52 @@
+"""LPIPS of our presets and of splat-transform's results, after `quality.py` has made these.
+
+    python benchmarks/perceptual.py [--only biker,skull] [--ratios 0.1,0.01]
+
+Needs the extra `lpips`. Four automatic views of 256 x 256 a scene, which no method learns from;
+each cell is AlexNet / VGG, less is better.
+"""
+
+import argparse
+
+import numpy as np
+
+import nanogs
+from nanogs.metrics import lpips
+from nanogs.render.rasterize import prepare, render
+from nanogs.render.views import automatic_cameras
+from nanogs.splats import Splats
+from quality import SCENES, SPLAT_TRANSFORM, UP
+from rivals import BUILD
+
+PRESETS = ("default", "best")
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", default=",".join(SCENES))
+    parser.add_argument("--ratios", default="0.1")
+    options = parser.parse_args()
+    print("| scene | ratio |", " | ".join((*SPLAT_TRANSFORM, *PRESETS)), "|")
+    print("|---|--:|" + "--:|" * (len(SPLAT_TRANSFORM) + len(PRESETS)))
+    for name in options.only.split(","):
+        original = nanogs.load(BUILD / "scenes" / f"{name}.ply")
+        for ratio in options.ratios.split(","):
+            files = [BUILD / f"{name}_{ratio}_{method}.ply" for method in SPLAT_TRANSFORM]
+            models = [nanogs.load(file) for file in files]
+            models += [nanogs.simplify(original, ratio=float(ratio), preset=p)[0] for p in PRESETS]
+            cells = (distances(original, model, UP.get(name)) for model in models)
+            print(f"| {name} | {ratio} |", " | ".join(cells), "|", flush=True)
+
+
+def distances(original: Splats, model: Splats, up: tuple[float, float, float] | None) -> str:
+    """Means over the views, with either backbone."""
+    cameras = automatic_cameras(original, 4, width=256, height=256, split="test", up=up)
+    first, second = prepare(original), prepare(model)
+    pairs = [(render(first, c).shown(), render(second, c).shown()) for c in cameras]
+    means = [np.mean([lpips(*pair, net=net) for pair in pairs]) for net in ("alex", "vgg")]
+    return f"{means[0]:.4f} / {means[1]:.4f}"
+
+
+if __name__ == "__main__":
+    main()
