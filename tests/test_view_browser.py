@@ -4,6 +4,7 @@ import dataclasses
 import io
 import os
 import shutil
+import time
 
 import numpy as np
 import pytest
@@ -74,11 +75,18 @@ class Seen:
         """(H, W, 3) float32 of the models alone, in [0, 1], when nothing moves any more."""
         from PIL import Image
 
-        self.page.wait_for_timeout(50)  # for an input to arrive
         self.settle()
         picture = self.page.locator(f"{VIEW} canvas").screenshot(style=BARE)
         image = Image.open(io.BytesIO(picture)).convert("RGB")
         return np.asarray(image, dtype=np.float32) / 255
+
+    def sees(self, condition):
+        """The pixels as soon as they are as they should be; an input takes time to arrive."""
+        end = time.monotonic() + PATIENCE / 2000
+        while not condition(pixels := self.pixels()):
+            assert time.monotonic() < end, "the picture did not become what it should be"
+            self.page.wait_for_timeout(50)
+        return pixels
 
     def close(self):
         foreign = [url for url in self.requests if not url.startswith(("file:", "data:", "blob:"))]
@@ -145,6 +153,19 @@ def edge(pixels):
     return blue.min() / pixels.shape[1]
 
 
+def edge_at(share):
+    return lambda pixels: edge(pixels) == pytest.approx(share, abs=0.015)
+
+
+def same_as(picture):
+    return lambda pixels: np.array_equal(pixels, picture)
+
+
+def changed(pixels, picture, share=0.01):
+    """Whether so much of the picture is another one."""
+    return (np.abs(pixels - picture).max(axis=-1) > 0.1).mean() > share
+
+
 def test_each_side_shows_its_model_before_the_background(two):
     pixels = two.pixels()
     half = pixels.shape[1] // 2
@@ -160,38 +181,38 @@ def test_each_side_shows_its_model_before_the_background(two):
 def test_the_line_moves_by_mouse_and_by_keys(two):
     slider = two.page.get_by_role("slider")
     assert slider.get_attribute("aria-valuenow") == "50"
-    assert edge(two.pixels()) == pytest.approx(0.5, abs=0.01)
+    two.sees(edge_at(0.5))
     mouse = two.page.mouse
     mouse.move(100, 40)
     mouse.down()
     mouse.move(120, 60)
     mouse.up()
-    assert edge(two.pixels()) == pytest.approx(0.6, abs=0.01)
+    two.sees(edge_at(0.6))
     mouse.move(80, 40)  # let go: it stays
     two.page.keyboard.press("ArrowLeft")  # the line has the focus now
-    assert edge(two.pixels()) == pytest.approx(0.58, abs=0.01)
+    two.sees(edge_at(0.58))
     for key, share in ((",", "56"), (".", "58"), ("PageDown", "48"), ("End", "100"), ("Home", "0")):
         two.page.keyboard.press(key)
         assert slider.get_attribute("aria-valuenow") == share
-    only_blue = two.pixels()
-    assert is_blue(only_blue).any()
-    assert not is_red(only_blue).any()
+    two.sees(lambda pixels: is_blue(pixels).any() and not is_red(pixels).any())
 
 
 def test_mouse_and_keys_move_the_camera_of_both_sides(two):
     first = two.pixels()
     page = two.page
 
+    def both_changed(pixels):
+        half = pixels.shape[1] // 2
+        sides = (np.s_[:, :half], np.s_[:, half:])
+        return all(changed(pixels[side], first[side]) for side in sides)
+
     def moved(action):
-        """The picture after some of the action; both sides differ from the first one."""
+        """The picture after some of the action; then back to the first one."""
         for _ in range(3):
             action()
-        pixels = two.pixels()
-        half = pixels.shape[1] // 2
-        for side in (np.s_[:, :half], np.s_[:, half:]):
-            assert (np.abs(pixels[side] - first[side]).max(axis=-1) > 0.1).mean() > 0.01
+        pixels = two.sees(both_changed)
         page.keyboard.press("0")
-        assert np.array_equal(two.pixels(), first)
+        two.sees(same_as(first))
         return pixels
 
     def drag(button="left"):
@@ -230,15 +251,14 @@ def test_fingers_move_line_and_camera_on_a_phone(chromium, files):
         session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
     swipe(((120, 200), (150, 210)))
-    assert edge(seen.pixels()) == pytest.approx(150 / 240, abs=0.02)
+    seen.sees(edge_at(150 / 240))
     swipe(((150, 200), (120, 200)))
     swipe(((40, 260), (80, 280)))
-    turned = seen.pixels()
-    assert (np.abs(turned - first).max(axis=-1) > 0.1).mean() > 0.003
+    turned = seen.sees(lambda pixels: edge_at(0.5)(pixels) and changed(pixels, first, 0.003))
     swipe(((40, 200), (20, 200)), ((80, 200), (100, 200)))
-    assert is_background(seen.pixels()).mean() < is_background(turned).mean() - 0.05
+    seen.sees(lambda pixels: is_background(pixels).mean() < is_background(turned).mean() - 0.05)
     seen.page.get_by_role("button", name="First view").tap()
-    assert np.array_equal(seen.pixels(), first)
+    seen.sees(same_as(first))
     seen.close()
 
 
@@ -336,12 +356,11 @@ def test_a_report_loads_its_models_on_request(chromium, files, tmp_path):
     chooser = page.get_by_label("Model on the right")
     chooser.select_option(label="blue: 200 splats (66.67\N{NO-BREAK SPACE}%)")
     assert "200" not in page.locator(".nv-left").inner_text()
-    fewer = seen.pixels()
     half = many.shape[1] // 2
+    fewer = seen.sees(lambda pixels: not np.array_equal(pixels[:, half:], many[:, half:]))
     assert np.array_equal(fewer[:, :half], many[:, :half])
-    assert not np.array_equal(fewer[:, half:], many[:, half:])
     chooser.select_option(index=0)
-    assert np.array_equal(seen.pixels(), many)
+    seen.sees(same_as(many))
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     seen.close()
 
