@@ -2,8 +2,9 @@
 
     python benchmarks/mutate.py [--count 10000] [--seed 1] [--only .sog,.npz] [--out FILE]
 
-Each file must be read as a model or be refused with a `FormatError`, in less than ten seconds and
-in less memory than four times its size and 200 MB; every warning is an error. Anything else stops
+Each file must be read as a model or be refused with a `FormatError`, in less than a minute, and in
+less memory than four times its size and 200 MB; every warning is an error. The slowest is given in
+seconds of the processor, as other programs may run beside. Anything else stops
 the format's run, whose last file is kept below build/mutated. Each format has a process of its
 own, so that a crash is seen. `tests/seeds.py` has the files and the ways to damage them. Memory is
 the peak of resident memory while one file is read and described, which Linux alone tells.
@@ -25,7 +26,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "build" / "mutated"
-PATIENCE = 10  # seconds for one file
+PATIENCE = 60  # seconds for one file, however busy the machine is
 FREE_BYTES = 200 << 20
 TIMES = 4
 SELF = Path("/proc/self")
@@ -112,11 +113,11 @@ def run_format(name: str, count: int, seed: int, folder: Path) -> dict[str, Any]
     for number in range(count):
         files = made.damaged(rng)
         path = _placed(folder, files)
-        before, start = _resident(reset=True), time.perf_counter()
+        before, start = _resident(reset=True), time.process_time()
         faulthandler.dump_traceback_later(PATIENCE, exit=True)
         found[outcome(path)] += 1
         faulthandler.cancel_dump_traceback_later()
-        slowest = max(slowest, time.perf_counter() - start)
+        slowest = max(slowest, time.process_time() - start)
         took, size = _resident() - before, sum(map(len, files.values()))
         most = max(most, took)
         if took > TIMES * size + FREE_BYTES:
