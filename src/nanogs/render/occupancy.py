@@ -11,7 +11,7 @@ from nanogs._types import F64, I64
 from nanogs.errors import ModelError
 from nanogs.splats import Splats
 
-MAX_SAMPLE = 60_000  # splats looked at; a stride thins larger models
+MAX_SAMPLE = 30_000  # splats looked at; a stride thins larger models
 FAINTEST = 1 / 255  # what the rasterisers skip
 CELLS = 64  # of the grid, along each axis
 TRIM_ROUNDS = 4  # of centre and radius
@@ -26,13 +26,15 @@ class Matter:
     Attributes:
         points: (n, 3) float64, centres in scene units.
         alphas: (n,) float64 in (1/255, 1].
-        arms: (n, 2, 3) float64, the two longest axes times their standard deviations.
+        arms: (n, 2, 3) float64, the two longest axes times their standard deviations, longer first.
+        thicknesses: (n,) float64, standard deviation along the third axis, scene units.
         stride: One in this many splats was taken.
     """
 
     points: F64
     alphas: F64
     arms: F64
+    thicknesses: F64
     stride: int
 
     @property
@@ -89,7 +91,8 @@ def sample(splats: Splats) -> Matter:
     axes = _axes(kept.unit_quats().astype(np.float64)) * scales[:, None, :]
     longest = np.argsort(-scales, axis=1, kind="stable")[:, :2]
     arms = np.take_along_axis(axes.transpose(0, 2, 1), longest[:, :, None], axis=1)
-    return Matter(kept.means.astype(np.float64), kept.opacities(), arms, stride)
+    means = kept.means.astype(np.float64)
+    return Matter(means, kept.opacities(), arms, scales.min(axis=1), stride)
 
 
 def _axes(quats: F64) -> F64:
