@@ -12,6 +12,7 @@ from nanogs._types import F64
 from nanogs.render.occupancy import Matter, capped, quantiles
 from nanogs.render.poses import level_frame
 
+MEDIAN_SAMPLE = 10_000  # splats of which the median is taken
 ROUNDS = 20  # of the geometric median; each brings it nearer by about half
 REACH = 4.0  # median distances from the middle; beyond lie surroundings, skies and strays
 
@@ -68,13 +69,14 @@ def _axes(points: F64, weights: F64) -> F64:
 
 def _middle(matter: Matter) -> F64:
     """(3,) the geometric median by alpha (Weiszfeld, 1937): half of the matter may be astray."""
-    weights = matter.alphas
-    middle: F64 = weights @ matter.points / weights.sum()
+    rows = slice(None, None, -(-len(matter.points) // MEDIAN_SAMPLE))
+    points, weights = matter.points[rows], matter.alphas[rows]
+    middle: F64 = weights @ points / weights.sum()
     for _ in range(ROUNDS):
-        distances = np.linalg.norm(matter.points - middle, axis=1)
+        distances = np.linalg.norm(points - middle, axis=1)
         least = 1e-3 * float(np.median(distances))  # one splat must not hold it fast
         if not least > 0:
             break
         pulls = weights / np.maximum(distances, least)
-        middle = pulls @ matter.points / pulls.sum()
+        middle = pulls @ points / pulls.sum()
     return middle

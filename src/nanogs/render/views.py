@@ -18,7 +18,7 @@ from nanogs.render import inside, orbit
 from nanogs.render.camera import Camera
 from nanogs.render.heading import seen_from
 from nanogs.render.occupancy import Core, Matter, find_core, sample
-from nanogs.render.stance import own_stance, upright
+from nanogs.render.stance import UPRIGHT, own_stance, upright
 from nanogs.render.up import detect_up
 from nanogs.splats import Splats
 
@@ -141,7 +141,8 @@ def survey(
     matter = seen_from(matter, stance.frame)
     core = find_core(matter)
     if kind == "auto":
-        kind = "inside" if inside.is_room(matter, core, np.array(UP)) else "orbit"
+        room = stance.band == UPRIGHT and inside.is_room(matter, core, np.array(UP))
+        kind = "inside" if room else "orbit"
     return Survey(matter, core, turn, kind, stance.band)
 
 
