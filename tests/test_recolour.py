@@ -121,8 +121,8 @@ def test_where_views_differ_much_a_more_cautious_step_is_tried(monkeypatch):
     monkeypatch.setattr(stage, "judge", lambda *_: next(judged))
     found, report = recolour(small, everything, views, before)
     assert report.kept
-    pulls = stage._pulls(cautious, views.judging)
-    second = stage._moved(cautious, everything, *pulls, stage.PRIORS[1])
+    pulls, held = stage._pulls(cautious, views.judging)
+    second = stage._moved(cautious, everything, pulls, held + first[1], stage.PRIORS[1])
     assert model_bytes(found) == model_bytes(second)
 
 

@@ -48,7 +48,9 @@ def recolour(
         moved = _moved(small, merged, *first, prior)
         after = judge(moved, views)
         if quality(*after) > quality(*before):
-            small = _moved(moved, merged, *_pulls(moved, views.judging), prior)
+            pulls, curvatures = _pulls(moved, views.judging)
+            # The views of the first step, which show what they should now, hold on to that.
+            small = _moved(moved, merged, pulls, curvatures + first[1], prior)
             return small, RecolourReport(*before, *after, kept=True)
     return small, RecolourReport(*before, *after, kept=False)
 
