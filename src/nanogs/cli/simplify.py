@@ -8,10 +8,12 @@ from typing import Annotated, Any
 import typer
 
 from nanogs.ahead import compile_ahead
-from nanogs.cli import filtering, many, method, options, streams
+from nanogs.cli import filtering, framing, many, method, options, streams
 from nanogs.cli.console import count_down, warn, with_file_seconds
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_report, stop_text
+from nanogs.errors import OptionError
 from nanogs.filters import Filter, FilterReport, apply
+from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
@@ -42,6 +44,7 @@ def simplify(
     ] = None,
     preset: method.Preset = DEFAULT_PRESET,
     nan: method.NanOption = method.Nan.drop,
+    frame: framing.FrameOption = None,
     spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
     threads: options.Threads = None,
@@ -87,6 +90,7 @@ def simplify(
         chosen=chosen,
         filters=filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters),
         saving={"overwrite": overwrite, "spz_version": spz_version},
+        frames=framing.parse_frames(frame),
         cameras=cameras,
         up=method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None),
         given=given | {"preset": preset, "nan": nan.value, "threads": threads},
@@ -127,6 +131,7 @@ class _Request:
         chosen: Parameters of the method.
         filters: To apply first.
         saving: What `save` takes.
+        frames: From and to where the result is turned, as given, or None.
         cameras: As `requested_cameras` takes it.
         up: Up direction of automatic views, or None.
         given: What the library's `simplify` takes beside.
@@ -139,6 +144,7 @@ class _Request:
     chosen: Parameters
     filters: Sequence[Filter]
     saving: dict[str, Any]
+    frames: framing.Frames | None
     cameras: str
     up: tuple[float, float, float] | None
     given: dict[str, Any]
@@ -163,6 +169,12 @@ def _plan(pair: Pair, request: _Request, *, dry_run: bool) -> Plan:
     """Check the files and the goal; the count that it comes to, where that is known yet."""
     goal, filters = request.goal, request.filters
     refuse_searches(goal, request.preset, pair.target)
+    frames = framing.frames_of(pair, request.frames)
+    if frames and goal.size is not None and not registry.has_known_size(pair.target):
+        raise OptionError(
+            f"--frame changes the size of a {pair.target.suffix} file that --size has found; turn"
+            " it with `nanogs convert` before."
+        )
     info = inspect(pair.source)
     if not (dry_run and request.folder_later):
         check_writable(pair.target, **request.saving)
@@ -206,12 +218,15 @@ def _simplify_file(plan: Plan, pair: Pair, request: _Request) -> dict[str, Any]:
             progress=progress,
             **request.given,
         )
+        if frames := framing.frames_of(pair, request.frames):
+            small = change_frame(small, *frames)
         progress("write", len(small))
         with clock.time("write"):
             save(small, target, **saving)
     run = with_file_seconds(report.to_dict(), clock, start)
     run["notes"] = [*run["notes"], *losses(small, target)]
     run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in took]}
+    run["frames"] = frames
     run |= {"input": str(source), "output": str(target)}
     run |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(target)}
     return run

@@ -51,7 +51,8 @@ _STAND_INS = {
     *((f"numpy.{core}.multiarray", "scalar") for core in ("core", "_core")),
     *((f"numpy.{core}.multiarray", "_reconstruct") for core in ("core", "_core")),
 }
-_MAX_PICKLE = 1 << 26
+# An object takes up to 72 times its bytes in the pickle; a tensor has 130, a model some ten.
+_MAX_PICKLE = 1 << 21
 _DAMAGE = (
     OSError,
     zipfile.BadZipFile,
