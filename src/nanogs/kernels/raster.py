@@ -7,7 +7,6 @@ Source: Kerbl, Kopanas, Leimkühler, Drettakis, "3D Gaussian Splatting", 2023 [K
 import math
 from typing import TypeAlias
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U64
@@ -21,7 +20,6 @@ MIN_TRANSMITTANCE = 1e-4
 CHUNKS = 16  # runs of the depth order listed independently; fixed, so that threads do not matter
 SMALL = 2  # tiles along a side of a box that is listed whole: what lies beside it draws nothing
 BATCH = 16  # splats fetched at a time, and between two looks at whether a tile is full
-STRIDE = 61  # consecutive tiles go to different threads: one half of an image is often empty
 
 # exp(x) = P(x/16)^16 on [-6, 0]: least squares over P(0) = 1, relative error below 2e-6.
 P1 = np.float32(0.999999749030319)
@@ -81,25 +79,54 @@ def depth_keys(features: F32, boxes: I64, keys: U64) -> int:
 
 @inline
 def _walk(
-    geometry: F64, boxes: I64, run: I64, width: int, height: int, cursors: I64, entries: I32
+    geometry: F64, boxes: I64, index: int, width: int, height: int, cursors: I64, entries: I32
 ) -> None:
-    """Move each tile's cursor past a run of the depth order; write the splats if there is room."""
+    """Move the cursor of each tile that a splat meets; write the splat if there is room."""
     tiles_x = (width + TILE - 1) // TILE
-    for index in run:
-        left, top, across, down = unpack_box(boxes[index])
-        small = across <= SMALL and down <= SMALL
-        lowest = 0.0 if small else _lowest(geometry, index)
-        for ty in range(top, top + down):
-            first, end = left, left + across
-            if not small:
-                first, end = _tile_span(geometry, index, lowest, ty, width, height)
-            for tile in range(ty * tiles_x + first, ty * tiles_x + end):
-                if len(entries) > 0:
-                    entries[cursors[tile]] = index
-                cursors[tile] += 1
+    left, top, across, down = unpack_box(boxes[index])
+    small = across <= SMALL and down <= SMALL
+    lowest = 0.0 if small else _lowest(geometry, index)
+    for ty in range(top, top + down):
+        first, end = left, left + across
+        if not small:
+            first, end = _tile_span(geometry, index, lowest, ty, width, height)
+        for tile in range(ty * tiles_x + first, ty * tiles_x + end):
+            if len(entries) > 0:
+                entries[cursors[tile]] = index
+            cursors[tile] += 1
 
 
-@parallel_kernel
+@parallel_kernel("cursors", least=1)
+def walk_order(
+    start: int,
+    stop: int,
+    geometry: F64,
+    boxes: I64,
+    order: I64,
+    width: int,
+    height: int,
+    cursors: I64,
+    entries: I32,
+) -> None:
+    """Move each tile's cursors past the runs of the depth order; write the splats if there is room.
+
+    Args:
+        start: First run of the range.
+        stop: The run after its last.
+        geometry: (N, 8) rows of projected splats.
+        boxes: (N,) the tiles around each, from `project_splats`.
+        order: (M,) indices of the drawn splats, nearest first.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        cursors: (runs, T) in and out, one for each run of the order and tile.
+        entries: (E,) out, or (0,) where only the cursors are wanted.
+    """
+    size = (len(order) + len(cursors) - 1) // len(cursors)
+    for run in range(start, stop):
+        for index in order[run * size : (run + 1) * size]:
+            _walk(geometry, boxes, index, width, height, cursors[run], entries)
+
+
 def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -> tuple[I64, I32]:
     """List, for every tile, the splats that meet it, nearest first.
 
@@ -114,26 +141,14 @@ def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -
         starts (T + 1,) and entries (starts[T],): tile t (row by row) holds the splats
         entries[starts[t]:starts[t + 1]].
     """
-    tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
-    tiles, size = tiles_x * tiles_y, (len(order) + CHUNKS - 1) // CHUNKS
-    cursors = np.zeros((CHUNKS, tiles), np.int64)
-    nowhere = np.empty(0, np.int32)
-    for chunk in numba.prange(CHUNKS):
-        run = order[chunk * size : (chunk + 1) * size]
-        _walk(geometry, boxes, run, width, height, cursors[chunk], nowhere)
-    starts = np.empty(tiles + 1, np.int64)
-    total = 0
-    for tile in range(tiles):
-        starts[tile] = total
-        for chunk in range(CHUNKS):
-            count = cursors[chunk, tile]
-            cursors[chunk, tile] = total
-            total += count
-    starts[tiles] = total
-    entries = np.empty(total, np.int32)
-    for chunk in numba.prange(CHUNKS):
-        run = order[chunk * size : (chunk + 1) * size]
-        _walk(geometry, boxes, run, width, height, cursors[chunk], entries)
+    tiles = (-(-width // TILE)) * (-(-height // TILE))
+    counts = np.zeros((CHUNKS, tiles), np.int64)
+    walk_order(geometry, boxes, order, width, height, counts, np.empty(0, np.int32))
+    ends = np.cumsum(counts.T).reshape(tiles, CHUNKS)
+    starts = np.append(ends[:, 0] - counts[0], ends[-1, -1])
+    cursors = np.ascontiguousarray((ends - counts.T).T)
+    entries = np.empty(starts[-1], np.int32)
+    walk_order(geometry, boxes, order, width, height, cursors, entries)
     return starts, entries
 
 
@@ -269,12 +284,6 @@ def _write_tile(
                 image[y0 + r, x0 + x, c] = planes[c, r, x] + rest * background[c]
 
 
-@inline
-def scattered(slot: int, per_class: int) -> int:
-    """The tile of a slot: slots in a row, which go to one thread, are STRIDE tiles apart."""
-    return (slot % per_class) * STRIDE + slot // per_class
-
-
 @kernel
 def _blend_tile(
     geometry: F64,
@@ -288,11 +297,7 @@ def _blend_tile(
     probes: F32,
     partial: F32,
 ) -> None:
-    """Blend the splats of the tile whose corner is (x0, y0); entries and partial are its own.
-
-    A function of its own and not inlined: in a parallel one each array expression here would
-    become a parallel loop, which takes seconds to compile and nothing in running.
-    """
+    """Blend the splats of the tile whose corner is (x0, y0); entries and partial are its own."""
     height, width, channels = image.shape
     left = np.empty((TILE, TILE), np.float32)
     planes = np.zeros((channels, TILE, TILE), np.float32)
@@ -330,8 +335,10 @@ def _blend_tile(
     _write_tile(x0, y0, left, planes, background, image, transmittance)
 
 
-@parallel_kernel
+@parallel_kernel("starts", least=8)
 def blend_tiles(
+    start: int,
+    stop: int,
     geometry: F64,
     features: F32,
     starts: I64,
@@ -345,6 +352,8 @@ def blend_tiles(
     """Blend every tile's splats front to back ([K] eq. 3), and probe their weights.
 
     Args:
+        start: First tile of the range.
+        stop: The tile after its last.
         geometry: (N, 8) rows of projected splats.
         features: (N, C) what to blend.
         starts: (T + 1,) from `list_tiles`.
@@ -356,24 +365,20 @@ def blend_tiles(
         partial: (E, P) out, sums of these products for each entry over its tile.
     """
     tiles_x = (image.shape[1] + TILE - 1) // TILE
-    tiles = len(starts) - 1
-    per_class = (tiles + STRIDE - 1) // STRIDE
-    for slot in numba.prange(per_class * STRIDE):
-        tile = scattered(slot, per_class)
-        if tile < tiles:
-            first, end = starts[tile], starts[tile + 1]
-            _blend_tile(
-                geometry,
-                features,
-                entries[first:end],
-                (tile % tiles_x) * TILE,
-                (tile // tiles_x) * TILE,
-                background,
-                image,
-                transmittance,
-                probes,
-                partial[first:end],
-            )
+    for tile in range(start, min(stop, len(starts) - 1)):
+        first, end = starts[tile], starts[tile + 1]
+        _blend_tile(
+            geometry,
+            features,
+            entries[first:end],
+            (tile % tiles_x) * TILE,
+            (tile // tiles_x) * TILE,
+            background,
+            image,
+            transmittance,
+            probes,
+            partial[first:end],
+        )
 
 
 @kernel
