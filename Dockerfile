@@ -10,10 +10,13 @@ COPY --from=build /wheels /wheels
 RUN pip install --no-cache-dir /wheels/*.whl && rm -r /wheels
 
 # Whoever runs it may add to what is compiled; the part made here holds on processors like this one.
-ENV NUMBA_CACHE_DIR=/var/cache/nanogs
+# A container forgets what it compiles, so that this is what all presets and .sog files need.
+ENV NUMBA_CACHE_DIR=/var/cache/nanogs MPLCONFIGDIR=/tmp/matplotlib
 RUN nanogs demo /tmp/scene.ply --count 2000 \
-    && nanogs simplify /tmp/scene.ply /tmp/small.ply --ratio 0.1 \
-    && rm /tmp/scene.ply /tmp/small.ply \
+    && nanogs simplify /tmp/scene.ply /tmp/small.ply --ratio 0.1 --preset best \
+    && nanogs simplify /tmp/scene.ply /tmp/paper.ply --ratio 0.5 --preset paper \
+    && nanogs convert /tmp/scene.ply /tmp/scene.sog \
+    && rm /tmp/scene.* /tmp/small.ply /tmp/paper.ply \
     && chmod -R a+rwX "$NUMBA_CACHE_DIR"
 
 RUN useradd --create-home nanogs && mkdir /data && chown nanogs /data
