@@ -1,11 +1,12 @@
 """Hold what nanogs reads and writes against other programs, on every real scene and SH degree.
 
-    python benchmarks/oracles.py [SCENES] [--only biker,skull] [--rows 20000] [--out FILE]
+    python benchmarks/oracles.py [SCENES] [--only biker,skull] [--rows 2000] [--whole] [--out FILE]
 
 splat-transform (npm, see rivals.py), gsply and gaussforge (`pip install gsply gaussforge
-imagecodecs`) open our files and write others that we open. Of each scene its own degree is taken,
-and degrees 0 to 3 of up to --rows of its splats, with higher coefficients drawn at random where the
-scene has none. SCENES is by default ../shared/scenes beside the repository.
+imagecodecs`) open our files and write others that we open. Of each scene degrees 0 to 3 of --rows
+of its splats are taken, with higher coefficients drawn at random where the scene has none; with
+--whole the scene as it is too. SCENES is by default ../shared/scenes beside the repository.
+tests/test_oracles.py does so in small.
 
 The table gives the largest differences, in steps of the format's quantisation (of float32 columns,
 in millionths): *read* of what we and the other program read from our file, and from theirs; *kept*
@@ -21,7 +22,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -48,13 +49,14 @@ def main() -> None:
     beside = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
     parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))
     parser.add_argument("--only", default=",".join(SCENES))
-    parser.add_argument("--rows", type=int, default=20_000)
+    parser.add_argument("--rows", type=int, default=2_000)
+    parser.add_argument("--whole", action="store_true", help="take whole scenes too")
     parser.add_argument("--out", type=Path, help="write every figure as JSON")
     options = parser.parse_args()
     install()
     found: list[dict[str, Any]] = []
     for name in options.only.split(","):
-        for label, model in models(name, io.load(options.scenes / SCENES[name]), options.rows):
+        for label, model in models(name, io.load(options.scenes / SCENES[name]), options):
             with tempfile.TemporaryDirectory() as folder:
                 found += [row | {"scene": label} for row in held(model, Path(folder))]
             print(label, len(model), file=sys.stderr, flush=True)
@@ -63,10 +65,11 @@ def main() -> None:
     print(table(found))
 
 
-def models(name: str, scene: Splats, rows: int) -> Iterator[tuple[str, Splats]]:
-    """The scene at its own degree, and some of its splats at every degree up to 3."""
-    yield name, plain(scene)
-    some = scene.take(np.arange(0, len(scene), -(-len(scene) // rows)))
+def models(name: str, scene: Splats, options: argparse.Namespace) -> Iterator[tuple[str, Splats]]:
+    """Some splats of a scene at every degree up to 3, and all at the scene's own if asked for."""
+    if options.whole:
+        yield name, plain(scene)
+    some = scene.take(np.arange(0, len(scene), -(-len(scene) // options.rows)))
     for degree in range(4):
         yield f"{name}, {degree}", plain(with_degree(some, degree))
 
@@ -173,7 +176,9 @@ PROGRAMS: tuple[Program, ...] = (
 # --- comparing
 
 
-def held(model: Splats, folder: Path) -> Iterator[dict[str, Any]]:
+def held(
+    model: Splats, folder: Path, programs: Sequence[Program] = PROGRAMS
+) -> Iterator[dict[str, Any]]:
     """The largest differences of one model, by format and program."""
     ply = folder / "model.ply"
     io.save(model, ply)
@@ -185,7 +190,7 @@ def held(model: Splats, folder: Path) -> Iterator[dict[str, Any]]:
             version = 4 if kind == ".spz v4" else None
             io.save(model, ours, overwrite=True, spz_version=version)
             yield {"format": kind, "program": "nanogs"} | {"kept": kept(kind, expected, ours)}
-        for name, reads, read, writes in PROGRAMS:
+        for name, reads, read, writes in programs:
             row: dict[str, Any] = {"format": kind, "program": name}
             try:
                 if kind in reads and kind != ".ksplat":

@@ -109,17 +109,24 @@ def repeated_model():
     return {name: json.dumps(content).encode()} | dict(rest)
 
 
-def long_pickle():
-    """Lists in a list, each of 64 bytes for the one it takes in the file."""
+def checkpoint(pickled):
+    """A checkpoint with another pickle in it."""
     ((name, data),) = seeds.made(".pt").seeds[0].items()
     file = bytes_io.BytesIO()
     with zipfile.ZipFile(bytes_io.BytesIO(data)) as old, zipfile.ZipFile(file, "w") as new:
         for member in old.namelist():
-            own = member.endswith("data.pkl")
-            new.writestr(
-                member, b"\x80\2](" + b"]" * 3_000_000 + b"e." if own else old.read(member)
-            )
+            new.writestr(member, pickled if member.endswith("data.pkl") else old.read(member))
     return {name: file.getvalue()}
+
+
+def long_pickle():
+    """Lists in a list, each of 64 bytes for the one it takes in the file."""
+    return checkpoint(b"\x80\2](" + b"]" * 3_000_000 + b"e.")
+
+
+def nested_pickle(again):
+    """A key of a dictionary that is a tuple of two times a tuple and so on, 60 deep."""
+    return checkpoint(b"\x80\2})" + again * 60 + b"Ns.")
 
 
 BOMBS = {
@@ -130,6 +137,8 @@ BOMBS = {
     "WebP in a packed zip": (lambda: webp_bomb(zipfile.ZIP_DEFLATED), "far more than splats"),
     "canvas": (canvas_bomb, "damaged WebP"),
     "repeated model": (repeated_model, "names a file twice"),
+    "tuples": (lambda: nested_pickle(b"2\x86"), "nested in each other"),
+    "tuples by memo": (lambda: nested_pickle(b"q\0h\0\x86"), "nested in each other"),
     "pickle": (long_pickle, "packed or has 3000006 bytes"),
 }
 
