@@ -21,12 +21,11 @@ import math
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U16
+from nanogs.kernels.pixels import PIXELS, Single, blend_pixels
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.project import TILE
 from nanogs.kernels.raster import (
     BATCH,
-    Single,
-    blend_row,
     count_open,
     start_tile,
 )
@@ -162,7 +161,9 @@ def _pull_splat(
         if open_rows[r] == 0 or centre + half < 0.0 or centre - half > TILE - 1.0:
             continue
         base, step = np.float32(-inv_w * centre), np.float32(inv_w)
-        blend_row(base, step, np.float32(q), opacity, r, lanes, left, weights)
+        for x in range(0, TILE, PIXELS):
+            at = r * TILE + x
+            blend_pixels(base, step, np.float32(q), opacity, x, left, at, weights, x)
         row = _pull_row(
             base, step, features, i, r, lanes, left, weights, behind, residual, precision
         )
