@@ -1,11 +1,12 @@
 """Hold our SOG files against those of the format's own tool: bytes, seconds and PSNR.
 
-    python benchmarks/sog.py [SCENES] [--only biker,skull] [--views 8] [--out FILE]
+    python benchmarks/sog.py [SCENES] [--only biker,skull] [--views 8] [--rows N] [--out FILE]
 
 Every scene is written as `.sog` by nanogs and by splat-transform 3.7.0 (npm, see rivals.py), both
 from the same `.ply` file, and both are compared with it on the views of `nanogs compare`. Seconds
-are those of whole processes, kernels warm. SCENES is by default ../shared/scenes beside the
-repository.
+are those of whole processes, kernels warm. Without a GPU splat-transform takes many minutes for the
+harmonics of large scenes; --rows takes so many splats of each scene at most. SCENES is by default
+../shared/scenes beside the repository.
 """
 
 import argparse
@@ -17,7 +18,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nanogs import io
+from nanogs.splats import Splats
 from quality import SCENES
 from rivals import ROOT, install, run_tool, timed
 
@@ -29,6 +33,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))
     parser.add_argument("--only", default=",".join(SCENES))
     parser.add_argument("--views", type=int, default=8)
+    parser.add_argument("--rows", type=int, help="splats of each scene at most")
     parser.add_argument("--out", type=Path, help="write the figures as JSON")
     options = parser.parse_args()
     install()
@@ -39,15 +44,17 @@ def main() -> None:
     rows = []
     for name in options.only.split(","):
         with tempfile.TemporaryDirectory() as folder:
-            rows.append(measured(name, options.scenes / SCENES[name], Path(folder), options.views))
+            model = io.load(options.scenes / SCENES[name])
+            if options.rows and options.rows < len(model):
+                model = model.take(np.linspace(0, len(model) - 1, options.rows).astype(np.int64))
+            rows.append(measured(name, model, Path(folder), options.views))
         print(line(rows[-1]), flush=True)
     if options.out:
         options.out.write_text(json.dumps(rows, indent=2) + "\n")
 
 
-def measured(name: str, scene: Path, folder: Path, views: int) -> dict[str, Any]:
+def measured(name: str, model: Splats, folder: Path, views: int) -> dict[str, Any]:
     """Both files of a scene, and how they look."""
-    model = io.load(scene)
     ply, ours, theirs = (folder / file for file in ("scene.ply", "ours.sog", "theirs.sog"))
     io.save(model, ply)
     command = [sys.executable, "-m", "nanogs"]
