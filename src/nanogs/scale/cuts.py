@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from nanogs._types import F64, I32
+from nanogs._types import F64, I32, Array
 from nanogs.scale.forests import CHILDREN, SCORES
 from nanogs.scale.scratch import Scratch
-from nanogs.scale.tables import Record, Table, write_table
+from nanogs.scale.tables import Record, Sorted, Table, write_table
 from nanogs.simplify.cut import label_groups
 from nanogs.simplify.neighbours import nearest_neighbours
 from nanogs.simplify.nodes import Nodes
@@ -56,7 +56,7 @@ def write_cut(
     }
     by_row = np.empty_like(labels)
     by_row[leaves.rows] = labels
-    columns = {LABELS: by_row, CENTRES: centres, REACH: reach}
+    columns: dict[str, Array | Sorted] = {LABELS: by_row, CENTRES: centres, REACH: reach}
     return write_table(scratch, name, columns, facts)
 
 

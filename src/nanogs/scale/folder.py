@@ -1,6 +1,6 @@
 """The job folder: its manifest, and the lock that keeps a second run out.
 
-The lock is the system's, on an open file: it goes with the process that holds it, however that ends.
+The lock is the system's, on an open file: it goes with the process that holds it, however it ends.
 """
 
 import json

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nanogs._types import F32, I64, U32
+from nanogs._types import F32, I64, U32, Array
 from nanogs.scale.scratch import Scratch
-from nanogs.scale.tables import Record, write_table
+from nanogs.scale.tables import Record, Sorted, write_table
 from nanogs.simplify.cut import merge_scores
 from nanogs.simplify.nodes import Nodes
 from nanogs.simplify.presets import ForestParameters
@@ -36,7 +36,7 @@ def grow(
     # Errors are not over the block's own median, so that scores of all blocks compare. In single
     # precision none falls below those of the merges under it: rounding keeps the order.
     scores = merge_scores(forest, parameters.balance, 1.0).astype(np.float32)
-    columns = {
+    columns: dict[str, Array | Sorted] = {
         CHILDREN: forest.children,
         SCORES: scores,
         HISTOGRAM: np.bincount(keys(scores) >> 16, minlength=BINS),

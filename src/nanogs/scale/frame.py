@@ -52,7 +52,7 @@ class Frame:
 
 def frame_of(data: Mapping[str, Any]) -> Frame:
     """A frame from what `to_dict` made of it, by way of JSON."""
-    fixed = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+    fixed: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
     return Frame(**fixed)
 
 

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from nanogs._types import F64, I32, I64
 from nanogs.scale.cuts import CENTRES, LABELS, REACH
 from nanogs.scale.scratch import Scratch
+from nanogs.scale.settings import MOST_SEEN
 from nanogs.scale.tables import Record, Table
 
 # A splat moves to one of the nearest groups of its own: those of one reach around a block decide
@@ -33,13 +34,26 @@ class Halo:
     labels: I32
 
 
-def find_halo(scratch: Scratch, cuts: Sequence[Record], block: int, threads: int) -> list[Halo]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Near:
+    """Groups of another block, how far they are in reaches, and how many splats they have."""
+
+    block: int
+    groups: I64
+    distances: F64
+    sizes: I64
+
+
+def find_halo(
+    scratch: Scratch, cuts: Sequence[Record], block: int, splats: int, threads: int
+) -> list[Halo]:
     """What a block sees of each of the others near it, in their order.
 
     Args:
         scratch: Where the cuts are.
         cuts: Their records.
         block: Whose neighbours.
+        splats: Of that block.
         threads: Threads for the nearest-neighbour query.
     """
     with Table(scratch, cuts[block]) as table:
@@ -53,12 +67,15 @@ def find_halo(scratch: Scratch, cuts: Sequence[Record], block: int, threads: int
             continue
         with Table(scratch, record) as table:
             theirs = table.read(CENTRES)
-            candidates = np.flatnonzero(((theirs >= low) & (theirs <= high)).all(axis=1))
-            distances, nearest = tree.query(theirs[candidates], workers=threads)
-            groups = candidates[distances <= REACHES * reach[nearest]]
-            if len(groups):
-                found.append(_members(other, groups, table.read(LABELS), len(theirs)))
-    return found
+            inside = np.flatnonzero(((theirs >= low) & (theirs <= high)).all(axis=1))
+            distances, nearest = tree.query(theirs[inside], workers=threads)
+            near = distances < REACHES * reach[nearest]
+            if near.any():
+                sizes = np.bincount(table.read(LABELS), minlength=len(theirs))
+                groups = inside[near]
+                relative = distances[near] / reach[nearest[near]]
+                found.append(_Near(other, groups, relative, sizes[groups]))
+    return [_members(scratch, cuts, each) for each in _nearest(found, int(MOST_SEEN * splats))]
 
 
 def _overlap(record: Record, low: F64, high: F64) -> bool:
@@ -67,9 +84,31 @@ def _overlap(record: Record, low: F64, high: F64) -> bool:
     return bool((np.array(facts["low"]) <= high).all() and (np.array(facts["high"]) >= low).all())
 
 
-def _members(block: int, groups: I64, labels: I32, count: int) -> Halo:
-    places = np.full(count, -1, np.int32)
-    places[groups] = np.arange(len(groups), dtype=np.int32)
+def _nearest(found: Sequence[_Near], most: int) -> list[_Near]:
+    """The nearest groups of all, with no more splats than so many."""
+    if not found:
+        return []
+    distances = np.concatenate([each.distances for each in found])
+    sizes = np.concatenate([each.sizes for each in found])
+    order = np.argsort(distances, kind="stable")
+    taken = np.empty(len(order), np.bool_)
+    taken[order] = np.cumsum(sizes[order]) <= most
+    kept, start = [], 0
+    for each in found:
+        mask = taken[start : start + len(each.groups)]
+        start += len(mask)
+        if mask.any():
+            kept.append(
+                _Near(each.block, each.groups[mask], each.distances[mask], each.sizes[mask])
+            )
+    return kept
+
+
+def _members(scratch: Scratch, cuts: Sequence[Record], near: _Near) -> Halo:
+    with Table(scratch, cuts[near.block]) as table:
+        labels = table.read(LABELS)
+    places = np.full(int(cuts[near.block].facts["groups"]), -1, np.int32)
+    places[near.groups] = np.arange(len(near.groups), dtype=np.int32)
     found = places[labels]
     rows = np.flatnonzero(found >= 0)
-    return Halo(block, groups, rows, found[rows])
+    return Halo(near.block, near.groups, rows, found[rows])

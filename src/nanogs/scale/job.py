@@ -105,8 +105,7 @@ class BlockJob:
                 )
                 with clock.time("write"):
                     counts = [
-                        self._finish(done, level, progress)
-                        for level in range(self.settings.levels)
+                        self._finish(done, level, progress) for level in range(self.settings.levels)
                     ]
             self._remove(scratch)
         return done, counts

@@ -4,6 +4,7 @@ import time
 from dataclasses import asdict
 
 from nanogs.report import BlocksReport, SimplifyReport, StageClock, StopReason
+from nanogs.scale.columns import count_of
 from nanogs.scale.run import Done
 from nanogs.scale.work import Task
 from nanogs.simplify.target import Goal
@@ -58,9 +59,7 @@ def report_of(
             allowed=settings.block,
             segments=len(segments),
             seen=sum(int(record.facts["seen"]) for record in settled),
-            handed=sum(
-                stop - begin for record in settled for begin, stop in record.facts["handed"].values()
-            ),
+            handed=sum(count_of(record) for record in settled),
             resumed=done.kept,
         ),
     )

@@ -97,9 +97,7 @@ def len_of(record: Record) -> int:
     return record.columns[CODES].shape[0]
 
 
-def _splitters(
-    scratch: Scratch, segments: Sequence[Record], every: int, blocks: int
-) -> U64:
+def _splitters(scratch: Scratch, segments: Sequence[Record], every: int, blocks: int) -> U64:
     """(blocks - 1,) codes; a block ends before the next one's."""
     codes, weights = [], []
     for record in segments:

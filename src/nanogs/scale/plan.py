@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 
 from nanogs.errors import OptionError
 from nanogs.scale.columns import row_bytes
-from nanogs.scale.settings import Layout
+from nanogs.scale.settings import MOST_SEEN, Layout
 from nanogs.simplify.memory import LIBRARIES, plan_memory
 from nanogs.simplify.presets import ForestParameters
 
-_HALO = 0.1  # of a block's splats, what it sees of others; measured: a few hundredths
 _MANY = 1_000_000
 _KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the making
 _SEGMENT = 1 << 21  # rows; more make sorting no faster
@@ -108,5 +107,5 @@ def splat_bytes(layout: Layout, parameters: ForestParameters, share: float) -> f
     kept = int(min(1.0, 2 * share) * _MANY)
     held = plan_memory(_MANY, layout.sh_degree, extra, in_blocks(parameters), kept)
     codes = 2 * 8  # and their order
-    seen = 1 + _HALO if parameters.rounds else 1
+    seen = 1 + MOST_SEEN if parameters.rounds else 1
     return (held.peak / _MANY + codes) * seen

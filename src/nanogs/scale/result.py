@@ -139,5 +139,3 @@ def discard(file: Path) -> None:
 
 def _note(file: Path) -> Path:
     return file.with_name(f"{file.name}.json")
-
-

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol, cast
 
+import numpy as np
+
 from nanogs._types import Array
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.atomic import output_error
@@ -55,9 +57,11 @@ class FolderScratch:
 
     @property
     def place(self) -> str:
+        """The folder or URL."""
         return str(self.folder)
 
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
+        """As `Scratch` says."""
         temporary = self.folder / f"{name}.{secrets.token_hex(4)}.tmp"
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -72,15 +76,18 @@ class FolderScratch:
         return written
 
     def open(self, name: str) -> BinaryIO:
+        """As `Scratch` says."""
         return cast("BinaryIO", (self.folder / name).open("rb", buffering=0))
 
     def remove(self) -> None:
+        """As `Scratch` says."""
         for path in self._files(_SUFFIXES):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # unless something else is in it
             self.folder.rmdir()
 
     def tidy(self) -> None:
+        """As `Scratch` says."""
         for path in self._files((".tmp",)):
             path.unlink(missing_ok=True)
 
@@ -103,15 +110,19 @@ class UrlScratch:
         try:
             found = fsspec.core.url_to_fs(self.url)
         except (ImportError, ValueError) as error:
-            raise OptionError(f"{url} cannot be reached ({error}); install what it needs.") from None
+            raise OptionError(
+                f"{url} cannot be reached ({error}); install what it needs."
+            ) from None
         self.files: Any = found[0]
         self.root: str = found[1]
 
     @property
     def place(self) -> str:
+        """The folder or URL."""
         return self.url
 
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
+        """As `Scratch` says."""
         try:
             self.files.makedirs(self.root, exist_ok=True)
             with self.files.open(f"{self.root}/{name}", "wb") as file:
@@ -121,9 +132,11 @@ class UrlScratch:
             raise OutputError(f"{self.url}/{name} cannot be written ({reason}).") from error
 
     def open(self, name: str) -> BinaryIO:
+        """As `Scratch` says."""
         return cast("BinaryIO", self.files.open(f"{self.root}/{name}", "rb"))
 
     def remove(self) -> None:
+        """As `Scratch` says."""
         if self.files.exists(self.root):
             for path in self.files.ls(self.root, detail=False):
                 if str(path).endswith(_SUFFIXES):
@@ -156,7 +169,7 @@ def hash_file(file: BinaryIO) -> tuple[int, str]:
 def _write_hashed(file: BinaryIO, parts: Iterable[Array]) -> tuple[int, str]:
     digest, count = hashlib.sha256(), 0
     for part in parts:
-        data = memoryview(part).cast("B")
+        data = part.reshape(-1).view(np.uint8).data
         digest.update(data)
         count += len(data)
         while data:

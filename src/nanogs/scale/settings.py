@@ -7,6 +7,8 @@ from typing import Any
 from nanogs.errors import FormatError
 from nanogs.simplify.presets import ForestParameters
 
+# Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
+MOST_SEEN = 0.1
 VERSION = 1  # of the job folder; one of another version is not continued
 
 

@@ -122,9 +122,7 @@ def write_settled(
     return write_table(scratch, name, table, facts)
 
 
-def view_of(
-    leaves: Nodes, labels: I32, own: int, groups: int, halo: Sequence[Halo]
-) -> View:
+def view_of(leaves: Nodes, labels: I32, own: int, groups: int, halo: Sequence[Halo]) -> View:
     """A view from labels by row.
 
     Args:
@@ -139,5 +137,3 @@ def view_of(
         by_row.append(each.labels + np.int32(start))
         start += len(each.groups)
     return View(leaves, np.concatenate(by_row)[leaves.rows], own, groups, halo)
-
-

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +97,7 @@ def segments_of(inputs: Sequence[InputFile], rows: int) -> tuple[Segment, ...]:
             )
         parts = -(-file.splats // rows)
         bounds = [file.splats * part // parts for part in range(parts + 1)]
-        segments += [Segment(number, *pair) for pair in zip(bounds[:-1], bounds[1:], strict=True)]
+        segments += [Segment(number, *pair) for pair in pairwise(bounds)]
     return tuple(segments)
 
 
@@ -134,6 +135,18 @@ def sample(settings: Settings) -> Splats:
             found = [_read(file, 0, file.splats).take(slice(None, None, every))]
         parts += [_with_layout(part.take(part.finite()), settings.layout) for part in found]
     return concatenate(parts)
+
+
+def load_joined(paths: Sequence[Path]) -> Splats:
+    """Several files as one model, held whole.
+
+    Raises:
+        NanogsError: One of them cannot be read, or they do not make one scene.
+    """
+    _, layout = look_at(paths)
+    parts = [_with_layout(load(path), layout) for path in paths]
+    notes = dict.fromkeys([*layout.notes, *(note for part in parts for note in part.notes)])
+    return replace(concatenate(parts), comments=layout.comments, notes=tuple(notes))
 
 
 def concatenate(parts: Sequence[Splats]) -> Splats:

@@ -8,7 +8,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -142,7 +142,7 @@ class Table:
         self.record = record
         self._file = scratch.open(f"{record.name}.bin")
 
-    def __enter__(self) -> "Table":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -167,7 +167,7 @@ class Table:
         """
         place = self.record.columns[column]
         self._file.seek(place.offset + start * place.row().itemsize)
-        left = memoryview(out.reshape(-1).view(np.uint8))
+        left = out.reshape(-1).view(np.uint8).data
         while left:
             count = self._file.readinto(left)  # type: ignore[attr-defined]
             if not count:

@@ -99,9 +99,7 @@ class Work:
         self, block: int, columns: dict[str, Array], at: int = 0, rows: I64 | None = None
     ) -> int:
         """Fill columns with splats of a block, as `read_block` does."""
-        return read_block(
-            self.scratch, self.segments(), self.partition, block, columns, at, rows
-        )
+        return read_block(self.scratch, self.segments(), self.partition, block, columns, at, rows)
 
 
 def do(work: Work, task: Task) -> Record:
@@ -172,8 +170,8 @@ def _cut(work: Work, task: Task) -> Record:
 
 def _settle(work: Work, task: Task) -> Record:
     cuts = work.of_blocks("cut", task.level)
-    halo = find_halo(work.scratch, cuts, task.number, work.threads)
     own = work.partition.count(task.number)
+    halo = find_halo(work.scratch, cuts, task.number, own, work.threads)
     count = own + sum(len(each.rows) for each in halo)
     columns = with_codes(empty_columns(work.settings.layout, count), count)
     work.read(task.number, columns)
@@ -227,11 +225,9 @@ def _members(work: Work, task: Task) -> tuple[Splats, Nodes, I32]:
 
 def _handed_to(work: Work, task: Task) -> list[tuple[Record, int, int]]:
     """Rows that other blocks hand over to one, block by block."""
-    found = []
-    for record in work.of_blocks("settle", task.level):
-        if place := record.facts["handed"].get(str(task.number)):
-            found.append((record, *place))
-    return found
+    settled = work.of_blocks("settle", task.level)
+    places = [(record, record.facts["handed"].get(str(task.number))) for record in settled]
+    return [(record, *place) for record, place in places if place]
 
 
 def _block(work: Work, block: int, layout: Layout | None = None) -> tuple[Splats, I64]:
