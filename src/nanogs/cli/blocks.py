@@ -197,3 +197,30 @@ def simplify_in_blocks(
     run |= {"input": ", ".join(map(str, sources)), "output": str(pair.target)}
     run["input_bytes"] = sum(bytes_on_disk(path) for path in sources)
     return run | {"output_bytes": bytes_on_disk(pair.target)}
+
+
+def levels_in_blocks(
+    source: Path,
+    folder: Path,
+    ratios: Sequence[float],
+    blocks: Blocks,
+    threads: int | None,
+    given: dict[str, Any],
+    *,
+    quiet: bool,
+) -> dict[str, Any]:
+    """Make levels of a model that does not fit; the manifest with the reports."""
+    from nanogs.lod.in_blocks import write_levels_in_blocks
+    from nanogs.scale.job import Where
+
+    start, rest = time.perf_counter(), blocks.given
+    where = Where(threads, None, rest["scheduler"], rest["workers"])
+    with stage_bar(quiet=quiet) as progress:
+        manifest, reports = write_levels_in_blocks(
+            [source], folder, ratios, max_memory=blocks.max_memory, job=blocks.job,
+            scratch=rest["scratch"], resume=blocks.resume, where=where, progress=progress, **given,
+        )  # fmt: skip
+    run = manifest.to_dict() | {"input": str(source), "output": str(folder), "layout": "ply"}
+    run["dropped_nonfinite"] = reports[0].dropped_nonfinite
+    run["reports"] = [report.to_dict() for report in reports]
+    return run | {"total_seconds": time.perf_counter() - start}

@@ -15,6 +15,7 @@ _MANY = 1_000_000
 _KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the making
 _SEGMENT = 1 << 21  # rows; more make sorting no faster
 _LEAST = 4096  # splats of a block
+_SHARE = 0.95  # of the memory is planned with
 _SECONDS = 6.0e-6  # a splat on two cores, measured (`docs/scale.md`), and for each further level:
 _LEVEL_SECONDS = 2.5e-6
 _PLACES = 4 * 8  # bytes a group: its centre and reach
@@ -71,10 +72,10 @@ def plan_blocks(
     """
     row, each = row_bytes(layout), splat_bytes(layout, parameters, max(shares))
     if block is None:
-        room = (max_memory or 0) - LIBRARIES
+        room = _SHARE * (max_memory or 0) - LIBRARIES
         block = int(room / each)
         if block < _LEAST:
-            least = LIBRARIES + _LEAST * each
+            least = (LIBRARIES + _LEAST * each) / _SHARE
             raise OptionError(
                 f"--max-memory must be at least {least / 1e6:,.0f} MB for this model, of which"
                 f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries."

@@ -29,7 +29,7 @@ from nanogs.simplify.target import target_count
 from nanogs.splats import Splats
 from nanogs.threads import use_threads
 
-FEWEST = 256  # splats of a block's part, on average
+FEWEST = 64  # splats of a block's part, on average
 
 
 @dataclass(frozen=True, slots=True)
