@@ -108,6 +108,8 @@ def run(args: argparse.Namespace) -> None:
     command += ["--preset", args.preset, "-w", "--json"]
     if args.max_memory:
         command += ["--max-memory", args.max_memory]
+    if args.threads:
+        command += ["--threads", str(args.threads)]
     if args.workers:
         command += ["--workers", str(args.workers)]
     seconds, spent, peak, text = watched(command)
@@ -175,6 +177,7 @@ def main() -> None:
     one.add_argument("--ratio", type=float, default=0.1)
     one.add_argument("--max-memory", help="in memory without it")
     one.add_argument("--workers", type=int)
+    one.add_argument("--threads", type=int)
     one.add_argument("--preset", default="fast")
     one.set_defaults(do=run)
     one = commands.add_parser("kill")

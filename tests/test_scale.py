@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -387,7 +388,7 @@ def test_a_job_is_not_mistaken_for_another(scene, tmp_path, monkeypatch):
     begin(own, out, monkeypatch)
     with pytest.raises(OutputError, match="--resume continues it"):
         nanogs.simplify_blocks(own, out, ratio=0.3, **SETTLED)
-    with pytest.raises(OutputError, match="its ratios, block differ"):
+    with pytest.raises(OutputError, match="its segments, ratios, block differ"):
         nanogs.simplify_blocks(own, out, ratio=0.2, resume=True, **(SETTLED | {"block": 900}))
     os.utime(own, (1, 1))
     with pytest.raises(OutputError, match="its inputs differ"):
@@ -441,6 +442,14 @@ def test_a_full_disk_is_said_and_the_job_kept(scene, tmp_path, expected, monkeyp
     monkeypatch.undo()
     nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **SETTLED)
     assert out.read_bytes() == expected
+
+
+def test_a_disk_that_is_too_small_is_refused_at_once(scene, tmp_path, monkeypatch):
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: usage._replace(free=1000))
+    with pytest.raises(OutputError, match="--scratch"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, **FAST)
+    assert names(tmp_path) == []
 
 
 def test_frames_keep_every_digit():

@@ -27,23 +27,23 @@ from nanogs.simplify.memory import LIBRARIES
 from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.target import Goal
 
-COUNT = 6000
-BLOCK = {"preset": "fast", "rounds": 1, "block": 2000, "threads": 1}
+COUNT = 100_000
+BLOCK = {"preset": "fast", "rounds": 1, "block": 35_000, "threads": 1}
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     """A file of a scene."""
     path = tmp_path_factory.mktemp("scene") / "scene.ply"
-    nanogs.save(random_splats(COUNT), path)
+    nanogs.save(random_splats(COUNT, degree=0), path)
     return path
 
 
 @pytest.fixture(scope="module")
 def memory():
-    """What blocks of three quarters of the scene need, as the command takes it."""
-    layout = Layout(1, False, (), "default", (), ())
-    return f"{int((LIBRARIES + 4500 * splat_bytes(layout, ForestParameters(), 0.1)) / 0.95)}B"
+    """What blocks of a quarter of the scene need, as the command takes it."""
+    layout = Layout(0, False, (), "default", (), ())
+    return f"{int((LIBRARIES + COUNT // 4 * splat_bytes(layout, ForestParameters(), 0.1)) / 0.95)}B"
 
 
 def nanogs_command(*arguments):

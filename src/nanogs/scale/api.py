@@ -1,12 +1,14 @@
 """`nanogs.simplify_blocks`: from files that need not fit into memory to a smaller one."""
 
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nanogs.errors import OptionError
+from nanogs.errors import OptionError, OutputError
+from nanogs.formatting import bytes_text
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks
@@ -86,7 +88,7 @@ def simplify_blocks(
         raise OptionError("Give one of a client, a scheduler and a number of workers.")
     paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
     goal = Goal(ratio=ratio, count=count)
-    settings, _ = plan_job(
+    settings, plan = plan_job(
         [Path(path) for path in paths], (goal,), block_parameters(preset, overrides),
         None if block else max_memory, block, nan,
     )  # fmt: skip
@@ -99,6 +101,8 @@ def simplify_blocks(
     most = target_count(settings.splats, ratio, count)
     refuse_large(output, most, row_bytes(settings.layout), None if block else max_memory)
     folder = job_folder(output, job)
+    if not resume:
+        refuse_full_disk(plan, folder, scratch)
     saving = {"spz_version": spz_version}
     made = BlockJob(settings, folder, scratch, (output,), saving, overwrite)
     where = Where(threads, client, scheduler, workers)
@@ -162,6 +166,30 @@ def plan_job(
         parameters=in_blocks(chosen),
     )
     return settings, plan
+
+
+def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None:
+    """Refuse a job whose intermediate files would not fit; what a URL has room for is not known.
+
+    Args:
+        plan: What it takes.
+        folder: Of the job.
+        scratch: As `simplify_blocks` takes it.
+
+    Raises:
+        OutputError: There is too little room.
+    """
+    place = folder.absolute() if scratch is None else Path(scratch).absolute()
+    if scratch is not None and "://" in scratch:
+        return
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    free = shutil.disk_usage(place).free
+    if plan.scratch > free:
+        raise OutputError(
+            f"The job takes about {bytes_text(plan.scratch)} of disk, and {place} has"
+            f" {bytes_text(free)} free; free some space, or name another place with --scratch."
+        )
 
 
 def _ignore(_stage: str, _done: int, _total: int) -> None:

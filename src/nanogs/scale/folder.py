@@ -14,7 +14,7 @@ from nanogs.errors import FormatError, OutputError
 from nanogs.io.atomic import atomic_write, output_error
 from nanogs.scale.settings import Settings, settings_of
 
-MANIFEST, LOCK, SCRATCH = "job.json", "lock", "scratch"
+MANIFEST, LOCK, SCRATCH, RESULT = "job.json", "lock", "scratch", "result-"
 
 
 @contextmanager
@@ -39,6 +39,8 @@ def locked(folder: Path) -> Iterator[None]:
         finally:
             if not (folder / MANIFEST).exists():
                 with suppress(OSError):
+                    for path in folder.glob(f"{RESULT}*"):
+                        path.unlink()
                     (folder / LOCK).unlink()
                     folder.rmdir()
 
@@ -46,7 +48,8 @@ def locked(folder: Path) -> Iterator[None]:
 def _refuse_foreign(folder: Path) -> None:
     if (folder / MANIFEST).exists():
         return
-    if any(path.name not in (LOCK, SCRATCH) for path in folder.iterdir()):
+    others = (path.name for path in folder.iterdir() if not path.name.startswith(RESULT))
+    if any(name not in (LOCK, SCRATCH) for name in others):
         raise OutputError(f"{folder} holds other files; name a new folder for the job.")
 
 
@@ -60,6 +63,9 @@ def _take(file: BinaryIO, folder: Path) -> None:
             import fcntl
 
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # A run that ended just now may have taken the file away from under the name.
+        if not os.path.samestat(os.fstat(file.fileno()), (folder / LOCK).stat()):
+            raise OSError
     except OSError:
         raise OutputError(
             f"Another run is at work in {folder}; wait for it, or name another folder with --job."
@@ -101,5 +107,5 @@ def read_manifest(folder: Path) -> tuple[Settings, str] | None:
 
 
 def forget(folder: Path) -> None:
-    """Take away the manifest, and the rest goes with the lock."""
+    """Take away the manifest; the rest goes with the lock."""
     (folder / MANIFEST).unlink(missing_ok=True)

@@ -10,8 +10,8 @@ from nanogs.errors import OutputError
 from nanogs.io import check_writable
 from nanogs.report import StageClock
 from nanogs.scale.cluster import Workers, connected, threads_each
-from nanogs.scale.folder import SCRATCH, forget, locked, read_manifest, write_manifest
-from nanogs.scale.result import discard, is_sealed, move_into_place, seal, write_result
+from nanogs.scale.folder import RESULT, SCRATCH, forget, locked, read_manifest, write_manifest
+from nanogs.scale.result import move_into_place, seal, sealed, write_result
 from nanogs.scale.run import Done, Executor, Here, Progress, run_tasks
 from nanogs.scale.scratch import Scratch, open_scratch
 from nanogs.scale.settings import Settings, differences
@@ -141,23 +141,25 @@ class BlockJob:
 
     def _finish(self, done: Done, level: int, progress: Progress) -> int:
         """Write a result and give it its name, unless a run before has; the splats in it."""
-        facts = done.work.record(Task("budget", 0, level)).facts
-        target, path = int(facts["target"]), self.results[level]
-        count = max(target, len(facts["groups"])) if target > sum(facts["groups"]) else target
+        target = int(done.work.record(Task("budget", 0, level)).facts["target"])
+        path, file = self.results[level], self._file(level)
         progress("write", level, self.settings.levels)
-        file = self.folder / f"result-{level}{''.join(path.suffixes[-2:])}"
-        if is_sealed(file, path):
-            return count
-        if not is_sealed(file, file):
-            count = write_result(done.work, level, file, target, self.saving)
-            seal(file)
-        move_into_place(file, path, overwrite=self.overwrite)
+        count = sealed(file, path)
+        if count is None:
+            count = sealed(file, file)
+            if count is None:
+                count = write_result(done.work, level, file, target, self.saving)
+                seal(file, count)
+            move_into_place(file, path, overwrite=self.overwrite)
         return count
 
+    def _file(self, level: int) -> Path:
+        """Where a result is until it gets its name."""
+        return self.folder / f"{RESULT}{level}{''.join(self.results[level].suffixes[-2:])}"
+
     def _remove(self, scratch: Scratch) -> None:
+        """Take away everything; the notes of results go last, with which they are known again."""
         scratch.remove()
-        for level, path in enumerate(self.results):
-            discard(self.folder / f"result-{level}{''.join(path.suffixes[-2:])}")
         for left in self.folder.glob(".nanogs-*.tmp"):
             left.unlink(missing_ok=True)
         forget(self.folder)

@@ -111,30 +111,25 @@ def move_into_place(file: Path, path: Path, *, overwrite: bool) -> None:
     file.unlink()
 
 
-def seal(file: Path) -> None:
+def seal(file: Path, splats: int) -> None:
     """Note what a finished file is, beside it, so that it is known again under another name."""
     with file.open("rb") as source:
         count, digest = hash_file(source)
     with atomic_write(_note(file), overwrite=True) as out:
-        out.write(json.dumps({"bytes": count, "sha256": digest}).encode())
+        out.write(json.dumps({"bytes": count, "sha256": digest, "splats": splats}).encode())
 
 
-def is_sealed(file: Path, place: Path) -> bool:
-    """Whether what stands at a place is the file that was sealed."""
+def sealed(file: Path, place: Path) -> int | None:
+    """The splats of the file that was sealed, if it is what stands at a place."""
     try:
         note = json.loads(_note(file).read_bytes())
         if place.stat().st_size != note["bytes"]:
-            return False
+            return None
         with place.open("rb") as source:
-            return hash_file(source) == (note["bytes"], note["sha256"])
+            same = hash_file(source) == (note["bytes"], note["sha256"])
+        return int(note["splats"]) if same else None
     except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
-def discard(file: Path) -> None:
-    """Take away a file and its note."""
-    for path in (file, _note(file)):
-        path.unlink(missing_ok=True)
+        return None
 
 
 def _note(file: Path) -> Path:

@@ -4,6 +4,7 @@ A table is `NAME.bin`, the columns one after the other, and `NAME.json`, its rec
 written last: where it stands, the task that made it is done. Records are data and hold no code.
 """
 
+import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
@@ -88,8 +89,9 @@ def write_table(
         offset += size + -size % ALIGN
     written = scratch.write(f"{name}.bin", _parts(columns)) if columns else (0, "")
     record = Record(name, *written, places, facts)
-    text = json.dumps(asdict(record)).encode()
-    scratch.write(f"{name}.json", [np.frombuffer(text, np.uint8)])
+    text = json.dumps(asdict(record))
+    whole = json.dumps({"record": text, "sha256": _sha256(text)}).encode()
+    scratch.write(f"{name}.json", [np.frombuffer(whole, np.uint8)])
     return record
 
 
@@ -112,7 +114,10 @@ def read_record(scratch: Scratch, name: str) -> Record | None:
     """The record of a table; None where it is missing or damaged."""
     try:
         with scratch.open(f"{name}.json") as file:
-            data = json.loads(file.read())
+            whole = json.loads(file.read())
+        if _sha256(whole["record"]) != whole["sha256"]:
+            return None
+        data = json.loads(whole["record"])
         places = {
             str(key): Place(str(p["dtype"]), tuple(map(int, p["shape"])), int(p["offset"]))
             for key, p in data["columns"].items()
@@ -120,6 +125,10 @@ def read_record(scratch: Scratch, name: str) -> Record | None:
         return Record(name, int(data["bytes"]), str(data["sha256"]), places, dict(data["facts"]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def verified(scratch: Scratch, name: str) -> Record | None:
