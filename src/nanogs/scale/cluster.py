@@ -46,7 +46,7 @@ class Workers:
                 ): task
                 for task in tasks
             }  # fmt: skip
-            for future in as_completed(futures):
+            for future in as_completed(futures, loop=self.client.loop):
                 future.result()
                 yield futures[future]
         except NanogsError:

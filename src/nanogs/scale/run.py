@@ -75,7 +75,8 @@ def run_tasks(
             left = [task for task in tasks if not (resumed and _is_done(work, task))]
             kept += len(tasks) - len(left)
             progress(stage, len(tasks) - len(left), len(tasks))
-            for done, _ in enumerate(executor.run(work, left), len(tasks) - len(left) + 1):
+            for done, task in enumerate(executor.run(work, left), len(tasks) - len(left) + 1):
+                work.record(task)  # kept: the report is made when the scratch is gone
                 progress(stage, done, len(tasks))
     return Done(work, kept)
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from nanogs._types import I32, I64, Array
+from nanogs.errors import OutputError
 from nanogs.scale.blocks import leaves_of, morton_rows, read_block, with_codes
 from nanogs.scale.budget import budget
 from nanogs.scale.columns import CODES, empty_columns, read_rows, sorted_columns, splats_of
@@ -69,11 +70,19 @@ class Work:
     known: dict[str, Record] = field(default_factory=dict)
 
     def record(self, task: Task) -> Record:
-        """What a task wrote."""
+        """What a task wrote.
+
+        Raises:
+            OutputError: It is not there.
+        """
         name = task.name
         if name not in self.known:
             found = read_record(self.scratch, name)
-            assert found is not None, name  # noqa: S101 - stages follow each other
+            if found is None:
+                raise OutputError(
+                    f"{name} of the job is not in {self.scratch.place}; workers and caller must"
+                    " see the same files there, name such a place with --scratch."
+                )
             self.known[name] = found
         return self.known[name]
 
