@@ -1,7 +1,7 @@
 """Time whole runs from file to file: our presets, splat-transform and one k-d tree query, in turns.
 
     python benchmarks/speed.py [MODEL] [--count 1000000] [--rounds 3] [--ratio 0.1] [--alone]
-    python benchmarks/speed.py --scaling 100000,200000,500000,1000000,2000000,5000000
+    python benchmarks/speed.py --scaling 100000,200000,500000,1000000,2000000,5000000 [--preset P]
     python benchmarks/speed.py --threads 1,2
 
 MODEL is a 3DGS file; without one, `nanogs demo` makes a scene of --count splats, SH degree 3. Every
@@ -60,6 +60,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--ratio", type=float, default=0.1)
     parser.add_argument("--alone", action="store_true", help="without the other tool")
     parser.add_argument("--scaling", help="counts, with commas between")
+    parser.add_argument("--preset", default="fast", help="with --scaling")
     parser.add_argument("--threads", help="numbers of threads, with commas between")
     return parser.parse_args()
 
@@ -121,7 +122,7 @@ def against_others(model: Path, options: argparse.Namespace) -> None:
     taken = in_turns(runs, options.rounds)
     fast = median(seconds for seconds, _ in taken["fast"])
     columns = inspect(model)
-    held = columns.splats * 4 * (11 + 3 * (columns.sh_degree + 1) ** 2)
+    held = column_bytes(model)
     print(
         f"{columns.splats:,} splats, SH degree {columns.sh_degree}, {bytes_text(held)} of columns\n"
     )
@@ -140,17 +141,25 @@ def warm(options: argparse.Namespace) -> None:
 
 
 def scaling(counts: list[int], options: argparse.Namespace) -> None:
-    """Seconds and memory of `fast` over the count, and the slope on log-log."""
+    """Seconds and memory of a preset over the count, and the slope on log-log."""
     warm(options)
-    runs = {f"{count:,}": ours(scene(count), "fast", options) for count in counts}
+    runs = {f"{count:,}": ours(scene(count), options.preset, options) for count in counts}
     taken = in_turns(runs, options.rounds)
     middle = [median(seconds for seconds, _ in turns) for turns in taken.values()]
-    print("| splats | seconds | microseconds a splat | peak memory |\n|--:|--:|--:|--:|")
+    print("| splats | seconds | microseconds a splat | peak memory | over the columns |")
+    print("|--:|--:|--:|--:|--:|")
     for count, seconds, turns in zip(counts, middle, taken.values(), strict=True):
-        peak = bytes_text(int(median(peak for _, peak in turns)))
-        print(f"| {count:,} | {seconds:.2f} | {1e6 * seconds / count:.2f} | {peak} |")
+        peak = int(median(peak for _, peak in turns))
+        memory = f"{bytes_text(peak)} | {peak / column_bytes(scene(count)):.2f}"
+        print(f"| {count:,} | {seconds:.2f} | {1e6 * seconds / count:.2f} | {memory} |")
     slope = np.polyfit(np.log(counts), np.log(middle), 1)[0]
     print(f"\nSlope on log-log: {slope:.2f}")
+
+
+def column_bytes(model: Path) -> int:
+    """Bytes of a model's float32 columns."""
+    columns = inspect(model)
+    return columns.splats * 4 * (11 + 3 * (columns.sh_degree + 1) ** 2)
 
 
 def threads(numbers: list[int], model: Path, options: argparse.Namespace) -> None:

@@ -104,3 +104,41 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
     assert run("info", tmp_path / "no.ply").stderr.startswith("error: ")
     quiet = run("convert", scene, tmp_path / "c.ply", "-q")
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("simplify", "a", "b", "--raito", "1"), "no option --raito (did you mean '--ratio'?)"),
+        (("simplify", "a", "b", "--zzz"), "no option --zzz; `nanogs simplify --help` lists them"),
+        (("simplfy", "a"), "no command simplfy (did you mean 'simplify'?); `nanogs --help`"),
+        (("convert", "a", "b", "--sh-degree", "x"), "'--sh-degree'"),
+        (("simplify", "a", "b", "--nan", "x"), "'--nan': 'x' is not one of 'drop', 'error'"),
+        (("simplify", "a", "b", "--preset"), "'--preset' requires an argument"),
+        (("info",), "Missing argument 'IN'; see `nanogs info --help`"),
+    ],
+)
+def test_what_is_mistyped_is_said_in_one_sentence(arguments, words):
+    result = run(*arguments)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert words in result.stderr
+
+
+def test_without_a_command_there_is_the_help():
+    result = run()
+    assert result.returncode == 2
+    assert "simplify" in result.stdout + result.stderr
+    assert "error" not in result.stdout + result.stderr
+    assert (run("--help").returncode, run("--version").returncode) == (0, 0)
+
+
+def test_tables_in_pipes_are_not_filled_up_with_blanks(tmp_path):
+    scene = tmp_path / "a.ply"
+    nanogs.save(random_splats(40), scene)
+    info = run("info", scene).stdout
+    small = run("simplify", scene, tmp_path / "b.ply", "-r", "0.5", "--preset", "fast", "-v").stderr
+    for text in (info, small, run("presets").stdout):
+        assert text.count("\n") > 4
+        assert all(line == line.rstrip() for line in text.splitlines()), text

@@ -149,7 +149,7 @@ def test_with_an_impossible_sh_degree(degree):
 
 def test_turn_is_the_half_turn(scene, tmp_path):
     result = run(scene, tmp_path / "a.ply", "--turn", "--json")
-    assert json.loads(result.stdout)["turned"] is True
+    assert json.loads(result.stdout)["frames"] == ["rub", "rdf"]
     turned, before = nanogs.load(tmp_path / "a.ply"), nanogs.load(scene)
     assert np.array_equal(turned.means, before.means * np.float32([1, -1, -1]))
     run(tmp_path / "a.ply", tmp_path / "b.ply", "--turn")

@@ -1,32 +1,150 @@
-"""The half turn between y up and y down."""
+"""Coordinate frames: the same picture from the turned camera, and nothing lost on the way back."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
-from builders import random_splats
-from nanogs.frames import half_turn
+import nanogs
+from builders import model_bytes, random_splats
+from nanogs.errors import OptionError
+from nanogs.frames import FRAMES, change_between, change_frame, half_turn
+from nanogs.io.registry import FORMATS
 from nanogs.render.rasterize import render
 from nanogs.render.views import automatic_cameras
+from test_cli import run as run_command
 
-TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+# By hand: what the axes of each of these are in the frame of training.
+TURNS = {
+    "rub": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "luf": [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],  # glTF, as its reader turns it
+    "rfu": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],  # Blender
+    "fru": [[0, 0, 1], [1, 0, 0], [0, -1, 0]],  # Unreal, left-handed
+    "ruf": [[1, 0, 0], [0, -1, 0], [0, 0, 1]],  # Unity, left-handed
+}
 
 
+@pytest.mark.parametrize("target", TURNS)
+def test_centres_follow_the_axes(target):
+    splats = random_splats(9)
+    assert change_between("rdf", target).matrix.tolist() == TURNS[target]
+    turned = change_frame(splats, "rdf", target)
+    assert np.array_equal(turned.means, splats.means @ np.array(TURNS[target], np.float32).T)
+
+
+@pytest.mark.parametrize("target", TURNS)
 @pytest.mark.parametrize("degree", range(5))
-def test_a_turned_model_looks_the_same_from_a_turned_camera(degree):
+def test_a_turned_model_looks_the_same_from_a_turned_camera(degree, target):
     splats = random_splats(60, degree=degree, seed=degree)
-    for camera in automatic_cameras(splats, 3, width=48, height=40):
-        turned = dataclasses.replace(camera, world_to_camera=camera.world_to_camera @ TURN)
-        expected, found = render(splats, camera).color, render(half_turn(splats), turned).color
+    there = np.eye(4)
+    there[:3, :3] = TURNS[target]
+    changed = change_frame(splats, "rdf", target)
+    for camera in automatic_cameras(splats, 2, width=48, height=40):
+        turned = dataclasses.replace(camera, world_to_camera=camera.world_to_camera @ there.T)
+        expected, found = render(splats, camera).color, render(changed, turned).color
         assert expected.max() > 0.1
         assert np.abs(found - expected).max() < 1e-4
         assert np.abs(render(splats, turned).color - expected).max() > 0.05
 
 
+@pytest.mark.parametrize("target", sorted(FRAMES))
+def test_there_and_back_is_the_same(target):
+    normals = {
+        name: np.float32([1, 2, 3, 4]) * (i + 1) for i, name in enumerate(("nx", "ny", "nz"))
+    }
+    splats = random_splats(4, degree=3, extras=normals)
+    there = change_frame(splats, "rdf", target)
+    again = change_frame(there, target, "rdf")
+    for name in ("means", "quats", "log_scales", "opacity_logits"):
+        assert np.array_equal(getattr(again, name), getattr(splats, name)), name
+    assert again.sh == pytest.approx(splats.sh, abs=1e-6)
+    assert all(np.array_equal(again.extras[name], normals[name]) for name in normals)
+    assert (target == "rdf") == np.array_equal(there.means, splats.means)
+    through = change_frame(change_frame(splats, "rdf", "bul"), "bul", target)
+    assert np.array_equal(through.means, there.means)
+    assert np.array_equal(through.unit_quats(), there.unit_quats())
+    assert through.sh == pytest.approx(there.sh, abs=1e-6)
+
+
 def test_two_half_turns_change_nothing():
     splats = random_splats(20, degree=3)
-    again = half_turn(half_turn(splats))
-    for name in ("means", "quats", "sh", "log_scales", "opacity_logits"):
-        assert np.array_equal(getattr(again, name), getattr(splats, name))
+    assert model_bytes(half_turn(half_turn(splats))) == model_bytes(splats)
     assert not np.array_equal(half_turn(splats).means, splats.means)
+
+
+def test_normals_are_turned_and_other_columns_are_not():
+    extras = {"nx": np.float32([1]), "ny": np.float32([2]), "nz": np.float32([3]), "a": np.ones(1)}
+    turned = change_frame(random_splats(1, extras=extras), "rdf", "fru").extras
+    assert [column.tolist() for column in turned.values()] == [[3], [1], [-2], [1]]
+
+
+@pytest.mark.parametrize("name", ["", "rd", "rdd", "xyz", "rdfb"])
+def test_what_is_no_frame_is_refused(name):
+    assert len(FRAMES) == 48
+    with pytest.raises(OptionError, match="where x, y and z point"):
+        change_frame(random_splats(1), name, "rdf")
+
+
+# --- the command
+
+
+@pytest.fixture
+def scene(tmp_path):
+    nanogs.save(random_splats(300, degree=2), tmp_path / "scene.ply")
+    return tmp_path / "scene.ply"
+
+
+def test_convert_turns_from_the_frame_of_the_format(scene, tmp_path):
+    result = run_command("convert", scene, tmp_path / "a.ply", "--frame", "RUB", "--json")
+    assert json.loads(result.stdout)["frames"] == ["rdf", "rub"]
+    expected = half_turn(nanogs.load(scene))
+    assert model_bytes(nanogs.load(tmp_path / "a.ply")) == model_bytes(expected)
+    run_command("convert", tmp_path / "a.ply", tmp_path / "b.ply", "--frame", "rub:rdf")
+    assert (tmp_path / "b.ply").read_bytes() == scene.read_bytes()
+
+
+def test_formats_with_a_frame_of_their_own_are_told_that_of_the_input(scene, tmp_path):
+    """A model whose y is up, and the same one with y down, become the same glTF file."""
+    nanogs.save(half_turn(nanogs.load(scene)), tmp_path / "up.ply")
+    run_command("convert", scene, tmp_path / "a.glb")
+    run_command("convert", tmp_path / "up.ply", tmp_path / "b.glb", "--frame", "rub:")
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+    run_command("convert", tmp_path / "a.glb", tmp_path / "c.ply", "--frame", "rub")
+    again, expected = nanogs.load(tmp_path / "c.ply"), nanogs.load(tmp_path / "up.ply")
+    assert np.array_equal(again.means, expected.means)
+
+
+def test_simplify_turns_the_result(scene, tmp_path):
+    options = ["--ratio", "0.5", "--preset", "fast"]
+    run_command("simplify", scene, tmp_path / "a.ply", *options)
+    run_command("simplify", scene, tmp_path / "b.ply", *options, "--frame", "ruf")
+    expected = change_frame(nanogs.load(tmp_path / "a.ply"), "rdf", "ruf")
+    assert model_bytes(nanogs.load(tmp_path / "b.ply")) == model_bytes(expected)
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "frame", "words"),
+    [
+        ("a.ply", "b.ply", "up", "where x, y and z point"),
+        ("a.ply", "b.ply", ":", "needs a frame"),
+        ("a.ply", "b.ply", "rub:", "say which frame it is to be in, as in --frame rub:rdf"),
+        ("a.spz", "b.ply", "rdf", "do not say it; state it too, as in --frame rub:rdf"),
+        ("a.glb", "b.ply", "rub:rdf", "states its frame"),
+        ("a.ply", "b.glb", "rub", "say only what the input is in, as in --frame rub:"),
+        ("a.ply", "b.sog --size 9kB", "rub", "turn it with `nanogs convert` before"),
+        ("a.ply", "b.ply --turn", "rub", "both turn the model"),
+    ],
+)
+def test_frames_that_say_too_little_or_too_much_are_refused(tmp_path, source, target, frame, words):
+    nanogs.save(random_splats(20), tmp_path / source)
+    command = "simplify" if "--size" in target else "convert"
+    target, *options = target.split()
+    result = run_command(command, tmp_path / source, tmp_path / target, *options, "--frame", frame)
+    assert (result.returncode, result.stderr.count("\n")) == (2, 1), result.stderr
+    assert words in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == [source]
+
+
+def test_every_frame_that_a_format_states_is_one():
+    assert all(known.axes in {*FRAMES, None} for known in FORMATS)

@@ -9,7 +9,7 @@ import pytest
 import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import ModelError, OptionError
-from nanogs.io import ply_write, registry
+from nanogs.io import encoded_bytes, ply_write, registry
 from nanogs.refit.parameters import RefitParameters
 from nanogs.report import StopReason
 from nanogs.simplify import forest_pipeline
@@ -182,6 +182,41 @@ def test_the_search_for_a_size_never_exceeds_it(seed):
     close = over and min(over) <= max((1 + CLOSE) * found.count, found.count + 1)
     assert best or close or len(tried) >= FIT_PROBES
     assert bool(found.leap(size, available)) is not best
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_beside_a_known_leap_the_search_ends_at_the_count_before_it(seed):
+    """One splat more is tried and does not fit, as the leap takes the file beyond the size."""
+    rng = np.random.default_rng(seed)
+    leap, available = int(rng.integers(100, 50_000)), 100_000
+    noise = rng.uniform(0.999, 1, 97)
+
+    def bytes_of(count):
+        return int((10 * count + (5 * leap if count >= leap else 0)) * noise[count % 97])
+
+    size = int(bytes_of(leap - 1) * rng.uniform(1.03, 1.4))
+    guess = int(leap * 10 ** rng.uniform(-0.5, 0.5))
+    found = search_fit(bytes_of, size, guess, 1, available, leaps=[leap // 2, leap, 2 * leap])
+    tried = [probe.count for probe in found.probes]
+    assert found.count == leap - 1
+    assert leap in tried
+    assert len(tried) <= 8
+    assert f"one of {leap:,} splats" in found.leap(size, available)[0]
+
+
+def test_a_palette_ends_the_search_at_a_power_of_two():
+    """Of 511 splats the palette has 256 entries, of 512 twice as many."""
+    model = random_splats(1200, degree=3)
+    below, above = (
+        encoded_bytes(nanogs.simplify(model, count=count, preset="fast")[0], Path("a.sog"))
+        for count in (511, 512)
+    )
+    assert above > 1.1 * below
+    size = (below + 2 * above) // 3
+    small, report = nanogs.simplify(model, size=size, preset="fast", format=".sog")
+    assert (len(small), report.achieved_size) == (511, below)
+    assert any(probe.count == 512 for probe in report.size_probes)
+    assert "one of 512 splats takes" in report.notes[-1]
 
 
 def test_the_search_for_a_size_is_refused_what_the_fewest_exceed():

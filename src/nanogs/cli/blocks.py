@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from nanogs.cli import options
-from nanogs.cli.console import err, key_value_table, stage_bar
+from nanogs.cli.console import err, key_value_table, show, stage_bar
 from nanogs.cli.simplify_report import Plan
 from nanogs.cli.streams import DASH
 from nanogs.errors import OptionError
@@ -133,13 +133,16 @@ def parse_blocks(
     return Blocks(memory, tuple(paths[:-1]) if join else (), job, resume, rest)
 
 
-def refuse_whole_model_wishes(plan: Plan, *, filtered: bool, looks: bool) -> None:
+def refuse_whole_model_wishes(
+    plan: Plan, *, filtered: bool, looks: bool, turned: bool = False
+) -> None:
     """Refuse what only a model in memory can be asked.
 
     Args:
         plan: Of the run.
         filtered: Whether there are filters.
         looks: Whether views are asked for.
+        turned: Whether the frame is changed.
 
     Raises:
         OptionError: Something asked for needs the whole model.
@@ -149,6 +152,7 @@ def refuse_whole_model_wishes(plan: Plan, *, filtered: bool, looks: bool) -> Non
         "--psnr": plan.goal.psnr is not None,
         "a filter": filtered,
         "--views, --cameras or --up": looks,
+        "--frame": turned,
     }
     for wish, asked in wishes.items():
         if asked:
@@ -176,9 +180,9 @@ def plan_rows(plan: ScalePlan) -> None:
         "blocks": f"about {plan.blocks:,}, of at most {plan.block:,} splats",
         "memory": f"{bytes_text(plan.memory)} for each process",
         "scratch": f"{bytes_text(plan.scratch)} on the disk, the result among it",
-        "time": f"about {plan.seconds:,.0f} s on two cores",
+        "time": f"about {plan.seconds:,.0f} s of one processor",
     }
-    err.print(key_value_table(rows))
+    show(err, key_value_table(rows))
 
 
 def simplify_in_blocks(

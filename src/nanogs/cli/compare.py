@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from nanogs.cli import options
-from nanogs.cli.console import err, out, print_json, spinner, warn
+from nanogs.cli.console import err, out, print_json, show, spinner, warn
 from nanogs.formatting import bytes_text, number_text
 from nanogs.io.atomic import check_writable
 from nanogs.view.bundle import is_built
@@ -92,7 +93,7 @@ def compare(
     for model in comparison.models:
         for note in model.notes:
             warn(f"{model.name}: {note}")
-    out.print(_table(comparison))
+    show(out, _table(comparison))
     if report and not quiet:
         size = bytes_text(report.stat().st_size)
         err.print(f"report: {report} ({size})", markup=False, soft_wrap=True)
@@ -106,7 +107,7 @@ def _table(comparison: "Comparison") -> Table:
     for heading in (*headings, *(["depth"] if against else []), *extras):
         table.add_column(heading, justify="right")
     for model in comparison.models:
-        cells = [model.name, f"{model.splats:,}"]
+        cells: list[str | Text] = [Text(model.name), f"{model.splats:,}"]
         cells += [f"{model.splats / against:.2%}"] if against else []
         cells += [bytes_text(model.file_bytes), number_text(model.psnr), number_text(model.ssim, 4)]
         cells += [number_text(model.depth, 4)] if against else []

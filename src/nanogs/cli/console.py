@@ -20,6 +20,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
 from nanogs.kernels.compiling import when_compiling
 from nanogs.report import StageClock
@@ -93,8 +94,18 @@ def key_value_table(rows: dict[str, str]) -> Table:
     table.add_column(style="dim")
     table.add_column(overflow="fold")
     for name, value in rows.items():
-        table.add_row(name, value)
+        table.add_row(name, Text(value))  # a path may have brackets, which are no markup
     return table
+
+
+def show(console: Console, table: Table) -> None:
+    """Print a table; into a pipe without the blanks that fill its lines up."""
+    if console.is_terminal:
+        console.print(table)
+        return
+    with console.capture() as caught:
+        console.print(table)
+    console.file.writelines(f"{line.rstrip()}\n" for line in caught.get().splitlines())
 
 
 class _LateProgress(Progress):

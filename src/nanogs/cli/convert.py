@@ -8,11 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from nanogs.cli import filtering, many, options, streams
+from nanogs.cli import filtering, framing, many, options, streams
 from nanogs.cli.console import err, spinner, warn, with_file_seconds
+from nanogs.errors import OptionError
 from nanogs.filters import Filter, apply
 from nanogs.formatting import bytes_text
-from nanogs.frames import half_turn
+from nanogs.frames import TRAINED, Y_UP, change_frame
 from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.report import StageClock
@@ -32,9 +33,10 @@ def convert(
         typer.Option(
             "--turn",
             help="Turn by 180 degrees about x: from y up (SPZ by its specification) to y down"
-            " (3DGS), or back.",
+            " (3DGS), or back. The same as --frame rub:rdf.",
         ),
     ] = False,
+    frame: framing.FrameOption = None,
     spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -50,10 +52,14 @@ def convert(
     """Write a model in another format; the suffixes of the names say which."""
     saving: dict[str, Any] = {"overwrite": overwrite, "spz_version": spz_version}
     filters = filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters)
+    if turn and frame:
+        raise OptionError("--turn and --frame both turn the model; give one of them.")
+    asked = framing.parse_frames(frame)
 
     def run_one(pair: Pair) -> dict[str, Any]:
+        frames = (Y_UP, TRAINED) if turn else framing.frames_of(pair, asked)
         check_writable(pair.target, **saving)
-        return _convert_file(pair, filters, sh_degree, turn=turn, saving=saving, quiet=hushed)
+        return _convert_file(pair, filters, sh_degree, frames, saving=saving, quiet=hushed)
 
     hushed = quiet or json
     pairs = many.plan_pairs(paths, out_dir, out_format)
@@ -74,8 +80,8 @@ def _convert_file(
     pair: Pair,
     filters: Sequence[Filter],
     sh_degree: int | None,
+    frames: framing.Frames | None,
     *,
-    turn: bool,
     saving: dict[str, Any],
     quiet: bool,
 ) -> dict[str, Any]:
@@ -90,8 +96,8 @@ def _convert_file(
         splats, took = apply(splats, filters)
         if sh_degree is not None:
             splats = splats.with_sh_degree(sh_degree)
-        if turn:
-            splats = half_turn(splats)
+        if frames:
+            splats = change_frame(splats, *frames)
         progress(f"writing {target.name}")
         with clock.time("write"):
             save(splats, target, **saving)
@@ -99,7 +105,7 @@ def _convert_file(
         "input": str(source),
         "output": str(target),
         "filters": [asdict(report) for report in took],
-        "turned": turn,
+        "frames": frames,
         "input_bytes": read_bytes,
         "output_bytes": bytes_on_disk(target),
         **_written(target, splats),

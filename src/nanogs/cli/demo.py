@@ -24,4 +24,4 @@ def demo(
     check_writable(target, overwrite=overwrite)
     save(make_scene(count, seed=seed), target, overwrite=overwrite)
     if not quiet:
-        err.print(f"{target}: {count:,} splats")
+        err.print(f"{target}: {count:,} splats", markup=False, soft_wrap=True)

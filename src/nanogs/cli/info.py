@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from nanogs.cli import options
-from nanogs.cli.console import key_value_table, out, print_json, warn
+from nanogs.cli.console import key_value_table, out, print_json, show, warn
 from nanogs.formatting import bytes_text
 from nanogs.info import ModelInfo, Spread, describe
 from nanogs.splats import RenderMode
@@ -30,7 +30,7 @@ def info(
         return
     for note in model.notes:
         warn(note)
-    out.print(key_value_table(_rows(model)))
+    show(out, key_value_table(_rows(model)))
 
 
 def _rows(model: ModelInfo) -> dict[str, str]:

@@ -10,7 +10,7 @@ from rich.table import Table
 from nanogs.ahead import compile_ahead
 from nanogs.cli import blocks as scale
 from nanogs.cli import method, options
-from nanogs.cli.console import count_down, err, print_json, warn
+from nanogs.cli.console import count_down, err, print_json, show, warn
 from nanogs.cli.simplify_report import Plan, show_plan, warn_of_input
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text, number_text
@@ -189,8 +189,9 @@ def _print_report(run: dict[str, Any]) -> None:
             number_text(level["ssim"], 4),
             f"{level['seconds']:.2f}",
         )
-    err.print(table)
-    err.print(f"{run['output']}: {len(run['levels'])} levels, {run['total_seconds']:.2f} s")
+    show(err, table)
+    text = f"{run['output']}: {len(run['levels'])} levels, {run['total_seconds']:.2f} s"
+    err.print(text, markup=False, soft_wrap=True)
 
 
 def _name(number: int, level: dict[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from dataclasses import asdict
 
 from nanogs.cli import options
-from nanogs.cli.console import key_value_table, out, print_json
+from nanogs.cli.console import key_value_table, out, print_json, show
 from nanogs.simplify.presets import DEFAULT_PRESET, PRESETS, SUMMARIES
 
 
@@ -19,4 +19,4 @@ def presets(json: options.Json = False) -> None:
         parameters = ", ".join(f"{key} {value}" for key, value in asdict(own).items())
         usual = " (where none is named)" if name == DEFAULT_PRESET else ""
         rows[name] = f"{SUMMARIES[name]}{usual}\n{parameters}"
-    out.print(key_value_table(rows))
+    show(out, key_value_table(rows))

@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 
 from nanogs.cli import options
-from nanogs.cli.console import err, print_json, stage_bar, warn, with_file_seconds
+from nanogs.cli.console import err, print_json, show, stage_bar, warn, with_file_seconds
 from nanogs.formatting import number_text
 from nanogs.io import check_writable, load, losses, save
 from nanogs.refit.api import refit as library_refit
@@ -100,7 +100,7 @@ def _print_report(run: dict[str, Any]) -> None:
         table.add_row(
             str(number), number_text(entry["psnr_after"]), kept, f"{entry['seconds']:.1f}"
         )
-    err.print(table)
+    show(err, table)
     err.print(
         f"{run['output']}: {run['count']:,} splats, {run['psnr_before']:.2f} -> "
         f"{run['psnr_after']:.2f} dB on {len(run['validation_views'])} views kept apart, "

@@ -52,4 +52,4 @@ def render(
     for note in notes:
         warn(note)
     if not quiet:
-        err.print(f"{folder}: {len(written)} images")
+        err.print(f"{folder}: {len(written)} images", markup=False, soft_wrap=True)

@@ -9,7 +9,7 @@ import typer
 
 from nanogs.ahead import compile_ahead
 from nanogs.cli import blocks as scale
-from nanogs.cli import filtering, many, method, options, streams
+from nanogs.cli import filtering, framing, many, method, options, streams
 from nanogs.cli.console import count_down, warn, with_file_seconds
 from nanogs.cli.simplify_report import (
     Plan,
@@ -19,7 +19,9 @@ from nanogs.cli.simplify_report import (
     print_wish,
     stop_text,
 )
+from nanogs.errors import OptionError
 from nanogs.filters import Filter, FilterReport, apply
+from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
@@ -51,6 +53,7 @@ def simplify(
     ] = None,
     preset: method.Preset = DEFAULT_PRESET,
     nan: method.NanOption = method.Nan.drop,
+    frame: framing.FrameOption = None,
     spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
     threads: options.Threads = None,
@@ -103,6 +106,7 @@ def simplify(
         chosen=chosen,
         filters=filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters),
         saving={"overwrite": overwrite, "spz_version": spz_version},
+        frames=framing.parse_frames(frame),
         cameras=cameras,
         up=method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None),
         given=given | {"preset": preset, "nan": nan.value, "threads": threads},
@@ -167,6 +171,7 @@ class _Request:
         chosen: Parameters of the method.
         filters: To apply first.
         saving: What `save` takes.
+        frames: From and to where the result is turned, as given, or None.
         cameras: As `requested_cameras` takes it.
         up: Up direction of automatic views, or None.
         given: What the library's `simplify` takes beside.
@@ -181,6 +186,7 @@ class _Request:
     chosen: Parameters
     filters: Sequence[Filter]
     saving: dict[str, Any]
+    frames: framing.Frames | None
     cameras: str
     up: tuple[float, float, float] | None
     given: dict[str, Any]
@@ -207,6 +213,12 @@ def _plan(pair: Pair, request: _Request, *, dry_run: bool) -> Plan:
     """Check the files and the goal; the count that it comes to, where that is known yet."""
     goal, filters = request.goal, request.filters
     refuse_searches(goal, request.preset, pair.target)
+    frames = framing.frames_of(pair, request.frames)
+    if frames and goal.size is not None and not registry.has_known_size(pair.target):
+        raise OptionError(
+            f"--frame changes the size of a {pair.target.suffix} file that --size has found; turn"
+            " it with `nanogs convert` before."
+        )
     info, blocks = inspect(pair.source), request.blocks
     if blocks.joined:
         info = replace(info, splats=sum(inspect(path).splats for path in blocks.joined))
@@ -214,7 +226,9 @@ def _plan(pair: Pair, request: _Request, *, dry_run: bool) -> Plan:
         check_writable(pair.target, **request.saving)
     whole = Plan(info, goal, None, request.preset, request.chosen)
     if blocks.needed(whole):
-        scale.refuse_whole_model_wishes(whole, filtered=bool(filters), looks=request.looks)
+        scale.refuse_whole_model_wishes(
+            whole, filtered=bool(filters), looks=request.looks, turned=bool(frames)
+        )
     if goal.size is None and not (filters and dry_run):
         count = goal.target(info.splats, lambda _count: 0)
     elif dry_run:  # what a row takes and what filters leave is only known from the columns
@@ -256,12 +270,15 @@ def _simplify_file(plan: Plan, pair: Pair, request: _Request) -> dict[str, Any]:
             progress=progress,
             **request.given,
         )
+        if frames := framing.frames_of(pair, request.frames):
+            small = change_frame(small, *frames)
         progress("write", len(small))
         with clock.time("write"):
             save(small, target, **saving)
     run = with_file_seconds(report.to_dict(), clock, start)
     run["notes"] = [*run["notes"], *losses(small, target)]
     run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in took]}
+    run["frames"] = frames
     run |= {"input": str(source), "output": str(target)}
     run |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(target)}
     return run

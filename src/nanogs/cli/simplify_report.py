@@ -5,7 +5,7 @@ from typing import Any
 
 from rich.table import Table
 
-from nanogs.cli.console import err, key_value_table, print_json, warn
+from nanogs.cli.console import err, key_value_table, print_json, show, warn
 from nanogs.cli.filtering import report_filters
 from nanogs.formatting import bytes_text
 from nanogs.io import FileInfo
@@ -57,7 +57,7 @@ def print_plan(plan: Plan) -> None:
 def print_wish(plan: Plan) -> None:
     """Show on stderr what a run would read and write, of a model that does not fit into memory."""
     rows = _wish_rows(plan, f"{plan.count or 0:,} splats")
-    err.print(key_value_table(rows | {"peak memory": f"{bytes_text(plan.memory().peak)} if whole"}))
+    show(err, key_value_table(rows | {"peak memory": f"{bytes_text(plan.memory().peak)} if whole"}))
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
@@ -94,7 +94,7 @@ def _plan_json(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def _print_rows(plan: Plan, text: str) -> None:
-    err.print(key_value_table(_wish_rows(plan, text) | _memory_rows(plan.memory())))
+    show(err, key_value_table(_wish_rows(plan, text) | _memory_rows(plan.memory())))
 
 
 def _wish_rows(plan: Plan, text: str) -> dict[str, str]:
@@ -164,13 +164,13 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
     }
     if run["pruned"]:
         rows["pruned"] = f"{run['pruned']:,} with alpha below {run['prune_threshold']:.3g}"
-    err.print(key_value_table({name: text for name, text in rows.items() if text}))
+    show(err, key_value_table({name: text for name, text in rows.items() if text}))
     if verbose:
-        err.print(_pass_table(run["passes"]))
+        show(err, _pass_table(run["passes"]))
         if run["probes"]:
-            err.print(_probe_table(run["probes"]))
+            show(err, _probe_table(run["probes"]))
         if run["size_probes"]:
-            err.print(_size_probe_table(run["size_probes"]))
+            show(err, _size_probe_table(run["size_probes"]))
 
 
 def _asked_text(run: dict[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 import zipfile
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
@@ -26,6 +27,13 @@ class Container(Protocol):
             FormatError: There is no such file, or it is no plain one.
         """
 
+    def bytes_on_disk(self, names: Iterable[str]) -> int:
+        """Bytes of the files of those names as they are stored, with what holds them.
+
+        Raises:
+            FormatError: As for `size`.
+        """
+
     def read(self, name: str, limit: int) -> bytes:
         """The first `limit` bytes of a file, or all of it where it is shorter.
 
@@ -47,6 +55,10 @@ class Folder:
     def size(self, name: str) -> int:
         """Bytes of a file; see `Container`."""
         return input_size(self._path / name)
+
+    def bytes_on_disk(self, names: Iterable[str]) -> int:
+        """Bytes of the files; see `Container`."""
+        return sum(map(self.size, names))
 
     def read(self, name: str, limit: int) -> bytes:
         """The beginning of a file; see `Container`."""
@@ -82,6 +94,12 @@ class Bundle:
     def size(self, name: str) -> int:
         """Bytes of a file as the zip states them; see `Container`."""
         return self._entry(name).file_size
+
+    def bytes_on_disk(self, names: Iterable[str]) -> int:
+        """Bytes of the zip, in which the files must be; see `Container`."""
+        for name in names:
+            self._entry(name)
+        return input_size(self._path)
 
     def read(self, name: str, limit: int) -> bytes:
         """The beginning of a file, its checksum checked at its end; see `Container`."""

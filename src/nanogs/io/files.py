@@ -8,6 +8,12 @@ from nanogs.errors import FormatError
 # Rows decoded or encoded at a time: bounds the memory beside the model; at 250 bytes a row a block
 # of this size stays in the cache, and is encoded twice as fast as one of 64 K rows.
 BLOCK_ROWS = 8192
+# Packed files whose model takes no more are never refused for it, however small they are: models of
+# equal splats are honest.
+_SMALL_MODEL = 128 << 20
+# What others may take for each byte of theirs. Centres and colours do not pack well: real files
+# have 10 to 50 bytes a splat, whose 56 to 344 in memory are 3 to 30 times that.
+_MAX_EXPANSION = 64
 
 
 def input_size(path: Path) -> int:
@@ -29,6 +35,29 @@ def input_size(path: Path) -> int:
     if status.st_size == 0:
         raise FormatError(f"{path} is empty (0 bytes); export or download it again.")
     return status.st_size
+
+
+def splat_bytes(degree: int) -> int:
+    """Bytes that a splat of an SH degree takes in memory, extra columns aside."""
+    return 4 * (3 + 3 + 4 + 1 + 3 * (degree + 1) ** 2)
+
+
+def check_expansion(where: str, model_bytes: int, file_bytes: int) -> None:
+    """Refuse a packed file that states a model far larger than an honest one of its size has.
+
+    Args:
+        where: The file, for the message.
+        model_bytes: What the model would take in memory, by what the file states.
+        file_bytes: Size of the file.
+
+    Raises:
+        FormatError: It is a bomb.
+    """
+    if model_bytes > max(_SMALL_MODEL, _MAX_EXPANSION * file_bytes):
+        raise FormatError(
+            f"{where} states a model of {model_bytes:,} bytes in {file_bytes:,}, far more than"
+            " splats can be packed; export or download it again."
+        )
 
 
 def unreadable(path: Path, error: Exception) -> FormatError:

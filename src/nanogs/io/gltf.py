@@ -18,7 +18,7 @@ import numpy as np
 from nanogs._types import F64, Array
 from nanogs.errors import FormatError
 from nanogs.io.compressed_ply import logit
-from nanogs.io.files import BLOCK_ROWS, unreadable
+from nanogs.io.files import BLOCK_ROWS, splat_bytes, unreadable
 from nanogs.io.glb import Accessor, Glb, Part, read_glb
 from nanogs.io.gltf_scene import EXTENSION, Placed, Pose, placed_splats
 from nanogs.io.info import FileInfo
@@ -167,8 +167,7 @@ def _scene(path: Path) -> _Scene:
 
 def _check_memory(scene: _Scene) -> None:
     """Accessors may share their bytes; what comes of it must stay in proportion to the file."""
-    row_bytes = 4 * (3 + 3 + 4 + 1 + 3 * (scene.degree + 1) ** 2)
-    if scene.count * row_bytes > 4 * scene.glb.file_bytes:
+    if scene.count * splat_bytes(scene.degree) > 4 * scene.glb.file_bytes:
         raise scene.glb.root.error(
             f"describes {scene.count} splats, more than four times as much as its"
             f" {scene.glb.file_bytes} bytes hold"

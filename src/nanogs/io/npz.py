@@ -25,7 +25,7 @@ import numpy as np
 from nanogs._types import Array
 from nanogs.errors import FormatError, ModelError, OutputError
 from nanogs.io import limits
-from nanogs.io.files import input_size, unreadable
+from nanogs.io.files import check_expansion, input_size, unreadable
 from nanogs.io.info import FileInfo
 from nanogs.io.ply_header import TYPE_NAMES, printable
 from nanogs.splats import RenderMode, Splats
@@ -40,7 +40,6 @@ _HEADER = re.compile(
     r" 'shape': \(([0-9, ]{0,80})\), \}\s*"
 )
 _SIMPLE = re.compile(r"[<>|][biufcSUmM][0-9]{1,9}(\[[0-9]{0,9}[A-Za-z]{1,2}\])?")
-_MAX_RATIO = 1032  # more than deflate can expand
 _CHUNK = 1 << 20
 _ZIP_ERRORS = (
     zipfile.BadZipFile,
@@ -220,6 +219,7 @@ def _members(path: Path, archive: zipfile.ZipFile) -> dict[str, _Member]:
     packed = sum(info.compress_size for info in infos)
     if len(set(names)) < len(names) or packed > input_size(path):
         raise FormatError(f"{path} holds arrays that overlap; save it again.")
+    check_expansion(str(path), sum(info.file_size for info in infos), input_size(path))
     members = {n: _member(path, archive, info) for n, info in zip(names, infos, strict=True)}
     if 0 in members["means"].shape[:1] or any(not members[name].shape for name in _REQUIRED):
         raise FormatError(f"{path} holds no splats; export a model with splats.")
@@ -228,10 +228,7 @@ def _members(path: Path, archive: zipfile.ZipFile) -> dict[str, _Member]:
 
 def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Member:
     where = f"{path}: array {printable(info.filename)!r}"
-    if info.file_size > info.compress_size * _MAX_RATIO or info.compress_type not in (
-        zipfile.ZIP_STORED,
-        zipfile.ZIP_DEFLATED,
-    ):
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise FormatError(f"{where} is packed in a way NumPy never does; save it again.")
     with archive.open(info) as file:
         dtype, shape, fortran, start = _parse(where, file)

@@ -1,12 +1,13 @@
 """The formats nanogs knows, by the suffix of the file name."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
 from nanogs.errors import FormatError, OptionError, did_you_mean
+from nanogs.frames import TRAINED
 from nanogs.io import (
     checkpoint,
     compressed_ply_write,
@@ -37,10 +38,12 @@ Losses = Callable[[Splats], tuple[str, ...]]
 """What a file of the format cannot hold of a model, one sentence each, besides quantisation."""
 
 
-_UNSTATED = "not stated in the file; y down by habit"
-_SPZ_FRAME = "not stated in the file; y up by the specification, though many files have y down"
-_GLTF_FRAME = "y up in the file, turned to y down when read"
-_USD_FRAME = "y up in the file, by a transform; the model's own y is taken to be down"
+_UNSTATED = "not stated in the file; y down (rdf) by habit"
+_SPZ_FRAME = (
+    "not stated in the file; y up (rub) by the specification, though many files have y down (rdf)"
+)
+_GLTF_FRAME = "y up (luf) in the file, turned to y down (rdf) when read"
+_USD_FRAME = "y up in the file, by a transform; the model's own y is taken to be down (rdf)"
 
 
 class FolderWriter(Protocol):
@@ -58,6 +61,10 @@ def _nothing(_splats: Splats) -> tuple[str, ...]:
     return ()
 
 
+def _steady(_splats: Splats) -> Sequence[int]:
+    return ()
+
+
 @dataclass(frozen=True, slots=True)
 class WriteOption:
     """A choice in writing a format: what the writer calls it, and what it may be."""
@@ -71,7 +78,10 @@ class Format:
     """One format: what its files are called, and how they are read and written.
 
     `file_bytes` tells the size of a file before it is written; never smaller for more splats.
-    `stream` yields the model in blocks of rows. `frame` says which way is up. `options` are what
+    `stream` yields the model in blocks of rows. `frame` says which way is up, and `axes` is the
+    name of the frame of a model that was read, or None where files differ; with `turns`, files are
+    in the format's own frame, to and from which reading and writing turn. `leaps` are counts, in
+    ascending order, of which a file takes far more than of one splat less. `options` are what
     `save` takes for this format alone. Of a format whose model is a folder, described by the file
     of the name `suffix` in it, `write_folder` makes that folder and `ours` says what in such a
     folder nanogs made.
@@ -85,6 +95,9 @@ class Format:
     losses: Losses = _nothing
     stream: Callable[[Path], Iterator[Splats]] | None = None
     frame: str = _UNSTATED
+    axes: str | None = TRAINED
+    turns: bool = False
+    leaps: Callable[[Splats], Sequence[int]] = _steady
     options: Mapping[str, WriteOption] = field(default_factory=dict)
     write_folder: FolderWriter | None = None
     ours: Ours | None = None
@@ -121,6 +134,7 @@ FORMATS = (
         spz_write.write,
         losses=spz_write.losses,
         frame=_SPZ_FRAME,
+        axes=None,
         options={"spz_version": WriteOption("version", (3, 4))},
     ),
     Format(".ksplat", ksplat.read, ksplat.inspect),
@@ -132,8 +146,16 @@ FORMATS = (
         gltf_write.file_bytes,
         gltf_write.losses,
         frame=_GLTF_FRAME,
+        turns=True,
     ),
-    Format(".sog", sog.read, sog.inspect, sog_write.write, losses=sog_write.losses),
+    Format(
+        ".sog",
+        sog.read,
+        sog.inspect,
+        sog_write.write,
+        losses=sog_write.losses,
+        leaps=sog_write.leaps,
+    ),
     Format(
         ".usda",
         _unread,
@@ -141,9 +163,10 @@ FORMATS = (
         usda_write.write,
         losses=usda_write.losses,
         frame=_USD_FRAME,
+        turns=True,
     ),
-    Format(".pt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
-    Format(".ckpt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME),
+    Format(".pt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME, axes=None),
+    Format(".ckpt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME, axes=None),
     Format(
         "meta.json",
         sog.read,

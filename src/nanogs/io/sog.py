@@ -15,7 +15,7 @@ import numpy as np
 from nanogs._types import U8, U16, Array
 from nanogs.errors import FormatError
 from nanogs.io.container import Bundle, Container, Folder
-from nanogs.io.files import BLOCK_ROWS, input_size, unreadable
+from nanogs.io.files import BLOCK_ROWS, check_expansion, input_size, splat_bytes, unreadable
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import parse
 from nanogs.io.sog_meta import MAX_META_BYTES, PALETTE_COLUMNS, PALETTE_MAX, Meta, read_meta
@@ -23,8 +23,6 @@ from nanogs.io.texture import HEAD_BYTES, decode, size
 from nanogs.splats import Splats
 
 META = "meta.json"
-# Real files have 0.02 to 0.1 splats a byte; a file of many more unpacks to gigabytes from nothing.
-SPLATS_PER_BYTE = 100
 _PROPERTIES = (
     ("means", "ushort"),
     ("quats", "uchar"),
@@ -54,9 +52,8 @@ def inspect(path: Path) -> FileInfo:
     """
     with opened(path) as (container, name):
         meta = load_meta(container, name)
-        bundled = isinstance(container, Bundle)
-        file_bytes = input_size(path) if bundled else total_bytes(container, name, meta)
-        return describe(path, meta, sh_degree(container, meta), file_bytes)
+        degree = sh_degree(container, meta)
+        return describe(path, meta, degree, _checked_bytes(container, name, meta, degree))
 
 
 @contextmanager
@@ -79,7 +76,7 @@ def opened(path: Path) -> Iterator[tuple[Container, str]]:
 
 
 def load_meta(container: Container, name: str) -> Meta:
-    """Read and check a `meta.json`, and its count against the size of the files.
+    """Read and check a `meta.json`.
 
     Raises:
         FormatError: As for `read`, except for what only the textures show.
@@ -87,19 +84,14 @@ def load_meta(container: Container, name: str) -> Meta:
     where = container.where(name)
     if container.size(name) > MAX_META_BYTES:
         raise _error(where, "is too large for a description of textures")
-    meta = read_meta(parse(container.read(name, MAX_META_BYTES), where), where)
-    if meta.count > SPLATS_PER_BYTE * total_bytes(container, name, meta):
-        raise _error(where, f"claims {meta.count} splats, more than its files can hold")
-    return meta
+    return read_meta(parse(container.read(name, MAX_META_BYTES), where), where)
 
 
-def total_bytes(container: Container, name: str, meta: Meta) -> int:
-    """Bytes of a `meta.json` and of the files it names.
-
-    Raises:
-        FormatError: One of them is missing.
-    """
-    return sum(map(container.size, {name, *meta.files.values()}))
+def _checked_bytes(container: Container, name: str, meta: Meta, degree: int) -> int:
+    """Bytes of a `meta.json` and of the files it names, its count checked against them."""
+    file_bytes = container.bytes_on_disk({name, *meta.files.values()})
+    check_expansion(container.where(name), meta.count * splat_bytes(degree), file_bytes)
+    return file_bytes
 
 
 def sh_degree(container: Container, meta: Meta) -> int:
@@ -143,6 +135,7 @@ def read_model(container: Container, name: str) -> Splats:
     """
     meta = load_meta(container, name)
     degree = sh_degree(container, meta)
+    _checked_bytes(container, name, meta, degree)
     sizes = _check_sizes(container, meta, degree)
     n = meta.count
     out: dict[str, Any] = {

@@ -22,7 +22,8 @@ from nanogs.io.json_fields import integer, is_plain, parse, refused, rows, table
 from nanogs.io.sog_meta import MAX_COUNT
 from nanogs.splats import RenderMode, Splats
 
-MAX_MANIFEST_BYTES = 1 << 28  # leaves of a few hundred bytes for each 10 K splats or so
+# Python takes up to 25 times a JSON text's size; a leaf has some 500 bytes for 10 K splats or more.
+MAX_MANIFEST_BYTES = 8 << 20
 _MAX_LEVELS = 64
 
 
@@ -124,6 +125,8 @@ def read_manifest(path: Path) -> Levels:
         raise refused(str(path), "is of a newer version than 1, which nanogs does not read")
     depth = integer(data.get("lodLevels"), f"{path}, lodLevels", 1, _MAX_LEVELS)
     names = rows(data.get("filenames"), f"{path}, filenames")
+    if len(set(map(str, names))) < len(names):
+        raise refused(f"{path}, filenames", "names a file twice")
     spans: list[dict[int, list[tuple[int, int]]]] = [{} for _ in range(depth)]
     for level, file, span in _leaves(data.get("tree"), depth, len(names), str(path)):
         spans[level].setdefault(file, []).append(span)

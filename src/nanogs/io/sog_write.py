@@ -92,6 +92,13 @@ def losses(splats: Splats) -> tuple[str, ...]:
     return tuple(found)
 
 
+def leaps(splats: Splats) -> tuple[int, ...]:
+    """The counts from which on the palette of the higher coefficients is twice as large."""
+    if not splats.sh_degree:
+        return ()
+    return tuple(1 << bit for bit in range(1, sog_meta.PALETTE_MAX.bit_length()))
+
+
 def ours(folder: Path) -> frozenset[str] | None:
     """The names of a folder that nanogs wrote, or None for other folders."""
     try:

@@ -29,7 +29,7 @@ import numpy as np
 
 from nanogs._types import U8
 from nanogs.errors import FormatError
-from nanogs.io.files import input_size, unreadable
+from nanogs.io.files import check_expansion, input_size, splat_bytes, unreadable
 from nanogs.splats import MAX_SH_DEGREE
 
 MAGIC = b"NGSP"
@@ -42,10 +42,6 @@ MAX_FRACTION_BITS = 24
 _GZIP = b"\x1f\x8b"
 _CHUNK = 1 << 20
 _MAX_EXTENSIONS = 1 << 20
-# Deflate cannot expand more than this; zstd can, but the reference reader refuses it too.
-_MAX_RATIO = 1032
-# What zstd may expand to whatever the ratio: small models of equal splats are honest files.
-_SMALL_BODY = 32 << 20
 _MAX_WINDOW = 1 << 27
 _KNOWN_RECORDS = {0xADBE0002: "limits of the camera", 0xADBE0003: "coordinate system"}
 
@@ -184,11 +180,8 @@ def _check(header: Header, *, legacy: bool) -> None:
         )
     if header.count == 0:
         raise FormatError(f"{header.path} holds no splats; export a model with splats.")
-    floor = 0 if legacy else _SMALL_BODY
-    if header.body_bytes() > max(header.file_bytes * _MAX_RATIO, floor):
-        raise _damaged(
-            header, f"{header.count:,} splats, more than {header.file_bytes:,} bytes can hold"
-        )
+    model_bytes = header.count * splat_bytes(header.degree)
+    check_expansion(str(header.path), model_bytes, header.file_bytes)
 
 
 def _damaged(header: Header, what: str) -> FormatError:

@@ -45,14 +45,22 @@ def size(data: bytes, where: str) -> tuple[int, int]:
     """
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
         raise _error(where, "is no WebP file")
-    at = 12
+    at, canvas = 12, None
     while at + 13 <= len(data):
         name, length = struct.unpack_from("<4sI", data, at)
         if name == b"VP8L":
             if data[at + 8] != 0x2F:
                 break
             (sides,) = struct.unpack_from("<I", data, at + 9)
-            return (sides & 0x3FFF) + 1, (sides >> 14 & 0x3FFF) + 1
+            found = (sides & 0x3FFF) + 1, (sides >> 14 & 0x3FFF) + 1
+            if canvas not in (None, found):  # which is what a decoder makes room for
+                break
+            return found
+        if name == b"VP8X" and at + 18 <= len(data):
+            canvas = tuple(
+                int.from_bytes(data[at + place : at + place + 3], "little") + 1
+                for place in (12, 15)
+            )
         if name in (b"VP8 ", b"ALPH"):
             raise _error(where, "is a lossy WebP file, which garbles the values")
         if name == b"ANIM":

@@ -51,7 +51,9 @@ _STAND_INS = {
     *((f"numpy.{core}.multiarray", "scalar") for core in ("core", "_core")),
     *((f"numpy.{core}.multiarray", "_reconstruct") for core in ("core", "_core")),
 }
-_MAX_PICKLE = 1 << 26
+# An object takes up to 72 times its bytes in the pickle; a tensor has 130, a model some ten.
+_MAX_PICKLE = 1 << 21
+_MAX_WEIGHT = 10_000_000  # objects in an object
 _DAMAGE = (
     OSError,
     zipfile.BadZipFile,
@@ -187,10 +189,7 @@ class TorchFile:
         return archive.read(info)
 
     def _unpickled(self, data: bytes) -> Any:  # noqa: ANN401 - whatever was saved
-        for opcode, argument, _ in pickletools.genops(data):
-            # The unpickler makes room for the highest place in its memo, however high it is.
-            if opcode.name.endswith("PUT") and int(str(argument)) > len(data):
-                raise ValueError(f"a place {argument} in {len(data)} bytes")
+        _check_weights(data)
         return _Unpickler(data, self.path).load()
 
     def _damaged(self, error: Exception) -> NoReturn:
@@ -198,6 +197,47 @@ class TorchFile:
         raise FormatError(
             f"{self.path} is damaged or no file of torch.save ({reason}); save it again."
         ) from error
+
+
+def _check_weights(data: bytes) -> None:
+    """Refuse a pickle that would take far more than its bytes do: room, or time.
+
+    The unpickler makes room for the highest place in its memo, however high it is. A tuple of two
+    times one tuple, and so on, has few bytes, and hashing it takes for ever; so the stack is walked
+    with the number of objects in each entry in its place, those met twice counted twice.
+
+    Raises:
+        ValueError: A place or an object is too large; LookupError if the stack runs empty.
+    """
+    stack: list[int | None] = []  # None is a mark
+    memo: dict[int, int | None] = {}
+    for opcode, argument, _ in pickletools.genops(data):
+        if opcode.name.endswith("PUT") or opcode.name == "MEMOIZE":
+            place = len(memo) if argument is None else int(str(argument))
+            if place > len(data):
+                raise ValueError(f"a place {place} in {len(data)} bytes")
+            memo[place] = stack[-1]
+        elif opcode.name.endswith("GET"):
+            stack.append(memo[int(str(argument))])
+        elif opcode.name == "MARK":
+            stack.append(None)
+        elif opcode.name == "DUP":
+            stack.append(stack[-1])
+        else:
+            weight = 1 + _take(stack, [kind.name for kind in opcode.stack_before])
+            if weight > _MAX_WEIGHT:
+                raise ValueError("objects nested in each other many times over")
+            stack += [weight] * len(opcode.stack_after)
+
+
+def _take(stack: list[int | None], kinds: list[str]) -> int:
+    """Take what an opcode takes from the stack; the objects in it."""
+    total = 0
+    if "mark" in kinds:
+        while (top := stack.pop()) is not None:
+            total += top
+        kinds = kinds[: kinds.index("mark")]
+    return total + sum(stack.pop() or 0 for _ in kinds)
 
 
 class _Unpickler(pickle.Unpickler):

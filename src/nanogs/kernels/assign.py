@@ -2,8 +2,6 @@
 
 import math
 
-import numba
-
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import inline, parallel_kernel
@@ -21,18 +19,21 @@ def _inverse(s: Symmetric3) -> tuple[Symmetric3, float]:
     return (a * r, b * r, c * r, d * r, e * r, f * r), determinant
 
 
-@parallel_kernel
-def invert_covariances(covariances: F64, inverses: F64, log_dets: F64) -> None:
+@parallel_kernel("covariances")
+def invert_covariances(
+    start: int, stop: int, covariances: F64, inverses: F64, log_dets: F64
+) -> None:
     """Inverse and log determinant. covariances, inverses: (G, 6); log_dets: (G,)."""
-    for g in numba.prange(len(covariances)):
+    for g in range(start, stop):
         inverse, determinant = _inverse(symmetric(covariances, g))
         for entry in range(6):
             inverses[g, entry] = inverse[entry]
         log_dets[g] = math.log(determinant)
 
 
-@parallel_kernel
+@parallel_kernel("labels")
 def assign_nearest(
+    start: int, stop: int,
     labels: I32, candidates: I32, means: F64, covariances: F64, features: F32, rows: I32,
     centres: F64, inverses: F64, log_dets: F64, colours: F32, lambda_app: float,
     out: I32, distances: F64,
@@ -46,7 +47,7 @@ def assign_nearest(
     (F, C); rows: (N,) of the features; centres: (G, 3); inverses: (G, 6); log_dets: (G,);
     colours: (G, C); out: (N,) new labels; distances: (N,) the least.
     """
-    for i in numba.prange(len(labels)):
+    for i in range(start, stop):
         xx, xy, xz, yy, yz, zz = symmetric(covariances, i)
         own = labels[i]
         best, chosen = math.inf, own

@@ -18,25 +18,20 @@ quadratic with these blocks lies above the true one (the separable surrogates of
 
 import math
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U16
+from nanogs.kernels.pixels import PIXELS, Single, blend_pixels
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.project import TILE
 from nanogs.kernels.raster import (
     BATCH,
-    STRIDE,
-    Single,
-    blend_row,
     count_open,
-    scattered,
     start_tile,
 )
 
 CHANNELS = 4
 SUMS = 25  # what `pull_tiles` writes for an entry: see there
-SPLIT = 8  # ranges of splats summed independently; fixed, so that threads do not matter
 SATURATED = 98.9  # T alpha over what is left of T: beyond it alpha is held at 0.99
 
 Row = tuple[
@@ -166,7 +161,9 @@ def _pull_splat(
         if open_rows[r] == 0 or centre + half < 0.0 or centre - half > TILE - 1.0:
             continue
         base, step = np.float32(-inv_w * centre), np.float32(inv_w)
-        blend_row(base, step, np.float32(q), opacity, r, lanes, left, weights)
+        for x in range(0, TILE, PIXELS):
+            at = r * TILE + x
+            blend_pixels(base, step, np.float32(q), opacity, x, left, at, weights, x)
         row = _pull_row(
             base, step, features, i, r, lanes, left, weights, behind, residual, precision
         )
@@ -184,8 +181,10 @@ def _load_tile(image: F32, x0: int, y0: int, planes: F32) -> None:
                 planes[c, r, x] = image[y0 + r, x0 + x, c] if inside else np.float32(0.0)
 
 
-@parallel_kernel
+@parallel_kernel("image", least=8)
 def weigh_pixels(
+    start: int,
+    stop: int,
     image: F32,
     wanted: U16,
     white: float,
@@ -199,6 +198,8 @@ def weigh_pixels(
     A colour that is brighter than a screen in both is not wanted to change.
 
     Args:
+        start: First row of the range.
+        stop: The row after its last.
         image: (H, W, 4) blended colours less `white`, and alpha times `alpha_scale`.
         wanted: (H, W, 4) colours over black and alpha, 65535 for 1.
         white: Share of white in the background that errors are taken over.
@@ -207,8 +208,8 @@ def weigh_pixels(
         precision: (H, W) out, alpha.
         errors: (H,) out, sums of the squared residuals of each row.
     """
-    height, width = image.shape[0], image.shape[1]
-    for y in numba.prange(height):
+    width = image.shape[1]
+    for y in range(start, stop):
         total = 0.0
         for x in range(width):
             alpha = image[y, x, 3] / alpha_scale
@@ -224,8 +225,10 @@ def weigh_pixels(
         errors[y] = total
 
 
-@parallel_kernel
+@parallel_kernel("starts", least=8)
 def pull_tiles(
+    start: int,
+    stop: int,
     geometry: F64,
     features: F32,
     starts: I64,
@@ -238,6 +241,8 @@ def pull_tiles(
     """Sums that say how each tile's pixels pull at its splats.
 
     Args:
+        start: First tile of the range.
+        stop: The tile after its last.
         geometry: (N, 8) rows of projected splats.
         features: (N, 4) what was blended.
         starts: (T + 1,) from `list_tiles`.
@@ -251,12 +256,7 @@ def pull_tiles(
     """
     height, width = image.shape[0], image.shape[1]
     tiles_x = (width + TILE - 1) // TILE
-    tiles = len(starts) - 1
-    per_class = (tiles + STRIDE - 1) // STRIDE
-    for slot in numba.prange(per_class * STRIDE):
-        tile = scattered(slot, per_class)
-        if tile >= tiles:
-            continue
+    for tile in range(start, min(stop, len(starts) - 1)):
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         partial[starts[tile] : starts[tile + 1]] = np.float32(0.0)
         left = np.empty((TILE, TILE), np.float32)
@@ -292,21 +292,20 @@ def pull_tiles(
             )
 
 
-@parallel_kernel
-def gather_entries(entries: I32, partial: F32, totals: F64) -> None:
+@parallel_kernel("totals", each=1)
+def gather_entries(start: int, stop: int, entries: I32, partial: F32, totals: F64) -> None:
     """Add up each splat's entries in the order of the tiles.
 
     Args:
+        start: First splat of the range.
+        stop: The splat after its last.
         entries: (E,) from `list_tiles`.
         partial: (E, 25) from `pull_tiles`.
         totals: (N, 25) out.
     """
-    size = (len(totals) + SPLIT - 1) // SPLIT
-    for part in numba.prange(SPLIT):
-        first, end = part * size, min(len(totals), (part + 1) * size)
-        totals[first:end] = 0.0
-        for e in range(len(entries)):
-            i = entries[e]
-            if first <= i < end:
-                for k in range(SUMS):
-                    totals[i, k] += partial[e, k]
+    totals[start:stop] = 0.0
+    for e in range(len(entries)):
+        i = entries[e]
+        if start <= i < stop:
+            for k in range(SUMS):
+                totals[i, k] += partial[e, k]

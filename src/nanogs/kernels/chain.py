@@ -12,13 +12,12 @@ Projection as in `nanogs.kernels.project`, whose derivatives these are.
 
 import math
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I64, F
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.project import BLOCK, GUARD
+from nanogs.kernels.project import GUARD
 
 SHAPE = 10
 PACKED = 55  # lower triangle of a 10 x 10 matrix, row by row
@@ -140,8 +139,10 @@ def _add_block(jacobian: F64, sums: F64, product: F64, pull: F64, block: F64) ->
             block[a * (a + 1) // 2 + b] += entry
 
 
-@parallel_kernel
+@parallel_kernel("order")
 def chain_shapes(
+    start: int,
+    stop: int,
     order: I64,
     geometry: F64,
     totals: F64,
@@ -159,6 +160,8 @@ def chain_shapes(
     """Add one view's pulls and curvatures on the ten parameters of shape.
 
     Args:
+        start: First place in the order of the range.
+        stop: The place after its last.
         order: (M,) rows that were drawn, each once.
         geometry: (N, 8) rows of projected splats.
         totals: (N, 25) from `gather_entries`.
@@ -173,27 +176,27 @@ def chain_shapes(
         pulls: (N, 10) in and out.
         blocks: (N, 55) in and out, lower triangles.
     """
-    n = len(order)
-    for part in numba.prange((n + BLOCK - 1) // BLOCK):
-        turn, flat = np.empty((3, 3)), np.empty((2, 3))
-        point, size, product = np.empty(3), np.empty(3), np.empty(SCREEN)
-        jacobian = np.zeros((SHAPE, SCREEN))
-        for place in range(part * BLOCK, min(n, (part + 1) * BLOCK)):
-            i = order[place]
-            for r in range(3):
-                point[r] = 0.0
-                for k in range(3):
-                    point[r] += rotation[r, k] * (np.float64(means[i, k]) - position[k])
-                    turn[r, k] = rotation[r, 0] * axes[i, 0, k] + rotation[r, 1] * axes[i, 1, k]
-                    turn[r, k] += rotation[r, 2] * axes[i, 2, k]
-                size[r] = scales[i, r]
-            _screen_jacobian(turn, size, point, geometry[i], lens, mip, flat, jacobian)
-            jacobian[SHAPE - 1, 0] = 1.0 - opacities[i]
-            _add_block(jacobian, totals[i], product, pulls[i], blocks[i])
+    turn, flat = np.empty((3, 3)), np.empty((2, 3))
+    point, size, product = np.empty(3), np.empty(3), np.empty(SCREEN)
+    jacobian = np.zeros((SHAPE, SCREEN))
+    for place in range(start, stop):
+        i = order[place]
+        for r in range(3):
+            point[r] = 0.0
+            for k in range(3):
+                point[r] += rotation[r, k] * (np.float64(means[i, k]) - position[k])
+                turn[r, k] = rotation[r, 0] * axes[i, 0, k] + rotation[r, 1] * axes[i, 1, k]
+                turn[r, k] += rotation[r, 2] * axes[i, 2, k]
+            size[r] = scales[i, r]
+        _screen_jacobian(turn, size, point, geometry[i], lens, mip, flat, jacobian)
+        jacobian[SHAPE - 1, 0] = 1.0 - opacities[i]
+        _add_block(jacobian, totals[i], product, pulls[i], blocks[i])
 
 
-@parallel_kernel
+@parallel_kernel("order")
 def chain_colours(
+    start: int,
+    stop: int,
     order: I64,
     features: F32,
     totals: F64,
@@ -208,6 +211,8 @@ def chain_colours(
     A channel that is cut off at black is pulled upwards only.
 
     Args:
+        start: First place in the order of the range.
+        stop: The place after its last.
         order: (M,) rows that were drawn, each once.
         features: (N, 4) the colours that were blended, channels from 0.
         totals: (N, 25) from `gather_entries`.
@@ -217,22 +222,21 @@ def chain_colours(
         pulls: (N, K, 3) in and out.
         weights: (N,) in and out, the curvature of each channel.
     """
-    n, coefficients = len(order), (degree + 1) ** 2
-    for part in numba.prange((n + BLOCK - 1) // BLOCK):
-        basis = np.empty(25, np.float64)
-        for place in range(part * BLOCK, min(n, (part + 1) * BLOCK)):
-            i = order[place]
-            dx = np.float64(means[i, 0]) - position[0]
-            dy = np.float64(means[i, 1]) - position[1]
-            dz = np.float64(means[i, 2]) - position[2]
-            length = math.sqrt(dx * dx + dy * dy + dz * dz)
-            sh_basis(dx / length, dy / length, dz / length, degree, basis)
-            weights[i] += totals[i, 3]
-            for k in range(coefficients):
-                for c in range(3):
-                    pull = totals[i, c]
-                    if features[i, c] > 0.0 or pull > 0.0:
-                        pulls[i, k, c] += basis[k] * pull
+    coefficients = (degree + 1) ** 2
+    basis = np.empty(25, np.float64)
+    for place in range(start, stop):
+        i = order[place]
+        dx = np.float64(means[i, 0]) - position[0]
+        dy = np.float64(means[i, 1]) - position[1]
+        dz = np.float64(means[i, 2]) - position[2]
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        sh_basis(dx / length, dy / length, dz / length, degree, basis)
+        weights[i] += totals[i, 3]
+        for k in range(coefficients):
+            for c in range(3):
+                pull = totals[i, c]
+                if features[i, c] > 0.0 or pull > 0.0:
+                    pulls[i, k, c] += basis[k] * pull
 
 
 @inline
@@ -275,13 +279,22 @@ def _shorten(limits: F64, step: F64) -> None:
         step[a] /= excess
 
 
-@parallel_kernel
+@parallel_kernel("pulls")
 def damped_steps(
-    pulls: F64, blocks: F64, damping: float, floor: float, limits: F64, steps: F64
+    start: int,
+    stop: int,
+    pulls: F64,
+    blocks: F64,
+    damping: float,
+    floor: float,
+    limits: F64,
+    steps: F64,
 ) -> None:
     """Solve each splat's ten equations (Levenberg and Marquardt) and hold the step to its limits.
 
     Args:
+        start: First splat of the range.
+        stop: The splat after its last.
         pulls: (N, 10).
         blocks: (N, 55) lower triangles.
         damping: Share of the diagonal added to it.
@@ -290,17 +303,15 @@ def damped_steps(
         limits: (10,) largest steps; 0 freezes a parameter.
         steps: (N, 10) out; 0 for splats without curvature.
     """
-    n = len(pulls)
-    for part in numba.prange((n + BLOCK - 1) // BLOCK):
-        lower = np.zeros((SHAPE, SHAPE))
-        for i in range(part * BLOCK, min(n, (part + 1) * BLOCK)):
-            largest = 0.0
-            for a in range(SHAPE):
-                largest = max(largest, blocks[i, a * (a + 3) // 2])
-                steps[i, a] = pulls[i, a] if limits[a] > 0.0 else 0.0
-            if largest > 0.0:
-                _factorise(blocks[i], damping, floor * largest, limits, lower)
-                _substitute(lower, steps[i])
-                _shorten(limits, steps[i])
-            else:
-                steps[i] = 0.0
+    lower = np.zeros((SHAPE, SHAPE))
+    for i in range(start, stop):
+        largest = 0.0
+        for a in range(SHAPE):
+            largest = max(largest, blocks[i, a * (a + 3) // 2])
+            steps[i, a] = pulls[i, a] if limits[a] > 0.0 else 0.0
+        if largest > 0.0:
+            _factorise(blocks[i], damping, floor * largest, limits, lower)
+            _substitute(lower, steps[i])
+            _shorten(limits, steps[i])
+        else:
+            steps[i] = 0.0

@@ -2,7 +2,6 @@
 
 import math
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I32
@@ -65,8 +64,9 @@ def _expected_log_mixture(
     return total / len(normals)
 
 
-@parallel_kernel
+@parallel_kernel("pairs")
 def published_costs(
+    start: int, stop: int,
     pairs: I32, means: F64, scales: F32, quats: F32, log_masses: F64,
     features: F32, rows: I32, seconds: I32, shares: F64,
     normals: F64, jitter: float, lambda_geo: float, lambda_app: float, out: F32,
@@ -77,7 +77,7 @@ def published_costs(
     features: (F, C), rows, seconds and shares: see `mixed.py`; normals: (S, 3)
     standard normal draws; jitter: added to every variance, squared scene units; out: (E,).
     """
-    for edge in numba.prange(len(pairs)):
+    for edge in range(start, stop):
         i, j = pairs[edge, 0], pairs[edge, 1]
         ri = rotation_matrix(quats[i])
         rj = rotation_matrix(quats[j])

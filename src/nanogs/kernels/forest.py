@@ -6,7 +6,6 @@ geometry; Ward, "Hierarchical grouping to optimize an objective function", 1963 
 
 import math
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I32, Bool
@@ -24,15 +23,16 @@ def _determinant(s: Symmetric3) -> float:
     )  # fmt: skip
 
 
-@parallel_kernel
-def log_determinants(covariances: F64, out: F64) -> None:
+@parallel_kernel("covariances")
+def log_determinants(start: int, stop: int, covariances: F64, out: F64) -> None:
     """Log |Sigma| of every covariance. covariances: (N, 6); out: (N,)."""
-    for i in numba.prange(len(covariances)):
+    for i in range(start, stop):
         out[i] = math.log(_determinant(symmetric(covariances, i)))
 
 
-@parallel_kernel
+@parallel_kernel("pairs")
 def merge_increments(
+    start: int, stop: int,
     pairs: I32, weights: F64, means: F64, covariances: F64, log_dets: F64,
     features: F32, rows: I32, seconds: I32, shares: F64, out: F32,
 ) -> None:  # fmt: skip
@@ -44,7 +44,7 @@ def merge_increments(
     pairs: (E, 2); weights: (N,) above 0; means: (N, 3); covariances: (N, 6); log_dets: (N,);
     features, rows, seconds and shares: see `mixed.py`; out: (E, 2), colour and geometry.
     """
-    for edge in numba.prange(len(pairs)):
+    for edge in range(start, stop):
         i, j = pairs[edge, 0], pairs[edge, 1]
         total = weights[i] + weights[j]
         pi = weights[i] / total

@@ -8,13 +8,12 @@ The number D of dimensions is a multiple of three, as there are three channels.
 
 import math
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, I32, I64
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 
-_ROWS = 64  # points a task takes at a time
+_ROWS = 64  # points that are worth a range of their own
 TWO = np.float32(2)
 
 
@@ -35,8 +34,10 @@ def _distances(point: F32, columns: F32, squares: F32, start: int, stop: int, ou
             out[c] -= x * first[c] + y * second[c] + z * third[c]
 
 
-@parallel_kernel
-def nearest_cells(points: F32, columns: F32, squares: F32, cells: I32) -> None:
+@parallel_kernel("points", least=_ROWS)
+def nearest_cells(
+    start: int, stop: int, points: F32, columns: F32, squares: F32, cells: I32
+) -> None:
     """The nearest centres of each point, the nearest first.
 
     points: (N, D); columns: (D, C) the centres; squares: (C,) their squared lengths; cells:
@@ -44,26 +45,26 @@ def nearest_cells(points: F32, columns: F32, squares: F32, cells: I32) -> None:
     """
     count = columns.shape[1]
     wanted = cells.shape[1]
-    for task in numba.prange((len(points) + _ROWS - 1) // _ROWS):
-        distances = np.empty(count, np.float32)
-        kept = np.empty(wanted, np.float32)
-        for i in range(task * _ROWS, min(len(points), (task + 1) * _ROWS)):
-            _distances(points[i], columns, squares, 0, count, distances)
-            kept[:] = math.inf
-            cells[i, :] = 0
-            for c in range(count):
-                if distances[c] < kept[wanted - 1]:
-                    place = wanted - 1
-                    while place > 0 and distances[c] < kept[place - 1]:
-                        kept[place] = kept[place - 1]
-                        cells[i, place] = cells[i, place - 1]
-                        place -= 1
-                    kept[place] = distances[c]
-                    cells[i, place] = c
+    distances = np.empty(count, np.float32)
+    kept = np.empty(wanted, np.float32)
+    for i in range(start, stop):
+        _distances(points[i], columns, squares, 0, count, distances)
+        kept[:] = math.inf
+        cells[i, :] = 0
+        for c in range(count):
+            if distances[c] < kept[wanted - 1]:
+                place = wanted - 1
+                while place > 0 and distances[c] < kept[place - 1]:
+                    kept[place] = kept[place - 1]
+                    cells[i, place] = cells[i, place - 1]
+                    place -= 1
+                kept[place] = distances[c]
+                cells[i, place] = c
 
 
-@parallel_kernel
+@parallel_kernel("points", least=_ROWS)
 def nearest_entries(
+    start: int, stop: int,
     points: F32, cells: I32, probes: int, starts: I64, columns: F32, squares: F32, labels: I32,
     errors: F32,
 ) -> None:  # fmt: skip
@@ -74,24 +75,23 @@ def nearest_entries(
     (N,) out; errors: (N,) out, squared distances.
     """
     widest = np.max(starts[1:] - starts[:-1])
-    for task in numba.prange((len(points) + _ROWS - 1) // _ROWS):
-        distances = np.empty(widest, np.float32)
-        for i in range(task * _ROWS, min(len(points), (task + 1) * _ROWS)):
-            least, chosen = np.float32(math.inf), 0
-            for probe in range(probes):
-                start, stop = starts[cells[i, probe]], starts[cells[i, probe] + 1]
-                _distances(points[i], columns, squares, start, stop, distances)
-                for c in range(stop - start):
-                    entry = start + c
-                    nearer = distances[c] < least or (distances[c] == least and entry < chosen)
-                    if nearer:
-                        least, chosen = distances[c], entry
-            labels[i] = chosen
-            total = np.float32(0)
-            for d in range(points.shape[1]):
-                step = points[i, d] - columns[d, chosen]
-                total += step * step
-            errors[i] = total
+    distances = np.empty(widest, np.float32)
+    for i in range(start, stop):
+        least, chosen = np.float32(math.inf), 0
+        for probe in range(probes):
+            first, end = starts[cells[i, probe]], starts[cells[i, probe] + 1]
+            _distances(points[i], columns, squares, first, end, distances)
+            for c in range(end - first):
+                entry = first + c
+                nearer = distances[c] < least or (distances[c] == least and entry < chosen)
+                if nearer:
+                    least, chosen = distances[c], entry
+        labels[i] = chosen
+        total = np.float32(0)
+        for d in range(points.shape[1]):
+            step = points[i, d] - columns[d, chosen]
+            total += step * step
+        errors[i] = total
 
 
 @kernel
@@ -111,9 +111,16 @@ def group(labels: I32, starts: I64, order: I64) -> None:
         places[labels[i]] += 1
 
 
-@parallel_kernel
+@parallel_kernel("squares", least=_ROWS)
 def weighted_means(
-    points: F32, weights: F32, starts: I64, order: I64, columns: F32, squares: F32
+    start: int,
+    stop: int,
+    points: F32,
+    weights: F32,
+    starts: I64,
+    order: I64,
+    columns: F32,
+    squares: F32,
 ) -> None:
     """Move each centre to the mean of its points; one without points stays.
 
@@ -121,7 +128,7 @@ def weighted_means(
     squares: (K,) out.
     """
     dimensions = points.shape[1]
-    for k in numba.prange(len(squares)):
+    for k in range(start, stop):
         if starts[k + 1] > starts[k]:
             total = 0.0
             sums = np.zeros(dimensions)

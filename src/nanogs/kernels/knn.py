@@ -9,7 +9,6 @@ boxes are measured with the same operations as points, each of which rounds mono
 box or a key rules out is farther, rounding included.
 """
 
-import numba
 import numpy as np
 
 from nanogs._types import F64, I32, I64, Bool
@@ -19,7 +18,6 @@ from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
 _FAR = 0x7FF00000  # the key of infinity
 _CLOSED = -1  # bound of a query that needs nothing: below every key
 _NOTES = 512  # candidates noted before the nearest of them are selected
-_CHUNK = 64  # leaves that share their scratch memory
 _DEEPEST = 64  # nodes that can wait on the way down a tree of 2^31 points: one a level, and a few
 
 
@@ -169,12 +167,15 @@ def _write(found: I32, at: int, rows: I32, out: I32, row: int) -> None:
         out[row, place] = rows[found[at + place]]
 
 
-@exact_inline
-def _search_chunk(
-    first_leaf: int, last_leaf: int, leaves: int,
-    points: F64, rows: I32, boxes: F64, out: I32, crowded: Bool,
-) -> None:  # fmt: skip
-    """Search for the points of some leaves."""
+@exact_parallel_kernel("rows", least=64 * LANES)
+def search_tree(
+    start: int, stop: int, points: F64, rows: I32, boxes: F64, out: I32, crowded: Bool
+) -> None:
+    """The k points nearest to every point, by (squared distance, row), itself left out.
+
+    points: (3 N,), rows: (N,) and boxes: (nodes, 6) from `build_tree`; out: (N, k) rows, nearest
+    first, k < N; crowded: (N,), whether a row has k others at distance zero: its `out` stays empty.
+    """
     n, k = out.shape
     room = 2 * k + 32
     queries = np.empty(3 * LANES)
@@ -189,7 +190,8 @@ def _search_chunk(
     stack = np.empty(3 * _DEEPEST, dtype=np.int64)
     gaps = np.empty(_DEEPEST)
     gap_bits = gaps.view(np.int64)
-    for leaf in range(first_leaf, last_leaf):
+    leaves = (n + LANES - 1) // LANES
+    for leaf in range((start + LANES - 1) // LANES, (stop + LANES - 1) // LANES):
         begin = leaf * LANES
         lanes = _load_queries(leaf, points, rows, queries, lists, counts)
         waiting = _path_to(leaf, leaves, boxes, stack, gaps)
@@ -211,8 +213,7 @@ def _search_chunk(
                     noted, keys, notes, lists, k, begin, found, counts, points, rows, full, ids
                 )
                 notes = 0
-            start = first * LANES
-            for p in range(start, min(n, start + LANES)):
+            for p in range(first * LANES, min(n, last * LANES)):
                 at = notes * LANES
                 distance_keys(queries, points[p], points[n + p], points[2 * n + p], keys, at)
                 if node == home:
@@ -229,16 +230,3 @@ def _search_chunk(
                 at, query = lane * room, begin + lane
                 _keep_nearest(found, at, counts[lane], k, query, points, rows, full, ids)
                 _write(found, at, rows, out, rows[query])
-
-
-@exact_parallel_kernel
-def search_tree(points: F64, rows: I32, boxes: F64, out: I32, crowded: Bool) -> None:
-    """The k points nearest to every point, by (squared distance, row), itself left out.
-
-    points: (3 N,), rows: (N,) and boxes: (nodes, 6) from `build_tree`; out: (N, k) rows, nearest
-    first, k < N; crowded: (N,), whether a row has k others at distance zero: its `out` stays empty.
-    """
-    leaves = (len(rows) + LANES - 1) // LANES
-    for chunk in numba.prange((leaves + _CHUNK - 1) // _CHUNK):
-        last = min(leaves, (chunk + 1) * _CHUNK)
-        _search_chunk(chunk * _CHUNK, last, leaves, points, rows, boxes, out, crowded)

@@ -6,12 +6,11 @@ points [16 l, 16 l + 16) of the reordered arrays. Every node has the tight box o
 that a few points far away cost only the nodes that hold them.
 """
 
-import numba
 import numpy as np
 
-from nanogs._types import F64, I32
+from nanogs._types import F64, I32, I64
 from nanogs.kernels.lanes import LANES
-from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
+from nanogs.kernels.policy import exact_inline, exact_kernel, exact_parallel_kernel
 
 _SAMPLE = 31  # points of which a pivot is chosen where many are split
 
@@ -145,7 +144,27 @@ def _split_all(points: F64, rows: I32, boxes: F64, node: int, first: int, last: 
             waiting += 1
 
 
-@exact_parallel_kernel
+@exact_kernel
+def _split_top(points: F64, rows: I32, boxes: F64, top: int) -> None:
+    """Split the nodes of the first levels, one after the other."""
+    leaves = (len(rows) + LANES - 1) // LANES
+    sample = np.empty(_SAMPLE)
+    for node in range(1, 1 << top):
+        first, last = _leaves_below(node, leaves)
+        if last > first:
+            _split(points, rows, boxes, node, first, last, sample)
+
+
+@exact_parallel_kernel("nodes", least=1)
+def _split_below(start: int, stop: int, points: F64, rows: I32, boxes: F64, nodes: I64) -> None:
+    """Split some nodes of one level and all nodes below them."""
+    leaves = (len(rows) + LANES - 1) // LANES
+    for place in range(start, stop):
+        first, last = _leaves_below(nodes[place], leaves)
+        if last > first:
+            _split_all(points, rows, boxes, nodes[place], first, last)
+
+
 def build_tree(points: F64, rows: I32, boxes: F64, top: int) -> None:
     """Sort points into leaves; fill the boxes of all nodes.
 
@@ -153,13 +172,5 @@ def build_tree(points: F64, rows: I32, boxes: F64, top: int) -> None:
     (nodes, 6) lowest x, y, z and highest x, y, z, filled; top: levels split one node after the
     other, before the 2^top subtrees below them are split in parallel. It changes no result.
     """
-    leaves = (len(rows) + LANES - 1) // LANES
-    sample = np.empty(_SAMPLE)
-    for node in range(1, 1 << top):
-        first, last = _leaves_below(node, leaves)
-        if last > first:
-            _split(points, rows, boxes, node, first, last, sample)
-    for node in numba.prange(1 << top, 2 << top):
-        first, last = _leaves_below(node, leaves)
-        if last > first:
-            _split_all(points, rows, boxes, node, first, last)
+    _split_top(points, rows, boxes, top)
+    _split_below(points, rows, boxes, np.arange(1 << top, 2 << top))

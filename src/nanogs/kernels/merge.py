@@ -2,8 +2,6 @@
 
 import math
 
-import numba
-
 from nanogs._types import F32, F64, I32, I64
 from nanogs.kernels.mass import mass_fraction
 from nanogs.kernels.policy import parallel_kernel
@@ -11,8 +9,9 @@ from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
 from nanogs.kernels.symmetric3 import covariance, eigen, mix
 
 
-@parallel_kernel
+@parallel_kernel("pairs")
 def merge_pairs(
+    start: int, stop: int,
     pairs: I32, rows: I64, log_masses: F64,
     means: F64, scales: F32, quats: F32, opacities: F64,
     new_means: F64, new_scales: F32, new_quats: F32, new_opacities: F64, shares: F64,
@@ -23,7 +22,7 @@ def merge_pairs(
     (N,); means, scales: (N, 3); quats: (N, 4) wxyz unit; opacities: (N,); shares: (M, 2), filled
     at `rows`: the weights of both in the mean of their features.
     """
-    for p in numba.prange(len(pairs)):
+    for p in range(start, stop):
         i, j, row = pairs[p, 0], pairs[p, 1], rows[p]
         wi = mass_fraction(log_masses[i], log_masses[j])
         wj = 1.0 - wi

@@ -7,7 +7,6 @@ Throughout, features: (F, C); rows: (N,) row of each of N splats; seconds: (N,) 
 or (0,) where they have one alone; shares: (N, 2) weights of both, or (0, 2).
 """
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I32
@@ -25,8 +24,9 @@ def feature(
     return np.float32(shares[splat, 0] * first + shares[splat, 1] * second)
 
 
-@parallel_kernel
+@parallel_kernel("out")
 def mean_features(
+    start: int, stop: int,
     features: F32, rows: I32, seconds: I32, shares: F64,
     firsts: I32, others: I32, weights: F64, out: F32,
 ) -> None:  # fmt: skip
@@ -34,7 +34,7 @@ def mean_features(
 
     firsts, others: (M,) the splats; weights: (M, 2); out: (M, C).
     """
-    for i in numba.prange(len(out)):
+    for i in range(start, stop):
         for c in range(features.shape[1]):
             first = feature(features, rows, seconds, shares, firsts[i], c)
             other = feature(features, rows, seconds, shares, others[i], c)

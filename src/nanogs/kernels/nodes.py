@@ -5,7 +5,6 @@ A covariance is a row of six float64 in the order xx, xy, xz, yy, yz, zz.
 
 import math
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64
@@ -24,13 +23,15 @@ def symmetric(covariances: F64, row: int) -> Symmetric3:
     )  # fmt: skip
 
 
-@parallel_kernel
-def covariances_of(scales: F32, quats: F32, flattest: float, least: float, out: F64) -> None:
+@parallel_kernel("scales")
+def covariances_of(
+    start: int, stop: int, scales: F32, quats: F32, flattest: float, least: float, out: F64
+) -> None:
     """R diag(s²) Rᵀ, no axis thinner than `flattest` times the longest, nor than `least`.
 
     scales: (N, 3) and least: scene units; quats: (N, 4) wxyz unit; out: (N, 6).
     """
-    for i in numba.prange(len(scales)):
+    for i in range(start, stop):
         x, y, z = row3(scales, i)
         floor = max(flattest * max(x, y, z), least)
         x, y, z = max(x, floor), max(y, floor), max(z, floor)
@@ -68,8 +69,9 @@ def heaviest_members(labels: I32, weights: F64, members: I64) -> None:
             members[labels[row]] = row
 
 
-@parallel_kernel
+@parallel_kernel("new_weights")
 def gather_moments(
+    start: int, stop: int,
     starts: I64, members: I32,
     weights: F64, coverages: F64, means: F64, covariances: F64,
     features: F32, rows: I32, seconds: I32, shares: F64,
@@ -83,7 +85,7 @@ def gather_moments(
     the new ones have G rows.
     """
     channels = features.shape[1]
-    for group in numba.prange(len(starts) - 1):
+    for group in range(start, stop):
         first, end = starts[group], starts[group + 1]
         anchor = members[first]
         total = covered = x = y = z = 0.0
@@ -122,13 +124,13 @@ def gather_moments(
             new_features[group, c] = colour[c]
 
 
-@parallel_kernel
-def principal_axes(covariances: F64, scales: F32, quats: F32) -> None:
+@parallel_kernel("covariances")
+def principal_axes(start: int, stop: int, covariances: F64, scales: F32, quats: F32) -> None:
     """Standard deviations and rotation of every covariance.
 
     covariances: (N, 6); scales: (N, 3) out, scene units; quats: (N, 4) out, wxyz unit.
     """
-    for i in numba.prange(len(covariances)):
+    for i in range(start, stop):
         variances, axes = eigen(symmetric(covariances, i))
         q = unit_quaternion(axes)
         for axis in range(3):

@@ -1,6 +1,5 @@
 """From neighbour lists to candidate pairs, and from costs to a matching."""
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, I32, I64, U64, Bool
@@ -17,22 +16,23 @@ def _lists(neighbours: I32, row: int, value: int) -> bool:
     return hits != 0
 
 
-@parallel_kernel
-def count_pairs(neighbours: I32, starts: I64) -> None:
-    """Find where the pairs of each row start; a pair belongs to its smaller row.
-
-    neighbours: (N, k), those marked by their complement that are the smaller row and do not have
-    this row among their own; starts: (N + 1,), filled, the last is the number of pairs.
-    """
-    n, k = neighbours.shape
-    for i in numba.prange(n):
+@parallel_kernel("neighbours")
+def _count_larger(start: int, stop: int, neighbours: I32, starts: I64) -> None:
+    """How many of each row's neighbours are larger; marks those of `count_pairs`."""
+    for i in range(start, stop):
         larger = 0
-        for place in range(k):
+        for place in range(neighbours.shape[1]):
             j = neighbours[i, place]
             larger += i < j
             if j < i and not _lists(neighbours, j, i):
                 neighbours[i, place] = ~j
         starts[i + 1] = larger
+
+
+@kernel
+def _add_marked(neighbours: I32, starts: I64) -> None:
+    """Add the pairs that only their larger row lists, and sum up."""
+    n, k = neighbours.shape
     for i in range(n):
         for place in range(k):
             if neighbours[i, place] < 0:
@@ -42,13 +42,19 @@ def count_pairs(neighbours: I32, starts: I64) -> None:
         starts[i + 1] += starts[i]
 
 
-@parallel_kernel
-def fill_seconds(neighbours: I32, starts: I64, nexts: I64, seconds: I32) -> None:
-    """The larger row of each unordered pair of the union of both directions, ascending.
+def count_pairs(neighbours: I32, starts: I64) -> None:
+    """Find where the pairs of each row start; a pair belongs to its smaller row.
 
-    neighbours, starts: from `count_pairs`; nexts: (N,) a copy of the starts, changed; seconds:
-    (E,), filled: those of row i from starts[i] to starts[i + 1].
+    neighbours: (N, k), those marked by their complement that are the smaller row and do not have
+    this row among their own; starts: (N + 1,), filled, the last is the number of pairs.
     """
+    _count_larger(neighbours, starts)
+    _add_marked(neighbours, starts)
+
+
+@kernel
+def _fill_marked(neighbours: I32, nexts: I64, seconds: I32) -> None:
+    """The pairs that only their larger row lists."""
     n, k = neighbours.shape
     for i in range(n):  # the rows i ascend, and so do those given to each j
         for place in range(k):
@@ -56,9 +62,16 @@ def fill_seconds(neighbours: I32, starts: I64, nexts: I64, seconds: I32) -> None
                 j = ~neighbours[i, place]
                 seconds[nexts[j]] = i
                 nexts[j] += 1
-    for i in numba.prange(n):
+
+
+@parallel_kernel("neighbours")
+def _fill_larger(
+    start: int, stop: int, neighbours: I32, starts: I64, nexts: I64, seconds: I32
+) -> None:
+    """The other pairs, sorted in among those of their row."""
+    for i in range(start, stop):
         count = nexts[i]
-        for place in range(k):
+        for place in range(neighbours.shape[1]):
             j = neighbours[i, place]
             if i < j:
                 hole = count
@@ -69,10 +82,20 @@ def fill_seconds(neighbours: I32, starts: I64, nexts: I64, seconds: I32) -> None
                 count += 1
 
 
-@parallel_kernel
-def fill_firsts(starts: I64, firsts: I32) -> None:
+def fill_seconds(neighbours: I32, starts: I64, nexts: I64, seconds: I32) -> None:
+    """The larger row of each unordered pair of the union of both directions, ascending.
+
+    neighbours, starts: from `count_pairs`; nexts: (N,) a copy of the starts, changed; seconds:
+    (E,), filled: those of row i from starts[i] to starts[i + 1].
+    """
+    _fill_marked(neighbours, nexts, seconds)
+    _fill_larger(neighbours, starts, nexts, seconds)
+
+
+@parallel_kernel("starts")
+def fill_firsts(start: int, stop: int, starts: I64, firsts: I32) -> None:
     """The smaller row of each pair. starts: (N + 1,) from `count_pairs`; firsts: (E,), filled."""
-    for i in numba.prange(len(starts) - 1):
+    for i in range(start, min(stop, len(starts) - 1)):
         for pair in range(starts[i], starts[i + 1]):
             firsts[pair] = i
 

@@ -6,49 +6,80 @@ that they also run with `NUMBA_DISABLE_JIT=1`.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numba
 from numba.core import event
 
+from nanogs import spread
 from nanogs.kernels.compiling import tell
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+P = ParamSpec("P")
+Ranged = Callable[Concatenate[int, int, P], None]
 
 FASTMATH = {"nsz", "arcp", "contract", "reassoc"}
+# Numba wraps a function for callers in Python and in C: what is not called from there goes
+# without, which is quicker to compile.
+CALLED: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}
+INLINE = CALLED | {"forceinline": True, "no_cpython_wrapper": True}
 
 
 def kernel(function: Kernel) -> Kernel:
     """Compile a serial kernel, cached on disk."""
-    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-    return cast("Kernel", numba.njit(function, fastmath=FASTMATH, **options))
+    return cast("Kernel", numba.njit(function, fastmath=FASTMATH, **CALLED))
 
 
-def parallel_kernel(function: Kernel) -> Kernel:
-    """Compile a kernel whose `numba.prange` loops run on all threads, cached on disk.
+def exact_kernel(function: Kernel) -> Kernel:
+    """Compile a serial kernel whose floating-point operations are those written, as in IEEE."""
+    return cast("Kernel", numba.njit(function, **CALLED))
 
-    Each iteration must write to places of its own: results then do not depend on the thread count.
+
+def parallel_kernel(
+    over: str, least: int = 1024, each: int = 8
+) -> Callable[[Ranged[P]], Callable[P, None]]:
+    """Compile a kernel whose ranges run on all threads, cached on disk.
+
+    It takes the range [start, stop) first, which its callers leave to `nanogs.spread`. What it
+    does for one number of the range must not touch what it does for another: results then do not
+    depend on the thread count.
+
+    Args:
+        over: The argument that the range numbers the rows of.
+        least: Numbers that are worth a range of their own.
+        each: Ranges for each thread, so that none waits long for the others.
     """
-    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-    return cast("Kernel", numba.njit(function, parallel=True, fastmath=FASTMATH, **options))
+
+    def compiled(function: Ranged[P]) -> Callable[P, None]:
+        return spread.Spread(function, kernel(function), over, least, each)
+
+    return compiled
+
+
+def exact_parallel_kernel(
+    over: str, least: int = 1024, each: int = 8
+) -> Callable[[Ranged[P]], Callable[P, None]]:
+    """As `parallel_kernel`; its floating-point operations are those written, as in IEEE."""
+
+    def compiled(function: Ranged[P]) -> Callable[P, None]:
+        return spread.Spread(function, exact_kernel(function), over, least, each)
+
+    return compiled
 
 
 def inline(function: Kernel) -> Kernel:
     """Compile a small function that LLVM is to inline into the kernels that call it."""
-    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-    return cast("Kernel", numba.njit(function, fastmath=FASTMATH, forceinline=True, **options))
-
-
-def exact_parallel_kernel(function: Kernel) -> Kernel:
-    """Compile a parallel kernel whose floating-point operations are those written, as in IEEE."""
-    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-    return cast("Kernel", numba.njit(function, parallel=True, **options))
+    return cast("Kernel", numba.njit(function, fastmath=FASTMATH, **INLINE))
 
 
 def exact_inline(function: Kernel) -> Kernel:
-    """Compile a small function to be inlined, without any liberty: for `exact_parallel_kernel`."""
-    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-    return cast("Kernel", numba.njit(function, forceinline=True, **options))
+    """Compile a small function to be inlined, without any liberty: for the exact kernels."""
+    return cast("Kernel", numba.njit(function, **INLINE))
 
 
 class _Listener(event.Listener):

@@ -20,7 +20,6 @@ needle, where the usual a dx² + 2 b dx dy + c dy² cancels.
 
 import math
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I64, Bool, F
@@ -31,7 +30,6 @@ DILATION = 0.3  # pixels², added to both variances on screen ([K]'s rasteriser)
 GUARD = 1.3  # x/z and y/z in the Jacobian stay within this many half fields of view
 MIN_ALPHA = 1.0 / 255.0
 SLACK = 1e-4  # widens bounds only, so that rounding never loses a pixel: alpha is tested exactly
-BLOCK = 2048  # splats that share one scratch buffer
 TILE = 16  # pixels along each side of a tile
 HIDDEN = 0  # stands for the tiles of a splat that reaches no pixel
 LARGEST = 32767 * TILE  # pixels along a side of an image: a box of tiles is packed into 64 bits
@@ -111,8 +109,10 @@ def unpack_box(box: int) -> tuple[int, int, int, int]:
     return box & 0xFFFF, (box >> 16) & 0xFFFF, (box >> 32) & 0xFFFF, box >> 48
 
 
-@parallel_kernel
+@parallel_kernel("means")
 def project_splats(
+    start: int,
+    stop: int,
     means: F,
     factors: F32,
     opacities: F32,
@@ -130,6 +130,8 @@ def project_splats(
     """Project N splats and evaluate their colour.
 
     Args:
+        start: First splat of the range.
+        stop: The splat after its last.
         means: (N, 3), scene units.
         factors: (N, 3, 3), R diag(s), scene units.
         opacities: (N,) in [0, 1].
@@ -145,43 +147,41 @@ def project_splats(
         boxes: (N,) out, the tiles around the pixels it can reach, see `unpack_box`; HIDDEN for one
             that can reach none, whose rows of the other outputs are junk.
     """
-    n = len(means)
     coefficients = (degree + 1) ** 2
-    for block in numba.prange((n + BLOCK - 1) // BLOCK):
-        basis = np.empty(25, np.float64)
-        point = np.empty(3, np.float64)
-        for i in range(block * BLOCK, min(n, (block + 1) * BLOCK)):
-            boxes[i] = HIDDEN
-            if not keep[i]:
-                continue
-            # Subtracted in double precision: scenes in map coordinates lie far from the origin.
-            dx = np.float64(means[i, 0]) - position[0]
-            dy = np.float64(means[i, 1]) - position[1]
-            dz = np.float64(means[i, 2]) - position[2]
-            for k in range(3):
-                point[k] = rotation[k, 0] * dx + rotation[k, 1] * dy + rotation[k, 2] * dz
-            if not point[2] > lens[6]:
-                continue
-            row = geometry[i]
-            ratio = _project_gaussian(factors[i], point, rotation, lens, row)
-            opacity = np.float64(opacities[i])
-            if mip:
-                opacity *= math.sqrt(max(0.0, ratio))
-            if not opacity >= MIN_ALPHA:
-                continue
-            row[5] = 2.0 * math.log(255.0 * opacity) + SLACK
-            row[6] = opacity
-            boxes[i] = _tile_box(row, lens[4], lens[5])
-            if boxes[i] == HIDDEN:
-                continue
-            length = math.sqrt(dx * dx + dy * dy + dz * dz)
-            sh_basis(dx / length, dy / length, dz / length, degree, basis)
-            red = green = blue = 0.5
-            for k in range(coefficients):
-                red += basis[k] * sh[i, k, 0]
-                green += basis[k] * sh[i, k, 1]
-                blue += basis[k] * sh[i, k, 2]
-            features[i, 0] = max(red, 0.0)
-            features[i, 1] = max(green, 0.0)
-            features[i, 2] = max(blue, 0.0)
-            features[i, 3] = point[2]
+    basis = np.empty(25, np.float64)
+    point = np.empty(3, np.float64)
+    for i in range(start, stop):
+        boxes[i] = HIDDEN
+        if not keep[i]:
+            continue
+        # Subtracted in double precision: scenes in map coordinates lie far from the origin.
+        dx = np.float64(means[i, 0]) - position[0]
+        dy = np.float64(means[i, 1]) - position[1]
+        dz = np.float64(means[i, 2]) - position[2]
+        for k in range(3):
+            point[k] = rotation[k, 0] * dx + rotation[k, 1] * dy + rotation[k, 2] * dz
+        if not point[2] > lens[6]:
+            continue
+        row = geometry[i]
+        ratio = _project_gaussian(factors[i], point, rotation, lens, row)
+        opacity = np.float64(opacities[i])
+        if mip:
+            opacity *= math.sqrt(max(0.0, ratio))
+        if not opacity >= MIN_ALPHA:
+            continue
+        row[5] = 2.0 * math.log(255.0 * opacity) + SLACK
+        row[6] = opacity
+        boxes[i] = _tile_box(row, lens[4], lens[5])
+        if boxes[i] == HIDDEN:
+            continue
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        sh_basis(dx / length, dy / length, dz / length, degree, basis)
+        red = green = blue = 0.5
+        for k in range(coefficients):
+            red += basis[k] * sh[i, k, 0]
+            green += basis[k] * sh[i, k, 1]
+            blue += basis[k] * sh[i, k, 2]
+        features[i, 0] = max(red, 0.0)
+        features[i, 1] = max(green, 0.0)
+        features[i, 2] = max(blue, 0.0)
+        features[i, 3] = point[2]

@@ -5,30 +5,17 @@ Source: Kerbl, Kopanas, Leimkühler, Drettakis, "3D Gaussian Splatting", 2023 [K
 """
 
 import math
-from typing import TypeAlias
 
-import numba
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U64
+from nanogs.kernels.pixels import PIXELS, add_products, add_scaled, blend_pixels
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
-from nanogs.kernels.project import HIDDEN, MIN_ALPHA, TILE, unpack_box
+from nanogs.kernels.project import HIDDEN, TILE, unpack_box
 
-Single: TypeAlias = np.float32
-
-MAX_ALPHA = 0.99
-MIN_TRANSMITTANCE = 1e-4
 CHUNKS = 16  # runs of the depth order listed independently; fixed, so that threads do not matter
 SMALL = 2  # tiles along a side of a box that is listed whole: what lies beside it draws nothing
 BATCH = 16  # splats fetched at a time, and between two looks at whether a tile is full
-STRIDE = 61  # consecutive tiles go to different threads: one half of an image is often empty
-
-# exp(x) = P(x/16)^16 on [-6, 0]: least squares over P(0) = 1, relative error below 2e-6.
-P1 = np.float32(0.999999749030319)
-P2 = np.float32(0.4999909362769371)
-P3 = np.float32(0.1665583204458221)
-P4 = np.float32(0.041092303836772995)
-P5 = np.float32(0.006918978553628526)
 
 
 @inline
@@ -81,25 +68,54 @@ def depth_keys(features: F32, boxes: I64, keys: U64) -> int:
 
 @inline
 def _walk(
-    geometry: F64, boxes: I64, run: I64, width: int, height: int, cursors: I64, entries: I32
+    geometry: F64, boxes: I64, index: int, width: int, height: int, cursors: I64, entries: I32
 ) -> None:
-    """Move each tile's cursor past a run of the depth order; write the splats if there is room."""
+    """Move the cursor of each tile that a splat meets; write the splat if there is room."""
     tiles_x = (width + TILE - 1) // TILE
-    for index in run:
-        left, top, across, down = unpack_box(boxes[index])
-        small = across <= SMALL and down <= SMALL
-        lowest = 0.0 if small else _lowest(geometry, index)
-        for ty in range(top, top + down):
-            first, end = left, left + across
-            if not small:
-                first, end = _tile_span(geometry, index, lowest, ty, width, height)
-            for tile in range(ty * tiles_x + first, ty * tiles_x + end):
-                if len(entries) > 0:
-                    entries[cursors[tile]] = index
-                cursors[tile] += 1
+    left, top, across, down = unpack_box(boxes[index])
+    small = across <= SMALL and down <= SMALL
+    lowest = 0.0 if small else _lowest(geometry, index)
+    for ty in range(top, top + down):
+        first, end = left, left + across
+        if not small:
+            first, end = _tile_span(geometry, index, lowest, ty, width, height)
+        for tile in range(ty * tiles_x + first, ty * tiles_x + end):
+            if len(entries) > 0:
+                entries[cursors[tile]] = index
+            cursors[tile] += 1
 
 
-@parallel_kernel
+@parallel_kernel("cursors", least=1)
+def walk_order(
+    start: int,
+    stop: int,
+    geometry: F64,
+    boxes: I64,
+    order: I64,
+    width: int,
+    height: int,
+    cursors: I64,
+    entries: I32,
+) -> None:
+    """Move each tile's cursors past the runs of the depth order; write the splats if there is room.
+
+    Args:
+        start: First run of the range.
+        stop: The run after its last.
+        geometry: (N, 8) rows of projected splats.
+        boxes: (N,) the tiles around each, from `project_splats`.
+        order: (M,) indices of the drawn splats, nearest first.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        cursors: (runs, T) in and out, one for each run of the order and tile.
+        entries: (E,) out, or (0,) where only the cursors are wanted.
+    """
+    size = (len(order) + len(cursors) - 1) // len(cursors)
+    for run in range(start, stop):
+        for index in order[run * size : (run + 1) * size]:
+            _walk(geometry, boxes, index, width, height, cursors[run], entries)
+
+
 def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -> tuple[I64, I32]:
     """List, for every tile, the splats that meet it, nearest first.
 
@@ -114,64 +130,15 @@ def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -
         starts (T + 1,) and entries (starts[T],): tile t (row by row) holds the splats
         entries[starts[t]:starts[t + 1]].
     """
-    tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
-    tiles, size = tiles_x * tiles_y, (len(order) + CHUNKS - 1) // CHUNKS
-    cursors = np.zeros((CHUNKS, tiles), np.int64)
-    nowhere = np.empty(0, np.int32)
-    for chunk in numba.prange(CHUNKS):
-        run = order[chunk * size : (chunk + 1) * size]
-        _walk(geometry, boxes, run, width, height, cursors[chunk], nowhere)
-    starts = np.empty(tiles + 1, np.int64)
-    total = 0
-    for tile in range(tiles):
-        starts[tile] = total
-        for chunk in range(CHUNKS):
-            count = cursors[chunk, tile]
-            cursors[chunk, tile] = total
-            total += count
-    starts[tiles] = total
-    entries = np.empty(total, np.int32)
-    for chunk in numba.prange(CHUNKS):
-        run = order[chunk * size : (chunk + 1) * size]
-        _walk(geometry, boxes, run, width, height, cursors[chunk], entries)
+    tiles = (-(-width // TILE)) * (-(-height // TILE))
+    counts = np.zeros((CHUNKS, tiles), np.int64)
+    walk_order(geometry, boxes, order, width, height, counts, np.empty(0, np.int32))
+    ends = np.cumsum(counts.T).reshape(tiles, CHUNKS)
+    starts = np.append(ends[:, 0] - counts[0], ends[-1, -1])
+    cursors = np.ascontiguousarray((ends - counts.T).T)
+    entries = np.empty(starts[-1], np.int32)
+    walk_order(geometry, boxes, order, width, height, cursors, entries)
     return starts, entries
-
-
-@inline
-def blend_row(
-    base: Single,
-    slope: Single,
-    q: Single,
-    opacity: Single,
-    r: int,
-    lanes: F32,
-    left: F32,
-    weights: F32,
-) -> None:
-    """Weights T alpha of one splat on the 16 pixels of tile row r; updates transmittances.
-
-    A pixel that is full keeps its transmittance with a negative sign, which makes every later
-    weight zero without a branch. LLVM turns these loops into vector code only if their length is
-    unknown to it (a known one it unrolls first), and no row is sliced: a view costs two atomic
-    operations, more than the arithmetic.
-    """
-    for x in range(len(lanes)):
-        p = base + slope * lanes[x]
-        y = max(np.float32(-6.0), np.float32(-0.5) * (p * p + q)) * np.float32(0.0625)
-        e = np.float32(1.0) + y * (P1 + y * (P2 + y * (P3 + y * (P4 + y * P5))))
-        e = e * e
-        e = e * e
-        e = e * e
-        e = e * e
-        alpha = min(np.float32(MAX_ALPHA), opacity * e)
-        weights[x] = alpha if alpha >= np.float32(MIN_ALPHA) else np.float32(0.0)
-    for x in range(len(lanes)):
-        before = left[r, x]
-        after = before * (np.float32(1.0) - weights[x])
-        weight, closed = before * weights[x], -abs(before)
-        full = after < np.float32(MIN_TRANSMITTANCE)
-        weights[x] = np.float32(0.0) if full else weight
-        left[r, x] = closed if full else after
 
 
 @inline
@@ -197,49 +164,68 @@ def start_tile(left: F32, x0: int, y0: int, width: int, height: int) -> None:
 
 
 @inline
-def _blend_splat(
-    geometry: F64,
-    features: F32,
-    i: int,
-    x0: int,
-    y0: int,
-    lanes: F32,
+def _list_pieces(
+    rows: F64, count: int, x0: int, y0: int, open_rows: I64, numbers: F32, places: I64
+) -> int:
+    """The half rows of a tile that each of some splats reaches, splat by splat; how many.
+
+    Listed first and blended later, since branches that depend on a splat cost as much as blending.
+    rows: (count, 8) and more, of geometry; (x0, y0): the tile's corner; numbers: (n, 4) filled
+    with what `blend_pixels` takes; places: (n, 2) filled, the first pixel and which splat.
+    """
+    n = 0
+    for j in range(count):
+        u, v = rows[j, 0] - x0 - 0.5, rows[j, 1] - y0 - 0.5
+        inv_w, slope, inv_yy, reach = rows[j, 2], rows[j, 3], rows[j, 4], rows[j, 5]
+        ey, width = math.sqrt(reach / inv_yy), 1.0 / inv_w
+        top = math.ceil(max(v - ey, 0.0))
+        bottom = math.floor(min(v + ey, TILE - 1.0))
+        for r in range(top, bottom + 1):
+            dy = r - v
+            q = dy * dy * inv_yy
+            half = math.sqrt(max(0.0, reach - q)) * width
+            centre = u + slope * dy
+            low, high = centre - half, centre + half
+            taken = (
+                (open_rows[r] != 0) & (low <= PIXELS - 1.0) & (high >= 0.0),
+                (open_rows[r] != 0) & (low <= TILE - 1.0) & (high >= PIXELS),
+            )
+            for side in range(2):
+                numbers[n, 0] = -inv_w * centre
+                numbers[n, 1] = inv_w
+                numbers[n, 2] = q
+                numbers[n, 3] = rows[j, 6]
+                places[n, 0] = r * TILE + side * PIXELS
+                places[n, 1] = j
+                n += int(taken[side])
+    return n
+
+
+@inline
+def _blend_pieces(
+    numbers: F32,
+    places: I64,
+    values: F32,
     left: F32,
-    open_rows: I64,
     planes: F32,
     weights: F32,
     probes: F32,
     sums: F32,
 ) -> None:
-    """Blend splat i into the tile whose corner is (x0, y0).
+    """Blend half rows of a tile, one after the other.
 
-    sums (P, 16) gets the weights times the probes (P, 16, 16), by column.
+    numbers, places: from `_list_pieces`; values: (n, C) features of the splats; sums: (n P, 8), of
+    each splat and probe, get the weights times the probes (P, 16, 16), by column modulo 8.
     """
-    u, v = geometry[i, 0] - x0 - 0.5, geometry[i, 1] - y0 - 0.5
-    inv_w, slope, inv_yy, reach = geometry[i, 2], geometry[i, 3], geometry[i, 4], geometry[i, 5]
-    opacity = np.float32(geometry[i, 6])
-    ey, width = math.sqrt(reach / inv_yy), 1.0 / inv_w
-    top = math.ceil(max(v - ey, 0.0))
-    bottom = math.floor(min(v + ey, TILE - 1.0))
-    for p in range(len(sums)):
-        for x in range(len(weights)):
-            sums[p, x] = np.float32(0.0)
-    for r in range(top, bottom + 1):
-        dy = r - v
-        q = dy * dy * inv_yy
-        half = math.sqrt(max(0.0, reach - q)) * width
-        centre = u + slope * dy
-        if open_rows[r] == 0 or centre + half < 0.0 or centre - half > TILE - 1.0:
-            continue
-        base = np.float32(-inv_w * centre)
-        blend_row(base, np.float32(inv_w), np.float32(q), opacity, r, lanes, left, weights)
+    for k in range(len(numbers)):
+        at, j = places[k, 0], places[k, 1]
+        base, slope, q, opacity = numbers[k, 0], numbers[k, 1], numbers[k, 2], numbers[k, 3]
+        blend_pixels(base, slope, q, opacity, at % TILE, left, at, weights, 0)
         for c in range(len(planes)):
-            value = features[i, c]
-            for x in range(len(weights)):
-                planes[c, r, x] += value * weights[x]
-        for p in range(len(sums)):
-            for x in range(len(weights)):
-                sums[p, x] += weights[x] * probes[p, r, x]
+            add_scaled(values[j, c], weights, planes, c * TILE * TILE + at)
+        for p in range(len(probes)):
+            to = (j * len(probes) + p) * PIXELS
+            add_products(weights, probes, p * TILE * TILE + at, sums, to)
 
 
 @inline
@@ -269,12 +255,6 @@ def _write_tile(
                 image[y0 + r, x0 + x, c] = planes[c, r, x] + rest * background[c]
 
 
-@inline
-def scattered(slot: int, per_class: int) -> int:
-    """The tile of a slot: slots in a row, which go to one thread, are STRIDE tiles apart."""
-    return (slot % per_class) * STRIDE + slot // per_class
-
-
 @kernel
 def _blend_tile(
     geometry: F64,
@@ -288,23 +268,18 @@ def _blend_tile(
     probes: F32,
     partial: F32,
 ) -> None:
-    """Blend the splats of the tile whose corner is (x0, y0); entries and partial are its own.
-
-    A function of its own and not inlined: in a parallel one each array expression here would
-    become a parallel loop, which takes seconds to compile and nothing in running.
-    """
+    """Blend the splats of the tile whose corner is (x0, y0); entries and partial are its own."""
     height, width, channels = image.shape
     left = np.empty((TILE, TILE), np.float32)
     planes = np.zeros((channels, TILE, TILE), np.float32)
-    weights = np.empty(TILE, np.float32)
-    sums = np.empty((len(probes), TILE), np.float32)
+    weights = np.empty(PIXELS, np.float32)
+    sums = np.empty((BATCH * len(probes), PIXELS), np.float32)
+    numbers = np.empty((2 * TILE * BATCH + 1, 4), np.float32)
+    places = np.empty((2 * TILE * BATCH + 1, 2), np.int64)
     probed = np.zeros((len(probes), TILE, TILE), np.float32)
-    lanes = np.empty(TILE, np.float32)
     open_rows = np.empty(TILE, np.int64)
     rows = np.empty((BATCH, 8), np.float64)
     values = np.empty((BATCH, channels), np.float32)
-    for x in range(TILE):
-        lanes[x] = np.float32(x)
     for p in range(len(probes)):
         for r in range(min(TILE, height - y0)):
             for x in range(min(TILE, width - x0)):
@@ -318,20 +293,21 @@ def _blend_tile(
             break
         count = min(BATCH, len(entries) - first)
         fetch(geometry, features, entries, first, count, rows, values)
-        for j in range(count):
-            _blend_splat(
-                rows, values, j, x0, y0, lanes, left, open_rows, planes, weights, probed, sums
-            )
-            for p in range(len(sums)):
-                total = np.float32(0.0)
-                for x in range(len(weights)):
-                    total += sums[p, x]
-                partial[first + j, p] = total
+        pieces = _list_pieces(rows, count, x0, y0, open_rows, numbers, places)
+        sums[: count * len(probes)] = np.float32(0.0)
+        _blend_pieces(numbers[:pieces], places, values, left, planes, weights, probed, sums)
+        for k in range(count * len(probes)):
+            total = np.float32(0.0)
+            for x in range(PIXELS):
+                total += sums[k, x]
+            partial[first + k // len(probes), k % len(probes)] = total
     _write_tile(x0, y0, left, planes, background, image, transmittance)
 
 
-@parallel_kernel
+@parallel_kernel("starts", least=8)
 def blend_tiles(
+    start: int,
+    stop: int,
     geometry: F64,
     features: F32,
     starts: I64,
@@ -345,6 +321,8 @@ def blend_tiles(
     """Blend every tile's splats front to back ([K] eq. 3), and probe their weights.
 
     Args:
+        start: First tile of the range.
+        stop: The tile after its last.
         geometry: (N, 8) rows of projected splats.
         features: (N, C) what to blend.
         starts: (T + 1,) from `list_tiles`.
@@ -356,24 +334,20 @@ def blend_tiles(
         partial: (E, P) out, sums of these products for each entry over its tile.
     """
     tiles_x = (image.shape[1] + TILE - 1) // TILE
-    tiles = len(starts) - 1
-    per_class = (tiles + STRIDE - 1) // STRIDE
-    for slot in numba.prange(per_class * STRIDE):
-        tile = scattered(slot, per_class)
-        if tile < tiles:
-            first, end = starts[tile], starts[tile + 1]
-            _blend_tile(
-                geometry,
-                features,
-                entries[first:end],
-                (tile % tiles_x) * TILE,
-                (tile // tiles_x) * TILE,
-                background,
-                image,
-                transmittance,
-                probes,
-                partial[first:end],
-            )
+    for tile in range(start, min(stop, len(starts) - 1)):
+        first, end = starts[tile], starts[tile + 1]
+        _blend_tile(
+            geometry,
+            features,
+            entries[first:end],
+            (tile % tiles_x) * TILE,
+            (tile // tiles_x) * TILE,
+            background,
+            image,
+            transmittance,
+            probes,
+            partial[first:end],
+        )
 
 
 @kernel

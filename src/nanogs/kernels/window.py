@@ -1,6 +1,5 @@
 """Kernel of structural similarity: Gaussian windows over two images at once."""
 
-import numba
 import numpy as np
 
 from nanogs._types import F64
@@ -9,15 +8,17 @@ from nanogs.kernels.policy import parallel_kernel
 MOMENTS = 5  # a, b, a², b², ab
 
 
-@parallel_kernel
+@parallel_kernel("sums", least=8)
 def similarity_rows(
-    a: F64, b: F64, channels: int, taps: F64, c1: float, c2: float, sums: F64
+    start: int, stop: int, a: F64, b: F64, channels: int, taps: F64, c1: float, c2: float, sums: F64
 ) -> None:
     """Add up the structural similarity of the windows of each row that lie inside the image.
 
     Source: Wang, Bovik, Sheikh, Simoncelli, 2004, eq. 13.
 
     Args:
+        start: First row of the range.
+        stop: The row after its last.
         a: (H, W C) an image, the channels of a pixel side by side.
         b: Of the same shape.
         channels: C.
@@ -28,7 +29,7 @@ def similarity_rows(
     """
     width = a.shape[1]
     inside = width - (len(taps) - 1) * channels
-    for row in numba.prange(len(sums)):
+    for row in range(start, stop):
         down = np.zeros((MOMENTS, width))
         for k in range(len(taps)):
             for x in range(width):

@@ -52,7 +52,7 @@ def _cameras(
 ) -> list[Camera]:
     count, size = parameters.views + parameters.held, parameters.size
     if cameras is None:
-        return automatic_cameras(original, count, width=size, height=size, split="fit")
+        return automatic_cameras(original, count, width=size, height=size, habit=False)
     if len(cameras) < 2:
         raise OptionError(
             f"A refit needs two cameras or more, one of which decides, not {len(cameras)}."

@@ -1,4 +1,8 @@
-"""A model's own frame: however it is turned, its cameras stand in the same places around it."""
+"""A model's own frame: however it is turned, its cameras stand in the same places around it.
+
+Nothing here looks at coordinates one by one, so turning the model turns its frames with it. One
+that is the same all around has no heading of its own and gets any.
+"""
 
 from dataclasses import replace
 
@@ -8,6 +12,7 @@ from nanogs._types import F64
 from nanogs.render.occupancy import Matter, capped, quantiles
 from nanogs.render.poses import level_frame
 
+MEDIAN_SAMPLE = 10_000  # splats of which the median is taken
 ROUNDS = 20  # of the geometric median; each brings it nearer by about half
 REACH = 4.0  # median distances from the middle; beyond lie surroundings, skies and strays
 
@@ -15,27 +20,28 @@ REACH = 4.0  # median distances from the middle; beyond lie surroundings, skies 
 def model_frame(matter: Matter, up: F64) -> F64:
     """(3, 3): rows are the direction in which the model is longest, the one beside it, and up.
 
-    The first is level, and points where the longer tail of the area lies. Nothing here looks at
-    coordinates one by one, so turning the model turns the frame with it; one that is the same all
-    around has no heading of its own and gets any.
+    The first is level, and points where the longer tail of the area lies.
 
     Args:
         matter: The model.
         up: (3,) float64, unit.
     """
-    distances = np.linalg.norm(matter.points - _middle(matter), axis=1)
-    rows = np.flatnonzero(distances <= REACH * quantiles(distances, matter.alphas, 0.5)[0])
-    weights = capped(matter.areas[rows])
-    weights = weights / weights.sum() if weights.any() else np.full(len(rows), 1 / len(rows))
+    points, weights = _within_reach(matter)
     basis = level_frame(up)
-    level = matter.points[rows] @ basis[:2].T
-    level -= weights @ level
-    _, axes = np.linalg.eigh((level * weights[:, None]).T @ level)
-    longest = axes[:, 1]
-    if weights @ (level @ longest) ** 3 < 0:
-        longest = -longest
-    first = longest @ basis[:2]
-    return np.stack([first, np.cross(up, first), up])
+    longest = _axes(points @ basis[:2].T, weights)[0] @ basis[:2]
+    return np.stack([longest, np.cross(up, longest), up])
+
+
+def principal_frame(matter: Matter) -> F64:
+    """(3, 3): rows are the axes along which the model is longest, next longest and shortest.
+
+    The first two point where the longer tail of the area lies, and the third makes it right-handed.
+
+    Args:
+        matter: The model.
+    """
+    first, second, _ = _axes(*_within_reach(matter))
+    return np.stack([first, second, np.cross(first, second)])
 
 
 def seen_from(matter: Matter, frame: F64) -> Matter:
@@ -43,15 +49,34 @@ def seen_from(matter: Matter, frame: F64) -> Matter:
     return replace(matter, points=matter.points @ frame.T, arms=matter.arms @ frame.T)
 
 
+def _within_reach(matter: Matter) -> tuple[F64, F64]:
+    """Points (n, 3) without strays and surroundings, and their weights (n,), which add up to 1."""
+    distances = np.linalg.norm(matter.points - _middle(matter), axis=1)
+    rows = np.flatnonzero(distances <= REACH * quantiles(distances, matter.alphas, 0.5)[0])
+    weights = capped(matter.areas[rows])
+    total = weights.sum()
+    return matter.points[rows], weights / total if total > 0 else np.full(len(rows), 1 / len(rows))
+
+
+def _axes(points: F64, weights: F64) -> F64:
+    """(d, d): rows are the principal axes of weighted points (n, d), longest first."""
+    centred = points - weights @ points
+    axes = np.linalg.eigh((centred * weights[:, None]).T @ centred)[1].T[::-1]
+    tails = weights @ (centred @ axes.T) ** 3
+    signed: F64 = axes * np.where(tails < 0, -1.0, 1.0)[:, None]
+    return signed
+
+
 def _middle(matter: Matter) -> F64:
     """(3,) the geometric median by alpha (Weiszfeld, 1937): half of the matter may be astray."""
-    weights = matter.alphas
-    middle: F64 = weights @ matter.points / weights.sum()
+    rows = slice(None, None, -(-len(matter.points) // MEDIAN_SAMPLE))
+    points, weights = matter.points[rows], matter.alphas[rows]
+    middle: F64 = weights @ points / weights.sum()
     for _ in range(ROUNDS):
-        distances = np.linalg.norm(matter.points - middle, axis=1)
-        least = 1e-3 * quantiles(distances, weights, 0.5)[0]  # one splat must not hold it fast
+        distances = np.linalg.norm(points - middle, axis=1)
+        least = 1e-3 * float(np.median(distances))  # one splat must not hold it fast
         if not least > 0:
             break
         pulls = weights / np.maximum(distances, least)
-        middle = pulls @ matter.points / pulls.sum()
+        middle = pulls @ points / pulls.sum()
     return middle

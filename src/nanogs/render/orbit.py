@@ -1,8 +1,8 @@
-"""Cameras around all of a model but its strays: some near it, some far, none from far below.
+"""Cameras around all of a model but its strays: some near it, some far.
 
 A view that the densest part fills shows little of what surrounds it, and most views of a scene are
 of its surroundings. So these look at the middle of the matter, from distances at which it is cut
-off to such at which it leaves room, and from slightly below the horizon to well above.
+off to such at which it leaves room, and from all elevations of a band alike.
 """
 
 import numpy as np
@@ -12,8 +12,6 @@ from nanogs.render.occupancy import Core, Grid, Matter, build_grid, quantiles
 from nanogs.render.poses import level_frame, look_at, low_discrepancy, view_hits
 
 GRID_HALF = 4.0  # half-width of the grid in radii: orbits lie about inside
-HIGHEST = np.radians(30)
-LOWEST = np.radians(-15)  # lower, a ground would be seen from beneath
 HELD = 0.9  # share of the matter within the radius
 # Times the distance at which the radius just fits the image: it then appears 1.4 times
 # as large as the image, or 0.7 times.
@@ -29,7 +27,9 @@ NEAR = 0.05  # near plane over the distance to the centre: skips floaters at the
 DETOURS = ((1, 0), (0.85, 0), (0.85, 0.25), (0.7, 0.25), (0.7, 0.5), (0.5, 0.5), (1, 1.1))
 
 
-def poses(matter: Matter, core: Core, up: F64, lens: F64, numbers: I64) -> list[tuple[F64, float]]:
+def poses(
+    matter: Matter, core: Core, up: F64, lens: F64, numbers: I64, band: tuple[float, float]
+) -> list[tuple[F64, float]]:
     """(4, 4) world-to-camera and near plane of the orbit's members with these numbers.
 
     Args:
@@ -38,12 +38,14 @@ def poses(matter: Matter, core: Core, up: F64, lens: F64, numbers: I64) -> list[
         up: (3,) float64, unit.
         lens: (2,) float64, tangents of half the fields of view.
         numbers: (n,) int64, members of the sequence of directions.
+        band: Lowest and highest elevation, radians.
     """
     centre, radius = _focus(matter, core)
     grid = build_grid(matter, centre, GRID_HALF * radius)
     # Even and odd numbers are half a step apart in one sequence.
     turn, lift, pull = low_discrepancy(numbers / 2, 3).T
-    elevation = LOWEST + lift * (HIGHEST - LOWEST)
+    lowest, highest = np.sin(band)
+    elevation = np.arcsin(lowest + lift * (highest - lowest))  # even over the band's area
     distance = NEAREST * (FARTHEST / NEAREST) ** pull * radius / lens.min()
     places = zip((2 * np.pi * turn).tolist(), elevation.tolist(), distance.tolist(), strict=True)
     return [_unblocked(grid, centre, level_frame(up), lens, *place) for place in places]

@@ -10,6 +10,7 @@ from nanogs.render.occupancy import Core, Matter, capped, quantiles
 HABIT_UP = (0.0, -1.0, 0.0)  # how trained models lie
 LAYERS = 20  # along each axis; a ground is two of them thick
 FLAT = 0.9  # cosine between a splat's normal and the axis
+ROUND = 0.9  # thickness over the next longer axis, from which a splat has no normal
 BENEATH = 0.1  # share of the area that may lie under a ground
 ENOUGH = 0.1  # share of the area that a ground has at least, to turn the model by
 ENOUGH_OVER = 0.05  # to turn it upside down
@@ -18,12 +19,16 @@ WIDE = 0.75  # reach of a ground over that of everything, level
 
 
 @dataclass(frozen=True, slots=True)
-class _Surfaces:
-    """Places (n, 3), unit normals (n, 3) and areas (n,) that add up to 1."""
+class Surfaces:
+    """Places (n, 3), unit normals (n, 3), 0 for round splats, and areas (n,) that add up to 1."""
 
     points: F64
     normals: F64
     areas: F64
+
+    def lying(self, up: F64) -> float:
+        """Share of the area that lies flat if this is up."""
+        return float(self.areas[np.abs(self.normals @ up) > FLAT].sum())
 
 
 def detect_up(matter: Matter, core: Core) -> F64:
@@ -36,31 +41,34 @@ def detect_up(matter: Matter, core: Core) -> F64:
     objects cut out of their scene, it is the habit. A lone wall in z passes for a ground, and so
     does a ceiling without a floor.
     """
-    surfaces = _surfaces(matter, core)
+    surfaces = surfaces_of(matter, core)
     habit = np.array(HABIT_UP)
-    over, turned = _ground(surfaces, -habit), _ground(surfaces, habit)
+    over, turned = ground(surfaces, -habit), ground(surfaces, habit)
     if over >= max(ENOUGH_OVER, LEAD * turned):
         turned, habit = over, -habit
     sideways = np.array([(sign * axis) for axis in np.eye(3)[[0, 2]] for sign in (1.0, -1.0)])
-    grounds = np.array([_ground(surfaces, up) for up in sideways])
+    grounds = np.array([ground(surfaces, up) for up in sideways])
     second, best = np.sort(grounds)[-2:]
     if best >= max(ENOUGH, LEAD * second, LEAD * turned):
         habit = sideways[int(np.argmax(grounds))]
     return habit
 
 
-def _surfaces(matter: Matter, core: Core) -> _Surfaces:
+def surfaces_of(matter: Matter, core: Core) -> Surfaces:
+    """The core as pieces of surface: splats lie flat across their shortest axis."""
     arms = matter.arms[core.rows]
     normals = np.cross(arms[:, 0], arms[:, 1])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    widths = np.linalg.norm(arms[:, 1], axis=1)
+    normals[matter.thicknesses[core.rows] > ROUND * widths] = 0
     areas = capped(matter.areas[core.rows])
     total = areas.sum() or 1.0
-    return _Surfaces(
+    return Surfaces(
         matter.points[core.rows], normals / np.where(lengths > 0, lengths, 1), areas / total
     )
 
 
-def _ground(surfaces: _Surfaces, up: F64) -> float:
+def ground(surfaces: Surfaces, up: F64) -> float:
     """Share of the area that is a ground if this is up, 0 where there is none."""
     heights = surfaces.points @ up
     low, high = quantiles(heights, surfaces.areas, 0.01, 0.99)
@@ -77,7 +85,7 @@ def _ground(surfaces: _Surfaces, up: F64) -> float:
     return float(surfaces.areas[within].sum())
 
 
-def _is_wide(surfaces: _Surfaces, up: F64, within: Bool) -> bool:
+def _is_wide(surfaces: Surfaces, up: F64, within: Bool) -> bool:
     """Whether what lies in the layer reaches as far to the sides as everything does."""
     level = surfaces.points - np.outer(surfaces.points @ up, up)
     centre = np.median(level, axis=0)

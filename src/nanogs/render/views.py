@@ -1,7 +1,7 @@
 """Cameras for a model that came without any: around objects, inside rooms.
 
 Everything is measured in the model's own extent and in its own frame, so moving, scaling or turning
-a model does the same to its cameras, as long as which way is up turns too.
+a model does the same to its cameras, as long as which way is up turns too (see `stance`).
 Directions come from one low-discrepancy sequence, whose even members are for fitting and whose odd
 members are for testing: the two sets are disjoint, and the first n of a larger set are the smaller.
 """
@@ -12,12 +12,13 @@ from typing import Literal
 
 import numpy as np
 
-from nanogs._types import F64
+from nanogs._types import F64, I64
 from nanogs.errors import OptionError
 from nanogs.render import inside, orbit
 from nanogs.render.camera import Camera
-from nanogs.render.heading import model_frame, seen_from
+from nanogs.render.heading import seen_from
 from nanogs.render.occupancy import Core, Matter, find_core, sample
+from nanogs.render.stance import UPRIGHT, own_stance, upright
 from nanogs.render.up import detect_up
 from nanogs.splats import Splats
 
@@ -38,12 +39,14 @@ class Survey:
         core: The part of it that views are about, in that frame.
         turn: (4, 4) float64, from scene coordinates to that frame, which has up along z.
         kind: How to look at it: "orbit" or "inside".
+        band: Lowest and highest elevation of cameras around it, radians.
     """
 
     matter: Matter
     core: Core
     turn: F64
     kind: Kind
+    band: tuple[float, float]
 
 
 def automatic_cameras(
@@ -54,6 +57,7 @@ def automatic_cameras(
     height: int = 512,
     kind: Kind = "auto",
     up: Sequence[float] | F64 | None = None,
+    habit: bool = True,
     fov: float | None = None,
     split: Split = "fit",
 ) -> list[Camera]:
@@ -74,6 +78,10 @@ def automatic_cameras(
         kind: `orbit` or `inside` to choose, `auto` to let the model decide.
         up: (3,) direction in scene coordinates, of any length; by default away from the ground the
             model stands on where one is clear, else (0, -1, 0) (see `up.detect_up`).
+        habit: Without `up`, whether to look for it along the axes and take (0, -1, 0) where nothing
+            is clear, as for pictures to look at. If not, the model alone decides, in whatever
+            direction, and where it shows nothing cameras stand all around it: turning any model
+            then turns its cameras (see `stance.own_stance`).
         fov: Field of view along the longer side, in degrees; by default 50 around and 75 inside.
         split: `fit` and `test` give disjoint sets that cover the same ground.
 
@@ -85,23 +93,33 @@ def automatic_cameras(
         OptionError: An argument is out of range.
     """
     _check(count, width, height, fov, split)
-    scene = survey(splats, kind, up)
+    scene = survey(splats, kind, up, habit=habit)
     angle = np.radians(fov or (ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV))
     focal = max(width, height) / 2 / np.tan(angle / 2)
     lens = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
     numbers = 2 * np.arange(count) + (split == "test")
-    place = orbit.poses if scene.kind == "orbit" else inside.poses
     return [
         Camera(width, height, focal, focal, width / 2, height / 2, pose @ scene.turn, name, near)
         for name, (pose, near) in zip(
-            (f"{split}_{i:03}" for i in range(count)),
-            place(scene.matter, scene.core, np.array(UP), lens, numbers),
-            strict=True,
+            (f"{split}_{i:03}" for i in range(count)), _poses(scene, lens, numbers), strict=True
         )
     ]
 
 
-def survey(splats: Splats, kind: Kind = "auto", up: Sequence[float] | F64 | None = None) -> Survey:
+def _poses(scene: Survey, lens: F64, numbers: I64) -> list[tuple[F64, float]]:
+    up = np.array(UP)
+    if scene.kind == "orbit":
+        return orbit.poses(scene.matter, scene.core, up, lens, numbers, scene.band)
+    return inside.poses(scene.matter, scene.core, up, lens, numbers)
+
+
+def survey(
+    splats: Splats,
+    kind: Kind = "auto",
+    up: Sequence[float] | F64 | None = None,
+    *,
+    habit: bool = True,
+) -> Survey:
     """Find what `automatic_cameras` places its cameras by; the arguments are its own.
 
     Raises:
@@ -112,14 +130,20 @@ def survey(splats: Splats, kind: Kind = "auto", up: Sequence[float] | F64 | None
         raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
     given = None if up is None else _unit(up)
     matter = sample(splats)
-    upward = detect_up(matter, find_core(matter)) if given is None else given
+    if given is not None:
+        stance = upright(matter, given)
+    elif habit:
+        stance = upright(matter, detect_up(matter, find_core(matter)))
+    else:
+        stance = own_stance(matter, room=kind != "orbit")
     turn = np.eye(4)
-    turn[:3, :3] = model_frame(matter, upward)
-    matter = seen_from(matter, turn[:3, :3])
+    turn[:3, :3] = stance.frame
+    matter = seen_from(matter, stance.frame)
     core = find_core(matter)
     if kind == "auto":
-        kind = "inside" if inside.is_room(matter, core, np.array(UP)) else "orbit"
-    return Survey(matter, core, turn, kind)
+        room = stance.band == UPRIGHT and inside.is_room(matter, core, np.array(UP))
+        kind = "inside" if room else "orbit"
+    return Survey(matter, core, turn, kind, stance.band)
 
 
 def _check(count: int, width: int, height: int, fov: float | None, split: str) -> None:

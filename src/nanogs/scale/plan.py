@@ -16,7 +16,7 @@ _KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the 
 _SEGMENT = 1 << 21  # rows; more make sorting no faster
 _LEAST = 4096  # splats of a block
 _SHARE = 0.95  # of the memory is planned with
-_SECONDS = 6.0e-6  # a splat on two cores, measured (`docs/scale.md`), and for each further level:
+_SECONDS = 6.5e-6  # a splat, of one processor (`docs/scale.md`), and for each further level:
 _LEVEL_SECONDS = 2.5e-6
 _PLACES = 4 * 8  # bytes a group: its centre and reach
 
@@ -32,7 +32,7 @@ class ScalePlan:
         blocks: About how many blocks.
         memory: The most that a process takes, bytes, Python and its libraries included.
         scratch: Intermediate files at the end, bytes, the result among them.
-        seconds: About how long on two cores like those it was measured on.
+        seconds: About how long, of one processor like that it was measured on.
     """
 
     splats: int

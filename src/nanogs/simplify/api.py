@@ -87,7 +87,8 @@ def simplify(
         elif size is not None:
             options = dict(format_options or {})
             encode = partial(encoded_bytes, path=path, **options)
-            outcome = _fit(job, size, encode, threads_used, clock)
+            leaps = registry.writable(path).leaps(job.splats)
+            outcome = _fit(job, size, encode, leaps, threads_used, clock)
         else:
             outcome = _reach(job, goal.psnr or 0.0, threads_used, clock)
         target = len(outcome.splats) if target is None else target
@@ -136,13 +137,19 @@ def target_of(goal: Goal, splats: Splats, available: int, path: Path) -> int | N
 
 
 def _fit(
-    job: Job, size: int, encode: Callable[[Splats], int], threads: int, clock: StageClock
+    job: Job,
+    size: int,
+    encode: Callable[[Splats], int],
+    leaps: Sequence[int],
+    threads: int,
+    clock: StageClock,
 ) -> Outcome:
     from nanogs.simplify.fit_size import fit_size, guess_count
 
     with clock.time("encode"):
         guess = guess_count(job.splats.take(job.rows), size, encode)
-    return fit_size(job.build(threads, clock), size, guess, encode, clock, job.progress)
+    build = job.build(threads, clock)
+    return fit_size(build, size, guess, encode, clock, job.progress, leaps)
 
 
 def _reach(job: Job, psnr: float, threads: int, clock: StageClock) -> Outcome:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 BLOCK = 1 << 16
-BLOCK_PAIRS = 1 << 20  # more, since threads wait for each other after every block
+BLOCK_PAIRS = 1 << 19  # more, since threads wait for each other after every block
 
 
 def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:

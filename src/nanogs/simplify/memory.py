@@ -5,6 +5,7 @@ No Numba here: `--dry-run` uses it without compiling anything.
 
 from dataclasses import dataclass
 
+from nanogs.simplify.blocks import BLOCK_PAIRS
 from nanogs.simplify.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
 from nanogs.simplify.presets import PaperParameters, Parameters
 
@@ -79,4 +80,5 @@ def _paper_stages(count: int, row: int, features: int, k: int, target: int) -> d
         "merge": max(_GEOMETRY + masses + lists + second, second + _LEFT * lists + third),
     }
     held = {stage: int(count * (_I4 + bytes_each)) for stage, bytes_each in splats.items()}
+    held["cost"] += min(int(count * pairs), BLOCK_PAIRS) * 2 * _I4
     return held | {"store": count * _I4 + target * (_GEOMETRY + features + row + 2 * _I8)}

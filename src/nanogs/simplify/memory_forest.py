@@ -1,5 +1,6 @@
 """Memory of the presets that grow a forest: bytes a splat, stage by stage."""
 
+from nanogs.simplify.blocks import BLOCK_PAIRS
 from nanogs.simplify.presets import ForestParameters
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
@@ -103,7 +104,9 @@ def _growing(count: int, features: int, k: int) -> dict[str, int]:
     stages["merge"] = max(
         h + x * lists + n for h, x, n in zip(held, left, nodes[1:], strict=False)
     )  # fmt: skip
-    return {stage: int(count * most) for stage, most in stages.items()}
+    whole = {stage: int(count * most) for stage, most in stages.items()}
+    whole["cost"] += min(int(count * pairs_of(k)), BLOCK_PAIRS) * (2 * _I4 + 2 * _F4)
+    return whole
 
 
 def _reassign(count: int, target: int, features: int) -> int:
@@ -113,7 +116,7 @@ def _reassign(count: int, target: int, features: int) -> int:
 
 def _store(count: int, target: int) -> int:
     """Labels in the order of the result and members; nodes, whose features the result takes."""
-    return count * (2 * _I4 + 2 * _F8) + target * (_NODE + 2 * 6 * _F8 + 7 * _F4 + 3 * _I8)
+    return count * (2 * _I4 + _I8) + target * (_NODE + 2 * 6 * _F8 + 7 * _F4 + 3 * _I8)
 
 
 def _refit(count: int, target: int, features: int) -> int:

@@ -229,10 +229,11 @@ def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float, growth: float
         pixel: As `footprints` takes it.
         growth: Most that an axis may grow.
     """
-    groups = len(merged)
+    squares = np.zeros(len(merged))
     with np.errstate(divide="ignore", over="ignore"):
-        squares = leaves.weights**2
-        squares /= leaves.coverages
-    wanted = merged.weights**2 / np.bincount(labels, squares, groups)
+        for block in blocks(len(leaves)):
+            shares = leaves.weights[block] ** 2 / leaves.coverages[block]
+            np.add.at(squares, labels[block], shares)
+        wanted = merged.weights**2 / squares
     factors = np.clip(wanted / footprints(merged.covariances, pixel), 1.0, growth**2)
     return merged.covariances * factors[:, None]

@@ -76,7 +76,7 @@ class ForestParameters:
     k: int = 8
     lambda_app: float = 1.0
     balance: float = 0.8
-    rounds: int = 3
+    rounds: int = 2
     pixels: float = 720.0
     hidden: float = 0.01
     growth: float = 1.1
@@ -106,9 +106,9 @@ def _require(ok: bool, name: str, value: float, expected: str) -> None:
 
 
 PRESETS: Mapping[str, Parameters] = {
-    "default": ForestParameters(),
+    "default": ForestParameters(balance=1.0),
     "fast": ForestParameters(rounds=0, measure=False),
-    "best": ForestParameters(refit=True),
+    "best": ForestParameters(balance=1.0, refit=True),
     "paper": PaperParameters(),
 }
 SUMMARIES: Mapping[str, str] = {

@@ -19,7 +19,9 @@ from nanogs.simplify.visibility import OriginalView, OriginalViews, judge
 from nanogs.splats import Splats
 
 WHITE = 0.25  # share of white in the background; viewers show black, mostly
-PRIOR = 1.0  # opaque pixels of which the colour that a splat has already counts as much
+# Opaque pixels of which the colour that a splat has already counts as much; the second is tried
+# where the views differ so much that the first does not help.
+PRIORS = (1.0, 10.0)
 
 
 def recolour(
@@ -41,15 +43,31 @@ def recolour(
     """
     if not views.other:
         return small, None
-    moved = _step(small, merged, views.other)
-    after = judge(moved, views)
-    kept = quality(*after) > quality(*before)
-    if kept:
-        small = _step(moved, merged, views.judging)
-    return small, RecolourReport(*before, *after, kept)
+    first = _pulls(small, views.other)
+    for prior in PRIORS:
+        moved = _moved(small, merged, *first, prior)
+        after = judge(moved, views)
+        if quality(*after) > quality(*before):
+            pulls, curvatures = _pulls(moved, views.judging)
+            # The views of the first step, which show what they should now, hold on to that.
+            small = _moved(moved, merged, pulls, curvatures + first[1], prior)
+            return small, RecolourReport(*before, *after, kept=True)
+    return small, RecolourReport(*before, *after, kept=False)
 
 
-def _step(small: Splats, merged: Bool, views: Sequence[OriginalView]) -> Splats:
+def _pulls(small: Splats, views: Sequence[OriginalView]) -> tuple[F64, F64]:
+    """(N, 3) what pulls at the colours, sum w r, and (N, 1) what holds them, sum w A; see below."""
+    prepared = prepare(small)
+    pulls, curvatures = np.zeros((len(small), 3)), np.zeros((len(small), 1))
+    for view in views:
+        shown = project(prepared, view.camera)
+        totals = probe(shown, view.camera, _planes(shown, view))
+        pulls += totals[:, :3]
+        curvatures += totals[:, 3:]
+    return pulls, curvatures
+
+
+def _moved(small: Splats, merged: Bool, pulls: F64, curvatures: F64, prior: float) -> Splats:
     """The model after one step for all splats at the same time.
 
     The colour of splat k enters a pixel with the weight w_k = T alpha, and the weights of a pixel
@@ -59,17 +77,10 @@ def _step(small: Splats, merged: Bool, views: Sequence[OriginalView]) -> Splats:
 
     never go too far: the quadratic with these curvatures lies above the true one (De Pierro, 1995).
     """
-    prepared = prepare(small)
-    pulls, curvatures = np.zeros((len(small), 3)), np.full((len(small), 1), PRIOR)
-    for view in views:
-        shown = project(prepared, view.camera)
-        totals = probe(shown, view.camera, _planes(shown, view))
-        pulls += totals[:, :3]
-        curvatures += totals[:, 3:]
-    moved = small.sh.copy()
-    changes: F64 = pulls[merged] / curvatures[merged] / C0
-    moved[merged, 0] += changes.astype(np.float32)
-    return replace(small, sh=moved)
+    sh = small.sh.copy()
+    changes: F64 = pulls[merged] / (curvatures[merged] + prior) / C0
+    sh[merged, 0] += changes.astype(np.float32)
+    return replace(small, sh=sh)
 
 
 def _planes(shown: Projection, view: OriginalView) -> F32:

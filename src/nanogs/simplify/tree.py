@@ -117,7 +117,8 @@ def _costs(pairs: I32, nodes: Nodes, dets: F64, lambda_app: float) -> F32:
     costs = np.empty(len(pairs), dtype=np.float32)
     for block in blocks(len(pairs), BLOCK_PAIRS):
         increments = _increments(np.ascontiguousarray(pairs[block]), nodes, dets)
-        costs[block] = np.float32(lambda_app) * increments[:, 0] + increments[:, 1]
+        increments[:, 0] *= np.float32(lambda_app)
+        np.add(increments[:, 0], increments[:, 1], out=costs[block])
     return costs
 
 

@@ -70,7 +70,7 @@ def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 1
     if cameras:
         chosen = [camera.reduced(SIZE) for camera in spread(cameras, count)]
     else:
-        chosen = automatic_cameras(splats, count, width=SIZE, height=SIZE)
+        chosen = automatic_cameras(splats, count, width=SIZE, height=SIZE, habit=False)
     prepared = prepare(splats)
     seen, whole = np.zeros(len(splats)), np.zeros(len(splats))
     views = []

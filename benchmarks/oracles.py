@@ -1,0 +1,371 @@
+"""Hold what nanogs reads and writes against other programs, on every real scene and SH degree.
+
+    python benchmarks/oracles.py [SCENES] [--only biker,skull] [--rows 2000] [--whole] [--out FILE]
+
+splat-transform (npm, see rivals.py), gsply and gaussforge (`pip install gsply gaussforge
+imagecodecs`) open our files and write others that we open. Of each scene degrees 0 to 3 of --rows
+of its splats are taken, with higher coefficients drawn at random where the scene has none; with
+--whole the scene as it is too. SCENES is by default ../shared/scenes beside the repository.
+tests/test_oracles.py does so in small.
+
+The table gives the largest differences, in steps of the format's quantisation (of float32 columns,
+in millionths): *read* of what we and the other program read from our file, and from theirs; *kept*
+of the model and what is read back of it, from our file and from theirs. A nearest step is 0.5 away
+at most; of a rotation the largest part is computed from the others and may be further away. Values
+that a format cannot hold are clamped first. The palette of SOG has no steps, and the order in which
+gaussforge writes higher coefficients into `.ksplat` is not the format's: neither is compared.
+"""
+
+import argparse
+import functools
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from nanogs import io
+from nanogs.io.compressed_ply import SH_C0
+from nanogs.splats import Splats
+from quality import SCENES
+from rivals import ROOT, install, run_tool
+
+FORMATS = (".ply", ".compressed.ply", ".splat", ".spz", ".spz v4", ".sog", ".glb", ".ksplat")
+COLUMNS = ("centre", "scale", "rotation", "alpha", "colour", "harmonics")
+CANDIDATES = 16  # rows of the file that a splat may be, of those with the nearest centres
+FINE = 1e6
+Steps = dict[str, np.ndarray]
+
+
+def main() -> None:
+    """Run all and print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    beside = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
+    parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))
+    parser.add_argument("--only", default=",".join(SCENES))
+    parser.add_argument("--rows", type=int, default=2_000)
+    parser.add_argument("--whole", action="store_true", help="take whole scenes too")
+    parser.add_argument("--out", type=Path, help="write every figure as JSON")
+    options = parser.parse_args()
+    install()
+    found: list[dict[str, Any]] = []
+    for name in options.only.split(","):
+        for label, model in models(name, io.load(options.scenes / SCENES[name]), options):
+            with tempfile.TemporaryDirectory() as folder:
+                found += [row | {"scene": label} for row in held(model, Path(folder))]
+            print(label, len(model), file=sys.stderr, flush=True)
+    if options.out:
+        options.out.write_text(json.dumps(found, indent=1) + "\n")
+    print(table(found))
+
+
+def models(name: str, scene: Splats, options: argparse.Namespace) -> Iterator[tuple[str, Splats]]:
+    """Some splats of a scene at every degree up to 3, and all at the scene's own if asked for."""
+    if options.whole:
+        yield name, plain(scene)
+    some = scene.take(np.arange(0, len(scene), -(-len(scene) // options.rows)))
+    for degree in range(4):
+        yield f"{name}, {degree}", plain(with_degree(some, degree))
+
+
+def plain(model: Splats) -> Splats:
+    """What every format can be given: finite splats in float32, nothing beside them."""
+    model = model.take(np.flatnonzero(model.finite() & np.isfinite(model.log_scales).all(axis=1)))
+    return replace(model, means=model.means.astype(np.float32), comments=(), notes=())
+
+
+def with_degree(model: Splats, degree: int) -> Splats:
+    """The model with fewer coefficients, or with more that are drawn."""
+    missing = (degree + 1) ** 2 - model.sh.shape[1]
+    if missing <= 0:
+        return model.with_sh_degree(degree)
+    drawn = np.random.default_rng(degree).normal(0, 0.15, (len(model), missing, 3))
+    return replace(model, sh=np.concatenate([model.sh, drawn.astype(np.float32)], axis=1))
+
+
+# --- other programs
+
+
+def transform(source: Path, target: Path, *options: str) -> Path:
+    """Convert by splat-transform."""
+    run_tool(source, target, *options)
+    return target
+
+
+def forge(source: Path, target: Path, version: int = 3) -> Path:
+    """Convert by gaussforge."""
+    from gaussforge import GaussForge
+
+    kinds = [format_of(path).lstrip(".") for path in (source, target)]
+    converted = GaussForge().convert(source.read_bytes(), *kinds, spz_version=version)
+    if "error" in converted:
+        raise ValueError(converted["error"])
+    target.write_bytes(converted["data"])
+    return target
+
+
+def format_of(path: Path) -> str:
+    """Its suffix, of two parts for a compressed PLY."""
+    return ".compressed.ply" if path.name.endswith(".compressed.ply") else path.suffix
+
+
+def gsply_reads(path: Path) -> Splats:
+    """Read by gsply."""
+    import gsply
+
+    reads = {".spz": gsply.read_spz, ".sog": getattr(gsply, "sogread", None)}
+    read = reads.get(path.suffix, gsply.plyread)
+    data = read(str(path))
+    higher = [] if data.shN is None or not data.shN.size else [data.shN]
+    sh = np.concatenate([data.sh0[:, None], *higher], axis=1)
+    return Splats(data.means, data.scales, data.quats, data.opacities, sh)
+
+
+def gsply_writes(source: Path, target: Path, version: int = 3) -> Path:
+    """Write by gsply what it reads from a `.ply` file."""
+    import gsply
+
+    data = gsply.plyread(str(source))
+    if target.suffix == ".spz":
+        gsply.write_spz(str(target), data, version=version)
+    else:
+        gsply.plywrite(str(target), data, compressed=target.name.endswith(".compressed.ply"))
+    return target
+
+
+def by_ply(convert: Callable[[Path, Path], Path], path: Path) -> Splats:
+    """What another program makes of a file, by way of its `.ply`."""
+    return io.load(convert(path, path.with_name("read.ply")))
+
+
+Program = tuple[str, set[str], Callable[[Path], Splats], dict[str, Callable[[Path, Path], Path]]]
+PROGRAMS: tuple[Program, ...] = (
+    (
+        "splat-transform",
+        set(FORMATS) - {".glb"},
+        lambda path: by_ply(transform, path),
+        dict.fromkeys((".ply", ".compressed.ply", ".sog", ".glb"), transform)
+        | {
+            ".spz": lambda a, b: transform(a, b, "--spz-version", "3"),
+            ".spz v4": lambda a, b: transform(a, b, "--spz-version", "4"),
+        },
+    ),
+    (
+        "gsply",
+        {".ply", ".compressed.ply", ".spz", ".spz v4", ".sog"},
+        gsply_reads,
+        dict.fromkeys((".ply", ".compressed.ply", ".spz"), gsply_writes)
+        | {".spz v4": lambda a, b: gsply_writes(a, b, 4)},
+    ),
+    (
+        "gaussforge",
+        {".ply", ".compressed.ply", ".splat", ".spz", ".spz v4", ".sog", ".ksplat"},
+        lambda path: by_ply(forge, path),
+        dict.fromkeys((".compressed.ply", ".splat", ".spz", ".sog", ".ksplat"), forge)
+        | {".spz v4": lambda a, b: forge(a, b, 4)},
+    ),
+)
+
+
+# --- comparing
+
+
+def held(
+    model: Splats, folder: Path, programs: Sequence[Program] = PROGRAMS
+) -> Iterator[dict[str, Any]]:
+    """The largest differences of one model, by format and program."""
+    ply = folder / "model.ply"
+    io.save(model, ply)
+    for kind in FORMATS:
+        suffix = kind.partition(" ")[0]
+        expected = model.with_sh_degree(0) if kind == ".splat" else model
+        ours = folder / f"ours{suffix}"
+        if kind != ".ksplat":
+            version = 4 if kind == ".spz v4" else None
+            io.save(model, ours, overwrite=True, spz_version=version)
+            yield {"format": kind, "program": "nanogs"} | {"kept": kept(kind, expected, ours)}
+        for name, reads, read, writes in programs:
+            row: dict[str, Any] = {"format": kind, "program": name}
+            try:
+                if kind in reads and kind != ".ksplat":
+                    row["read"] = alike(kind, ours, read)
+                if kind in writes:
+                    theirs = writes[kind](ply, folder / f"theirs{suffix}")
+                    if kind in reads:
+                        row["read theirs"] = alike(kind, theirs, read)
+                    row["kept"] = kept(kind, expected, theirs)
+            except Exception as error:  # whatever another program does
+                row["failed"] = f"{type(error).__name__}: {error}"[:200]
+            yield row
+
+
+def alike(kind: str, path: Path, read: Callable[[Path], Splats]) -> dict[str, float]:
+    """Differences of what we and another program read from one file, row by row."""
+    ours = io.load(path)
+    rows = np.arange(len(ours))
+    return largest(ours, read(path), rows, quantised(kind, ours))
+
+
+def kept(kind: str, model: Splats, path: Path) -> dict[str, float]:
+    """Differences of a model and what a file holds of it, whatever the order of the file.
+
+    Splats may share their centre, so that the row most alike of some near ones is taken.
+    """
+    file = io.load(path)
+    if len(file) != len(model):
+        raise ValueError(f"{len(file)} splats of {len(model)}")
+    measure = quantised(kind, file)
+    model = clamped(kind, model)
+    tree = cKDTree(file.means.astype(np.float64))
+    near = tree.query(model.means, min(CANDIDATES, len(file)))[1].reshape(len(model), -1)
+    best, rows = np.full(len(model), np.inf), near[:, 0].copy()
+    for candidates in near.T:
+        apart = differences(model, file.take(candidates), measure, candidates)
+        cost = np.max([column.max(axis=1) for column in apart.values()], axis=0)
+        better = cost < best
+        best[better], rows[better] = cost[better], candidates[better]
+    return largest(model, file.take(rows), rows, measure)
+
+
+def largest(
+    a: Splats, b: Splats, rows: np.ndarray, measure: Callable[[Splats, np.ndarray], Steps]
+) -> dict[str, float]:
+    """The largest difference of each column, in steps."""
+    found = differences(a, b, measure, rows)
+    return {name: float(column.max()) for name, column in found.items() if column.size}
+
+
+def differences(
+    a: Splats, b: Splats, measure: Callable[[Splats, np.ndarray], Steps], rows: np.ndarray
+) -> Steps:
+    """(N, C) steps between the columns of two models of as many splats."""
+    first, second = measure(a, rows), measure(b, rows)
+    sign = np.sign((first["rotation"] * second["rotation"]).sum(axis=1, keepdims=True))
+    first["rotation"] = first["rotation"] * np.where(sign == 0, 1, sign)
+    apart = {name: np.abs(first[name] - second[name]) for name in first if first[name].size}
+    # What cannot be seen has no colour: splat-transform leaves that of its SOG files to WebP.
+    apart["colour"][second["alpha"][:, 0] == 0] = 0
+    return apart
+
+
+def clamped(kind: str, model: Splats) -> Splats:
+    """The model within what the format has codes for."""
+    scales, sh = model.log_scales, model.sh.copy()
+    if kind.startswith(".spz"):
+        scales = scales.clip(-10, 5.9375)
+        sh[:, 0] = sh[:, 0].clip(-0.5 / 0.15, 0.5 / 0.15)
+        sh[:, 1:] = sh[:, 1:].clip(-1, 127 / 128)
+    elif kind in (".splat", ".ksplat"):
+        sh[:, 0] = sh[:, 0].clip(-0.5 / SH_C0, 0.5 / SH_C0)
+    elif kind == ".compressed.ply":
+        scales = scales.clip(-20, 20)
+        sh[:, 1:] = sh[:, 1:].clip(-4, 4)
+    return replace(model, log_scales=scales, sh=sh)
+
+
+def quantised(kind: str, file: Splats) -> Callable[[Splats, np.ndarray], Steps]:
+    """A function from a model, and the rows of a file, to columns in which the file's steps are 1.
+
+    Args:
+        kind: The format.
+        file: What the file holds, in its order.
+    """
+    measures = {".compressed.ply": _chunks, ".sog": _books}
+    return functools.partial(measures.get(kind, _even), kind, file)
+
+
+# Steps to one: of centres, log-scales, parts of rotations, alphas, base colours, higher bands.
+_SPZ = (2**12, 16, 511 / 0.5**0.5, 255, 255 * 0.15, 16)
+_EVEN = {
+    ".spz": _SPZ,
+    ".spz v4": _SPZ,
+    ".splat": (FINE, FINE, 128, 255, 255 * SH_C0, 0),
+    ".ksplat": (FINE, FINE, FINE, 255, 255 * SH_C0, 0),
+}
+
+
+def _even(kind: str, file: Splats, model: Splats, _rows: np.ndarray) -> Steps:
+    steps = _EVEN.get(kind, (FINE,) * len(COLUMNS))
+    higher = model.sh[:, 1:].reshape(len(model), -1).astype(np.float64)
+    if kind.startswith(".spz"):  # 5 bits, and 4 for the bands above the first
+        higher = np.concatenate([higher[:, :9], higher[:, 9:] / 2], axis=1)
+    size = float(np.abs(file.means).max()) if steps[0] == FINE else 1.0
+    return _columns(model, model.means / size, model.log_scales, model.sh[:, 0], higher, steps)
+
+
+def _columns(
+    model: Splats,
+    centres: np.ndarray,
+    scales: np.ndarray,
+    colours: np.ndarray,
+    higher: np.ndarray,
+    steps: tuple[float, ...],
+) -> Steps:
+    quats = model.unit_quats().astype(np.float64)
+    alphas = model.opacities().astype(np.float64)[:, None]
+    values = (centres, scales, quats, alphas, colours, higher)
+    return {
+        name: np.asarray(value, np.float64) * step
+        for name, value, step in zip(COLUMNS, values, steps, strict=True)
+    }
+
+
+def _chunks(_kind: str, file: Splats, model: Splats, rows: np.ndarray) -> Steps:
+    """Of centres, scales and base colours a step is a share of what the row's chunk extends to."""
+
+    def in_chunks(values: np.ndarray, own: np.ndarray, levels: tuple[int, ...]) -> np.ndarray:
+        starts = np.arange(0, len(own), 256)
+        extent = np.maximum.reduceat(own, starts) - np.minimum.reduceat(own, starts)
+        extent = np.maximum(extent.astype(np.float64), 1e-6 * np.abs(own).max() + 1e-30)
+        return values.astype(np.float64) / (extent / levels)[rows // 256]
+
+    wide = (2047, 1023, 2047)
+    higher = model.sh[:, 1:].reshape(len(model), -1)
+    centres = in_chunks(model.means, file.means, wide)
+    scales = in_chunks(model.log_scales, file.log_scales, wide)
+    colours = in_chunks(model.sh[:, 0], file.sh[:, 0], (255,) * 3)
+    return _columns(model, centres, scales, colours, higher, (1, 1, 1023 / 2**0.5, 255, 1, 32))
+
+
+def _books(_kind: str, file: Splats, model: Splats, _rows: np.ndarray) -> Steps:
+    """Steps of centres are even in their logarithm; codebooks have steps of their own."""
+    signed = [np.copysign(np.log1p(np.abs(m.means.astype(float))), m.means) for m in (file, model)]
+    extent = np.maximum(signed[0].max(axis=0) - signed[0].min(axis=0), 1e-12)
+    books = [np.unique(values) for values in (file.log_scales, file.sh[:, 0])]
+    scales, colours = (
+        np.interp(values, book, np.arange(len(book)))
+        for values, book in zip((model.log_scales, model.sh[:, 0]), books, strict=True)
+    )
+    higher = np.empty((len(model), 0))  # of a palette
+    steps = (1, 1, 255 / 2**0.5, 255, 1, 1)
+    return _columns(model, signed[1] * 65535 / extent, scales, colours, higher, steps)
+
+
+def table(found: list[dict[str, Any]]) -> str:
+    """The largest differences over all scenes, as Markdown."""
+    lines = ["| format | program | | " + " | ".join(COLUMNS) + " |", "|---" * 9 + "|"]
+    for kind in FORMATS:
+        for name in ("nanogs", *(program[0] for program in PROGRAMS)):
+            rows = [row for row in found if (row["format"], row["program"]) == (kind, name)]
+            for what in ("read", "read theirs", "kept"):
+                measured = [row[what] for row in rows if what in row]
+                if not measured:
+                    continue
+                worst = [max((m.get(c, -1) for m in measured), default=-1) for c in COLUMNS]
+                cells = ["" if value < 0 else f"{value:.2f}" for value in worst]
+                lines.append(f"| `{kind}` | {name} | {what} | {' | '.join(cells)} |")
+            failed = [row["failed"] for row in rows if "failed" in row]
+            if failed:
+                what = f"failed {len(failed)} of {len(rows)}: {min(failed)}"
+                lines.append(f"| `{kind}` | {name} | {what} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()

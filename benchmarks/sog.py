@@ -1,0 +1,85 @@
+"""Hold our SOG files against those of the format's own tool: bytes, seconds and PSNR.
+
+    python benchmarks/sog.py [SCENES] [--only biker,skull] [--views 8] [--out FILE]
+
+Every scene is written as `.sog` by nanogs and by splat-transform 3.7.0 (npm, see rivals.py), both
+from the same `.ply` file, and both are compared with it on the views of `nanogs compare`. Seconds
+are those of whole processes, kernels warm. SCENES is by default ../shared/scenes beside the
+repository.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from nanogs import io
+from quality import SCENES
+from rivals import ROOT, install, run_tool, timed
+
+
+def main() -> None:
+    """Print a row for every scene."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    beside = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
+    parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))
+    parser.add_argument("--only", default=",".join(SCENES))
+    parser.add_argument("--views", type=int, default=8)
+    parser.add_argument("--out", type=Path, help="write the figures as JSON")
+    options = parser.parse_args()
+    install()
+    print(
+        "| scene | splats | SH degree | bytes | of splat-transform | | PSNR | of splat-transform |"
+        " | seconds | of splat-transform |\n" + "|---" * 11 + "|"
+    )
+    rows = []
+    for name in options.only.split(","):
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(measured(name, options.scenes / SCENES[name], Path(folder), options.views))
+        print(line(rows[-1]), flush=True)
+    if options.out:
+        options.out.write_text(json.dumps(rows, indent=2) + "\n")
+
+
+def measured(name: str, scene: Path, folder: Path, views: int) -> dict[str, Any]:
+    """Both files of a scene, and how they look."""
+    model = io.load(scene)
+    ply, ours, theirs = (folder / file for file in ("scene.ply", "ours.sog", "theirs.sog"))
+    io.save(model, ply)
+    command = [sys.executable, "-m", "nanogs"]
+    seconds, _ = timed([*command, "convert", ply, ours, "-q"], {})
+    other_seconds, _ = run_tool(ply, theirs)
+    compared = subprocess.run(
+        [*command, "compare", ply, ours, theirs, "--views", str(views), "--json"],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    psnr = [entry["psnr"] for entry in json.loads(compared.stdout)["models"]]
+    return {
+        "scene": name,
+        "splats": len(model),
+        "degree": model.sh_degree,
+        "bytes": [ours.stat().st_size, theirs.stat().st_size],
+        "psnr": psnr[-2:],
+        "seconds": [seconds, other_seconds],
+    }
+
+
+def line(row: dict[str, Any]) -> str:
+    """A row of the table."""
+    (own, other), (psnr, other_psnr) = row["bytes"], row["psnr"]
+    seconds, other_seconds = row["seconds"]
+    cells = [
+        row["scene"], f"{row['splats']:,}", str(row["degree"]),
+        f"{own:,}", f"{other:,}", f"{own / other - 1:+.1%}",
+        f"{psnr:.2f}", f"{other_psnr:.2f}", f"{psnr - other_psnr:+.2f}",
+        f"{seconds:.1f}", f"{other_seconds:.1f}",
+    ]  # fmt: skip
+    return f"| {' | '.join(cells)} |"
+
+
+if __name__ == "__main__":
+    main()

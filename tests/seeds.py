@@ -1,0 +1,330 @@
+"""Whole files of every format that is read, in small, and every way to damage one.
+
+A seed is the files of a folder by name, the first of them the model's. A way is what is damaged:
+the bytes as they lie on the disk, or what is packed in them, with the checksums and lengths around
+it made right again, so that the damage reaches the code behind these.
+"""
+
+import functools
+import gzip
+import io as bytes_io
+import json
+import struct
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import zstandard
+from PIL import Image
+
+import ksplatfiles
+import sogfiles
+import spzfiles
+import torchfiles
+from builders import random_splats
+from damage import TEXT, change_json, mutate
+from nanogs import io
+from nanogs.splats import RenderMode
+from plyfiles import BASE, ENCODINGS, ply, vertex
+
+Files = dict[str, bytes]
+Way = Callable[[np.random.Generator, Files], Files]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format to damage: its seeds, and the ways, each as likely as it is listed."""
+
+    seeds: list[Files]
+    ways: list[Way]
+
+    def damaged(self, rng):
+        """The files of a damaged model."""
+        files = self.seeds[rng.integers(len(self.seeds))]
+        return self.ways[rng.integers(len(self.ways))](rng, files)
+
+
+# --- ways
+
+
+def plain(rng, files):
+    """Bytes of any one of the files."""
+    name = list(files)[rng.integers(len(files))]
+    return files | {name: mutate(rng, files[name], header=400, anywhere=0.5) or b"\0"}
+
+
+def text(rng, files):
+    """Bytes and words of the first file, mostly in its header."""
+    name = next(iter(files))
+    return files | {name: mutate(rng, files[name], header=400, anywhere=0.3, text=TEXT) or b"\0"}
+
+
+def whole_json(rng, files):
+    """Values of the first JSON file."""
+    name = next(name for name in files if name.endswith(".json"))
+    return files | {name: changed_json(rng, files[name])}
+
+
+def changed_json(rng, data):
+    return json.dumps(change_json(rng, json.loads(data))).encode()
+
+
+def inside_gzip(rng, files):
+    ((name, data),) = files.items()
+    inner = mutate(rng, gzip.decompress(data), header=16, anywhere=0.5)
+    return {name: gzip.compress(inner, 1, mtime=0)}
+
+
+def inside_zstd(rng, files):
+    """A stream of `.spz` version 4, the table right again or telling the truth about it."""
+    ((name, data),) = files.items()
+    streams, (toc,) = data[15], struct.unpack_from("<I", data, 16)
+    sizes = list(struct.iter_unpack("<QQ", data[toc : toc + 16 * streams]))
+    at, packed, chosen = toc + 16 * streams, b"", int(rng.integers(streams))
+    table = b""
+    for i, (size, expanded) in enumerate(sizes):
+        told = expanded
+        stream = data[at : at + size]
+        at += size
+        if i == chosen:
+            inner = mutate(rng, zstandard.decompress(stream)) or b"\0"
+            stream = zstandard.compress(inner)
+            if rng.random() < 0.5:
+                told = len(inner)
+        table += struct.pack("<QQ", len(stream), told)
+        packed += stream
+    return {name: data[:toc] + table + packed}
+
+
+def inside_zip(rng, files, deflate=0.5):
+    """A member of an archive, packed again."""
+    ((name, data),) = files.items()
+    out = bytes_io.BytesIO()
+    method = zipfile.ZIP_DEFLATED if rng.random() < deflate else zipfile.ZIP_STORED
+    with zipfile.ZipFile(bytes_io.BytesIO(data)) as old, zipfile.ZipFile(out, "w", method) as new:
+        members = old.namelist()
+        chosen = rng.integers(len(members))
+        for i, member in enumerate(members):
+            content = old.read(member)
+            new.writestr(member, _member(rng, member, content) if i == chosen else content)
+    return {name: out.getvalue()}
+
+
+def inside_stored_zip(rng, files):
+    return inside_zip(rng, files, deflate=0.1)
+
+
+def _member(rng, name, content):
+    if name.endswith(".json") and rng.random() < 0.8:
+        return changed_json(rng, content)
+    if name.endswith(".webp") and rng.random() < 0.5:
+        return texels(rng, content)
+    return mutate(rng, content, header=128, anywhere=0.3) or b"\0"
+
+
+def texels(rng, data):
+    """Another picture: other texels, another size, lossy, or moving."""
+    with Image.open(bytes_io.BytesIO(data)) as image:
+        pixels = np.array(image.convert("RGBA"))
+    pixels[rng.random(pixels.shape) < 0.1] = rng.integers(256)
+    if rng.random() < 0.3:
+        pixels = np.resize(pixels, (*rng.integers(1, 80, 2), 4))
+    out = bytes_io.BytesIO()
+    options = {"lossless": rng.random() < 0.9, "exact": True}
+    if rng.random() < 0.1:
+        options |= {"save_all": True, "append_images": [Image.fromarray(pixels[::-1])]}
+    Image.fromarray(pixels).save(out, "WEBP", **options)
+    return out.getvalue()
+
+
+def one_texture(rng, files):
+    """Another picture in place of a file of a folder."""
+    names = [name for name in files if name.endswith(".webp")]
+    name = names[rng.integers(len(names))]
+    return files | {name: texels(rng, files[name])}
+
+
+def one_description(rng, files):
+    """Values of any one JSON file of a folder."""
+    names = [name for name in files if name.endswith(".json")]
+    name = names[rng.integers(len(names))]
+    return files | {name: changed_json(rng, files[name])}
+
+
+def one_missing(rng, files):
+    """A file of a folder that is not there, or another in its place."""
+    names = [name for i, name in enumerate(files) if i]
+    name = names[rng.integers(len(names))]
+    others = {other: data for other, data in files.items() if other != name}
+    if rng.random() < 0.5:
+        others[name] = files[names[rng.integers(len(names))]]
+    return others
+
+
+def inside_glb(rng, files):
+    """Values of the JSON of a `.glb` file, its lengths right again."""
+    ((name, data),) = files.items()
+    (length,) = struct.unpack_from("<I", data, 12)
+    content = changed_json(rng, data[20 : 20 + length])
+    content += b" " * (-len(content) % 4)
+    rest = data[20 + length :]
+    size = 20 + len(content) + len(rest)
+    return {name: data[:8] + struct.pack("<II", size, len(content)) + b"JSON" + content + rest}
+
+
+# --- seeds
+
+
+def saved(model, name, **options):
+    """The files that nanogs writes of a model; those beside a `meta.json` too."""
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder, "model", name)
+        target.parent.mkdir()
+        if name == "meta.json":
+            target.parent.rmdir()
+        io.save(model, target, **options)
+        return files_of(target)
+
+
+def files_of(target):
+    """A file, and all others of its folder, by their place in it."""
+    others = sorted(path for path in target.parent.rglob("*") if path.is_file())
+    ordered = [target, *(path for path in others if path != target)]
+    return {path.relative_to(target.parent).as_posix(): path.read_bytes() for path in ordered}
+
+
+def models(degrees, counts=(3, 300)):
+    """Models of some degrees, with what files may hold beside splats; one is larger."""
+    for degree in degrees:
+        for count in counts:
+            model = random_splats(count, degree=degree, seed=degree)
+            model.opacity_logits[0] = np.inf
+            yield model
+    yield replace(random_splats(40, degree=degrees[-1]), render_mode=RenderMode.MIP)
+    yield random_splats(5_000, degree=degrees[-1])
+
+
+def _plys():
+    extras = {"label": np.arange(40, dtype=np.int32)}
+    whole = [saved(model, "a.ply") for model in models((0, 3, 4))]
+    whole += [saved(random_splats(40, extras=extras), "a.ply")]
+    by_hand = ("vertex", vertex(3, [*BASE, "a"], {"a": "short"}))
+    return whole + [{"a.ply": ply(by_hand, encoding=kind)} for kind in ENCODINGS]
+
+
+def _spzs(version):
+    if version >= 3:
+        return [saved(model, "a.spz", spz_version=version) for model in models((0, 2, 4))]
+    rng = np.random.default_rng(version)
+    out = []
+    for degree, count in ((0, 3), (1, 40), (3, 200)):
+        width = 3 * ((degree + 1) ** 2 - 1)
+        rows = [
+            spzfiles.row(rng.normal(0, 9, 3), alpha=int(rng.integers(256)),
+                         sh=rng.integers(0, 256, width).tolist())
+            for _ in range(count)
+        ]  # fmt: skip
+        out.append({"a.spz": spzfiles.encode(rows, version, degree=degree)})
+    return out
+
+
+def _ksplats():
+    shapes = [((9, 4), degree, mode) for degree in (0, 1, 3) for mode in range(3)]
+    shapes += [((5_000,), 3, 1)]
+    return [
+        {"a.ksplat": ksplatfiles.ksplat(
+            *(ksplatfiles.section(n, mode, degree, seed=n) for n in counts), mode=mode)}
+        for counts, degree, mode in shapes
+    ]  # fmt: skip
+
+
+def _sogs_1():
+    names = ["shN_centroids.webp", "shN_labels.webp"]
+    shn = {"shape": [3, 45], "mins": -1, "maxs": 1, "files": names}
+    with_palette = sogfiles.files(sogfiles.meta_1(shN=shn), **sogfiles.palette(1, 3))
+    return [_first(sogfiles.files(sogfiles.meta_1())), _first(with_palette)]
+
+
+def _first(contents):
+    """The same files, `meta.json` first."""
+    return {"meta.json": contents["meta.json"]} | contents
+
+
+def _bundles():
+    out = [saved(model, "a.sog") for model in models((0, 3))]
+    for contents in _sogs_1():
+        file = bytes_io.BytesIO()
+        sogfiles.bundle(file, contents)
+        out.append({"a.sog": file.getvalue()})
+    return out
+
+
+def _checkpoints(suffix, content):
+    extra = [random_splats(5_000, degree=3)]
+    whole = [*(random_splats(n, degree=d) for n in (3, 300) for d in (0, 3)), *extra]
+    return [{f"a{suffix}": torchfiles.File(content(model)).bytes()} for model in whole]
+
+
+def _streamed():
+    """Two levels in three models, one of them made by nanogs and larger."""
+    out: Files = {}
+    for name, colour in (("0_0", 1), ("0_1", 2), ("1_0", 3)):
+        own = {"sh0.webp": sogfiles.webp([[colour, row, 0, 255] for row in range(3)])}
+        out |= {f"{name}/{file}": data for file, data in sogfiles.files(**own).items()}
+    own = saved(random_splats(300, degree=2), "meta.json")
+    out |= {f"0_2/{file}": data for file, data in own.items()}
+
+    def span(file, offset, count):
+        return {"file": file, "offset": offset, "count": count}
+
+    manifest = {
+        "lodLevels": 2,
+        "environment": None,
+        "filenames": [f"{name}/meta.json" for name in ("1_0", "0_0", "0_1", "0_2")],
+        "tree": {
+            "bound": {"min": [0, 0, 0], "max": [1, 1, 1]},
+            "children": [
+                {"lods": {"0": span(2, 1, 2), "1": span(0, 0, 2)}},
+                {"lods": {"0": span(1, 0, 3)}},
+                {"children": [{"lods": {"0": span(2, 0, 1)}}, {"lods": {"0": span(3, 0, 300)}}]},
+            ],
+        },
+    }
+    return [{"lod-meta.json": json.dumps(manifest).encode()} | out]
+
+
+def _usual(name):
+    return lambda: [saved(model, name) for model in models((0, 1, 3))]
+
+
+FORMATS = {
+    ".ply": (_plys, [text, text, plain]),
+    ".compressed.ply": (_usual("a.compressed.ply"), [text, plain]),
+    ".splat": (_usual("a.splat"), [plain]),
+    ".npz": (_usual("a.npz"), [plain, inside_zip, inside_zip]),
+    ".spz v1": (lambda: _spzs(1), [plain, inside_gzip, inside_gzip]),
+    ".spz v2": (lambda: _spzs(2), [plain, inside_gzip, inside_gzip]),
+    ".spz v3": (lambda: _spzs(3), [plain, inside_gzip, inside_gzip]),
+    ".spz v4": (lambda: _spzs(4), [plain, inside_zstd]),
+    ".ksplat": (_ksplats, [plain]),
+    ".glb": (_usual("a.glb"), [plain, inside_glb, inside_glb]),
+    ".sog": (_bundles, [plain, inside_zip, inside_zip]),
+    "SOG v1, folder": (_sogs_1, [plain, whole_json, one_texture, one_missing]),
+    "SOG v2, folder": (
+        lambda: [saved(model, "meta.json") for model in models((0, 3))],
+        [plain, whole_json, one_texture, one_missing],
+    ),
+    "lod-meta.json": (_streamed, [plain, whole_json, whole_json, one_description, one_missing]),
+    ".pt": (lambda: _checkpoints(".pt", torchfiles.gsplat), [plain, inside_stored_zip]),
+    ".ckpt": (lambda: _checkpoints(".ckpt", torchfiles.nerfstudio), [plain, inside_stored_zip]),
+}
+
+
+@functools.cache
+def made(name):
+    """The format of a name of `FORMATS`, its seeds made."""
+    seeds, ways = FORMATS[name]
+    return Format(seeds(), ways)

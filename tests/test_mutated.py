@@ -1,0 +1,164 @@
+"""Damaged files of every format, in short: benchmarks/mutate.py reads 10,000 of each; and bombs."""
+
+import io as bytes_io
+import json
+import struct
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pytest
+import zstandard
+
+import seeds
+import sogfiles
+import spzfiles
+from builders import random_splats
+from damage import outcome
+from nanogs import io
+from nanogs.errors import FormatError
+
+COUNT = 200
+MANY = 3_000_000  # splats of a bomb, 168 MB in memory
+
+
+def placed(folder, files):
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return folder / next(iter(files))
+
+
+@pytest.mark.parametrize("name", seeds.FORMATS)
+def test_damaged_files_give_an_error_of_ours_or_a_model(tmp_path, name):
+    made, rng = seeds.made(name), np.random.default_rng(7)
+    found = {"model": 0, "refused": 0}
+    for number in range(COUNT):
+        folder = tmp_path / str(number)
+        found[outcome(placed(folder, made.damaged(rng)))] += 1
+    assert min(found.values()) > 0, found
+
+
+def test_every_format_that_is_read_is_damaged():
+    known = {next(iter(files)) for name in seeds.FORMATS for files in seeds.made(name).seeds}
+    suffixes = {known.suffix for known in io.registry.FORMATS if known.readable}
+    assert all(any(name.endswith(suffix) for name in known) for suffix in suffixes)
+
+
+def gzip_bomb():
+    """Zeros throughout, of which the header tells the truth."""
+    return {"a.spz": spzfiles.encode([], 3, count=MANY, records=bytes(20 * MANY // 10) * 10)}
+
+
+def zstd_bomb():
+    data = spzfiles.encode([spzfiles.row()], 4)
+    streams = [zstandard.compress(bytes(width * MANY)) for width in (9, 1, 3, 3, 4)]
+    table = b"".join(
+        struct.pack("<QQ", len(stream), width * MANY)
+        for stream, width in zip(streams, (9, 1, 3, 3, 4), strict=True)
+    )
+    head = data[:8] + struct.pack("<I", MANY) + data[12:32]
+    return {"a.spz": head + table + b"".join(streams)}
+
+
+def zip_bomb():
+    """Arrays of zeros, as NumPy packs them."""
+    file = bytes_io.BytesIO()
+    shapes = {"means": (3,), "log_scales": (3,), "quats": (4,), "opacity_logits": (), "sh": (1, 3)}
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, rest in shapes.items():
+            with archive.open(f"{name}.npy", "w") as member:
+                zeros = np.broadcast_to(np.float32(0), (MANY, *rest))
+                np.lib.format.write_array_header_1_0(
+                    member, np.lib.format.header_data_from_array_1_0(zeros)
+                )
+                for _ in range(10):
+                    member.write(bytes(zeros.nbytes // 10))
+    return {"a.npz": file.getvalue()}
+
+
+def webp_bomb(method=zipfile.ZIP_STORED):
+    """Pictures of one colour that state the largest size there is; they are never decoded."""
+    side = 2**14 - 1
+    picture = sogfiles.textures()["sh0.webp"]
+    sides = (side - 1) | (side - 1) << 14 | struct.unpack_from("<I", picture, 21)[0] & 0xF000_0000
+    picture = picture[:21] + struct.pack("<I", sides) + picture[25:]
+    contents = sogfiles.files(sogfiles.meta(count=side**2))
+    contents = {n: picture if n.endswith(".webp") else d for n, d in contents.items()}
+    file = bytes_io.BytesIO()
+    sogfiles.bundle(file, contents, method)
+    return {"a.sog": file.getvalue()}
+
+
+def canvas_bomb():
+    """A small picture on a canvas of the largest size, for which decoders make room."""
+    own = sogfiles.textures()["sh0.webp"]
+    canvas = b"VP8X" + struct.pack("<I", 10) + bytes(4) + (2**14 - 2).to_bytes(3, "little") * 2
+    picture = b"RIFF" + struct.pack("<I", len(own) - 8 + 18) + b"WEBP" + canvas + own[12:]
+    contents = sogfiles.files(**{"sh0.webp": picture})
+    return {"meta.json": contents.pop("meta.json")} | contents
+
+
+def repeated_model():
+    """A streamed scene that names one model a thousand times."""
+    ((name, manifest), *rest) = seeds.made("lod-meta.json").seeds[0].items()
+    content = json.loads(manifest)
+    content["filenames"] = content["filenames"][:1] * 1000
+    lods = [{"lods": {"0": {"file": i, "offset": 0, "count": 3}}} for i in range(1000)]
+    content["tree"] = {"children": lods}
+    return {name: json.dumps(content).encode()} | dict(rest)
+
+
+def checkpoint(pickled):
+    """A checkpoint with another pickle in it."""
+    ((name, data),) = seeds.made(".pt").seeds[0].items()
+    file = bytes_io.BytesIO()
+    with zipfile.ZipFile(bytes_io.BytesIO(data)) as old, zipfile.ZipFile(file, "w") as new:
+        for member in old.namelist():
+            new.writestr(member, pickled if member.endswith("data.pkl") else old.read(member))
+    return {name: file.getvalue()}
+
+
+def long_pickle():
+    """Lists in a list, each of 64 bytes for the one it takes in the file."""
+    return checkpoint(b"\x80\2](" + b"]" * 3_000_000 + b"e.")
+
+
+def nested_pickle(again):
+    """A key of a dictionary that is a tuple of two times a tuple and so on, 60 deep."""
+    return checkpoint(b"\x80\2})" + again * 60 + b"Ns.")
+
+
+BOMBS = {
+    "gzip": (gzip_bomb, "far more than splats can be packed"),
+    "zstd": (zstd_bomb, "far more than splats can be packed"),
+    "zip": (zip_bomb, "far more than splats can be packed"),
+    "WebP": (webp_bomb, "far more than splats can be packed"),
+    "WebP in a packed zip": (lambda: webp_bomb(zipfile.ZIP_DEFLATED), "far more than splats"),
+    "canvas": (canvas_bomb, "damaged WebP"),
+    "repeated model": (repeated_model, "names a file twice"),
+    "tuples": (lambda: nested_pickle(b"2\x86"), "nested in each other"),
+    "tuples by memo": (lambda: nested_pickle(b"q\0h\0\x86"), "nested in each other"),
+    "pickle": (long_pickle, "packed or has 3000006 bytes"),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_bombs_are_refused_by_what_they_state(tmp_path, name):
+    make, words = BOMBS[name]
+    path = placed(tmp_path, make())
+    tracemalloc.start()
+    with pytest.raises(FormatError, match=words):
+        io.load(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 10_000_000
+
+
+@pytest.mark.parametrize("suffix", [".sog", ".spz", ".npz"])
+def test_equal_splats_are_no_bomb(tmp_path, suffix):
+    """What packs best of all and is honest."""
+    model = random_splats(1).take(np.zeros(100_000, np.int64))
+    path = tmp_path / f"a{suffix}"
+    io.save(model, path)
+    assert len(io.load(path)) == 100_000

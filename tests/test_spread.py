@@ -1,0 +1,73 @@
+"""How the range of a kernel is spread over threads."""
+
+import threading
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nanogs.spread import Spread
+from nanogs.threads import use_threads
+
+
+def add_one(start, stop, scale, values):
+    """Add to some values."""
+    values[start:stop] += scale
+
+
+def spread(function, least=1, each=8, over="values"):
+    return Spread(function, function, over, least, each)
+
+
+@given(st.integers(0, 300), st.integers(1, 400), st.integers(1, 20), st.booleans())
+def test_every_number_is_in_one_range(count, least, each, alone):
+    values = np.zeros(count)
+    with use_threads(1 if alone else None):
+        spread(add_one, least, each)(2.0, values)
+    assert (values == 2.0).all()
+
+
+def test_ranges_are_as_many_as_asked_for_and_even():
+    ranges = []
+    run = spread(lambda start, stop, values: ranges.append((start, stop)), 10, 3)
+    with use_threads(1):
+        run(range(100))
+        assert ranges == [(0, 33), (33, 66), (66, 100)]
+        ranges.clear()
+        run(range(19))  # not worth two ranges
+        assert ranges == [(0, 19)]
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
+def test_all_threads_take_part_and_no_more_than_asked_for():
+    met = threading.Barrier(2, timeout=20)
+    seen = []
+
+    def meet(_start, _stop, values):
+        assert len(values) == 100
+        seen.append(threading.get_ident())
+        if len(seen) <= 2:
+            met.wait()
+
+    with use_threads(2):
+        spread(meet)(range(100))
+    assert len(seen) == 16
+    assert len(set(seen)) == 2
+
+
+@pytest.mark.parametrize("threads", [1, numba.config.NUMBA_NUM_THREADS])
+def test_what_fails_in_any_thread_reaches_the_caller(threads):
+    def fail(start, _stop, values):
+        if start > 0 and len(values):
+            raise ZeroDivisionError
+
+    with use_threads(threads), pytest.raises(ZeroDivisionError):
+        spread(fail)(range(100))
+
+
+def test_it_keeps_what_the_kernel_says_of_itself():
+    run = spread(add_one)
+    assert run.__doc__ == "Add to some values."
+    assert run.signatures == []
