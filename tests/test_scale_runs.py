@@ -78,6 +78,18 @@ def test_what_does_not_fit_is_simplified_in_blocks(scene, tmp_path, memory):
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
+def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
+    given = ["lod", scene, tmp_path / "levels", "--levels", "0.2,0.01", "--preset", "fast"]
+    run(*given, "--max-memory", memory, "-q", "--threads", "1")
+    made = json.loads((tmp_path / "levels" / "levels.json").read_text())
+    assert [level["count"] for level in made["levels"]] == [COUNT // 5, COUNT // 100]
+    for level in made["levels"]:
+        assert len(nanogs.load(tmp_path / "levels" / level["file"])) == level["count"]
+    assert [path.name for path in tmp_path.iterdir()] == ["levels"]
+    _, text = run("lod", scene, tmp_path / "web" / "tileset.json", "--max-memory", memory, code=2)
+    assert "levels in memory" in " ".join(text.split())
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [

@@ -19,7 +19,7 @@ from nanogs.scale.work import Task, Work, do_elsewhere
 if TYPE_CHECKING:
     from distributed import Client
 
-_PATIENCE = 10  # seconds for a scheduler to answer
+_PATIENCE = 5  # seconds for a scheduler to answer
 _ONE = threading.Lock()  # a process has memory for one task, and Numba threads for one at a time
 
 
