@@ -35,11 +35,14 @@ def merge_scores(forest: Forest, balance: float, typical: float | None = None) -
     sums = np.zeros(first + len(forest.children))
     subtree_sums(forest.children, increments, sums)
     errors = np.maximum(sums[first:], np.finfo(np.float64).tiny, out=increments)
-    errors /= np.median(errors) if typical is None else typical
+    middle = np.log2(np.median(errors) if typical is None else typical)
     scores = sums  # in the same memory
     scores[:first] = -np.inf
     scores[first:] = (1 - balance) * forest.levels
-    scores[first:] += np.multiply(balance, np.log2(errors, out=errors), out=errors)
+    # A difference and not a ratio: that overflows where most merges cost nothing.
+    logs = np.log2(errors, out=errors)
+    logs -= middle
+    scores[first:] += np.multiply(balance, logs, out=logs)
     raise_to_children(forest.children, scores)  # log2 may round two errors the wrong way
     return scores[first:]
 
