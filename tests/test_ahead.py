@@ -15,7 +15,9 @@ def compiled():
     found = {}
     for module in pkgutil.iter_modules(nanogs.kernels.__path__, "nanogs.kernels."):
         for name, value in vars(importlib.import_module(module.name)).items():
-            found[module.name, name] = set(map(str, getattr(value, "signatures", ())))
+            written = getattr(getattr(value, "_compiled", value), "py_func", None)
+            if getattr(written, "__module__", None) == module.name:
+                found[module.name, name] = set(map(str, value.signatures))
     return found
 
 compile_later_stages()

@@ -304,6 +304,14 @@ def test_scores_are_the_stated_ones():
     assert cut(small_forest([(5, 0), (1, 0), (2, 0)]), 3, 1.0).tolist() == [0, 1, 2, 2]
 
 
+def test_errors_keep_their_order_where_most_merges_cost_nothing():
+    forest = small_forest([(0, 0), (0, 0), (4, 0)])
+    with np.errstate(all="raise"):
+        scores = merge_scores(forest, 1.0)
+    assert np.isfinite(scores).all()
+    assert scores[2] > scores[0] == scores[1]
+
+
 def test_increments_below_zero_count_as_none():
     scores = merge_scores(small_forest([(-1e-9, 0), (4, 0), (0, 0)]), 1.0)
     assert np.isfinite(scores).all()

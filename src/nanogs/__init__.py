@@ -12,6 +12,7 @@ from nanogs.refit.api import refit
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import RefitReport
 from nanogs.report import SimplifyReport
+from nanogs.scale.api import simplify_blocks
 from nanogs.simplify.api import simplify
 from nanogs.splats import RenderMode, Splats
 
@@ -29,4 +30,5 @@ __all__ = [
     "refit",
     "save",
     "simplify",
+    "simplify_blocks",
 ]

@@ -112,6 +112,29 @@ class SizeProbeReport:
 
 
 @dataclass(frozen=True, slots=True)
+class BlocksReport:
+    """How a model that was not held whole was divided.
+
+    Attributes:
+        blocks: How many there were.
+        largest: Splats of the largest.
+        allowed: Most splats that a block might have had.
+        segments: Pieces of the input that were sorted.
+        seen: Splats that blocks saw of others, in all.
+        handed: Splats that moved to a group of another block.
+        resumed: Tasks that a run before had done.
+    """
+
+    blocks: int
+    largest: int
+    allowed: int
+    segments: int
+    seen: int
+    handed: int
+    resumed: int
+
+
+@dataclass(frozen=True, slots=True)
 class SimplifyReport:
     """What was asked of `simplify`, what it delivered, and why it stopped.
 
@@ -146,6 +169,7 @@ class SimplifyReport:
         achieved_size: Bytes of the result's file, at most the size asked for; None where none was.
         size_probes: The counts written to find one that fits, in order; none where the size of a
             file is known beforehand.
+        blocks: How the model was divided, or None where it was held whole.
     """
 
     preset: str
@@ -173,6 +197,7 @@ class SimplifyReport:
     probes: tuple[ProbeReport, ...] = ()
     achieved_size: int | None = None
     size_probes: tuple[SizeProbeReport, ...] = ()
+    blocks: BlocksReport | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""

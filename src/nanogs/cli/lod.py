@@ -8,15 +8,17 @@ import typer
 from rich.table import Table
 
 from nanogs.ahead import compile_ahead
+from nanogs.cli import blocks as scale
 from nanogs.cli import method, options
 from nanogs.cli.console import count_down, err, print_json, show, warn
 from nanogs.cli.simplify_report import Plan, show_plan, warn_of_input
+from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text, number_text
 from nanogs.io import inspect, load
 from nanogs.io.folder import check_folder_writable
 from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.chunks import CHUNK
-from nanogs.lod.layout import Output, check_options, made_files, output_of
+from nanogs.lod.layout import Layout, Output, check_options, made_files, output_of
 from nanogs.lod.levels import check_ratios
 from nanogs.lod.write import write_levels
 from nanogs.report import StopReason
@@ -70,6 +72,12 @@ def lod(
     seed: method.Seed = None,
     lambda_geo: method.LambdaGeo = None,
     merge_cap: method.MergeCap = None,
+    max_memory: scale.MaxMemory = None,
+    job: scale.JobFolder = None,
+    resume: scale.Resume = False,
+    scratch: scale.Scratch = None,
+    workers: scale.Workers = None,
+    scheduler: scale.Scheduler = None,
 ) -> None:
     """Make levels of detail from one build: a file each, or chunks for a viewer that streams.
 
@@ -89,6 +97,10 @@ def lod(
     output = output_of(target)
     check_options(output.layout, chunk, spz=spz)
     direction = method.check_views(preset, chosen, views, cameras, up, judged=False)
+    blocks = scale.parse_blocks(
+        [source], max_memory, join=False, job=job, resume=resume, scratch=scratch,
+        workers=workers, scheduler=scheduler,
+    )  # fmt: skip
     info = inspect(source)
     check_folder_writable(output.folder, made_files, overwrite=overwrite)
     finest = target_count(info.splats, ratios[0], None)
@@ -97,9 +109,22 @@ def lod(
         _print_plan(plan, output, ratios, json=json)
         return
     given = {name: value for name, value in overrides.items() if value is not None}
-    given |= {"preset": preset, "nan": nan.value, "threads": threads}
-    given |= {"chunk": chunk, "spz": spz}
-    run = _write(plan, output, ratios, overwrite, cameras, direction, given, quiet or json)
+    given |= {"preset": preset, "nan": nan.value}
+    if blocks.needed(plan):
+        if output.layout is not Layout.PLY:
+            raise OptionError(
+                f"This model takes more than --max-memory, and {output.path.name} is made of levels"
+                " in memory; name a folder for .ply files, or raise --max-memory."
+            )
+        looks = views is not None or cameras != "auto" or up is not None
+        scale.refuse_whole_model_wishes(plan, filtered=False, looks=looks)
+        run = scale.levels_in_blocks(
+            source, output.folder, ratios, blocks, threads, given | {"overwrite": overwrite},
+            quiet=quiet or json,
+        )  # fmt: skip
+    else:
+        given |= {"chunk": chunk, "spz": spz, "threads": threads}
+        run = _write(plan, output, ratios, overwrite, cameras, direction, given, quiet or json)
     if json:
         print_json(run)
     elif not quiet:

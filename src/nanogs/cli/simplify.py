@@ -8,9 +8,17 @@ from typing import Annotated, Any
 import typer
 
 from nanogs.ahead import compile_ahead
+from nanogs.cli import blocks as scale
 from nanogs.cli import filtering, framing, many, method, options, streams
 from nanogs.cli.console import count_down, warn, with_file_seconds
-from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_report, stop_text
+from nanogs.cli.simplify_report import (
+    Plan,
+    plan_json,
+    print_plan,
+    print_report,
+    print_wish,
+    stop_text,
+)
 from nanogs.errors import OptionError
 from nanogs.filters import Filter, FilterReport, apply
 from nanogs.frames import change_frame
@@ -18,6 +26,7 @@ from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, regi
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
 from nanogs.report import StageClock, StopReason
+from nanogs.scale.source import load_joined
 from nanogs.simplify.api import refuse_searches, target_of
 from nanogs.simplify.api import simplify as library_simplify
 from nanogs.simplify.cameras import requested_cameras
@@ -74,6 +83,13 @@ def simplify(
     crop: filtering.Crop = None,
     min_opacity: filtering.MinOpacity = None,
     drop_floaters: filtering.DropFloaters = False,
+    max_memory: scale.MaxMemory = None,
+    join: scale.Join = False,
+    job: scale.JobFolder = None,
+    resume: scale.Resume = False,
+    scratch: scale.Scratch = None,
+    workers: scale.Workers = None,
+    scheduler: scale.Scheduler = None,
 ) -> None:
     """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
     overrides: dict[str, Any] = {
@@ -96,21 +112,45 @@ def simplify(
         given=given | {"preset": preset, "nan": nan.value, "threads": threads},
         quiet=quiet or json,
         folder_later=out_dir is not None and not out_dir.exists(),
+        blocks=scale.parse_blocks(
+            paths,
+            max_memory,
+            join=join,
+            job=job,
+            resume=resume,
+            scratch=scratch,
+            workers=workers,
+            scheduler=scheduler,
+        ),
+        looks=views is not None or cameras != "auto" or up is not None,
     )
 
     def plan_one(pair: Pair) -> dict[str, Any]:
         plan = _plan(pair, request, dry_run=True)
-        if not json:
+        divided = None
+        if request.blocks.needed(plan):
+            divided = scale.plan_of(pair, plan, request.blocks, nan.value)
+        if not json and divided is None:
             print_plan(plan)
-        return plan_json(plan)
+        elif not json and divided is not None:
+            print_wish(plan)
+            scale.plan_rows(divided)
+        return plan_json(plan) | {"blocks": asdict(divided) if divided else None}
 
     def run_one(pair: Pair) -> dict[str, Any]:
-        return _simplify_file(_plan(pair, request, dry_run=False), pair, request)
+        plan = _plan(pair, request, dry_run=False)
+        if request.blocks.needed(plan):
+            options = {"overwrite": overwrite, "spz_version": spz_version}
+            return scale.simplify_in_blocks(
+                pair, plan, request.blocks, request.given | options, quiet=request.quiet
+            )
+        return _simplify_file(plan, pair, request)
 
     def show(run: dict[str, Any]) -> None:
         print_report(run, verbose=verbose)
 
-    pairs = many.plan_pairs(paths, out_dir, out_format)
+    parts = [paths[0], paths[-1]] if join else paths
+    pairs = many.plan_pairs(parts, out_dir, out_format)
     pipes = streams.Streams(read_as, write_as)
     if dry_run:
         many.run_all(
@@ -137,6 +177,8 @@ class _Request:
         given: What the library's `simplify` takes beside.
         quiet: Whether no progress is shown.
         folder_later: Whether the folder of the results is still to be made.
+        blocks: How a model is treated that does not fit into memory.
+        looks: Whether views are asked for.
     """
 
     goal: Goal
@@ -150,6 +192,8 @@ class _Request:
     given: dict[str, Any]
     quiet: bool
     folder_later: bool
+    blocks: scale.Blocks
+    looks: bool
 
 
 def _nothing(_run: dict[str, Any]) -> None:
@@ -175,9 +219,16 @@ def _plan(pair: Pair, request: _Request, *, dry_run: bool) -> Plan:
             f"--frame changes the size of a {pair.target.suffix} file that --size has found; turn"
             " it with `nanogs convert` before."
         )
-    info = inspect(pair.source)
-    if not (dry_run and request.folder_later):
+    info, blocks = inspect(pair.source), request.blocks
+    if blocks.joined:
+        info = replace(info, splats=sum(inspect(path).splats for path in blocks.joined))
+    if not (dry_run and request.folder_later) and not blocks.is_begun(pair):
         check_writable(pair.target, **request.saving)
+    whole = Plan(info, goal, None, request.preset, request.chosen)
+    if blocks.needed(whole):
+        scale.refuse_whole_model_wishes(
+            whole, filtered=bool(filters), looks=request.looks, turned=bool(frames)
+        )
     if goal.size is None and not (filters and dry_run):
         count = goal.target(info.splats, lambda _count: 0)
     elif dry_run:  # what a row takes and what filters leave is only known from the columns
@@ -200,7 +251,8 @@ def _simplify_file(plan: Plan, pair: Pair, request: _Request) -> dict[str, Any]:
     with count_down(plan.info.splats, plan.count or 1, quiet=request.quiet) as progress:
         progress("read", plan.info.splats)
         with clock.time("read"):
-            splats = load(source)
+            joined = request.blocks.joined
+            splats = load_joined(joined) if joined else load(source)
         took: Sequence[FilterReport] = ()
         if request.filters:
             progress("filter", len(splats))

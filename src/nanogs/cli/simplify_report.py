@@ -54,6 +54,12 @@ def print_plan(plan: Plan) -> None:
     _print_rows(plan, text)
 
 
+def print_wish(plan: Plan) -> None:
+    """Show on stderr what a run would read and write, of a model that does not fit into memory."""
+    rows = _wish_rows(plan, f"{plan.count or 0:,} splats")
+    show(err, key_value_table(rows | {"peak memory": f"{bytes_text(plan.memory().peak)} if whole"}))
+
+
 def plan_json(plan: Plan) -> dict[str, Any]:
     """What a run would do, for JSON."""
     asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
@@ -88,14 +94,17 @@ def _plan_json(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def _print_rows(plan: Plan, text: str) -> None:
+    show(err, key_value_table(_wish_rows(plan, text) | _memory_rows(plan.memory())))
+
+
+def _wish_rows(plan: Plan, text: str) -> dict[str, str]:
     info, parameters = plan.info, asdict(plan.parameters)
-    rows = {
+    return {
         "would read": f"{info.path} ({info.splats:,} splats, SH degree {info.sh_degree})",
         "would write": text,
         "preset": plan.preset,
         "parameters": ", ".join(f"{name} {value}" for name, value in parameters.items()),
     }
-    show(err, key_value_table(rows | _memory_rows(plan.memory())))
 
 
 def _memory_rows(memory: MemoryPlan) -> dict[str, str]:
@@ -143,7 +152,8 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
         "input": f"{run['input']}: {run['read_count']:,} splats, {bytes_text(run['input_bytes'])}",
         "output": f"{run['output']}: {after:,} splats, {bytes_text(run['output_bytes'])}",
         "kept": f"{after / before:.3%} of the splats{filtered} (asked: {_asked_text(run)})",
-        "passes": f"{len(run['passes'])}, stopped by: {run['stop']}",
+        "passes": f"{len(run['passes'])}, stopped by: {run['stop']}" if run["passes"] else "",
+        "blocks": _blocks_text(run["blocks"]),
         "chosen": choice_text(run["candidates"]),
         "colours": recolour_text(run["recolour"]),
         "refit": _refit_text(run["refit"]),
@@ -184,6 +194,14 @@ def _size_text(run: dict[str, Any]) -> str:
     taken = run["achieved_size"] / run["asked_size"]
     tried = f"; {len(run['size_probes'])} counts written" if run["size_probes"] else ""
     return f"{run['achieved_size']:,} B, {taken:.1%} of what was asked for{tried}"
+
+
+def _blocks_text(blocks: dict[str, Any] | None) -> str:
+    """How a model was divided that was not held whole."""
+    if blocks is None:
+        return ""
+    resumed = f"; {blocks['resumed']} tasks were done before" if blocks["resumed"] else ""
+    return f"{blocks['blocks']:,} of at most {blocks['largest']:,} splats{resumed}"
 
 
 def choice_text(candidates: list[dict[str, Any]]) -> str:

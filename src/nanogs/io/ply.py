@@ -11,7 +11,7 @@ from nanogs.io import columns, compressed_ply, render_tag
 from nanogs.io.findings import Finding
 from nanogs.io.info import FileInfo
 from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes, printable, read_header
-from nanogs.io.ply_rows import Block, check_body, iter_blocks
+from nanogs.io.ply_rows import Block, check_body, iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats
 
 if TYPE_CHECKING:
@@ -67,6 +67,34 @@ def stream(path: Path) -> Iterator[Splats]:
             vertex = _Vertex(header, rows=rows)
             vertex.put(Block(own, slice(0, rows), block.values))
             yield vertex.splats(elements)
+
+
+def seekable(path: Path) -> bool:
+    """Whether `read_span` takes the file: a binary one that is not compressed.
+
+    Raises:
+        FormatError: As for `inspect`.
+    """
+    header = _checked(path)
+    return header.encoding != "ascii" and not compressed_ply.is_compressed(header)
+
+
+def read_span(path: Path, start: int, stop: int) -> Splats:
+    """Some rows of a seekable file, nothing else of it read; further elements without their rows.
+
+    Args:
+        path: The file.
+        start: The first row.
+        stop: The row after the last, at most the file's count.
+
+    Raises:
+        FormatError: As for `read`.
+    """
+    header = _checked(path)
+    vertex = _Vertex(header, rows=stop - start)
+    for block in iter_span(header, vertex.element, start, stop):
+        vertex.put(block)
+    return vertex.splats([])
 
 
 def inspect(path: Path) -> FileInfo:

@@ -52,6 +52,36 @@ def iter_blocks(header: Header) -> Iterator[Block]:
         raise unreadable(header.path, error) from error
 
 
+def iter_span(header: Header, element: Element, start: int, stop: int) -> Iterator[Block]:
+    """Some rows of one element of a binary file, numbered from 0; call `check_body` first.
+
+    Args:
+        header: Of the file.
+        element: One of its elements.
+        start: The first row.
+        stop: The row after the last.
+
+    Raises:
+        FormatError: The file cannot be read.
+    """
+    offset = header.size
+    for before in header.elements:
+        if before is element:
+            break
+        offset += before.count * before.dtype("<").itemsize if before.count else 0
+    dtype = element.dtype(header.order)
+    try:
+        with header.path.open("rb", buffering=0) as file:
+            file.seek(offset + start * dtype.itemsize)
+            buffer = np.empty(min(stop - start, BLOCK_ROWS), dtype)
+            for span in _spans(stop - start):
+                values = buffer[: span.stop - span.start]
+                _fill(header.path, file, values)
+                yield Block(element, span, values)
+    except OSError as error:
+        raise unreadable(header.path, error) from error
+
+
 def _check_keepable(path: Path, element: Element) -> None:
     if element.count == 0:
         return  # without rows there is nothing to lose

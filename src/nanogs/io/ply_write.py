@@ -28,6 +28,28 @@ def write(splats: Splats, file: BinaryIO) -> None:
         file.writelines(block.data for block in _blocks(table))
 
 
+def write_parts(first: Splats, parts: Iterable[Splats], count: int, file: BinaryIO) -> None:
+    """Write a model that comes in parts, of which no more than one is held.
+
+    Args:
+        first: Any part, for the columns, comments and further elements that all share.
+        parts: All of them in order.
+        count: Splats in all.
+        file: What to write to.
+
+    Raises:
+        OutputError: As for `write`.
+        OSError: The system refuses to write.
+    """
+    tables = _tables(first)
+    file.write(_header(first, tables, count))
+    for part in parts:
+        file.writelines(block.data for block in _blocks(_vertex(part)))
+    for name, table in tables.items():
+        if name != "vertex":
+            file.writelines(block.data for block in _blocks(table))
+
+
 def file_bytes(splats: Splats, count: int) -> int:
     """Bytes of the file of a model of `count` splats that is like this one in all else.
 

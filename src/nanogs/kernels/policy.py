@@ -19,15 +19,14 @@ P = ParamSpec("P")
 Ranged = Callable[Concatenate[int, int, P], None]
 
 FASTMATH = {"nsz", "arcp", "contract", "reassoc"}
-# Numba wraps a function for callers in Python and in C: what is not called from there goes
-# without, which is quicker to compile.
+# Numba wraps a function for callers in C: there are none, and it is quicker to compile without.
 CALLED: dict[str, Any] = {
     "cache": True,
     "nogil": True,
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
 }
-INLINE = CALLED | {"forceinline": True, "no_cpython_wrapper": True}
+INLINE = CALLED | {"forceinline": True}
 
 
 def kernel(function: Kernel) -> Kernel:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nanogs._types import F64, I32, Bool
+from nanogs._types import F64, I32, Bool, F
 from nanogs.kernels.forest import (
     number_groups,
     raise_to_children,
@@ -15,7 +15,7 @@ from nanogs.simplify.tree import Forest
 LAMBDA_GEO = 0.1
 
 
-def merge_scores(forest: Forest, balance: float) -> F64:
+def merge_scores(forest: Forest, balance: float, typical: float | None = None) -> F64:
     """(M,) float64: how late each merge is to be done; none comes before those below it.
 
     (1 - balance) level + balance log2(E / median E), E the sum over the merges below of the
@@ -25,6 +25,7 @@ def merge_scores(forest: Forest, balance: float) -> F64:
     Args:
         forest: The merges.
         balance: In [0, 1].
+        typical: What takes the place of the median, so that scores of several forests compare.
     """
     first = forest.splats
     increments = LAMBDA_GEO * forest.increments[:, 1].astype(np.float64)
@@ -34,11 +35,14 @@ def merge_scores(forest: Forest, balance: float) -> F64:
     sums = np.zeros(first + len(forest.children))
     subtree_sums(forest.children, increments, sums)
     errors = np.maximum(sums[first:], np.finfo(np.float64).tiny, out=increments)
-    errors /= np.median(errors)
+    middle = np.log2(np.median(errors) if typical is None else typical)
     scores = sums  # in the same memory
     scores[:first] = -np.inf
     scores[first:] = (1 - balance) * forest.levels
-    scores[first:] += np.multiply(balance, np.log2(errors, out=errors), out=errors)
+    # A difference and not a ratio: that overflows where most merges cost nothing.
+    logs = np.log2(errors, out=errors)
+    logs -= middle
+    scores[first:] += np.multiply(balance, logs, out=logs)
     raise_to_children(forest.children, scores)  # log2 may round two errors the wrong way
     return scores[first:]
 
@@ -56,15 +60,30 @@ def cut(forest: Forest, target: int, balance: float) -> I32:
     """
     if len(forest.children) == 0:
         return np.arange(forest.splats, dtype=np.int32)
-    done = _lowest(merge_scores(forest, balance), forest.splats - target)
-    roots = np.arange(forest.splats + len(done), dtype=np.int32)
-    root_of_each(forest.children, done, roots)
-    labels, numbers = np.empty(forest.splats, np.int32), np.full(len(roots), -1, np.int32)
-    number_groups(roots[: forest.splats], numbers, labels)
+    return label_groups(forest.splats, forest.children, merge_scores(forest, balance), target)
+
+
+def label_groups(splats: int, children: I32, scores: F, target: int) -> I32:
+    """The groups that the merges of lowest score leave; ties go to the earlier merge.
+
+    Args:
+        splats: N.
+        children: (M, 2) int32, of each merge, children before parents.
+        scores: (M,) of each merge, none below those of the merges below it.
+        target: Groups wanted, from N - M to N.
+
+    Returns:
+        As `cut` does.
+    """
+    done = _lowest(scores, splats - target)
+    roots = np.arange(splats + len(done), dtype=np.int32)
+    root_of_each(children, done, roots)
+    labels, numbers = np.empty(splats, np.int32), np.full(len(roots), -1, np.int32)
+    number_groups(roots[:splats], numbers, labels)
     return labels
 
 
-def _lowest(scores: F64, wanted: int) -> Bool:
+def _lowest(scores: F, wanted: int) -> Bool:
     """Which merges are the `wanted` lowest; a parent's score is no lower and its number higher."""
     if wanted == 0:
         return np.zeros(len(scores), dtype=bool)

@@ -21,7 +21,7 @@ from nanogs.simplify.nodes import Nodes, activate_nodes, normalised, stored_orde
 from nanogs.simplify.order import morton_order
 from nanogs.simplify.outcome import Outcome
 from nanogs.simplify.pipeline import Progress
-from nanogs.simplify.presets import ForestParameters
+from nanogs.simplify.presets import USUAL_BALANCE, ForestParameters
 from nanogs.simplify.reassign import reassign
 from nanogs.simplify.recolour import recolour
 from nanogs.simplify.store import store_groups
@@ -180,7 +180,7 @@ def _choose(
         lambda balance: cut(build.forest, groups, balance),
         lambda labels, growth: _model(build, labels, growth),
         lambda small: judge(small, views),
-        sorted({*BALANCES, build.parameters.balance}),
+        sorted({*BALANCES, *({build.parameters.balance} - {USUAL_BALANCE})}),
         build.parameters.growth,
     )
 

@@ -71,7 +71,9 @@ def footprints(covariances: F64, pixel: float) -> F64:
     return areas
 
 
-def activate_nodes(splats: Splats, rows: I64 | I32, origin: F64, pixel: float) -> Nodes:
+def activate_nodes(
+    splats: Splats, rows: I64 | I32, origin: F64, pixel: float, thinnest: float | None = None
+) -> Nodes:
     """One node for each splat, all of the splat's footprint visible.
 
     Args:
@@ -79,6 +81,7 @@ def activate_nodes(splats: Splats, rows: I64 | I32, origin: F64, pixel: float) -
         rows: (M,) rows of it, all finite, in the nodes' order.
         origin: (3,) taken off the centres, scene units.
         pixel: As `footprints` takes it.
+        thinnest: Axis of any node, scene units, above 0; by default what `thinnest_axis` says.
 
     Returns:
         The nodes; their rows are those of the input.
@@ -92,7 +95,8 @@ def activate_nodes(splats: Splats, rows: I64 | I32, origin: F64, pixel: float) -
         means[block] = splats.means[some] - origin
         scales[block] = np.exp(splats.log_scales[some])
         quats[block] = unit(splats.quats[some])
-    covariances_of(scales, quats, FLATTEST, _least(scales, means, pixel), covariances)
+    least = thinnest_axis(scales, means, pixel) if thinnest is None else thinnest
+    covariances_of(scales, quats, FLATTEST, least, covariances)
     del scales, quats
     coverages = np.empty(len(rows))
     for block in blocks(len(rows)):
@@ -102,7 +106,7 @@ def activate_nodes(splats: Splats, rows: I64 | I32, origin: F64, pixel: float) -
     return Nodes(normalised(coverages), coverages, means, covariances, features, rows)
 
 
-def _least(scales: F32, means: F64, pixel: float) -> float:
+def thinnest_axis(scales: F32, means: F64, pixel: float) -> float:
     """Thinnest axis of any node, scene units: points have one too; above 0 for every scene."""
     if pixel > 0:
         return 1e-3 * pixel

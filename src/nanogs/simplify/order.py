@@ -18,16 +18,35 @@ def morton_codes(means: F64) -> U64:
     Args:
         means: (N, 3) finite, scene units.
     """
+    return codes_in(means, *code_box(means))
+
+
+def code_box(means: F64) -> tuple[F64, float]:
+    """The box whose cells `morton_codes` numbers: its lowest corner (3,) and width, scene units.
+
+    Args:
+        means: (N, 3) finite, scene units.
+    """
     low, high = np.quantile(means, (_TAIL, 1 - _TAIL), axis=0)
-    width = float((high - low).max())
-    if width == 0:
+    if not (high > low).any():
         low, high = means.min(axis=0), means.max(axis=0)
-        width = float((high - low).max())
-    if width == 0:
-        return np.zeros(len(means), dtype=np.uint64)
+    width = float((high - low).max())
+    return low - width, 3 * width
+
+
+def codes_in(means: F64, low: F64, width: float) -> U64:
+    """(N,) uint64: Morton codes in a given box; what lies outside goes into its border cells.
+
+    Args:
+        means: (N, 3) finite, scene units.
+        low: (3,) lowest corner, scene units.
+        width: Scene units; 0 for a box that is a point.
+    """
     codes: U64 = np.zeros(len(means), dtype=np.uint64)
+    if width == 0:
+        return codes
     for axis in range(3):
-        cells = (means[:, axis] - (low[axis] - width)) * ((1 << _BITS) / (3 * width))
+        cells = (means[:, axis] - low[axis]) * ((1 << _BITS) / width)
         cells = np.clip(cells, 0, (1 << _BITS) - 1, out=cells)
         codes |= _spread(cells.astype(np.uint64), axis)
     return codes

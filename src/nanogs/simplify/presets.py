@@ -50,6 +50,9 @@ class PaperParameters:
         _require(0 < self.merge_cap <= 0.5, "merge_cap", self.merge_cap, "above 0, at most 0.5")
 
 
+USUAL_BALANCE = 0.8  # the safest where nothing is measured
+
+
 @dataclass(frozen=True, slots=True)
 class ForestParameters:
     """The parameters of the default method (`docs/method.md`).
@@ -57,8 +60,9 @@ class ForestParameters:
     Attributes:
         k: Neighbours of each node in the graph.
         lambda_app: Weight of the colour's error beside the geometry's while the forest grows.
-        balance: Of the cut, from groups of equal size (0) to groups of equal error (1); where
-            results are measured, one of several that are tried.
+        balance: Of the cut, from groups of equal size (0) to groups of equal error (1). Where
+            results are measured 0.5 and 1 are tried, and this beside them if it is not the usual
+            one.
         rounds: Rounds of reassignment after the cut.
         pixels: Across the model's core where it is likely to be seen: rasterisers widen what is
             thinner than a pixel, and what is merged must cover as much.
@@ -75,7 +79,7 @@ class ForestParameters:
 
     k: int = 8
     lambda_app: float = 1.0
-    balance: float = 0.8
+    balance: float = USUAL_BALANCE
     rounds: int = 2
     pixels: float = 720.0
     hidden: float = 0.01
@@ -106,9 +110,9 @@ def _require(ok: bool, name: str, value: float, expected: str) -> None:
 
 
 PRESETS: Mapping[str, Parameters] = {
-    "default": ForestParameters(balance=1.0),
+    "default": ForestParameters(),
     "fast": ForestParameters(rounds=0, measure=False),
-    "best": ForestParameters(balance=1.0, refit=True),
+    "best": ForestParameters(refit=True),
     "paper": PaperParameters(),
 }
 SUMMARIES: Mapping[str, str] = {

@@ -1,0 +1,202 @@
+"""Models larger than memory: make them, measure time and memory, kill runs, look for seams.
+
+python benchmarks/scale.py make city.ply --splats 20000000 --degree 3 scene.ply ...
+python benchmarks/scale.py run city.ply --max-memory 2GB --ratio 0.1
+python benchmarks/scale.py kill scene.ply --times 100
+python benchmarks/scale.py seam scene.ply ... --blocks 4
+"""
+
+import argparse
+import hashlib
+import json
+import math
+import os
+import random
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import nanogs
+from nanogs.io import ply_write
+from nanogs.splats import Splats
+
+NANOGS = [sys.executable, "-m", "nanogs"]
+
+
+def copies(scenes: list[Splats], count: int, degree: int) -> Iterator[Splats]:
+    """Scenes side by side, each shifted, scaled and recoloured a little, until there are enough."""
+    sizes = [float(np.quantile(np.ptp(s.means, axis=0), 0.5)) for s in scenes]
+    across = math.ceil(math.sqrt(count / np.mean([len(s) for s in scenes])))
+    place = 0
+    while count > 0:
+        which = place % len(scenes)
+        rng = np.random.default_rng(place)
+        row, column = divmod(place, across)
+        at = np.array([column, 0, row], np.float32) * 0.7 * sizes[which]
+        scene = scenes[which].span(0, count)
+        scale = np.float32(rng.uniform(0.8, 1.2))
+        sh = np.zeros((len(scene), (degree + 1) ** 2, 3), np.float32)
+        bands = min(sh.shape[1], scene.sh.shape[1])
+        sh[:, :bands] = scene.sh[:, :bands]
+        sh[:, bands:] = rng.normal(0, 0.02, sh[:, bands:].shape)
+        sh[:, 0] += rng.normal(0, 0.2, 3) + rng.normal(0, 0.02, (len(scene), 3))
+        jitter = rng.normal(0, 1, scene.means.shape) * 0.1 * np.exp(scene.log_scales)
+        yield Splats(
+            means=(scene.means * scale + jitter + at).astype(np.float32),
+            log_scales=scene.log_scales + np.log(scale),
+            quats=scene.quats,
+            opacity_logits=scene.opacity_logits,
+            sh=sh,
+        )
+        count -= len(scene)
+        place += 1
+
+
+def make(args: argparse.Namespace) -> None:
+    """Write a model of many copies, one copy at a time."""
+    scenes = [replace(nanogs.load(path), elements=()) for path in args.scenes]
+    first = next(copies(scenes, 1, args.degree))
+    with args.out.open("wb") as file:
+        ply_write.write_parts(first, copies(scenes, args.splats, args.degree), args.splats, file)
+    print(f"{args.out}: {args.splats:,} splats, {args.out.stat().st_size:,} bytes")
+
+
+def resident(root: int) -> int:
+    """Bytes that a process and all its children hold, by /proc."""
+    total, waiting = 0, [root]
+    while waiting:
+        pid = waiting.pop()
+        try:
+            pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+            children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        except (OSError, IndexError):
+            continue
+        total += pages * resource.getpagesize()
+        waiting += map(int, children)
+    return total
+
+
+def watched(command: list[str]) -> tuple[float, float, int, str]:
+    """Run a command; its seconds, those of its processors, its peak memory and its output."""
+    before, start, peak = os.times(), time.perf_counter(), 0
+    with tempfile.TemporaryFile("w+") as out:
+        child = subprocess.Popen(command, stdout=out)
+        while child.poll() is None:
+            peak = max(peak, resident(child.pid))
+            time.sleep(0.05)
+        seconds = time.perf_counter() - start
+        out.seek(0)
+        text = out.read()
+    if child.returncode:
+        raise SystemExit(f"{command} ended with {child.returncode}")
+    after = os.times()
+    spent = after.children_user + after.children_system
+    return seconds, spent - before.children_user - before.children_system, peak, text
+
+
+def run(args: argparse.Namespace) -> None:
+    """Simplify a model and say what it took."""
+    out = args.source.with_name("small.ply")
+    command = [*NANOGS, "simplify", str(args.source), str(out), "--ratio", str(args.ratio)]
+    command += ["--preset", args.preset, "-w", "--json"]
+    if args.max_memory:
+        command += ["--max-memory", args.max_memory]
+    if args.threads:
+        command += ["--threads", str(args.threads)]
+    if args.workers:
+        command += ["--workers", str(args.workers)]
+    seconds, spent, peak, text = watched(command)
+    report = json.loads(text)
+    count, stages = report["input_count"], report["seconds"]
+    print(f"{count:,} splats to {report['achieved_count']:,}, blocks: {report['blocks']}")
+    print(f"{seconds:.1f} s, {1e6 * seconds / count:.2f} us a splat")
+    print(f"{spent:.1f} s of processors, {1e6 * spent / count:.2f} us a splat")
+    print(f"{peak / 1e6:.0f} MB resident at most, all processes together")
+    print(", ".join(f"{name} {value:.1f}" for name, value in stages.items()))
+
+
+def kill(args: argparse.Namespace) -> None:
+    """Kill runs at random moments until one ends, again and again; every result is the same."""
+    with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+        out = Path(folder) / "small.ply"
+        command = [*NANOGS, "simplify", str(args.source), str(out), "--ratio", "0.1", "-q"]
+        command += ["--max-memory", args.max_memory, "--resume"]
+        start = time.perf_counter()
+        subprocess.run(command, check=True)
+        whole = time.perf_counter() - start
+        wanted = hashlib.sha256(out.read_bytes()).hexdigest()
+        rng, kills, results = random.Random(args.seed), 0, 0
+        while kills < args.times:
+            out.unlink(missing_ok=True)
+            while True:
+                child = subprocess.Popen(command)
+                try:
+                    child.wait(rng.uniform(0.2, 1) * whole)
+                except subprocess.TimeoutExpired:
+                    child.kill()
+                    child.wait()
+                    kills += 1
+                    if [path.name for path in Path(folder).iterdir()] != [out.name]:
+                        continue  # else it had ended already, but for Python's own end
+                break
+            results += 1
+            if not out.exists() or hashlib.sha256(out.read_bytes()).hexdigest() != wanted:
+                raise SystemExit(f"after {kills} kills the result differs")
+            if left := [path.name for path in Path(folder).iterdir() if path != out]:
+                raise SystemExit(f"after {kills} kills {left} were left")
+        print(f"{kills} kills, {results} results, all the same; nothing was left")
+
+
+def seam(args: argparse.Namespace) -> None:
+    """Blocks against the whole model: PSNR, and the error beside borders over that elsewhere."""
+    from seams import compare
+
+    for path in args.scenes:
+        for ratio in args.ratios:
+            print(path.name, ratio, compare(path, ratio, args.blocks, args.rounds), flush=True)
+
+
+def main() -> None:
+    """Do what the first argument says."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    commands = parser.add_subparsers(required=True)
+    one = commands.add_parser("make")
+    one.add_argument("out", type=Path)
+    one.add_argument("scenes", type=Path, nargs="+")
+    one.add_argument("--splats", type=int, default=20_000_000)
+    one.add_argument("--degree", type=int, default=3)
+    one.set_defaults(do=make)
+    one = commands.add_parser("run")
+    one.add_argument("source", type=Path)
+    one.add_argument("--ratio", type=float, default=0.1)
+    one.add_argument("--max-memory", help="in memory without it")
+    one.add_argument("--workers", type=int)
+    one.add_argument("--threads", type=int)
+    one.add_argument("--preset", default="fast")
+    one.set_defaults(do=run)
+    one = commands.add_parser("kill")
+    one.add_argument("source", type=Path)
+    one.add_argument("--times", type=int, default=100)
+    one.add_argument("--max-memory", default="225MB")
+    one.add_argument("--seed", type=int, default=0)
+    one.add_argument("--folder", type=Path)
+    one.set_defaults(do=kill)
+    one = commands.add_parser("seam")
+    one.add_argument("scenes", type=Path, nargs="+")
+    one.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.01])
+    one.add_argument("--blocks", type=int, default=4)
+    one.add_argument("--rounds", type=int, default=3)
+    one.set_defaults(do=seam)
+    args = parser.parse_args()
+    args.do(args)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""How the error of a model made in blocks is spread: beside their borders and elsewhere."""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import nanogs
+from nanogs.metrics import psnr, ssim
+from nanogs.render.rasterize import prepare, render
+from nanogs.render.views import automatic_cameras
+from nanogs.report import StageClock
+from nanogs.scale.api import block_parameters, plan_job
+from nanogs.scale.frame import survey
+from nanogs.scale.result import write_result
+from nanogs.scale.run import Here, run_tasks
+from nanogs.scale.scratch import FolderScratch
+from nanogs.simplify.neighbours import nearest_neighbours
+from nanogs.simplify.target import Goal
+from nanogs.splats import Splats
+
+VIEWS, SIZE = 8, 512
+
+
+def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splats, np.ndarray]:
+    """The model made in so many blocks, and (N,) the block of each splat of the original."""
+    splats = nanogs.load(path)
+    with tempfile.TemporaryDirectory() as name:
+        source, folder = Path(name) / "in.ply", FolderScratch(Path(name) / "scratch")
+        nanogs.save(replace(splats, elements=()), source)
+        chosen = block_parameters("fast", {"rounds": rounds})
+        size = int(len(splats) / blocks * 1.08) + 1
+        settings, _ = plan_job([source], (Goal(ratio=ratio),), chosen, None, size, "drop")
+        frame = survey(settings)
+        done = run_tasks(folder, settings, Here(), 2, StageClock(), lambda *_: None, resumed=False)
+        codes = frame.codes(splats)
+        of_block = np.empty(len(splats), np.int64)
+        parts = [done.work.partition.count(b) for b in range(done.work.partition.blocks)]
+        of_block[np.argsort(codes, kind="stable")] = np.repeat(np.arange(len(parts)), parts)
+        facts = done.work.record(_budget()).facts
+        out = Path(name) / "out.ply"
+        write_result(done.work, 0, out, int(facts["target"]), {})
+        return nanogs.load(out), of_block
+
+
+def _budget():  # noqa: ANN202 - a task
+    from nanogs.scale.work import Task
+
+    return Task("budget")
+
+
+def beside_borders(means: np.ndarray, of_block: np.ndarray, reach: int) -> np.ndarray:
+    """(N,) bool: splats with one of another block among so many nearest neighbours."""
+    near = nearest_neighbours(means.astype(np.float64), reach, 2)
+    return (of_block[near] != of_block[:, None]).any(axis=1)
+
+
+def compare(path: Path, ratio: float, blocks: int, rounds: int) -> dict[str, float]:
+    """Quality of both ways, and the squared error in the band over that elsewhere, of both.
+
+    The band are the splats that have one of another block among as many neighbours as two groups
+    have splats; its share of a pixel is rendered.
+    """
+    original = nanogs.load(path)
+    original = original.take(original.finite())
+    whole, _ = nanogs.simplify(original, ratio=ratio, preset="fast", rounds=rounds)
+    divided, of_block = in_blocks(path, ratio, blocks, rounds)
+    band = beside_borders(original.means, of_block, min(int(2 / ratio), 64))
+    sh = np.zeros((len(original), 1, 3), np.float32)
+    sh[:, 0] = np.where(band, 0.5, -0.5)[:, None] / 0.28209479
+    marked = prepare(replace(original, sh=sh, extras={}))
+    shown = prepare(original)
+    models = {"whole": prepare(whole), "blocks": prepare(divided)}
+    sums = {name: np.zeros(4) for name in models}
+    scores: dict[str, list[tuple[float, float]]] = {name: [] for name in models}
+    for camera in automatic_cameras(original, VIEWS, width=SIZE, height=SIZE):
+        image, share = render(shown, camera).shown(), render(marked, camera).shown()[..., 0]
+        for name, model in models.items():
+            other = render(model, camera).shown()
+            error = ((image - other) ** 2).mean(axis=2)
+            covered = error > 0
+            sums[name] += (
+                (error * share).sum(), share.sum(),
+                (error * (1 - share))[covered].sum(), (1 - share)[covered].sum(),
+            )  # fmt: skip
+            scores[name].append((psnr(image, other), ssim(image, other)))
+    means = {name: np.mean(each, axis=0) for name, each in scores.items()}
+    ratios = {name: (s[0] / s[1]) / (s[2] / s[3]) for name, s in sums.items()}
+    return {
+        "blocks": int(of_block.max()) + 1,
+        "band": round(float(band.mean()), 4),
+        "psnr": round(float(means["whole"][0]), 3),
+        "psnr_change": round(float(means["blocks"][0] - means["whole"][0]), 3),
+        "ssim_change": round(float(means["blocks"][1] - means["whole"][1]), 4),
+        "band_over_rest_whole": round(float(ratios["whole"]), 3),
+        "band_over_rest_blocks": round(float(ratios["blocks"]), 3),
+    }

@@ -1,0 +1,196 @@
+"""`nanogs.simplify_blocks`: from files that need not fit into memory to a smaller one."""
+
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nanogs.errors import OptionError, OutputError
+from nanogs.formatting import bytes_text
+from nanogs.report import SimplifyReport, StageClock
+from nanogs.scale.columns import row_bytes
+from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks
+from nanogs.scale.settings import Settings
+from nanogs.scale.source import look_at, segments_of
+from nanogs.simplify.job import NanPolicy
+from nanogs.simplify.presets import DEFAULT_PRESET, ForestParameters, parameters
+from nanogs.simplify.target import Goal, target_count
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+DEFAULT_MEMORY = 4_000_000_000
+
+
+def simplify_blocks(
+    inputs: str | PathLike[str] | Sequence[str | PathLike[str]],
+    output: str | PathLike[str],
+    *,
+    ratio: float | None = None,
+    count: int | None = None,
+    preset: str = DEFAULT_PRESET,
+    max_memory: int = DEFAULT_MEMORY,
+    block: int | None = None,
+    job: str | PathLike[str] | None = None,
+    scratch: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    nan: NanPolicy = "drop",
+    threads: int | None = None,
+    client: "Client | None" = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    spz_version: int | None = None,
+    **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
+) -> SimplifyReport:
+    """Simplify files block by block, in bounded memory, here or on Dask workers.
+
+    The result does not depend on where, in how many processes or in how many runs it was made; it
+    does depend on the size of the blocks. Nothing is rendered: `default` reassigns splats after the
+    cut, `fast` does not.
+
+    Args:
+        inputs: A file, or several that are parts of one scene.
+        output: The file to write; a .ply is written block by block, others are held whole.
+        ratio: Compaction ratio in (0, 1]; exactly one of both is given.
+        count: Splats to deliver.
+        preset: `default` or `fast`.
+        max_memory: Bytes that each process may take; it decides the size of the blocks.
+        block: Splats of a block, in place of that.
+        job: Folder for what has to survive a crash; by default the output's name with `.job`. It
+            is removed when the run ends well.
+        scratch: Folder or URL of the intermediate files, which all workers must see; by default in
+            the job folder.
+        resume: Continue the job in that folder; without one, begin it.
+        overwrite: Replace the output if it exists.
+        nan: "drop" splats that hold a NaN or an infinite value, or raise an "error".
+        threads: Threads to use in a process; all by default.
+        client: A Dask client whose workers do the work.
+        scheduler: Address of a Dask scheduler, in place of a client.
+        workers: Processes to start on this machine, in place of a scheduler.
+        progress: Called with a stage's name, how many of its tasks are done, and of how many.
+        spz_version: Of a .spz file.
+        **overrides: Parameters of the preset to replace.
+
+    Returns:
+        The report; its `blocks` say how the work was divided.
+
+    Raises:
+        NanogsError: Something in the inputs or options makes no sense, the output cannot be
+            written, or workers were lost. The job folder is then kept for `resume`, unless nothing
+            was begun.
+    """
+    start, clock = time.perf_counter(), StageClock()
+    if sum(each is not None for each in (client, scheduler, workers)) > 1:
+        raise OptionError("Give one of a client, a scheduler and a number of workers.")
+    paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
+    goal = Goal(ratio=ratio, count=count)
+    settings, plan = plan_job(
+        [Path(path) for path in paths], (goal,), block_parameters(preset, overrides),
+        None if block else max_memory, block, nan,
+    )  # fmt: skip
+    # Here and not above: these bring Numba, which `--help` and `info` do without.
+    from nanogs.scale.job import BlockJob, Where
+    from nanogs.scale.outcome import report_of
+    from nanogs.scale.result import refuse_large
+
+    output = Path(output)
+    most = target_count(settings.splats, ratio, count)
+    refuse_large(output, most, row_bytes(settings.layout), None if block else max_memory)
+    folder = job_folder(output, job)
+    if not resume:
+        refuse_full_disk(plan, folder, scratch)
+    saving = {"spz_version": spz_version}
+    made = BlockJob(settings, folder, scratch, (output,), saving, overwrite)
+    where = Where(threads, client, scheduler, workers)
+    done, counts = made.run(where, clock, progress or _ignore, resume=resume)
+    return report_of(preset, goal, done, counts[0], clock, start)
+
+
+def job_folder(output: Path, job: str | PathLike[str] | None) -> Path:
+    """The job folder: the one named, or that beside the output."""
+    return output.with_name(f"{output.name}.job") if job is None else Path(job)
+
+
+def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters:
+    """The parameters of a preset that can do without renders.
+
+    Raises:
+        OptionError: There is no such preset or parameter, or blocks cannot be simplified so.
+    """
+    chosen = parameters(preset, overrides)
+    if not isinstance(chosen, ForestParameters) or chosen.refit:
+        raise OptionError(
+            f"The preset {preset} needs the whole model in memory; use default or fast, or raise"
+            " --max-memory."
+        )
+    return chosen
+
+
+def plan_job(
+    paths: Sequence[Path],
+    goals: Sequence[Goal],
+    chosen: ForestParameters,
+    max_memory: int | None,
+    block: int | None,
+    nan: NanPolicy,
+) -> tuple[Settings, ScalePlan]:
+    """What the job is, and what it takes; only headers are read.
+
+    Args:
+        paths: The inputs.
+        goals: What is asked, finest first: ratios, or one count.
+        chosen: Parameters of the method.
+        max_memory: Bytes that a process may take; not needed where `block` is given.
+        block: Splats of a block, in place of what memory allows.
+        nan: "drop" or "error".
+
+    Raises:
+        NanogsError: An input cannot be read, or the memory is too little.
+    """
+    inputs, layout = look_at(paths)
+    splats = sum(each.splats for each in inputs)
+    shares = tuple(target_count(splats, g.ratio, g.count) / splats for g in goals)
+    plan = plan_blocks(splats, layout, chosen, shares, max_memory, block)
+    settings = Settings(
+        inputs=inputs,
+        layout=layout,
+        segments=segments_of(inputs, plan.segment),
+        ratios=tuple(goal.ratio for goal in goals if goal.ratio is not None),
+        counts=tuple(goal.count for goal in goals if goal.count is not None),
+        nan=nan,
+        block=plan.block,
+        parameters=in_blocks(chosen),
+    )
+    return settings, plan
+
+
+def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None:
+    """Refuse a job whose intermediate files would not fit; what a URL has room for is not known.
+
+    Args:
+        plan: What it takes.
+        folder: Of the job.
+        scratch: As `simplify_blocks` takes it.
+
+    Raises:
+        OutputError: There is too little room.
+    """
+    place = folder.absolute() if scratch is None else Path(scratch).absolute()
+    if scratch is not None and "://" in scratch:
+        return
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    free = shutil.disk_usage(place).free
+    if plan.scratch > free:
+        raise OutputError(
+            f"The job takes about {bytes_text(plan.scratch)} of disk, and {place} has"
+            f" {bytes_text(free)} free; free some space, or name another place with --scratch."
+        )
+
+
+def _ignore(_stage: str, _done: int, _total: int) -> None:
+    pass

@@ -1,0 +1,71 @@
+"""The splats of a block, put together from sorted segments."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from nanogs._types import I64, U64, Array
+from nanogs.scale.columns import CODES, read_rows
+from nanogs.scale.frame import Frame
+from nanogs.scale.partition import Partition
+from nanogs.scale.scratch import Scratch
+from nanogs.scale.tables import Record, Table
+from nanogs.simplify.nodes import Nodes, activate_nodes
+from nanogs.splats import Splats
+
+
+def read_block(
+    scratch: Scratch,
+    segments: Sequence[Record],
+    partition: Partition,
+    block: int,
+    columns: Mapping[str, Array],
+    at: int = 0,
+    rows: I64 | None = None,
+) -> int:
+    """Fill columns with the splats of a block, segment after segment.
+
+    Args:
+        scratch: Where the segments are.
+        segments: Their records.
+        partition: What is in each block.
+        block: Which.
+        columns: What to fill, by the names in the tables.
+        at: The first row to fill.
+        rows: Ascending rows of the block to read; all by default.
+
+    Returns:
+        The row after the last one filled.
+    """
+    start = 0
+    for record, piece in zip(segments, partition.pieces(block), strict=True):
+        stop = start + piece.stop - piece.start
+        if rows is None:
+            wanted: I64 | slice = piece
+            count = stop - start
+        else:
+            inside = rows[np.searchsorted(rows, start) : np.searchsorted(rows, stop)]
+            wanted, count = inside - start + piece.start, len(inside)
+        if count:
+            with Table(scratch, record) as table:
+                read_rows(table, columns, at, wanted)
+        start, at = stop, at + count
+    return at
+
+
+def morton_rows(codes: U64) -> I64:
+    """(N,) rows in Morton order, ties by row."""
+    return np.argsort(codes, kind="stable")
+
+
+def leaves_of(splats: Splats, rows: I64, frame: Frame, *, bare: bool = False) -> Nodes:
+    """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
+    nodes = activate_nodes(splats, rows, frame.centre(), frame.pixel, frame.thinnest)
+    np.maximum(nodes.coverages / frame.coverage, 1e-9, out=nodes.weights)
+    return replace(nodes, coverages=nodes.weights) if bare else nodes
+
+
+def with_codes(columns: dict[str, Array], count: int) -> dict[str, Array]:
+    """The columns and that of the Morton codes, to be filled with them."""
+    return columns | {CODES: np.empty(count, np.uint64)}

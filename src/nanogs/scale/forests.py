@@ -1,0 +1,63 @@
+"""The merge forest of each block, and how late each of its merges is to be done."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nanogs._types import F32, I64, U32, Array
+from nanogs.scale.scratch import Scratch
+from nanogs.scale.tables import Record, Sorted, write_table
+from nanogs.simplify.cut import merge_scores
+from nanogs.simplify.nodes import Nodes
+from nanogs.simplify.presets import ForestParameters
+from nanogs.simplify.tree import grow_forest
+
+CHILDREN, SCORES, HISTOGRAM = "children", "scores", "histogram"
+BINS = 1 << 16
+
+
+def grow(
+    scratch: Scratch,
+    name: str,
+    leaves: Callable[[], Nodes],
+    parameters: ForestParameters,
+    threads: int,
+) -> Record:
+    """Grow a block's forest and write its merges, their scores and a histogram of these.
+
+    Args:
+        scratch: Where to.
+        name: Of the table.
+        leaves: Makes the block's nodes, in units that all blocks share; none are kept.
+        parameters: Of the method.
+        threads: Threads for the nearest-neighbour query.
+    """
+    forest = grow_forest(leaves(), parameters.k, parameters.lambda_app, threads, _ignore)
+    # Errors are not over the block's own median, so that scores of all blocks compare. In single
+    # precision none falls below those of the merges under it: rounding keeps the order.
+    scores = merge_scores(forest, parameters.balance, 1.0).astype(np.float32)
+    columns: dict[str, Array | Sorted] = {
+        CHILDREN: forest.children,
+        SCORES: scores,
+        HISTOGRAM: np.bincount(keys(scores) >> 16, minlength=BINS),
+    }
+    facts = {"splats": forest.splats, "fewest": forest.fewest, "stop": str(forest.stop)}
+    return write_table(scratch, name, columns, facts)
+
+
+def keys(scores: F32) -> U32:
+    """(M,) uint32 in the order of the scores: an integer's bits sort as those of a float do not."""
+    bits = (scores + np.float32(0)).view(np.uint32)  # -0 becomes 0
+    negative = bits >> 31 != 0
+    result: U32 = np.where(negative, ~bits, bits | np.uint32(1 << 31))
+    return result
+
+
+def counts_of(low_bits: U32) -> I64:
+    """(65536,) how often each low half of a key occurs."""
+    counts: I64 = np.bincount(low_bits & 0xFFFF, minlength=BINS)
+    return counts
+
+
+def _ignore(_stage: str, _count: int) -> None:
+    pass

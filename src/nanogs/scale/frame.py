@@ -1,0 +1,82 @@
+"""What all blocks of a scene share, estimated from evenly spread rows: scales and Morton cells."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64, U64
+from nanogs.errors import ModelError
+from nanogs.scale.settings import Settings
+from nanogs.scale.source import sample
+from nanogs.simplify.extent import dilation
+from nanogs.simplify.gaussians import scene_origin
+from nanogs.simplify.nodes import activate_nodes, thinnest_axis
+from nanogs.simplify.order import code_box, codes_in
+from nanogs.splats import Splats
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The units in which blocks are comparable.
+
+    Attributes:
+        origin: Taken off the centres, scene units.
+        pixel: See `extent.dilation`, scene units.
+        thinnest: Axis of any node, scene units.
+        coverage: Of a typical splat, square scene units; weights are over this.
+        corner: Lowest corner of the box of Morton cells, relative to the origin.
+        width: Of that box, scene units.
+    """
+
+    origin: tuple[float, ...]
+    pixel: float
+    thinnest: float
+    coverage: float
+    corner: tuple[float, ...]
+    width: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; floats keep every digit in JSON."""
+        return asdict(self)
+
+    def centre(self) -> F64:
+        """(3,) the origin."""
+        return np.array(self.origin)
+
+    def codes(self, splats: Splats) -> U64:
+        """(N,) Morton codes of the centres."""
+        return codes_in(splats.means - self.centre(), np.array(self.corner), self.width)
+
+
+def frame_of(data: Mapping[str, Any]) -> Frame:
+    """A frame from what `to_dict` made of it, by way of JSON."""
+    fixed: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+    return Frame(**fixed)
+
+
+def survey(settings: Settings) -> Frame:
+    """Look at some of the rows of all inputs.
+
+    Raises:
+        ModelError: No splat among them is usable.
+    """
+    some = sample(settings)
+    if len(some) == 0:
+        raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
+    origin = scene_origin(some.means)
+    means = some.means - origin
+    pixel = dilation(means, some.opacities(), some.render_mode, settings.parameters.pixels)
+    thinnest = thinnest_axis(some.scales(), means, pixel)
+    nodes = activate_nodes(some, np.arange(len(some)), origin, pixel, thinnest)
+    coverage = float(nodes.coverages.mean())
+    corner, width = code_box(means)
+    return Frame(
+        origin=tuple(map(float, origin)),
+        pixel=pixel,
+        thinnest=thinnest,
+        coverage=coverage if coverage > 0 else 1.0,
+        corner=tuple(map(float, corner)),
+        width=width,
+    )

@@ -1,0 +1,65 @@
+"""The report of a job."""
+
+import time
+from dataclasses import asdict
+
+from nanogs.report import BlocksReport, SimplifyReport, StageClock, StopReason
+from nanogs.scale.columns import count_of
+from nanogs.scale.run import Done
+from nanogs.scale.work import Task
+from nanogs.simplify.target import Goal
+
+UNRENDERED = (
+    "The model was simplified block by block, so nothing was rendered: splats were reassigned after"
+    " the cut, but results were not compared with views of the original."
+)
+
+
+def report_of(
+    preset: str, goal: Goal, done: Done, count: int, clock: StageClock, start: float, level: int = 0
+) -> SimplifyReport:
+    """What was asked, delivered and spent.
+
+    Args:
+        preset: Its name.
+        goal: What was asked.
+        done: What the job did.
+        count: Splats delivered.
+        clock: The seconds of its stages.
+        start: `time.perf_counter()` at the start.
+        level: Of the result.
+    """
+    work = done.work
+    settings, partition = work.settings, work.partition
+    target = int(work.record(Task("budget", 0, level)).facts["target"])
+    segments = work.segments()
+    settled = work.of_blocks("settle", level) if settings.parameters.rounds else []
+    own_notes = [note for record in segments for note in record.facts["notes"]]
+    unrendered = [UNRENDERED] if preset != "fast" else []
+    return SimplifyReport(
+        preset=preset,
+        parameters=asdict(settings.parameters),
+        input_count=settings.splats,
+        asked_ratio=goal.ratio,
+        asked_count=target,
+        dropped_nonfinite=sum(int(record.facts["dropped"]) for record in segments),
+        pruned=0,
+        prune_threshold=0.0,
+        prune_limited=False,
+        passes=(),
+        achieved_count=count,
+        stop=StopReason.TARGET if count == target else StopReason.NO_PROGRESS,
+        seconds=clock.seconds,
+        total_seconds=time.perf_counter() - start,
+        threads=work.threads,
+        notes=tuple(dict.fromkeys([*settings.layout.notes, *own_notes, *unrendered])),
+        blocks=BlocksReport(
+            blocks=partition.blocks,
+            largest=max(partition.count(block) for block in range(partition.blocks)),
+            allowed=settings.block,
+            segments=len(segments),
+            seen=sum(int(record.facts["seen"]) for record in settled),
+            handed=sum(count_of(record) for record in settled),
+            resumed=done.kept,
+        ),
+    )

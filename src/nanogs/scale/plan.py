@@ -1,0 +1,112 @@
+"""How many blocks a job takes, how much memory and disk, and about how long; computed, not tried.
+
+No Numba here: `--dry-run` uses it.
+"""
+
+from dataclasses import dataclass, replace
+
+from nanogs.errors import OptionError
+from nanogs.scale.columns import row_bytes
+from nanogs.scale.settings import MOST_SEEN, Layout
+from nanogs.simplify.memory import LIBRARIES, plan_memory
+from nanogs.simplify.presets import ForestParameters
+
+_MANY = 1_000_000
+_KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the making
+_SEGMENT = 1 << 21  # rows; more make sorting no faster
+_LEAST = 4096  # splats of a block
+_SHARE = 0.95  # of the memory is planned with
+_SECONDS = 6.5e-6  # a splat, of one processor (`docs/scale.md`), and for each further level:
+_LEVEL_SECONDS = 2.5e-6
+_PLACES = 4 * 8  # bytes a group: its centre and reach
+
+
+@dataclass(frozen=True, slots=True)
+class ScalePlan:
+    """What a job takes.
+
+    Attributes:
+        splats: Rows of all inputs.
+        block: Most splats of a block.
+        segment: Most rows that are sorted at a time.
+        blocks: About how many blocks.
+        memory: The most that a process takes, bytes, Python and its libraries included.
+        scratch: Intermediate files at the end, bytes, the result among them.
+        seconds: About how long, of one processor like that it was measured on.
+    """
+
+    splats: int
+    block: int
+    segment: int
+    blocks: int
+    memory: int
+    scratch: int
+    seconds: float
+
+
+def in_blocks(parameters: ForestParameters) -> ForestParameters:
+    """The parameters that blocks are simplified with: nothing is rendered."""
+    return replace(parameters, measure=False, recolour=False, refit=False)
+
+
+def plan_blocks(
+    splats: int,
+    layout: Layout,
+    parameters: ForestParameters,
+    shares: tuple[float, ...],
+    max_memory: int | None,
+    block: int | None = None,
+) -> ScalePlan:
+    """Blocks as large as the memory allows.
+
+    Args:
+        splats: Rows of all inputs.
+        layout: Of their columns.
+        parameters: Of the method.
+        shares: What the results keep of the splats.
+        max_memory: Bytes that a process may take; not needed where `block` is given.
+        block: Splats of a block, in place of what memory allows.
+
+    Raises:
+        OptionError: The memory is too little for any block.
+    """
+    row, each = row_bytes(layout), splat_bytes(layout, parameters, max(shares))
+    if block is None:
+        room = _SHARE * (max_memory or 0) - LIBRARIES
+        block = int(room / each)
+        if block < _LEAST:
+            least = (LIBRARIES + _LEAST * each) / _SHARE
+            raise OptionError(
+                f"--max-memory must be at least {least / 1e6:,.0f} MB for this model, of which"
+                f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries."
+            )
+    segment = max(min(block, _SEGMENT), 1)
+    blocks = -(-splats // max(block - block // 16, 1))
+    results = sum(int(share * splats) for share in shares)
+    sorted_rows = splats * (row + 8)
+    tables = splats * (12 + len(shares) * 2 * 4) + results * (2 * row + _PLACES)
+    return ScalePlan(
+        splats=splats,
+        block=block,
+        segment=segment,
+        blocks=blocks,
+        memory=LIBRARIES + int(max(min(block, splats) * each, segment * (row + _KEYS))),
+        scratch=sorted_rows + tables,
+        seconds=splats * (_SECONDS + _LEVEL_SECONDS * (len(shares) - 1)),
+    )
+
+
+def splat_bytes(layout: Layout, parameters: ForestParameters, share: float) -> float:
+    """Most bytes for each splat of a block that any stage holds.
+
+    Args:
+        layout: Of the columns.
+        parameters: Of the method.
+        share: What the result keeps of the splats of a block; one block can keep more than others.
+    """
+    extra = row_bytes(layout) - 4 * (11 + 3 * (layout.sh_degree + 1) ** 2)
+    kept = int(min(1.0, 2 * share) * _MANY)
+    held = plan_memory(_MANY, layout.sh_degree, extra, in_blocks(parameters), kept)
+    codes = 2 * 8  # and their order
+    seen = 1 + MOST_SEEN if parameters.rounds else 1
+    return (held.peak / _MANY + codes) * seen

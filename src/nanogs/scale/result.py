@@ -1,0 +1,136 @@
+"""The result: the blocks' parts in one file, made in the job folder and then moved into place.
+
+A run that is killed between any two of its steps finds what was done by checksums.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from nanogs.errors import OptionError
+from nanogs.io import check_writable, ply_write, registry, save
+from nanogs.io.atomic import atomic_write
+from nanogs.scale.columns import count_of, empty_columns, read_rows, splats_of
+from nanogs.scale.scratch import hash_file
+from nanogs.scale.settings import Settings
+from nanogs.scale.source import concatenate
+from nanogs.scale.tables import Record, Table
+from nanogs.scale.work import Work
+from nanogs.simplify.api import simplify
+from nanogs.splats import Splats
+
+_STREAMED = ".ply"
+
+
+def refuse_large(path: Path, count: int, row: int, max_memory: int | None) -> None:
+    """Refuse a result that would have to be held whole and is too large for that.
+
+    Args:
+        path: What is to be written.
+        count: Splats of it.
+        row: Bytes of a splat.
+        max_memory: Bytes, or None for no limit.
+
+    Raises:
+        OptionError: It is too large, a folder, or in a format that is not written.
+    """
+    known = registry.writable(path)
+    if known.write is None:
+        raise OptionError(
+            f"{path} describes a folder of files; name a file, such as {path.with_suffix('.sog')}."
+        )
+    if known.suffix != _STREAMED and max_memory is not None and 3 * count * row > max_memory:
+        raise OptionError(
+            f"{path}: only .ply is written block by block, and {count:,} splats are too many to be"
+            " held whole; name a .ply file, or raise --max-memory."
+        )
+
+
+def write_result(work: Work, level: int, file: Path, target: int, saving: dict[str, Any]) -> int:
+    """Write the parts of a level to a file; the splats in it.
+
+    Args:
+        work: The job, all its tasks done.
+        level: Of the result.
+        file: What to write; replaced if it exists.
+        target: Splats asked for; where blocks could not go as far, the rest is done in memory.
+        saving: What `save` takes.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    records = work.of_blocks("part", level)
+    counts = [count_of(record) for record in records]
+    known = registry.writable(file)
+    if sum(counts) > target or known.suffix != _STREAMED:
+        small = concatenate(list(_parts(work, records)))
+        if len(small) > target:
+            small = _further(small, target, work.settings)
+        save(small, file, **(saving | {"overwrite": True}))
+        return len(small)
+    with atomic_write(file, overwrite=True) as out:
+        first = next(_parts(work, records[:1]))
+        ply_write.write_parts(first, _parts(work, records), sum(counts), out)
+    return sum(counts)
+
+
+def _parts(work: Work, records: list[Record]) -> Iterator[Splats]:
+    """The parts one after the other, each in pieces that take little memory."""
+    for record in records:
+        columns = empty_columns(work.settings.layout, count_of(record))
+        with Table(work.scratch, record) as table:
+            read_rows(table, columns, 0, slice(0, count_of(record)))
+        yield splats_of(columns, work.settings.layout)
+
+
+def _further(small: Splats, target: int, settings: Settings) -> Splats:
+    """The model of a count below what blocks can be cut to, which are few splats by then."""
+    given = settings.parameters
+    return simplify(
+        small, count=target, preset="fast", k=given.k, lambda_app=given.lambda_app,
+        balance=given.balance, rounds=given.rounds, pixels=given.pixels, growth=given.growth,
+    )[0]  # fmt: skip
+
+
+def move_into_place(file: Path, path: Path, *, overwrite: bool) -> None:
+    """Give a finished file its name, across file systems if need be.
+
+    Raises:
+        OutputError: There is one of that name and `overwrite` is off, or it cannot be written.
+    """
+    check_writable(path, overwrite=overwrite)
+    target = Path(os.path.realpath(path))
+    if not target.exists() and file.stat().st_dev == target.parent.stat().st_dev:
+        file.replace(target)
+        return
+    with atomic_write(path, overwrite=overwrite) as out, file.open("rb") as source:
+        shutil.copyfileobj(source, out, 1 << 22)
+    file.unlink()
+
+
+def seal(file: Path, splats: int) -> None:
+    """Note what a finished file is, beside it, so that it is known again under another name."""
+    with file.open("rb") as source:
+        count, digest = hash_file(source)
+    with atomic_write(_note(file), overwrite=True) as out:
+        out.write(json.dumps({"bytes": count, "sha256": digest, "splats": splats}).encode())
+
+
+def sealed(file: Path, place: Path) -> int | None:
+    """The splats of the file that was sealed, if it is what stands at a place."""
+    try:
+        note = json.loads(_note(file).read_bytes())
+        if place.stat().st_size != note["bytes"]:
+            return None
+        with place.open("rb") as source:
+            same = hash_file(source) == (note["bytes"], note["sha256"])
+        return int(note["splats"]) if same else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _note(file: Path) -> Path:
+    return file.with_name(f"{file.name}.json")

@@ -1,0 +1,105 @@
+"""A job from its first task to its last, wherever the tasks are done."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from nanogs.report import StageClock
+from nanogs.scale.scratch import Scratch
+from nanogs.scale.settings import Settings
+from nanogs.scale.tables import verified
+from nanogs.scale.work import Task, Work, do
+
+Progress = Callable[[str, int, int], None]
+"""Called with a stage's name, how many of its tasks are done, and of how many."""
+
+
+class Executor(Protocol):
+    """Does tasks that need nothing of each other."""
+
+    def run(self, work: Work, tasks: Sequence[Task]) -> Iterator[Task]:
+        """Do tasks, in any order, and yield each when it is done."""
+
+
+class Here:
+    """One task after the other, in this process, each on all threads."""
+
+    def run(self, work: Work, tasks: Sequence[Task]) -> Iterator[Task]:
+        """Do tasks in their order, and yield each when it is done."""
+        for task in tasks:
+            do(work, task)
+            yield task
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What a job did.
+
+    Attributes:
+        work: The job, all records in it.
+        kept: Tasks that a run before had done.
+    """
+
+    work: Work
+    kept: int
+
+
+def run_tasks(
+    scratch: Scratch,
+    settings: Settings,
+    executor: Executor,
+    threads: int,
+    clock: StageClock,
+    progress: Progress,
+    *,
+    resumed: bool,
+) -> Done:
+    """Do every task of a job that is not done yet.
+
+    Args:
+        scratch: Its files.
+        settings: What it is about.
+        executor: Where tasks are done.
+        threads: Threads of this process.
+        clock: Gets the seconds of each stage.
+        progress: Told of each stage.
+        resumed: Whether to look for what a run before has done; its files are then checked.
+
+    Raises:
+        NanogsError: A task could not be done.
+    """
+    work, kept = Work(scratch, settings, threads), 0
+    for stage, level in _stages(settings):
+        tasks = [Task(stage, number, level) for number in range(_count(work, stage))]
+        with clock.time(stage):
+            left = [task for task in tasks if not (resumed and _is_done(work, task))]
+            kept += len(tasks) - len(left)
+            progress(stage, len(tasks) - len(left), len(tasks))
+            for done, task in enumerate(executor.run(work, left), len(tasks) - len(left) + 1):
+                work.record(task)  # kept: the report is made when the scratch is gone
+                progress(stage, done, len(tasks))
+    return Done(work, kept)
+
+
+def _stages(settings: Settings) -> Iterator[tuple[str, int]]:
+    for stage in ("frame", "segment", "partition", "forest"):
+        yield stage, 0
+    for level in range(settings.levels):
+        yield "budget", level
+        if settings.parameters.rounds:
+            yield "cut", level
+            yield "settle", level
+        yield "part", level
+
+
+def _count(work: Work, stage: str) -> int:
+    if stage in ("frame", "partition", "budget"):
+        return 1
+    return len(work.settings.segments) if stage == "segment" else work.partition.blocks
+
+
+def _is_done(work: Work, task: Task) -> bool:
+    record = verified(work.scratch, task.name)
+    if record is not None:
+        work.known[task.name] = record
+    return record is not None

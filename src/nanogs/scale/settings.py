@@ -1,0 +1,150 @@
+"""What a job is about: all that decides the bytes of its result, as plain data."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from nanogs.errors import FormatError
+from nanogs.simplify.presets import ForestParameters
+
+# Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
+MOST_SEEN = 0.1
+VERSION = 1  # of the job folder; one of another version is not continued
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file as it was when the job began.
+
+    Attributes:
+        path: Absolute.
+        bytes: Its size.
+        modified: Nanoseconds since 1970.
+        splats: Rows in it.
+        seekable: Whether some of its rows can be read without the others.
+    """
+
+    path: str
+    bytes: int
+    modified: int
+    splats: int
+    seekable: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Consecutive rows of one input file: what is sorted at a time."""
+
+    file: int
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """The columns that all inputs are brought to.
+
+    Attributes:
+        sh_degree: The highest of them; lower ones get coefficients of 0.
+        double_means: Whether any has centres in double precision.
+        extras: Name and dtype of the extra columns that all have.
+        render_mode: Of all of them.
+        comments: Of the first.
+        notes: What is left out, one sentence each.
+    """
+
+    sh_degree: int
+    double_means: bool
+    extras: tuple[tuple[str, str], ...]
+    render_mode: str
+    comments: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """A job.
+
+    Attributes:
+        inputs: The files, parts of one scene.
+        layout: The columns of their splats.
+        segments: All rows of all files.
+        ratios: Of the results, finest first; empty where counts are asked for.
+        counts: Splats of the results, or empty.
+        nan: "drop" or "error".
+        block: Most splats of a block.
+        parameters: Of the forest.
+    """
+
+    inputs: tuple[InputFile, ...]
+    layout: Layout
+    segments: tuple[Segment, ...]
+    ratios: tuple[float, ...]
+    counts: tuple[int, ...]
+    nan: str
+    block: int
+    parameters: ForestParameters
+
+    @property
+    def splats(self) -> int:
+        """Rows of all inputs."""
+        return sum(file.splats for file in self.inputs)
+
+    @property
+    def every(self) -> int:
+        """Rows of a sorted segment that one code of its digest stands for.
+
+        Two of every segment are what a block's count can be off by: a sixteenth of a block at most.
+        """
+        return max(min(256, self.block // (32 * len(self.segments))), 1)
+
+    @property
+    def levels(self) -> int:
+        """How many results there are."""
+        return len(self.ratios) or len(self.counts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as `json.dumps` takes it."""
+        return {"version": VERSION, **asdict(self)}
+
+
+def settings_of(data: Mapping[str, Any]) -> Settings:
+    """Settings from what `Settings.to_dict` made of them, by way of JSON.
+
+    Raises:
+        FormatError: They are damaged, or of another version.
+    """
+    try:
+        if data["version"] != VERSION:
+            raise FormatError(
+                "The job was begun by another version of nanogs; remove its folder and begin anew."
+            )
+        layout = dict(data["layout"])
+        layout["extras"] = tuple((str(name), str(kind)) for name, kind in layout["extras"])
+        return Settings(
+            inputs=tuple(InputFile(**each) for each in data["inputs"]),
+            layout=Layout(**{k: _frozen(v) for k, v in layout.items()}),
+            segments=tuple(Segment(**each) for each in data["segments"]),
+            ratios=tuple(map(float, data["ratios"])),
+            counts=tuple(map(int, data["counts"])),
+            nan=str(data["nan"]),
+            block=int(data["block"]),
+            parameters=ForestParameters(**data["parameters"]),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise FormatError(
+            f"The job's manifest is damaged ({error}); remove its folder and begin anew."
+        ) from None
+
+
+def differences(before: Settings, now: Settings) -> list[str]:
+    """Names of what differs between two jobs."""
+    return [
+        each.name
+        for each in fields(Settings)
+        if getattr(before, each.name) != getattr(now, each.name)
+    ]
+
+
+def _frozen(value: Any) -> Any:  # noqa: ANN401 - any field's
+    return tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else value

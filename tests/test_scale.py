@@ -1,0 +1,459 @@
+"""Models in blocks: exact counts, one threshold, the same bytes however they were made."""
+
+import errno
+import json
+import os
+import shutil
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import nanogs
+from builders import model_bytes, random_splats
+from nanogs.errors import FormatError, ModelError, NanogsError, OptionError, OutputError
+from nanogs.scale import run, work
+from nanogs.scale.budget import budget
+from nanogs.scale.columns import CODES
+from nanogs.scale.folder import LOCK, MANIFEST, locked
+from nanogs.scale.forests import BINS, HISTOGRAM, SCORES, keys
+from nanogs.scale.frame import Frame
+from nanogs.scale.partition import partition
+from nanogs.scale.plan import plan_blocks, splat_bytes
+from nanogs.scale.scratch import FolderScratch, open_scratch
+from nanogs.scale.settings import InputFile, Layout, Segment, Settings, settings_of
+from nanogs.scale.settle import keep_every_group
+from nanogs.scale.spill import DIGEST
+from nanogs.scale.tables import Place, Table, read_record, verified, write_table
+from nanogs.simplify.presets import ForestParameters
+
+FAST = {"preset": "fast", "block": 400, "threads": 1}
+SETTLED = {**FAST, "rounds": 2}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """1,200 splats in a file, with a column that nanogs does not know."""
+    label = np.arange(1200, dtype=np.int32)
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(random_splats(1200, extras={"label": label}), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected(scene, tmp_path_factory):
+    """The bytes of the scene's result."""
+    path = tmp_path_factory.mktemp("expected") / "small.ply"
+    nanogs.simplify_blocks(scene, path, ratio=0.3, **SETTLED)
+    return path.read_bytes()
+
+
+def names(folder):
+    """What is in a folder."""
+    return [path.name for path in folder.iterdir()]
+
+
+def settings(block, segments, **changes):
+    """Settings of a job over segments of so many rows."""
+    rows = sum(segments)
+    bounds = np.cumsum([0, *segments])
+    given = {
+        "inputs": (InputFile("scene.ply", 1, 1, rows, True),),
+        "layout": Layout(0, False, (), "default", (), ()),
+        "segments": tuple(Segment(0, int(a), int(b)) for a, b in pairwise(bounds)),
+        "ratios": (0.3,),
+        "counts": (),
+        "nan": "drop",
+        "block": block,
+        "parameters": ForestParameters(),
+    }
+    return Settings(**(given | changes))
+
+
+# ---- parts ----------------------------------------------------------------------------------
+
+
+def test_rows_of_a_table_come_back_and_a_changed_byte_is_found(tmp_path):
+    scratch = FolderScratch(tmp_path)
+    wide = np.arange(300_000, dtype=np.float32).reshape(-1, 3)
+    record = write_table(scratch, "t", {"n": np.arange(7), "wide": wide}, {"fact": 1})
+    assert verified(scratch, "t") == record
+    rows = np.array([0, 1, 40_000, 40_002, 99_999])
+    with Table(scratch, record) as table:
+        out = np.empty((5, 3), np.float32)
+        table.take_into("wide", rows, out)
+        assert (out == wide[rows]).all()
+        assert (table.read("n", 2, 4) == [2, 3]).all()
+    data = bytearray((tmp_path / "t.bin").read_bytes())
+    data[-1000] ^= 1
+    (tmp_path / "t.bin").write_bytes(data)
+    assert verified(scratch, "t") is None
+    (tmp_path / "t.json").write_text('{"name": "t"')
+    assert read_record(scratch, "t") is None
+
+
+def test_records_hold_no_objects():
+    with pytest.raises(FormatError, match="objects"):
+        Place("|O", (3,), 0).row()
+
+
+@given(st.lists(st.floats(width=32, allow_nan=False), min_size=1))
+def test_keys_sort_as_scores_do(scores):
+    scores = np.array(scores, np.float32)
+    assert (scores[np.argsort(keys(scores), kind="stable")] == np.sort(scores)).all()
+
+
+@given(
+    st.lists(
+        st.lists(st.sampled_from([-2.5, -1.0, 0.0, 1e-30, 1.0, 1.0000001, 7.0]), max_size=12),
+        min_size=1,
+        max_size=5,
+    ),
+    st.integers(0, 70),
+)
+def test_the_budget_takes_the_lowest_scores_of_all_blocks(tmp_path_factory, blocks, target):
+    scratch = FolderScratch(tmp_path_factory.mktemp("budget"))
+    records, pooled = [], []
+    for number, each in enumerate(blocks):
+        scores = np.array(sorted(each), np.float32)
+        counts = np.bincount(keys(scores) >> 16, minlength=BINS)
+        facts = {"splats": len(scores) + 1, "fewest": 1}
+        columns = {SCORES: scores, HISTOGRAM: counts}
+        records.append(write_table(scratch, f"f{number}", columns, facts))
+        pooled += [(score, number) for score in scores]
+    splats = sum(len(each) + 1 for each in blocks)
+    done = [number for _, number in sorted(pooled)[: max(splats - target, 0)]]
+    left = [len(each) + 1 - done.count(number) for number, each in enumerate(blocks)]
+    assert budget(scratch, records, target) == left
+
+
+@given(
+    st.lists(st.integers(0, 300), min_size=1, max_size=6),
+    st.integers(20, 200),
+    st.sampled_from([50, 1 << 62]),
+    st.integers(0, 1000),
+)
+def test_every_row_is_in_one_block_of_bounded_size(tmp_path_factory, counts, block, spread, seed):
+    scratch, rng = FolderScratch(tmp_path_factory.mktemp("parts")), np.random.default_rng(seed)
+    job, records, all_codes = settings(block, counts), [], []
+    for number, count in enumerate(counts):
+        codes = np.sort(rng.integers(0, spread, count).astype(np.uint64))
+        columns = {CODES: codes, DIGEST: codes[:: job.every]}
+        records.append(write_table(scratch, f"s{number}", columns, {"splats": count}))
+        all_codes.append(codes)
+    if not sum(counts):
+        with pytest.raises(ModelError):
+            partition(scratch, job, records)
+        return
+    try:
+        found = partition(scratch, job, records)
+    except OptionError:
+        assert spread == 50  # many in one place
+        return
+    assert found.splats == sum(counts)
+    last = -1
+    for number in range(found.blocks):
+        pieces = found.pieces(number)
+        inside = np.concatenate([c[p] for c, p in zip(all_codes, pieces, strict=True)])
+        assert 0 < len(inside) <= block + 2 * job.every * len(counts)
+        assert int(inside.min()) > last
+        last = int(inside.max())
+
+
+@given(st.integers(1, 8), st.integers(0, 30), st.integers(0, 10_000))
+def test_every_group_keeps_one_of_its_own(groups, more, seed):
+    rng = np.random.default_rng(seed)
+    before = np.concatenate([np.arange(groups), rng.integers(0, groups, more)]).astype(np.int32)
+    after = rng.integers(0, groups + 3, len(before)).astype(np.int32)
+    moved = after.copy()
+    keep_every_group(moved, before, rng.random(len(before)), groups)
+    assert len(np.unique(moved[moved < groups])) == groups
+    if len(np.unique(after[after < groups])) == groups:
+        assert (moved == after).all()
+
+
+def test_settings_survive_json():
+    job = settings(50, [30, 40], counts=(7,), ratios=())
+    assert settings_of(json.loads(json.dumps(job.to_dict()))) == job
+    with pytest.raises(FormatError, match="version"):
+        settings_of(job.to_dict() | {"version": 0})
+    with pytest.raises(FormatError, match="damaged"):
+        settings_of({"version": 1, "layout": {}})
+
+
+def test_blocks_are_as_large_as_memory_allows():
+    layout, chosen = Layout(3, False, (), "default", (), ()), ForestParameters()
+    plan = plan_blocks(10**8, layout, chosen, (0.1,), 2 * 10**9)
+    assert plan.memory <= 1.9e9 < plan.memory + 4 * splat_bytes(layout, chosen, 0.1)
+    assert plan.blocks * plan.block >= 10**8
+    with pytest.raises(OptionError, match="at least"):
+        plan_blocks(10**8, layout, chosen, (0.1,), 10**8)
+
+
+# ---- whole jobs -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("preset", [FAST, SETTLED])
+@pytest.mark.parametrize("count", [1200, 500, 40, 1])
+def test_the_count_is_exact(scene, tmp_path, preset, count):
+    out = tmp_path / "small.ply"
+    report = nanogs.simplify_blocks(scene, out, count=count, **preset)
+    small = nanogs.load(out)
+    assert len(small) == report.achieved_count == report.asked_count == count
+    assert report.stop == "target"
+    assert report.blocks.blocks > 2
+    assert small.finite().all()
+    assert names(tmp_path) == ["small.ply"]
+
+
+def test_all_splats_keep_their_bytes_where_none_is_merged(scene, tmp_path):
+    nanogs.simplify_blocks(scene, tmp_path / "all.ply", ratio=1, **SETTLED)
+    whole, same = nanogs.load(scene), nanogs.load(tmp_path / "all.ply")
+    assert model_bytes(same.take(np.argsort(same.extras["label"]))) == model_bytes(whole)
+
+
+def test_one_block_is_the_result_of_a_model_held_whole(scene, tmp_path):
+    nanogs.simplify_blocks(scene, tmp_path / "one.ply", ratio=0.3, **(FAST | {"block": 10**6}))
+    one = nanogs.load(tmp_path / "one.ply")
+    whole, _ = nanogs.simplify(nanogs.load(scene), ratio=0.3, preset="fast")
+    common = set(map(bytes, one.means)) & set(map(bytes, whole.means))
+    assert len(common) > 0.95 * len(whole)
+
+
+def test_threads_do_not_change_the_bytes(scene, tmp_path, expected):
+    nanogs.simplify_blocks(scene, tmp_path / "one.ply", ratio=0.3, **(SETTLED | {"threads": 2}))
+    assert (tmp_path / "one.ply").read_bytes() == expected
+
+
+def test_splats_move_across_borders(scene, tmp_path):
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, **SETTLED)
+    assert 0 < report.blocks.handed < report.blocks.seen < 0.11 * 1200
+
+
+def test_what_is_unusable_is_dropped_or_refused(tmp_path):
+    splats = random_splats(500)
+    splats.means[[3, 77], 1] = np.nan
+    nanogs.save(splats, tmp_path / "a.ply")
+    report = nanogs.simplify_blocks(tmp_path / "a.ply", tmp_path / "b.ply", ratio=0.5, **FAST)
+    assert (report.dropped_nonfinite, report.achieved_count) == (2, 249)
+    with pytest.raises(ModelError, match="row 3 "):
+        nanogs.simplify_blocks(
+            tmp_path / "a.ply", tmp_path / "c.ply", ratio=0.5, nan="error", **FAST
+        )
+
+
+def test_several_files_of_different_formats_make_one_scene(tmp_path):
+    first, second = random_splats(500, degree=2), random_splats(390, degree=1, seed=2)
+    nanogs.save(first, tmp_path / "a.ply")
+    nanogs.save(second, tmp_path / "b.npz")
+    out = tmp_path / "all.ply"
+    report = nanogs.simplify_blocks([tmp_path / "a.ply", tmp_path / "b.npz"], out, ratio=1, **FAST)
+    small = nanogs.load(out)
+    assert (len(small), small.sh_degree, report.input_count) == (890, 2, 890)
+    rows = set(map(bytes, small.means))
+    assert rows == set(map(bytes, first.means)) | set(map(bytes, second.means))
+    assert any("SH degrees differ" in note for note in report.notes)
+
+
+def test_models_for_different_renderers_are_no_scene(tmp_path):
+    nanogs.save(random_splats(9), tmp_path / "a.ply")
+    mip = replace(random_splats(9), render_mode=nanogs.RenderMode.MIP)
+    nanogs.save(mip, tmp_path / "b.ply")
+    with pytest.raises(ModelError, match="different renderers"):
+        nanogs.simplify_blocks(
+            [tmp_path / "a.ply", tmp_path / "b.ply"], tmp_path / "c.ply", ratio=0.5, **FAST
+        )
+
+
+def test_only_a_ply_is_read_in_parts(tmp_path):
+    nanogs.save(random_splats(900), tmp_path / "a.npz")
+    with pytest.raises(OptionError, match=r"only a binary \.ply is read in parts"):
+        nanogs.simplify_blocks(tmp_path / "a.npz", tmp_path / "b.ply", ratio=0.5, **FAST)
+
+
+def test_other_formats_are_written_too(scene, tmp_path):
+    nanogs.simplify_blocks(scene, tmp_path / "small.splat", ratio=0.3, **FAST)
+    assert len(nanogs.load(tmp_path / "small.splat")) == 360
+
+
+def test_presets_that_need_the_whole_model_are_refused(scene, tmp_path):
+    for preset in ("best", "paper"):
+        with pytest.raises(OptionError, match=preset):
+            nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.5, preset=preset)
+    assert names(tmp_path) == []
+
+
+def test_the_scratch_can_be_a_url(scene, tmp_path, expected):
+    fsspec = pytest.importorskip("fsspec")
+    out = tmp_path / "small.ply"
+    nanogs.simplify_blocks(scene, out, ratio=0.3, scratch="memory://job", **SETTLED)
+    assert out.read_bytes() == expected
+    assert not fsspec.filesystem("memory").exists("/job")
+    with pytest.raises(OptionError, match="nosuch"):
+        open_scratch("nosuch://place")
+
+
+# ---- what was begun -------------------------------------------------------------------------
+
+
+class CrashError(Exception):
+    """As if the machine had been switched off."""
+
+
+def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
+    scene, tmp_path, expected, monkeypatch
+):
+    out, folder, do, done = tmp_path / "small.ply", tmp_path / "small.ply.job", work.do, []
+
+    def crash(*given):
+        if len(done) in (0, 1, 3, 6, 9, 12, 17, 20):
+            done.append("crash")
+            raise CrashError
+        done.append("task")
+        return do(*given)
+
+    monkeypatch.setattr(run, "do", crash)
+    for _ in range(20):
+        try:
+            report = nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **SETTLED)
+            break
+        except CrashError:
+            assert (folder / MANIFEST).exists()
+            assert not out.exists()
+    assert done.count("crash") == 8
+    assert report.blocks.resumed > 10
+    assert out.read_bytes() == expected
+    assert not folder.exists()
+
+
+def test_damage_to_what_was_done_is_mended(scene, tmp_path, expected, monkeypatch):
+    out, folder, do = tmp_path / "small.ply", tmp_path / "small.ply.job", work.do
+
+    def crash(context, task):
+        if task.stage == "part":
+            raise CrashError
+        return do(context, task)
+
+    monkeypatch.setattr(run, "do", crash)
+    with pytest.raises(CrashError):
+        nanogs.simplify_blocks(scene, out, ratio=0.3, **SETTLED)
+    monkeypatch.undo()
+    tables = sorted((folder / "scratch").glob("*.bin"))
+    for number, path in enumerate(tables):
+        data = path.read_bytes()
+        path.write_bytes(data[: len(data) // 2] if number % 2 else data[:-1] + b"\xff")
+    report = nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **SETTLED)
+    assert out.read_bytes() == expected
+    assert report.blocks.resumed < len(tables)
+
+
+def test_a_run_killed_as_the_result_got_its_name_ends_well(scene, tmp_path, expected, monkeypatch):
+    from nanogs.scale import job
+
+    out, folder = tmp_path / "small.ply", tmp_path / "small.ply.job"
+
+    def crash(self, scratch):
+        raise CrashError
+
+    monkeypatch.setattr(job.BlockJob, "_remove", crash)
+    with pytest.raises(CrashError):
+        nanogs.simplify_blocks(scene, out, ratio=0.3, **SETTLED)
+    monkeypatch.undo()
+    assert out.exists()
+    assert folder.exists()
+    nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **SETTLED)
+    assert out.read_bytes() == expected
+    assert not folder.exists()
+
+
+def begin(scene, out, monkeypatch, **given):
+    """Leave a job that was cut off."""
+
+    def crash(context, task):
+        raise CrashError
+
+    monkeypatch.setattr(run, "do", crash)
+    with pytest.raises(CrashError):
+        nanogs.simplify_blocks(scene, out, ratio=0.3, **(SETTLED | given))
+    monkeypatch.undo()
+
+
+def test_a_job_is_not_mistaken_for_another(scene, tmp_path, monkeypatch):
+    own, out = tmp_path / "scene.ply", tmp_path / "small.ply"
+    own.write_bytes(scene.read_bytes())
+    begin(own, out, monkeypatch)
+    with pytest.raises(OutputError, match="--resume continues it"):
+        nanogs.simplify_blocks(own, out, ratio=0.3, **SETTLED)
+    with pytest.raises(OutputError, match="its segments, ratios, block differ"):
+        nanogs.simplify_blocks(own, out, ratio=0.2, resume=True, **(SETTLED | {"block": 900}))
+    os.utime(own, (1, 1))
+    with pytest.raises(OutputError, match="its inputs differ"):
+        nanogs.simplify_blocks(own, out, ratio=0.3, resume=True, **SETTLED)
+    (tmp_path / "small.ply.job" / MANIFEST).write_text("{")
+    with pytest.raises(FormatError, match="cannot be read"):
+        nanogs.simplify_blocks(own, out, ratio=0.3, resume=True, **SETTLED)
+
+
+def test_two_runs_on_one_folder_are_refused(scene, tmp_path):
+    with locked(tmp_path / "job"):
+        with pytest.raises(OutputError, match="Another run"):
+            nanogs.simplify_blocks(
+                scene, tmp_path / "a.ply", ratio=0.3, job=tmp_path / "job", **FAST
+            )
+        assert (tmp_path / "job" / LOCK).exists()
+    assert names(tmp_path) == []
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(scene, tmp_path):
+    (tmp_path / "job").mkdir()
+    (tmp_path / "job" / "thesis.txt").write_text("ten years")
+    with pytest.raises(OutputError, match="holds other files"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, job=tmp_path / "job", **FAST)
+    assert names(tmp_path / "job") == ["thesis.txt"]
+
+
+def test_an_output_that_exists_is_kept_unless_told(scene, tmp_path):
+    out = tmp_path / "small.ply"
+    out.write_text("mine")
+    with pytest.raises(OutputError, match="-w"):
+        nanogs.simplify_blocks(scene, out, ratio=0.3, **FAST)
+    assert (out.read_text(), names(tmp_path)) == ("mine", ["small.ply"])
+    nanogs.simplify_blocks(scene, out, ratio=0.3, overwrite=True, **FAST)
+    assert len(nanogs.load(out)) == 360
+
+
+def test_a_full_disk_is_said_and_the_job_kept(scene, tmp_path, expected, monkeypatch):
+    out = tmp_path / "small.ply"
+    real, calls = Path.replace, []
+
+    def full(self, target):
+        calls.append(target)
+        if len(calls) == 9:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(self, target)
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(NanogsError, match="full"):
+        nanogs.simplify_blocks(scene, out, ratio=0.3, **SETTLED)
+    monkeypatch.undo()
+    nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **SETTLED)
+    assert out.read_bytes() == expected
+
+
+def test_a_disk_that_is_too_small_is_refused_at_once(scene, tmp_path, monkeypatch):
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: usage._replace(free=1000))
+    with pytest.raises(OutputError, match="--scratch"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, **FAST)
+    assert names(tmp_path) == []
+
+
+def test_frames_keep_every_digit():
+    from nanogs.scale.frame import frame_of
+
+    frame = Frame((0.1, 1 / 3, 1e-300), 0.2, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9)
+    assert frame_of(json.loads(json.dumps(frame.to_dict()))) == frame

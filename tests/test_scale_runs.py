@@ -1,0 +1,235 @@
+"""Models in blocks from outside: the command, runs that are killed, workers, borders."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+import nanogs
+from builders import random_splats
+from nanogs.report import StageClock
+from nanogs.scale import cluster
+from nanogs.scale.api import block_parameters, plan_job
+from nanogs.scale.frame import survey
+from nanogs.scale.plan import splat_bytes
+from nanogs.scale.result import write_result
+from nanogs.scale.run import Here, run_tasks
+from nanogs.scale.scratch import FolderScratch
+from nanogs.scale.settings import Layout
+from nanogs.simplify.memory import LIBRARIES
+from nanogs.simplify.presets import ForestParameters
+from nanogs.simplify.target import Goal
+
+COUNT = 100_000
+BLOCK = {"preset": "fast", "rounds": 1, "block": 35_000, "threads": 1}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A file of a scene."""
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(random_splats(COUNT, degree=0), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def memory():
+    """What blocks of a quarter of the scene need, as the command takes it."""
+    layout = Layout(0, False, (), "default", (), ())
+    return f"{int((LIBRARIES + COUNT // 4 * splat_bytes(layout, ForestParameters(), 0.1)) / 0.95)}B"
+
+
+def nanogs_command(*arguments):
+    return [sys.executable, "-m", "nanogs", *map(str, arguments)]
+
+
+def run(*arguments, code=0):
+    """Run the command; its output, and what it says to people."""
+    done = subprocess.run(nanogs_command(*arguments), capture_output=True, text=True, timeout=300)
+    assert done.returncode == code, done.stderr
+    return done.stdout, done.stderr
+
+
+def test_what_fits_is_simplified_as_ever(scene, tmp_path):
+    plain, bounded = tmp_path / "plain.ply", tmp_path / "bounded.ply"
+    run("simplify", scene, plain, "--ratio", "0.1", "--preset", "fast", "-q")
+    run("simplify", scene, bounded, "--ratio", "0.1", "--preset", "fast", "-q",
+        "--max-memory", "1GB")  # fmt: skip
+    assert bounded.read_bytes() == plain.read_bytes()
+
+
+def test_what_does_not_fit_is_simplified_in_blocks(scene, tmp_path, memory):
+    out = tmp_path / "small.ply"
+    given = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory]
+    planned = json.loads(run(*given, "--dry-run", "--json")[0])["blocks"]
+    assert planned["blocks"] > 1
+    assert planned["memory"] <= int(memory[:-1])
+    report = json.loads(run(*given, "--json", "--threads", "1")[0])
+    assert report["achieved_count"] == COUNT // 10 == len(nanogs.load(out))
+    assert report["blocks"]["blocks"] > 1
+    assert any("nothing was rendered" in note for note in report["notes"])
+    assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
+
+
+def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
+    given = ["lod", scene, tmp_path / "levels", "--levels", "0.2,0.01", "--preset", "fast"]
+    run(*given, "--max-memory", memory, "-q", "--threads", "1")
+    made = json.loads((tmp_path / "levels" / "levels.json").read_text())
+    assert [level["count"] for level in made["levels"]] == [COUNT // 5, COUNT // 100]
+    for level in made["levels"]:
+        assert len(nanogs.load(tmp_path / "levels" / level["file"])) == level["count"]
+    assert [path.name for path in tmp_path.iterdir()] == ["levels"]
+    _, text = run("lod", scene, tmp_path / "web" / "tileset.json", "--max-memory", memory, code=2)
+    assert "levels in memory" in " ".join(text.split())
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--psnr", "30"], "--psnr needs the whole"),
+        (["--size", "1MB"], "--size needs the whole"),
+        (["--ratio", "0.1", "--min-opacity", "0.1"], "a filter needs the whole"),
+        (["--ratio", "0.1", "--preset", "best"], "best needs the whole model"),
+        (["--ratio", "0.1", "--max-memory", "100MB"], "--max-memory must be at least"),
+        (["--ratio", "0.1", "--workers", "2", "--scheduler", "tcp://x:1"], "not both"),
+        (["--ratio", "0.1", "--scheduler", "tcp://127.0.0.1:9"], "No Dask scheduler answers"),
+    ],
+)
+def test_what_cannot_be_done_in_blocks_is_said(scene, tmp_path, memory, more, said):
+    if "--scheduler" in more:
+        pytest.importorskip("distributed")
+    given = [] if "--max-memory" in more else ["--max-memory", memory]
+    _, text = run("simplify", scene, tmp_path / "a.ply", *given, *more, code=2)
+    assert said in " ".join(text.split())
+    left = [path.name for path in tmp_path.iterdir()]
+    assert left == (["a.ply.job"] if "answers" in said else [])  # which --resume continues
+
+
+def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path, memory):
+    out = tmp_path / "small.ply"
+    given = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, "--resume", "-q"]
+    start = time.perf_counter()
+    run(*given)
+    whole, wanted = time.perf_counter() - start, out.read_bytes()
+    out.unlink()
+    rng, kills = random.Random(5), 0
+    while kills < 3:
+        child = subprocess.Popen(nanogs_command(*given))
+        try:
+            child.wait(rng.uniform(0.3, 0.9) * whole)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+        kills += 1
+    if not out.exists() or list(tmp_path.iterdir()) != [out]:
+        run(*given, "-w")
+    assert out.read_bytes() == wanted
+    assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
+
+
+# ---- workers --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def client():
+    """Two workers on this machine."""
+    pytest.importorskip("distributed")
+    with cluster.connected(None, 2) as client:
+        yield client
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_workers_make_the_same_bytes_and_may_be_lost(scene, tmp_path, client):
+    here, there = tmp_path / "here.ply", tmp_path / "there.ply"
+    nanogs.simplify_blocks(scene, here, ratio=0.1, **BLOCK)
+    workers = set(client.run(os.getpid).values())
+    told = []
+
+    def progress(stage, done, total):
+        told.append((stage, done, total))
+        if (stage, done) == ("forest", 1):
+            os.kill(workers.pop(), signal.SIGKILL)
+
+    nanogs.simplify_blocks(scene, there, ratio=0.1, client=client, progress=progress, **BLOCK)
+    assert len(workers) == 1
+    assert there.read_bytes() == here.read_bytes()
+    assert {("segment", 3, 3), ("part", 3, 3)} <= set(told)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_task_that_fails_on_a_worker_is_told_here(scene, tmp_path, client):
+    own = tmp_path / "own.ply"
+    own.write_bytes(scene.read_bytes())
+
+    def progress(stage, done, total):
+        if stage == "segment" and done == 0:
+            os.utime(own, (1, 1))
+
+    with pytest.raises(nanogs.NanogsError, match="has changed since the job began"):
+        nanogs.simplify_blocks(
+            own, tmp_path / "a.ply", ratio=0.1, client=client, progress=progress, **BLOCK
+        )
+
+
+# ---- borders --------------------------------------------------------------------------------
+
+
+def wall(count=9000, seed=3):
+    """A flat wall of small splats, whose colours change slowly and a little at random."""
+    rng = np.random.default_rng(seed)
+    means = np.zeros((count, 3))
+    means[:, :2] = rng.uniform(-1, 1, (count, 2))
+    colour = np.sin(4 * means[:, :2]) @ rng.normal(0, 0.7, (2, 3)) + rng.normal(0, 0.1, (count, 3))
+    spacing = 2 / np.sqrt(count)
+    return nanogs.Splats(
+        means=means.astype(np.float32),
+        log_scales=np.log(rng.uniform(0.5, 1, (count, 3)) * spacing).astype(np.float32),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        opacity_logits=np.full(count, 2, np.float32),
+        sh=colour.astype(np.float32)[:, None],
+    )
+
+
+def in_blocks(splats, folder, ratio, rounds):
+    """The wall made in blocks, and the block of each of its splats."""
+    nanogs.save(splats, folder / "in.ply")
+    chosen = block_parameters("fast", {"rounds": rounds})
+    settings, _ = plan_job([folder / "in.ply"], (Goal(ratio=ratio),), chosen, None, 2600, "drop")
+    scratch, clock = FolderScratch(folder / "scratch"), StageClock()
+    done = run_tasks(scratch, settings, Here(), 1, clock, lambda *_: None, resumed=False)
+    found = done.work.partition
+    sizes = [found.count(block) for block in range(found.blocks)]
+    order = np.argsort(survey(settings).codes(splats), kind="stable")
+    of_block = np.empty(len(splats), np.int64)
+    of_block[order] = np.repeat(np.arange(found.blocks), sizes)
+    write_result(done.work, 0, folder / "out.ply", int(ratio * len(splats)), {})
+    return nanogs.load(folder / "out.ply"), of_block
+
+
+@pytest.mark.parametrize("rounds", [0, 2])
+def test_no_seam_shows_between_blocks(tmp_path, rounds):
+    """The error of pixels near a border is that of the others, to a few hundredths."""
+    from nanogs.render.camera import Camera
+    from nanogs.render.rasterize import prepare, render
+
+    original = wall()
+    small, of_block = in_blocks(original, tmp_path, 0.1, rounds)
+    assert of_block.max() >= 3
+    pose = np.eye(4)
+    pose[2, 3] = 2.0
+    camera = Camera(160, 160, 160.0, 160.0, 80.0, 80.0, pose)  # what it sees is 2 x 2
+    shown, other = (render(prepare(each), camera).shown() for each in (original, small))
+    errors = ((shown - other) ** 2).mean(axis=2)[12:-12, 12:-12]
+    rows, columns = np.mgrid[12:148, 12:148]
+    places = np.stack([columns.ravel() + 0.5, rows.ravel() + 0.5], axis=1) / 80 - 1
+    _, near = cKDTree(original.means[:, :2]).query(places, 30)  # those of three groups
+    border = (of_block[near] != of_block[near[:, :1]]).any(axis=1).reshape(errors.shape)
+    assert 0.05 < border.mean() < 0.5
+    assert errors[border].mean() < 1.1 * errors[~border].mean()
