@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import sogfiles
+from builders import random_splats
 from conftest import scene_path
 from damage import outcome
 from nanogs import io
@@ -16,6 +17,7 @@ from nanogs.errors import FormatError, OptionError
 from nanogs.io.sog_levels import read_level
 from nanogs.splats import RenderMode
 from strategies import assert_same
+from test_convert import run
 
 HALF = 1 / math.sqrt(2)
 
@@ -275,11 +277,25 @@ def test_levels_are_read_one_at_a_time(streamed):
     finest = io.load(path)
     assert colours(finest) == [(1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2)]
     assert "'env/meta.json', is a model of its own" in finest.notes[0]
-    assert colours(read_level(path, 1)) == [(3, 0), (3, 1)]
+    assert colours(io.load(path, level=1)) == colours(read_level(path, 1)) == [(3, 0), (3, 1)]
     info = io.inspect(path)
     assert (info.splats, info.format, info.sh_degree) == (6, "streamed sog", 0)
     with pytest.raises(OptionError, match="has levels 0 to 1; level 2 is not among them"):
-        read_level(path, 2)
+        io.load(path, level=2)
+    result = run(path, path.parent / "coarse.ply", "--level", "1")
+    assert result.returncode == 0, result.stderr
+    assert colours(io.load(path.parent / "coarse.ply")) == [(3, 0), (3, 1)]
+
+
+def test_a_model_without_levels_has_none_to_choose_from(tmp_path):
+    io.save(random_splats(3), tmp_path / "a.ply")
+    assert len(io.load(tmp_path / "a.ply", level=0)) == 3
+    with pytest.raises(OptionError, match="has no levels of detail, so there is no level 1"):
+        io.load(tmp_path / "a.ply", level=1)
+    result = run(tmp_path / "a.ply", tmp_path / "b.ply", "--level", "1")
+    assert result.returncode == 2
+    assert "no level 1" in result.stderr
+    assert not (tmp_path / "b.ply").exists()
 
 
 @pytest.mark.parametrize(

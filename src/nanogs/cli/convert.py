@@ -24,6 +24,10 @@ _PATIENCE = 2.0  # seconds without a sign of life
 
 def convert(
     paths: many.Paths,
+    level: Annotated[
+        int,
+        typer.Option(min=0, help="Level of detail to read of a lod-meta.json; 0 is the finest."),
+    ] = 0,
     sh_degree: Annotated[
         int | None,
         typer.Option(help="Drop the spherical harmonics above this degree, 0 to 4."),
@@ -59,7 +63,9 @@ def convert(
     def run_one(pair: Pair) -> dict[str, Any]:
         frames = (Y_UP, TRAINED) if turn else framing.frames_of(pair, asked)
         check_writable(pair.target, **saving)
-        return _convert_file(pair, filters, sh_degree, frames, saving=saving, quiet=hushed)
+        return _convert_file(
+            pair, filters, sh_degree, frames, level=level, saving=saving, quiet=hushed
+        )
 
     hushed = quiet or json
     pairs = many.plan_pairs(paths, out_dir, out_format)
@@ -82,6 +88,7 @@ def _convert_file(
     sh_degree: int | None,
     frames: framing.Frames | None,
     *,
+    level: int,
     saving: dict[str, Any],
     quiet: bool,
 ) -> dict[str, Any]:
@@ -91,7 +98,7 @@ def _convert_file(
     with spinner(quiet=quiet, after=_PATIENCE) as progress:
         progress(f"reading {source.name}")
         with clock.time("read"):
-            splats = load(source)
+            splats = load(source, level=level)
         read_bytes = inspect(source).file_bytes  # now, as the output may take the input's place
         splats, took = apply(splats, filters)
         if sh_degree is not None:

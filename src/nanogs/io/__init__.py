@@ -26,15 +26,27 @@ __all__ = [
 ]
 
 
-def load(path: str | PathLike[str]) -> Splats:
-    """Read a model from a file of any format that nanogs knows; of a streamed one the finest level.
+def load(path: str | PathLike[str], *, level: int = 0) -> Splats:
+    """Read a model from a file of any format that nanogs knows.
+
+    Args:
+        path: The file.
+        level: Of a streamed model, which level of detail; 0 is the finest.
 
     Raises:
         FormatError: The suffix is unknown, the file cannot be read, is damaged, or holds
             something that cannot be kept.
+        OptionError: There is no such level.
     """
     path = Path(path)
-    return registry.reader(path).read(path)
+    known = registry.reader(path)
+    if known.read_level is not None:
+        return known.read_level(path, level)
+    if level != 0:
+        raise OptionError(
+            f"{path} has no levels of detail, so there is no level {level}; leave it out."
+        )
+    return known.read(path)
 
 
 def stream(path: str | PathLike[str]) -> Iterator[Splats]:

@@ -94,6 +94,7 @@ class Format:
     file_bytes: Sizer | None = None
     losses: Losses = _nothing
     stream: Callable[[Path], Iterator[Splats]] | None = None
+    read_level: Callable[[Path, int], Splats] | None = None
     frame: str = _UNSTATED
     axes: str | None = TRAINED
     turns: bool = False
@@ -175,7 +176,7 @@ FORMATS = (
         write_folder=sog_write.write_folder,
         ours=sog_write.ours,
     ),
-    Format(LEVELS, sog_levels.read, sog_levels.inspect),
+    Format(LEVELS, sog_levels.read, sog_levels.inspect, read_level=sog_levels.read_level),
 )
 
 
