@@ -1,5 +1,8 @@
 """How the range of a kernel is spread over threads."""
 
+import os
+import subprocess
+import sys
 import threading
 
 import numba
@@ -71,3 +74,27 @@ def test_it_keeps_what_the_kernel_says_of_itself():
     run = spread(add_one)
     assert run.__doc__ == "Add to some values."
     assert run.signatures == []
+
+
+FORK = """
+import os
+import numpy as np
+from nanogs.spread import Spread
+
+def add_one(start, stop, values):
+    values[start:stop] += 1
+
+run = Spread(add_one, add_one, "values", 1, 8)
+run(np.zeros(100))  # starts threads, which the child does not have
+child = os.fork()
+values = np.zeros(100)
+run(values)
+if child:
+    assert os.waitpid(child, 0)[1] == 0
+assert (values == 1).all()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing forks here")
+def test_a_forked_process_starts_threads_of_its_own():
+    subprocess.run([sys.executable, "-W", "ignore", "-c", FORK], check=True, timeout=60)

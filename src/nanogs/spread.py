@@ -5,6 +5,7 @@ of each is optimised as a function of its own and again with all that surrounds 
 """
 
 import inspect
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -62,3 +63,8 @@ class Spread(Generic[P]):
 @cache
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(int(config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+
+
+# A forked process has the pool but none of its threads, for which it would wait for ever.
+if hasattr(os, "register_at_fork"):  # not on Windows, where nothing forks
+    os.register_at_fork(after_in_child=_pool.cache_clear)
