@@ -26,6 +26,7 @@ import nanogs
 from nanogs.datasets.synthetic import make_scene
 from nanogs.formatting import bytes_text
 from nanogs.io import inspect
+from nanogs.io.files import splat_bytes
 from nanogs.simplify.order import morton_order
 from nanogs.simplify.target import target_count
 from rivals import ROOT, install, run_tool, timed
@@ -159,7 +160,7 @@ def scaling(counts: list[int], options: argparse.Namespace) -> None:
 def column_bytes(model: Path) -> int:
     """Bytes of a model's float32 columns."""
     columns = inspect(model)
-    return columns.splats * 4 * (11 + 3 * (columns.sh_degree + 1) ** 2)
+    return columns.splats * splat_bytes(columns.sh_degree)
 
 
 def threads(numbers: list[int], model: Path, options: argparse.Namespace) -> None:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import nanogs
 import twins
 from builders import model_bytes, random_splats
+from nanogs.datasets.harmonics import basis
 from nanogs.kernels.assign import assign_nearest, invert_covariances
-from nanogs.kernels.harmonics import sh_basis
 from nanogs.report import PassReport, StageClock, StopReason
 from nanogs.simplify import choose, forest_pipeline, reassign, tree
 from nanogs.simplify.choose import choose_model, quality
@@ -544,15 +544,7 @@ def turned_harmonics(turn, degree):
     """(K, K) what turning does to spherical harmonics: colours towards 200 directions stay."""
     directions = np.random.default_rng(0).normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    after, before = (harmonics(d, degree) for d in (directions, directions @ turn))
-    return np.linalg.lstsq(after, before)[0]
-
-
-def harmonics(directions, degree):
-    values = np.empty((len(directions), (degree + 1) ** 2))
-    for direction, row in zip(directions, values, strict=True):
-        sh_basis(*direction, degree, row)
-    return values
+    return np.linalg.lstsq(basis(directions, degree), basis(directions @ turn, degree))[0]
 
 
 TURN = np.array([0.5, -0.1, 0.7, 0.5]) / np.sqrt(0.25 + 0.01 + 0.49 + 0.25)

@@ -23,7 +23,7 @@ from nanogs.scale.folder import LOCK, MANIFEST, locked
 from nanogs.scale.forests import BINS, HISTOGRAM, SCORES, keys
 from nanogs.scale.frame import Frame
 from nanogs.scale.partition import partition
-from nanogs.scale.plan import plan_blocks, splat_bytes
+from nanogs.scale.plan import held_bytes, plan_blocks
 from nanogs.scale.scratch import FolderScratch, open_scratch
 from nanogs.scale.settings import InputFile, Layout, Segment, Settings, settings_of
 from nanogs.scale.settle import keep_every_group
@@ -188,7 +188,7 @@ def test_settings_survive_json():
 def test_blocks_are_as_large_as_memory_allows():
     layout, chosen = Layout(3, False, (), "default", (), ()), ForestParameters()
     plan = plan_blocks(10**8, layout, chosen, (0.1,), 2 * 10**9)
-    assert plan.memory <= 1.9e9 < plan.memory + 4 * splat_bytes(layout, chosen, 0.1)
+    assert plan.memory <= 1.9e9 < plan.memory + 4 * held_bytes(layout, chosen, 0.1)
     assert plan.blocks * plan.block >= 10**8
     with pytest.raises(OptionError, match="at least"):
         plan_blocks(10**8, layout, chosen, (0.1,), 10**8)

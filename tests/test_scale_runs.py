@@ -18,7 +18,7 @@ from nanogs.report import StageClock
 from nanogs.scale import cluster
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.frame import survey
-from nanogs.scale.plan import splat_bytes
+from nanogs.scale.plan import held_bytes
 from nanogs.scale.result import write_result
 from nanogs.scale.run import Here, run_tasks
 from nanogs.scale.scratch import FolderScratch
@@ -43,7 +43,7 @@ def scene(tmp_path_factory):
 def memory():
     """What blocks of a quarter of the scene need, as the command takes it."""
     layout = Layout(0, False, (), "default", (), ())
-    return f"{int((LIBRARIES + COUNT // 4 * splat_bytes(layout, ForestParameters(), 0.1)) / 0.95)}B"
+    return f"{int((LIBRARIES + COUNT // 4 * held_bytes(layout, ForestParameters(), 0.1)) / 0.95)}B"
 
 
 def nanogs_command(*arguments):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import twins
 from conftest import scene_path
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import load
@@ -18,9 +19,7 @@ TURNS = [(1, 0, 0, 0), (0.5, -0.1, 0.7, 0.5), (0, 1, 0, 0), (-0.2, 0.9, -0.3, 0.
 
 
 def matrix(quat):
-    w, x, y, z = np.array(quat) / np.linalg.norm(quat)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+    return twins.rotation_matrix(np.array(quat) / np.linalg.norm(quat))
 
 
 def turned(model, quat):

@@ -174,6 +174,36 @@ class Splats:
         return replace(self, sh=np.ascontiguousarray(self.sh[:, : (degree + 1) ** 2]))
 
 
+def concatenate(parts: Sequence[Splats]) -> Splats:
+    """Models of the same columns as one; tags of the first, zeros for coefficients that one lacks.
+
+    Args:
+        parts: One or more.
+    """
+    first = parts[0]
+    most = max(part.sh.shape[1] for part in parts)
+    return replace(
+        first,
+        means=np.concatenate([part.means for part in parts]),
+        log_scales=np.concatenate([part.log_scales for part in parts]),
+        quats=np.concatenate([part.quats for part in parts]),
+        opacity_logits=np.concatenate([part.opacity_logits for part in parts]),
+        sh=np.concatenate([padded(part.sh, most) for part in parts]),
+        extras={
+            name: np.concatenate([part.extras[name] for part in parts]) for name in first.extras
+        },
+    )
+
+
+def padded(sh: F32, coefficients: int) -> F32:
+    """(N, K, 3): the coefficients and zeros after them, K at least as many as asked for."""
+    if sh.shape[1] >= coefficients:
+        return sh
+    longer = np.zeros((len(sh), coefficients, 3), np.float32)
+    longer[:, : sh.shape[1]] = sh
+    return longer
+
+
 def alphas(logits: F32) -> F64:
     """(N,) float64 in [0, 1]: what logits stand for."""
     with np.errstate(over="ignore"):

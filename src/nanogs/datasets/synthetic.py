@@ -7,11 +7,11 @@ step turns it to the y-down habit of trained models.
 
 import numpy as np
 
-from nanogs._types import F32, F64, I64
+from nanogs._types import F32, F64
 from nanogs.datasets.harmonics import lobe
 from nanogs.datasets.still_life import PARTS, SKYLIGHT, SUN, SUNLIGHT, UP, Builder, Part, Rng
 from nanogs.errors import OptionError
-from nanogs.splats import MAX_SH_DEGREE, Splats
+from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
 
 SH_C0 = 0.28209479177387814
 TO_Y_DOWN = np.array([1.0, -1.0, -1.0])
@@ -43,7 +43,7 @@ def make_scene(count: int = 200_000, *, sh_degree: int = 3, seed: int = 0) -> Sp
     shares = _allot(count)
     parts = [build(n, rng) for build, n in shares.items() if n]
     models = [_splats(part, sh_degree, rng) for part in parts]
-    return _concatenate(models, rng.permutation(count))
+    return concatenate(models).take(rng.permutation(count))
 
 
 def _allot(count: int) -> dict[Builder, int]:
@@ -94,13 +94,3 @@ def _harmonics(part: Part, normals: F64, degree: int, rng: Rng) -> F32:
             highlight = lobe(mirrored, degree, width) * np.clip(facing * 3, 0, 1)[:, None]
             sh += highlight[:, :, None] * colour
     return sh.astype(np.float32)
-
-
-def _concatenate(models: list[Splats], order: I64) -> Splats:
-    return Splats(
-        means=np.concatenate([model.means for model in models])[order],
-        log_scales=np.concatenate([model.log_scales for model in models])[order],
-        quats=np.concatenate([model.quats for model in models])[order],
-        opacity_logits=np.concatenate([model.opacity_logits for model in models])[order],
-        sh=np.concatenate([model.sh for model in models])[order],
-    )

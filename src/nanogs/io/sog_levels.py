@@ -20,7 +20,7 @@ from nanogs.io.files import input_size
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import integer, is_plain, parse, refused, rows, table
 from nanogs.io.sog_meta import MAX_COUNT
-from nanogs.splats import RenderMode, Splats
+from nanogs.splats import RenderMode, Splats, concatenate
 
 # Python takes up to 25 times a JSON text's size; a leaf has some 500 bytes for 10 K splats or more.
 MAX_MANIFEST_BYTES = 8 << 20
@@ -200,20 +200,9 @@ def _joined(models: list[Splats], notes: tuple[str, ...]) -> Splats:
     """The models one after the other, with zeros for coefficients that one lacks."""
     if len(models) == 1:
         return replace(models[0], notes=[*models[0].notes, *notes])
-    coefficients = max(model.sh.shape[1] for model in models)
-    sh = np.zeros((sum(map(len, models)), coefficients, 3), np.float32)
-    at = 0
-    for model in models:
-        sh[at : at + len(model), : model.sh.shape[1]] = model.sh
-        at += len(model)
-    names = ("means", "log_scales", "quats", "opacity_logits")
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(model, name) for model in models]) for name in names
-    }
     own = dict.fromkeys(note for model in models for note in model.notes)
-    return Splats(
-        **joined,
-        sh=sh,
+    return replace(
+        concatenate(models),
         render_mode=_common_mode({model.render_mode for model in models}),
         notes=[*own, *notes],
     )

@@ -5,6 +5,7 @@ that is the same all around has no heading of its own and gets any.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,30 +18,42 @@ ROUNDS = 20  # of the geometric median; each brings it nearer by about half
 REACH = 4.0  # median distances from the middle; beyond lie surroundings, skies and strays
 
 
-def model_frame(matter: Matter, up: F64) -> F64:
+class Body(NamedTuple):
+    """A model without strays and surroundings.
+
+    Attributes:
+        points: (n, 3) float64, scene units.
+        weights: (n,) float64, their areas, which add up to 1.
+    """
+
+    points: F64
+    weights: F64
+
+
+def model_frame(body: Body, up: F64) -> F64:
     """(3, 3): rows are the direction in which the model is longest, the one beside it, and up.
 
     The first is level, and points where the longer tail of the area lies.
 
     Args:
-        matter: The model.
+        body: The model.
         up: (3,) float64, unit.
     """
-    points, weights = _within_reach(matter)
+    points, weights = body
     basis = level_frame(up)
     longest = _axes(points @ basis[:2].T, weights)[0] @ basis[:2]
     return np.stack([longest, np.cross(up, longest), up])
 
 
-def principal_frame(matter: Matter) -> F64:
+def principal_frame(body: Body) -> F64:
     """(3, 3): rows are the axes along which the model is longest, next longest and shortest.
 
     The first two point where the longer tail of the area lies, and the third makes it right-handed.
 
     Args:
-        matter: The model.
+        body: The model.
     """
-    first, second, _ = _axes(*_within_reach(matter))
+    first, second, _ = _axes(*body)
     return np.stack([first, second, np.cross(first, second)])
 
 
@@ -49,13 +62,14 @@ def seen_from(matter: Matter, frame: F64) -> Matter:
     return replace(matter, points=matter.points @ frame.T, arms=matter.arms @ frame.T)
 
 
-def _within_reach(matter: Matter) -> tuple[F64, F64]:
-    """Points (n, 3) without strays and surroundings, and their weights (n,), which add up to 1."""
+def body_of(matter: Matter) -> Body:
+    """What lies within a few median distances of the middle."""
     distances = np.linalg.norm(matter.points - _middle(matter), axis=1)
     rows = np.flatnonzero(distances <= REACH * quantiles(distances, matter.alphas, 0.5)[0])
     weights = capped(matter.areas[rows])
     total = weights.sum()
-    return matter.points[rows], weights / total if total > 0 else np.full(len(rows), 1 / len(rows))
+    even = np.full(len(rows), 1 / len(rows))
+    return Body(matter.points[rows], weights / total if total > 0 else even)
 
 
 def _axes(points: F64, weights: F64) -> F64:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64
-from nanogs.render.heading import model_frame, principal_frame, seen_from
+from nanogs.render.heading import Body, body_of, model_frame, principal_frame, seen_from
 from nanogs.render.inside import is_room
 from nanogs.render.occupancy import Core, Matter, find_core, quantiles
 from nanogs.render.up import LEAD, Surfaces, ground, surfaces_of
@@ -42,9 +42,9 @@ class Stance:
     band: tuple[float, float]
 
 
-def upright(matter: Matter, up: F64) -> Stance:
+def upright(body: Body, up: F64) -> Stance:
     """The stance of a model of which up (3,), unit, is known."""
-    return Stance(model_frame(matter, up), UPRIGHT)
+    return Stance(model_frame(body, up), UPRIGHT)
 
 
 def own_stance(matter: Matter, *, room: bool) -> Stance:
@@ -54,7 +54,8 @@ def own_stance(matter: Matter, *, room: bool) -> Stance:
         matter: The model.
         room: Whether it may be a room.
     """
-    frame = principal_frame(matter)
+    body = body_of(matter)
+    frame = principal_frame(body)
     seen = seen_from(matter, frame)  # what looks along axes now turns with the model
     core = find_core(seen)
     surfaces = surfaces_of(seen, core)
@@ -64,7 +65,7 @@ def own_stance(matter: Matter, *, room: bool) -> Stance:
         up = _room_up(seen, core, surfaces, flats)
     if up is None:
         up = _land_up(surfaces)
-    return Stance(frame, ALL_AROUND) if up is None else upright(matter, up @ frame)
+    return Stance(frame, ALL_AROUND) if up is None else upright(body, up @ frame)
 
 
 def _flat_directions(surfaces: Surfaces) -> list[F64]:

@@ -16,7 +16,7 @@ from nanogs._types import F64, I64
 from nanogs.errors import OptionError
 from nanogs.render import inside, orbit
 from nanogs.render.camera import Camera
-from nanogs.render.heading import seen_from
+from nanogs.render.heading import body_of, seen_from
 from nanogs.render.occupancy import Core, Matter, find_core, sample
 from nanogs.render.stance import UPRIGHT, own_stance, upright
 from nanogs.render.up import detect_up
@@ -131,9 +131,9 @@ def survey(
     given = None if up is None else _unit(up)
     matter = sample(splats)
     if given is not None:
-        stance = upright(matter, given)
+        stance = upright(body_of(matter), given)
     elif habit:
-        stance = upright(matter, detect_up(matter, find_core(matter)))
+        stance = upright(body_of(matter), detect_up(matter, find_core(matter)))
     else:
         stance = own_stance(matter, room=kind != "orbit")
     turn = np.eye(4)

@@ -1,7 +1,6 @@
 """The splats of a block, put together from sorted segments."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from nanogs.scale.frame import Frame
 from nanogs.scale.partition import Partition
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Table
-from nanogs.simplify.nodes import Nodes, activate_nodes
+from nanogs.simplify.nodes import Nodes, activate_nodes, without_coverages
 from nanogs.splats import Splats
 
 
@@ -63,7 +62,7 @@ def leaves_of(splats: Splats, rows: I64, frame: Frame, *, bare: bool = False) ->
     """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
     nodes = activate_nodes(splats, rows, frame.centre(), frame.pixel, frame.thinnest)
     np.maximum(nodes.coverages / frame.coverage, 1e-9, out=nodes.weights)
-    return replace(nodes, coverages=nodes.weights) if bare else nodes
+    return without_coverages(nodes) if bare else nodes
 
 
 def with_codes(columns: dict[str, Array], count: int) -> dict[str, Array]:

@@ -6,6 +6,7 @@ No Numba here: `--dry-run` uses it.
 from dataclasses import dataclass, replace
 
 from nanogs.errors import OptionError
+from nanogs.io.files import splat_bytes
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.settings import MOST_SEEN, Layout
 from nanogs.simplify.memory import LIBRARIES, plan_memory
@@ -70,7 +71,7 @@ def plan_blocks(
     Raises:
         OptionError: The memory is too little for any block.
     """
-    row, each = row_bytes(layout), splat_bytes(layout, parameters, max(shares))
+    row, each = row_bytes(layout), held_bytes(layout, parameters, max(shares))
     if block is None:
         room = _SHARE * (max_memory or 0) - LIBRARIES
         block = int(room / each)
@@ -96,7 +97,7 @@ def plan_blocks(
     )
 
 
-def splat_bytes(layout: Layout, parameters: ForestParameters, share: float) -> float:
+def held_bytes(layout: Layout, parameters: ForestParameters, share: float) -> float:
     """Most bytes for each splat of a block that any stage holds.
 
     Args:
@@ -104,7 +105,7 @@ def splat_bytes(layout: Layout, parameters: ForestParameters, share: float) -> f
         parameters: Of the method.
         share: What the result keeps of the splats of a block; one block can keep more than others.
     """
-    extra = row_bytes(layout) - 4 * (11 + 3 * (layout.sh_degree + 1) ** 2)
+    extra = row_bytes(layout) - splat_bytes(layout.sh_degree)
     kept = int(min(1.0, 2 * share) * _MANY)
     held = plan_memory(_MANY, layout.sh_degree, extra, in_blocks(parameters), kept)
     codes = 2 * 8  # and their order

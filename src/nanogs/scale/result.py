@@ -16,11 +16,10 @@ from nanogs.io.atomic import atomic_write
 from nanogs.scale.columns import count_of, empty_columns, read_rows, splats_of
 from nanogs.scale.scratch import hash_file
 from nanogs.scale.settings import Settings
-from nanogs.scale.source import concatenate
 from nanogs.scale.tables import Record, Table
 from nanogs.scale.work import Work
 from nanogs.simplify.api import simplify
-from nanogs.splats import Splats
+from nanogs.splats import Splats, concatenate
 
 _STREAMED = ".ply"
 

@@ -11,7 +11,7 @@ from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.io import FileInfo, inspect, load, ply
 from nanogs.io.registry import find
 from nanogs.scale.settings import InputFile, Layout, Segment, Settings
-from nanogs.splats import RenderMode, Splats
+from nanogs.splats import RenderMode, Splats, concatenate, padded
 
 _SPANS, _SPAN_ROWS = 256, 1024  # of the rows that stand for all
 
@@ -149,22 +149,6 @@ def load_joined(paths: Sequence[Path]) -> Splats:
     return replace(concatenate(parts), comments=layout.comments, notes=tuple(notes))
 
 
-def concatenate(parts: Sequence[Splats]) -> Splats:
-    """Models of the same columns as one; tags of the first."""
-    first = parts[0]
-    return replace(
-        first,
-        means=np.concatenate([part.means for part in parts]),
-        log_scales=np.concatenate([part.log_scales for part in parts]),
-        quats=np.concatenate([part.quats for part in parts]),
-        opacity_logits=np.concatenate([part.opacity_logits for part in parts]),
-        sh=np.concatenate([part.sh for part in parts]),
-        extras={
-            name: np.concatenate([part.extras[name] for part in parts]) for name in first.extras
-        },
-    )
-
-
 def _read(file: InputFile, start: int, stop: int) -> Splats:
     path = Path(file.path)
     status = path.stat() if path.exists() else None
@@ -178,17 +162,13 @@ def _read(file: InputFile, start: int, stop: int) -> Splats:
 
 def _with_layout(splats: Splats, layout: Layout) -> Splats:
     coefficients = (layout.sh_degree + 1) ** 2
-    sh = splats.sh
-    if sh.shape[1] < coefficients:
-        sh = np.zeros((len(splats), coefficients, 3), np.float32)
-        sh[:, : splats.sh.shape[1]] = splats.sh
     means = splats.means.astype(np.float64) if layout.double_means else splats.means
     return Splats(
         means=means,
         log_scales=splats.log_scales,
         quats=splats.quats,
         opacity_logits=splats.opacity_logits,
-        sh=sh,
+        sh=padded(splats.sh, coefficients),
         extras={name: splats.extras[name].astype(kind) for name, kind in layout.extras},
         render_mode=RenderMode(layout.render_mode),
         notes=splats.notes,

@@ -17,7 +17,13 @@ from nanogs.simplify.choose import BALANCES, Candidate, choose_model
 from nanogs.simplify.cut import cut
 from nanogs.simplify.extent import dilation
 from nanogs.simplify.gaussians import scene_origin
-from nanogs.simplify.nodes import Nodes, activate_nodes, normalised, stored_order
+from nanogs.simplify.nodes import (
+    Nodes,
+    activate_nodes,
+    normalised,
+    stored_order,
+    without_coverages,
+)
 from nanogs.simplify.order import morton_order
 from nanogs.simplify.outcome import Outcome
 from nanogs.simplify.pipeline import Progress
@@ -100,18 +106,13 @@ def build_forest(
     # Made again for what follows: the passes are the most that is held, and they have no use for
     # the leaves after the first.
     forest = grow_forest(
-        _without_coverages(leaves()), parameters.k, parameters.lambda_app, threads, progress
+        without_coverages(leaves()), parameters.k, parameters.lambda_app, threads, progress
     )
     for one_pass in forest.passes:
         clock.add(one_pass.seconds)
     return Build(
         splats, leaves(), forest, origin, pixel, views, cameras, parameters, threads, notes
     )
-
-
-def _without_coverages(nodes: Nodes) -> Nodes:
-    """The nodes for growing, which has no use for coverages: they take no memory of their own."""
-    return replace(nodes, coverages=nodes.weights)
 
 
 def deliver(build: Build, target: int, clock: StageClock, progress: Progress) -> Outcome:
@@ -180,7 +181,7 @@ def _choose(
         lambda balance: cut(build.forest, groups, balance),
         lambda labels, growth: _model(build, labels, growth),
         lambda small: judge(small, views),
-        sorted({*BALANCES, *({build.parameters.balance} - {USUAL_BALANCE})}),
+        sorted({*BALANCES, build.parameters.balance} - {USUAL_BALANCE}),
         build.parameters.growth,
     )
 

@@ -106,6 +106,11 @@ def activate_nodes(
     return Nodes(normalised(coverages), coverages, means, covariances, features, rows)
 
 
+def without_coverages(nodes: Nodes) -> Nodes:
+    """The nodes for growing, which has no use for coverages: they take no memory of their own."""
+    return replace(nodes, coverages=nodes.weights)
+
+
 def thinnest_axis(scales: F32, means: F64, pixel: float) -> float:
     """Thinnest axis of any node, scene units: points have one too; above 0 for every scene."""
     if pixel > 0:
