@@ -56,7 +56,12 @@ def print_plan(plan: Plan) -> None:
 
 def print_wish(plan: Plan) -> None:
     """Show on stderr what a run would read and write, of a model that does not fit into memory."""
-    rows = _wish_rows(plan, f"{plan.count or 0:,} splats")
+    print_divided(plan, f"{plan.count or 0:,} splats")
+
+
+def print_divided(plan: Plan, text: str) -> None:
+    """The same with what would be written in other words."""
+    rows = _wish_rows(plan, text)
     show(err, key_value_table(rows | {"peak memory": f"{bytes_text(plan.memory().peak)} if whole"}))
 
 
@@ -64,7 +69,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
     """What a run would do, for JSON."""
     asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
     asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
-    return _plan_json(plan, asked)
+    return describe_plan(plan, asked)
 
 
 def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> None:
@@ -77,12 +82,13 @@ def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> No
         json: On stdout as JSON, else on stderr for people.
     """
     if json:
-        print_json(_plan_json(plan, asked))
+        print_json(describe_plan(plan, asked))
     else:
         _print_rows(plan, text)
 
 
-def _plan_json(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
+def describe_plan(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
+    """What a run would do and what is asked of it, for JSON."""
     return {
         "input": str(plan.info.path),
         "input_count": plan.info.splats,
