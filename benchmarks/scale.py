@@ -2,6 +2,7 @@
 
 python benchmarks/scale.py make city.ply --splats 20000000 --degree 3 scene.ply ...
 python benchmarks/scale.py run city.ply --max-memory 2GB --ratio 0.1
+python benchmarks/scale.py lod city.ply tileset.json --max-memory 2GB
 python benchmarks/scale.py kill scene.ply --times 100
 python benchmarks/scale.py seam scene.ply ... --blocks 4
 """
@@ -122,6 +123,25 @@ def run(args: argparse.Namespace) -> None:
     print(", ".join(f"{name} {value:.1f}" for name, value in stages.items()))
 
 
+def lod(args: argparse.Namespace) -> None:
+    """Make levels of detail and say what it took."""
+    with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+        out = Path(folder) / "levels" / args.name
+        command = [*NANOGS, "lod", str(args.source), str(out), "--preset", args.preset, "--json"]
+        command += ["--levels", args.levels]
+        for option in ("max_memory", "threads", "workers", "chunk"):
+            if (value := getattr(args, option)) is not None:
+                command += [f"--{option.replace('_', '-')}", str(value)]
+        seconds, spent, peak, text = watched(command)
+    report = json.loads(text)
+    count, first = report["source_count"], report["reports"][0]
+    print(f"{count:,} splats to {[each['count'] for each in report['levels']]}")
+    print(f"{[len(each.get('files', '.')) for each in report['levels']]} files, blocks: ", end="")
+    print(first["blocks"])
+    print(f"{seconds:.1f} s, {spent:.1f} s of processors, {peak / 1e6:.0f} MB resident at most")
+    print(", ".join(f"{name} {value:.1f}" for name, value in first["seconds"].items()))
+
+
 def kill(args: argparse.Namespace) -> None:
     """Kill runs at random moments until one ends, again and again; every result is the same."""
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
@@ -181,6 +201,17 @@ def main() -> None:
     one.add_argument("--threads", type=int)
     one.add_argument("--preset", default="fast")
     one.set_defaults(do=run)
+    one = commands.add_parser("lod")
+    one.add_argument("source", type=Path)
+    one.add_argument("name", choices=["tileset.json", "lod-meta.json"])
+    one.add_argument("--levels", default="0.5,0.25,0.1,0.01")
+    one.add_argument("--max-memory", help="in memory without it")
+    one.add_argument("--workers", type=int)
+    one.add_argument("--threads", type=int)
+    one.add_argument("--chunk", type=int)
+    one.add_argument("--preset", default="fast")
+    one.add_argument("--folder", type=Path)
+    one.set_defaults(do=lod)
     one = commands.add_parser("kill")
     one.add_argument("source", type=Path)
     one.add_argument("--times", type=int, default=100)

@@ -93,7 +93,13 @@ def plan_blocks(
             least = (LIBRARIES + max(_LEAST * each, encoded + _LEAST * kept)) / _SHARE
             raise OptionError(
                 f"--max-memory must be at least {least / 1e6:,.0f} MB for this model, of which"
-                f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries."
+                f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries"
+                + (
+                    f" and {encoded / 1e6:,.0f} MB for a file of chunks: a smaller --chunk takes"
+                    " less."
+                    if chunks
+                    else "."
+                )
             )
     segment = max(min(block, _SEGMENT), 1)
     blocks = -(-splats // max(block - block // 16, 1))
