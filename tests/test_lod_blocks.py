@@ -307,18 +307,20 @@ def test_memory_bounds_blocks_and_files_of_chunks():
     layout = Columns(3, False, (), "default", (), ())
 
     def plan(room, chunks):
-        return plan_blocks(10**8, layout, ForestParameters(), (0.5,), room, None, chunks)
+        return plan_blocks(10**7, layout, ForestParameters(), (0.5,), room, None, chunks)
 
     plain, small, large = (
         plan(450_000_000, chunks)
-        for chunks in (None, Chunks(SOG, 1000, False), Chunks(SOG, 32_768, False))
+        for chunks in (None, Chunks(SOG, 2000, False), Chunks(SOG, 32_768, False))
     )
     assert large.block < small.block <= plain.block
     assert max(large.memory, small.memory, plain.memory) <= 450_000_000
     assert plain.seconds < large.seconds
     assert plan(10**9, Chunks(TILES, 32_768, False)).block == plan(10**9, None).block
-    with pytest.raises(OptionError, match="--chunk"):
+    with pytest.raises(OptionError, match="a smaller --chunk"):
         plan(300_000_000, Chunks(SOG, 32_768, False))
+    with pytest.raises(OptionError, match="a larger --chunk"):
+        plan(450_000_000, Chunks(TILES, 100, False))
 
 
 # The command
@@ -334,7 +336,8 @@ def test_the_command(tmp_path, name):
     planned = json.loads(run(*given, "--dry-run", "--json").stdout)
     assert planned["blocks"]["blocks"] > 1
     assert planned["blocks"]["memory"] <= 245_000_000
-    assert "about" in run(*given, "--dry-run").stderr
+    if name == "tileset.json":
+        assert "of at most" in run(*given, "--dry-run").stderr
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.ply"]
     result = run(*given, "--json", "--threads", "1")
     assert result.returncode == 0, result.stderr
