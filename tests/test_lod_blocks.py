@@ -12,10 +12,12 @@ from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.sog_levels import read_level
 from nanogs.lod import blocks_folder
+from nanogs.lod.cells import divide
 from nanogs.lod.in_blocks import write_levels_in_blocks
 from nanogs.lod.layout import Layout, made_files
 from nanogs.scale import run as scale_run
 from nanogs.scale import work
+from nanogs.scale.chunked import cut_of
 from nanogs.scale.folder import MANIFEST
 from nanogs.scale.job import Where
 from nanogs.scale.plan import plan_blocks
@@ -194,9 +196,28 @@ def test_few_splats_and_all_of_them(scene, tmp_path, layout, ratios):
     if layout is Layout.SOG:
         found = [len(read_level(folder / "lod-meta.json", n)) for n in range(len(ratios))]
     else:
-        parts = tile_parts(folder / "tileset.json")
+        path = folder / "tileset.json"
+        for tile, _ in tiles(path):
+            assert ("children" in tile) == (tile["geometricError"] > 0)
+        parts = tile_parts(path)
         found = [sum(map(len, parts[level])) for level in range(len(ratios))]
     assert found == wanted
+
+
+def test_a_coarse_splat_may_lie_where_the_finest_level_left_nothing(tmp_path):
+    """In seed 9 one of two splats is in the block of none of three."""
+    nanogs.save(random_splats(1200, degree=0, seed=9), tmp_path / "a.ply")
+    write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, ratios=(0.0021, 0.0012))
+    parts = tile_parts(tmp_path / "t" / "tileset.json")
+    assert [sum(map(len, parts[level])) for level in range(2)] == [3, 2]
+
+
+def test_a_coarser_tile_is_not_smaller_than_finer_ones():
+    """Merging has moved more into the cells than they held: the finer level's tile stays whole."""
+    cells = divide(np.arange(12.0).reshape(4, 3), 2)
+    counts = np.array([[1, 1], [2, 1]])
+    assert cut_of(cells, counts, 2, 0) == cut_of(cells, counts, 2, 1) == [0]
+    assert cells.cut(counts[1], 2, cells.all_leaves()) == [1, 2]
 
 
 def test_what_is_left_out_is_said_once_for_all_blocks(tmp_path):
@@ -220,22 +241,20 @@ class CrashError(Exception):
 def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
     scene, tmp_path, made, layout, monkeypatch
 ):
-    folder, do, done = tmp_path / "levels", work.do, []
-    move, copy = blocks_folder.move_folder, blocks_folder._copy
+    folder, done = tmp_path / "levels", []
+    move = blocks_folder.move_folder
 
-    def crash_at(*places):
-        """A function that fails at its calls of these numbers, over all that count here."""
+    def crash_at(function, *places):
+        """The function, which fails at its calls of these numbers."""
+        calls = itertools.count(1)
 
-        def wrapped(function):
-            def call(*given, **options):
-                done.append(function.__name__)
-                if len(done) in places:
-                    raise CrashError
-                return function(*given, **options)
+        def call(*given, **options):
+            if next(calls) in places:
+                done.append("crash")
+                raise CrashError
+            return function(*given, **options)
 
-            return call
-
-        return wrapped
+        return call
 
     def named(*given, **options):
         move(*given, **options)
@@ -243,21 +262,18 @@ def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
             done.append("moved")
             raise CrashError  # the folder has its name, and the job is not taken away
 
-    crash = crash_at(1, 5, 20, 31, 37, 44, 62)
-    monkeypatch.setattr(scale_run, "do", crash(do))
-    monkeypatch.setattr(blocks_folder, "_copy", crash(copy))
+    monkeypatch.setattr(scale_run, "do", crash_at(work.do, 1, 5, 20, 31, 46, 57))
+    monkeypatch.setattr(blocks_folder, "_copy", crash_at(blocks_folder._copy, 1, 5))
     monkeypatch.setattr(blocks_folder, "move_folder", named)
-    crashes = 0
     for _ in range(20):
         try:
             write(scene, folder, layout, resume=True)
             break
         except CrashError:
-            crashes += 1
             assert (tmp_path / "levels.job" / MANIFEST).exists()
             assert folder.exists() == ("moved" in done)
-    assert crashes == 8
-    assert "_copy" in done
+    assert done.count("crash") == 8
+    assert "moved" in done
     assert files(folder) == files(made[layout][0])
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
