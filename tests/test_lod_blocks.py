@@ -326,17 +326,17 @@ def test_memory_bounds_blocks_and_files_of_chunks():
         return plan_blocks(10**7, layout, ForestParameters(), (0.5,), room, None, chunks)
 
     plain, small, large = (
-        plan(450_000_000, chunks)
+        plan(500_000_000, chunks)
         for chunks in (None, Chunks(SOG, 2000, False), Chunks(SOG, 32_768, False))
     )
     assert large.block < small.block <= plain.block
-    assert max(large.memory, small.memory, plain.memory) <= 450_000_000
+    assert max(large.memory, small.memory, plain.memory) <= 500_000_000
     assert plain.seconds < large.seconds
     assert plan(10**9, Chunks(TILES, 32_768, False)).block == plan(10**9, None).block
     with pytest.raises(OptionError, match="a smaller --chunk"):
         plan(300_000_000, Chunks(SOG, 32_768, False))
     with pytest.raises(OptionError, match="a larger --chunk"):
-        plan(450_000_000, Chunks(TILES, 100, False))
+        plan(500_000_000, Chunks(TILES, 100, False))
 
 
 # The command

@@ -14,12 +14,14 @@ from nanogs.cli.simplify_report import Plan
 from nanogs.cli.streams import DASH
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
-from nanogs.io import bytes_on_disk
+from nanogs.io import FileInfo, bytes_on_disk
 from nanogs.io.collect import Pair
-from nanogs.lod.in_blocks import plan_levels, write_levels_in_blocks
+from nanogs.io.files import splat_bytes
+from nanogs.lod.in_blocks import chunks_of, plan_levels, write_levels_in_blocks
 from nanogs.lod.layout import Output
 from nanogs.scale.api import DEFAULT_MEMORY, block_parameters, job_folder, plan_job
 from nanogs.scale.api import simplify_blocks as library_simplify_blocks
+from nanogs.scale.encoding import Encoding, encoding_of
 from nanogs.scale.folder import MANIFEST
 from nanogs.scale.plan import ScalePlan
 from nanogs.simplify.memory import LIBRARIES
@@ -208,6 +210,15 @@ def simplify_in_blocks(
 def has_begun(target: Path, blocks: Blocks) -> bool:
     """Whether there is a job to continue that makes a file or folder."""
     return blocks.resume and (job_folder(target, blocks.job) / MANIFEST).exists()
+
+
+def levels_encoding(
+    info: FileInfo, ratios: Sequence[float], output: Output, chunk: int | None, *, spz: bool
+) -> Encoding:
+    """What the chunks of the levels of a model take; nothing for plain files."""
+    row = splat_bytes(info.sh_degree) + info.extra_bytes()
+    chunks = chunks_of(output.layout, chunk, spz=spz)
+    return encoding_of(row, info.sh_degree, chunks, info.splats, ratios)
 
 
 def levels_plan(

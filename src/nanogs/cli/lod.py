@@ -112,7 +112,8 @@ def lod(
     if not scale.has_begun(output.folder, blocks):  # a job sees to its output itself
         check_folder_writable(output.folder, made_files, overwrite=overwrite)
     finest = target_count(info.splats, ratios[0], None)
-    plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen)
+    encoding = scale.levels_encoding(info, ratios, output, chunk, spz=spz)
+    plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen, encoding)
     given = {name: value for name, value in overrides.items() if value is not None}
     given |= {"preset": preset, "nan": nan.value, "chunk": chunk, "spz": spz}
     given["layout"] = output.layout

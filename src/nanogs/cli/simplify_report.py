@@ -1,6 +1,6 @@
 """How `nanogs simplify` shows its plan and its report."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from rich.table import Table
@@ -10,6 +10,7 @@ from nanogs.cli.filtering import report_filters
 from nanogs.formatting import bytes_text
 from nanogs.io import FileInfo
 from nanogs.report import StopReason
+from nanogs.scale.encoding import NO_CHUNKS, PLACED, Encoding
 from nanogs.simplify.memory import LIBRARIES, MemoryPlan, plan_memory
 from nanogs.simplify.presets import Parameters
 from nanogs.simplify.target import Goal
@@ -25,6 +26,7 @@ class Plan:
         count: What that comes to, or None where it is not known beforehand.
         preset: Name of the preset.
         parameters: Of the method.
+        encoding: What chunks take, for levels that lie in them.
     """
 
     info: FileInfo
@@ -32,15 +34,22 @@ class Plan:
     count: int | None
     preset: str
     parameters: Parameters
+    encoding: Encoding = NO_CHUNKS
 
     def memory(self) -> MemoryPlan:
         """What it takes; an unknown count takes what the whole model would."""
         info = self.info
         most = self.count or info.splats
-        return plan_memory(
+        plan = plan_memory(
             info.splats, info.sh_degree, info.extra_bytes(), self.parameters, most,
             judged=self.goal.psnr is not None,
         )  # fmt: skip
+        if not self.encoding.each:
+            return plan
+        # Between two levels, what a cut needs is kept, and each is encoded before the next.
+        row = plan.input_columns // info.splats + PLACED
+        held = int(plan.stages.get("cut", plan.input_columns) + most * row + self.encoding.file)
+        return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
 
 
 def print_plan(plan: Plan) -> None:

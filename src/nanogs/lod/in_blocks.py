@@ -63,10 +63,16 @@ def plan_levels(
     """
     check_ratios(ratios)
     check_options(layout, chunk, spz=spz)
-    chunks = None if layout is Layout.PLY else Chunks(layout.value, chunk or CHUNK, spz)
     goals = [Goal(ratio=ratio) for ratio in ratios]
     chosen = block_parameters(preset, overrides)
-    return plan_job(inputs, goals, chosen, max_memory, block, nan, chunks)
+    return plan_job(
+        inputs, goals, chosen, max_memory, block, nan, chunks_of(layout, chunk, spz=spz)
+    )
+
+
+def chunks_of(layout: Layout, chunk: int | None, *, spz: bool) -> Chunks | None:
+    """The chunks of a layout; None where levels are plain files."""
+    return None if layout is Layout.PLY else Chunks(layout.value, chunk or CHUNK, spz)
 
 
 def write_levels_in_blocks(

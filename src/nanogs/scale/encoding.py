@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nanogs.lod.streamed_sog import CHUNKS_A_FILE
-from nanogs.scale.columns import row_bytes
-from nanogs.scale.settings import SOG, TILES, Chunks, Layout
+from nanogs.scale.settings import SOG, TILES, Chunks
 
-_PLACED = 24  # bytes a splat of a block's level: its cell and place
-_PICTURES = 16_000_000  # bytes for the textures of a file
+PLACED = 24  # bytes a splat of a block's level: its cell and place
+_OUTSIDE = 12_000_000  # bytes for a file in libraries, beside which a splat has pixels there
+_PIXELS = 300
 _DESCRIBED = 8_000  # bytes for what is said of a chunk
 # For a file, in bytes of its splats; then seconds of a processor for a splat, without harmonics of
 # higher degrees and with them.
@@ -52,25 +52,30 @@ class Encoding:
         return f" and {self.held(0) / 1e6:,.0f} MB for chunks; a {size} --chunk takes less."
 
 
+NO_CHUNKS = Encoding()
+
+
 def encoding_of(
-    layout: Layout, chunks: Chunks | None, splats: int, shares: Sequence[float]
+    row: int, degree: int, chunks: Chunks | None, splats: int, shares: Sequence[float]
 ) -> Encoding:
     """What the chunks of some levels take.
 
     Args:
-        layout: Of the columns.
+        row: Bytes of a splat.
+        degree: Of the spherical harmonics.
         chunks: What is made.
         splats: Of the whole model.
         shares: What the levels keep of them; a block can keep more than others.
     """
     if chunks is None:
-        return Encoding()
-    row, results = row_bytes(layout), sum(int(share * splats) for share in shares)
+        return NO_CHUNKS
+    results = sum(int(share * splats) for share in shares)
     at_once = chunks.most * (CHUNKS_A_FILE if chunks.layout == SOG else 1)
+    pixels = _PIXELS if chunks.layout == SOG else 0
     form = "spz" if chunks.spz else chunks.layout
     return Encoding(
-        file=_PICTURES + min(at_once, splats * max(shares)) * _FILE[chunks.layout] * row,
-        each=min(1.0, 2 * max(shares)) * (row + _PLACED),
+        file=_OUTSIDE + min(at_once, splats * max(shares)) * (_FILE[chunks.layout] * row + pixels),
+        each=min(1.0, 2 * max(shares)) * (row + PLACED),
         described=2 * len(shares) * splats * max(shares) / chunks.most * _DESCRIBED,
-        seconds=results * _SECONDS[form][layout.sh_degree > 0],
+        seconds=results * _SECONDS[form][degree > 0],
     )

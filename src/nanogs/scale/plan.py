@@ -75,7 +75,7 @@ def plan_blocks(
         OptionError: The memory is too little for any block.
     """
     row, each = row_bytes(layout), held_bytes(layout, parameters, max(shares))
-    encoding = encoding_of(layout, chunks, splats, shares)
+    encoding = encoding_of(row, layout.sh_degree, chunks, splats, shares)
     if block is None:
         room = _SHARE * (max_memory or 0) - LIBRARIES
         block = encoding.most(room, int(room / each))
