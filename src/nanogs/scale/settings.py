@@ -10,7 +10,7 @@ from nanogs.simplify.presets import ForestParameters
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
 SOG, TILES = "streamed sog", "3d tiles"  # levels in chunks, as `lod.layout` names them
-VERSION = 2  # of the job folder; one of another version is not continued
+VERSION = 1  # of the job folder; one of another version is not continued
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +154,7 @@ def settings_of(data: Mapping[str, Any]) -> Settings:
             nan=str(data["nan"]),
             block=int(data["block"]),
             parameters=ForestParameters(**data["parameters"]),
-            chunks=Chunks(**data["chunks"]) if data["chunks"] else None,
+            chunks=Chunks(**data["chunks"]) if data.get("chunks") else None,
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FormatError(
