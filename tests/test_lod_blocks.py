@@ -2,6 +2,9 @@
 
 import itertools
 import json
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +12,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs import io
-from nanogs.errors import OptionError, OutputError
+from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io.sog_levels import read_level
 from nanogs.lod import blocks_folder
 from nanogs.lod.cells import divide
@@ -21,8 +24,10 @@ from nanogs.scale.chunked import cut_of
 from nanogs.scale.folder import MANIFEST
 from nanogs.scale.job import Where
 from nanogs.scale.plan import plan_blocks
+from nanogs.scale.scratch import FolderScratch
 from nanogs.scale.settings import SOG, TILES, Chunks
 from nanogs.scale.settings import Layout as Columns
+from nanogs.scale.tables import write_files
 from nanogs.simplify.presets import ForestParameters
 from nanogs.splats import concatenate
 from test_cli import run
@@ -207,7 +212,10 @@ def test_few_splats_and_all_of_them(scene, tmp_path, layout, ratios):
 def test_a_coarse_splat_may_lie_where_the_finest_level_left_nothing(tmp_path):
     """In seed 9 one of two splats is in the block of none of three."""
     nanogs.save(random_splats(1200, degree=0, seed=9), tmp_path / "a.ply")
-    write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, ratios=(0.0021, 0.0012))
+    given = {"ratios": (0.0021, 0.0012)}
+    packed, _ = write(tmp_path / "a.ply", tmp_path / "p", Layout.TILES, spz=True, **given)
+    assert [level.count for level in packed.levels] == [3, 2]
+    write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, **given)
     parts = tile_parts(tmp_path / "t" / "tileset.json")
     assert [sum(map(len, parts[level])) for level in range(2)] == [3, 2]
 
@@ -303,6 +311,27 @@ def test_nothing_of_others_is_replaced(scene, tmp_path):
         write(scene, folder, Layout.TILES, overwrite=True)
     assert files(folder) == before
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
+
+
+def test_the_job_may_lie_on_another_file_system(scene, tmp_path, made):
+    other = Path("/dev/shm")
+    if not other.is_dir() or other.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("there is no other file system")
+    with tempfile.TemporaryDirectory(dir=other) as job:
+        write(scene, tmp_path / "levels", Layout.TILES, job=Path(job) / "job")
+        assert list(Path(job).iterdir()) == []
+    assert files(tmp_path / "levels") == files(made[Layout.TILES][0])
+    assert [path.name for path in tmp_path.iterdir()] == ["levels"]
+
+
+def test_names_of_files_lead_out_of_no_folder(tmp_path):
+    scratch = FolderScratch(tmp_path / "scratch")
+    record = write_files(scratch, "chunk", [("../mine.txt", b"theirs")], {})
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "levels").mkdir()
+    with pytest.raises(FormatError, match="mine"):
+        blocks_folder._copy(SimpleNamespace(scratch=scratch), record, tmp_path / "levels")
+    assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -75,7 +75,7 @@ def write_chunks(work: "Work", name: str, block: int, level: int) -> Record:
     cells, counts = found
     splats = part_of_block(work, block, level)
     described: list[Any] = []
-    losses = _kept(_losses(chunks, splats))
+    losses = _kept(_losses(chunks, splats)) if len(splats) else []
     facts = {"splats": len(splats), "losses": losses, "chunks": described}
     sorted_level = SortedLevel(splats, cells)
     del splats
