@@ -371,24 +371,24 @@ def test_memory_bounds_blocks_and_files_of_chunks():
 # The command
 
 
-@pytest.mark.parametrize("name", ["tileset.json", "lod-meta.json"])
-def test_the_command(tmp_path, name):
+def test_the_command(tmp_path):
     scene = tmp_path / "scene.ply"
     nanogs.save(random_splats(200_000, degree=0), scene)
-    path = tmp_path / "web" / name
-    given = ["lod", scene, path, "--levels", "0.05,0.001", "--preset", "fast", "--chunk", "2000"]
-    given += ["--max-memory", "245MB"]
-    planned = json.loads(run(*given, "--dry-run", "--json").stdout)
+    path = tmp_path / "web" / "lod-meta.json"
+    options = ["--levels", "0.05,0.001", "--preset", "fast", "--chunk", "2000"]
+    options += ["--max-memory", "245MB"]
+    planned = json.loads(run("lod", scene, path, *options, "--dry-run", "--json").stdout)
     assert planned["blocks"]["blocks"] > 1
     assert planned["blocks"]["memory"] <= 245_000_000
-    if name == "tileset.json":
-        assert "of at most" in run(*given, "--dry-run").stderr
+    plan = run("lod", scene, tmp_path / "web" / "tileset.json", *options, "--dry-run").stderr
+    assert "of at most" in plan
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.ply"]
-    result = run(*given, "--json", "--threads", "1")
+    result = run("lod", scene, path, *options, "--json", "--threads", "1")
     assert result.returncode == 0, result.stderr
     told = json.loads(result.stdout)
     assert [level["count"] for level in told["levels"]] == [10_000, 200]
-    assert told["output"] == str(path)
+    assert (told["output"], told["layout"]) == (str(path), "streamed sog")
+    assert told["reports"][0]["blocks"]["blocks"] > 1
     assert path.exists()
     assert {entry.name for entry in tmp_path.iterdir()} == {"scene.ply", "web"}
 

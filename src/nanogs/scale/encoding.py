@@ -9,7 +9,7 @@ from nanogs.scale.settings import SOG, TILES, Chunks
 PLACED = 24  # bytes a splat of a block's level: its cell and place
 _OUTSIDE = 12_000_000  # bytes for a file in libraries, beside which a splat has pixels there
 _PIXELS = 300
-_DESCRIBED = 8_000  # bytes for what is said of a chunk
+_DESCRIBED = 2 * 8_000  # bytes for what is said of a chunk at all levels; some are but half full
 # For a file, in bytes of its splats; then seconds of a processor for a splat, without harmonics of
 # higher degrees and with them.
 _FILE = {SOG: 6.0, TILES: 2.5}
@@ -76,6 +76,6 @@ def encoding_of(
     return Encoding(
         file=_OUTSIDE + min(at_once, splats * max(shares)) * (_FILE[chunks.layout] * row + pixels),
         each=min(1.0, 2 * max(shares)) * (row + PLACED),
-        described=2 * len(shares) * splats * max(shares) / chunks.most * _DESCRIBED,
+        described=splats * max(shares) / chunks.most * _DESCRIBED,
         seconds=results * _SECONDS[form][degree > 0],
     )
