@@ -1,6 +1,7 @@
 """Reading 3DGS `.ply` files: any encoding, any column order, by name."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from nanogs.errors import FormatError
 from nanogs.io import columns, compressed_ply, render_tag
 from nanogs.io.findings import Finding
 from nanogs.io.info import FileInfo
+from nanogs.io.parts import Rows
 from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes, printable, read_header
 from nanogs.io.ply_rows import Block, check_body, iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats
@@ -69,32 +71,29 @@ def stream(path: Path) -> Iterator[Splats]:
             yield vertex.splats(elements)
 
 
-def seekable(path: Path) -> bool:
-    """Whether `read_span` takes the file: a binary one that is not compressed.
+def rows(path: Path) -> Rows | None:
+    """The file to be read in parts, unless it is one of text.
 
     Raises:
         FormatError: As for `inspect`.
     """
     header = _checked(path)
-    return header.encoding != "ascii" and not compressed_ply.is_compressed(header)
+    if header.encoding == "ascii":
+        return None
+    return compressed_ply.Chunks(header) if compressed_ply.is_compressed(header) else _Body(header)
 
 
-def read_span(path: Path, start: int, stop: int) -> Splats:
-    """Some rows of a seekable file, nothing else of it read; further elements without their rows.
+@dataclass(frozen=True, slots=True)
+class _Body:
+    """The rows of a binary file."""
 
-    Args:
-        path: The file.
-        start: The first row.
-        stop: The row after the last, at most the file's count.
+    header: Header
 
-    Raises:
-        FormatError: As for `read`.
-    """
-    header = _checked(path)
-    vertex = _Vertex(header, rows=stop - start)
-    for block in iter_span(header, vertex.element, start, stop):
-        vertex.put(block)
-    return vertex.splats([])
+    def read(self, start: int, stop: int) -> Splats:
+        vertex = _Vertex(self.header, rows=stop - start)
+        for block in iter_span(self.header, vertex.element, start, stop):
+            vertex.put(block)
+        return vertex.splats([])
 
 
 def inspect(path: Path) -> FileInfo:

@@ -9,6 +9,7 @@ from nanogs.errors import OptionError
 from nanogs.io.files import splat_bytes
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.settings import MOST_SEEN, Layout
+from nanogs.scale.unpack import Cost
 from nanogs.simplify.memory import LIBRARIES, plan_memory
 from nanogs.simplify.presets import ForestParameters
 
@@ -44,6 +45,11 @@ class ScalePlan:
     scratch: int
     seconds: float
 
+    def unpacking(self, cost: Cost) -> "ScalePlan":
+        """With what it takes to unpack the inputs first."""
+        memory = max(self.memory, LIBRARIES + cost.memory if cost.memory else 0)
+        return replace(self, memory=memory, scratch=self.scratch + cost.scratch)
+
 
 def in_blocks(parameters: ForestParameters) -> ForestParameters:
     """The parameters that blocks are simplified with: nothing is rendered."""
@@ -73,8 +79,7 @@ def plan_blocks(
     """
     row, each = row_bytes(layout), held_bytes(layout, parameters, max(shares))
     if block is None:
-        room = _SHARE * (max_memory or 0) - LIBRARIES
-        block = int(room / each)
+        block = int(room_of(max_memory or 0) / each)
         if block < _LEAST:
             least = (LIBRARIES + _LEAST * each) / _SHARE
             raise OptionError(
@@ -95,6 +100,11 @@ def plan_blocks(
         scratch=sorted_rows + tables,
         seconds=splats * (_SECONDS + _LEVEL_SECONDS * (len(shares) - 1)),
     )
+
+
+def room_of(max_memory: int) -> float:
+    """Bytes of the memory that a process may take which are there for splats."""
+    return _SHARE * max_memory - LIBRARIES
 
 
 def held_bytes(layout: Layout, parameters: ForestParameters, share: float) -> float:

@@ -1,0 +1,131 @@
+"""Unpacking: the columns of a packed file, in the scratch, where any of their rows can be read.
+
+Some formats hold columns that are compressed as a whole, so that a row of theirs cannot be read
+without all before it. What is written is what they hold, not what it stands for: a fifth as much.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from nanogs._types import Array
+from nanogs.errors import OptionError
+from nanogs.formatting import bytes_text
+from nanogs.io.parts import Packed
+from nanogs.scale.inputs import check_unchanged, open_packed
+from nanogs.scale.scratch import Scratch
+from nanogs.scale.settings import InputFile, Settings
+from nanogs.scale.tables import Record, Streamed, Table, write_table
+from nanogs.splats import Splats
+
+NOTES = "notes"
+
+
+@dataclass(frozen=True, slots=True)
+class Unpacked:
+    """The input files that have been unpacked.
+
+    Attributes:
+        scratch: Where their columns are.
+        records: By number of the file.
+    """
+
+    scratch: Scratch
+    records: Mapping[int, Record]
+
+    @contextmanager
+    def opened(self, number: int, packed: Packed) -> Iterator[Callable[[int, int], Splats]]:
+        """What reads rows of a file.
+
+        Args:
+            number: Of the file.
+            packed: What it is.
+        """
+        record = self.records[number]
+        with Table(self.scratch, record) as table:
+
+            def read(start: int, stop: int) -> Splats:
+                splats = packed.read(table.read, start, stop)
+                return replace(splats, notes=[*splats.notes, *record.facts[NOTES]])
+
+            yield read
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What unpacking takes.
+
+    Attributes:
+        scratch: Bytes of the columns of all files.
+        memory: Bytes, of the file that takes most.
+    """
+
+    scratch: int = 0
+    memory: int = 0
+
+
+def cost_of(settings: Settings, room: float | None) -> Cost:
+    """What unpacking will take, from headers.
+
+    Args:
+        settings: The job.
+        room: Bytes of memory for it, or None for as much as it takes.
+
+    Raises:
+        FormatError: A file cannot be read.
+        OptionError: One needs more memory.
+    """
+    scratch = memory = 0
+    for number in settings.unpacked:
+        file = settings.inputs[number]
+        packed = open_packed(file)
+        if room is not None and packed.memory > room:
+            raise OptionError(
+                f"{file.path}: unpacking it takes {bytes_text(packed.memory)} beside Python and its"
+                " libraries, more than --max-memory leaves; raise it, or convert the file to .ply."
+            )
+        scratch += sum(column.bytes for column in packed.columns.values())
+        memory = max(memory, packed.memory)
+    return Cost(scratch, memory)
+
+
+def unpack(scratch: Scratch, name: str, file: InputFile) -> Record:
+    """Write the columns of a file, which are never held whole.
+
+    Args:
+        scratch: Where to.
+        name: Of the table.
+        file: To unpack.
+
+    Raises:
+        FormatError: It cannot be read, is damaged, or has changed since the job began.
+        OutputError: The table cannot be written.
+    """
+    packed, notes = open_packed(file), list[str]()
+    pieces = _of_same(packed.unpack(notes), file)
+    names = [*packed.columns, None]
+    columns = {}
+    for key, following in pairwise(names):
+        assert key is not None  # noqa: S101 - the last one alone is
+        shape = packed.columns[key].shape
+        rows = pieces if following is None else _first(pieces, shape[0])
+        columns[key] = Streamed(np.dtype(packed.columns[key].kind), shape, rows)
+    return write_table(scratch, name, columns, {NOTES: notes})
+
+
+def _first(pieces: Iterator[Array], rows: int) -> Iterator[Array]:
+    """So many rows of what comes; the last column takes all, and the checks at its end with it."""
+    while rows:
+        piece = next(pieces)
+        rows -= len(piece)
+        yield piece
+
+
+def _of_same(pieces: Iterator[Array], file: InputFile) -> Iterator[Array]:
+    """The pieces, of a file that is what it was before the first and after the last of them."""
+    check_unchanged(file)
+    yield from pieces
+    check_unchanged(file)
