@@ -17,6 +17,7 @@ from nanogs.io import (
     ply_write,
     sog,
     sog_levels,
+    sog_packed,
     sog_write,
     splat,
     spz,
@@ -93,6 +94,7 @@ FORMATS = (
         sog.inspect,
         sog_write.write,
         losses=sog_write.losses,
+        packed=sog_packed.packed,
         leaps=sog_write.leaps,
     ),
     Format(
@@ -111,10 +113,19 @@ FORMATS = (
         sog.read,
         sog.inspect,
         losses=sog_write.losses,
+        packed=sog_packed.packed,
+        files=sog_packed.files,
         write_folder=sog_write.write_folder,
         ours=sog_write.ours,
     ),
-    Format(LEVELS, sog_levels.read, sog_levels.inspect, read_level=sog_levels.read_level),
+    Format(
+        LEVELS,
+        sog_levels.read,
+        sog_levels.inspect,
+        read_level=sog_levels.read_level,
+        packed=sog_packed.packed_level,
+        files=sog_packed.level_files,
+    ),
 )
 
 
