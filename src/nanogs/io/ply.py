@@ -3,23 +3,22 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nanogs._types import Array
 from nanogs.errors import FormatError
 from nanogs.io import columns, compressed_ply, render_tag
+from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.findings import Finding
 from nanogs.io.info import FileInfo
-from nanogs.io.parts import Rows
+from nanogs.io.parts import Column, ColumnReader, Packed, Rows
 from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes, printable, read_header
 from nanogs.io.ply_rows import Block, check_body, iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats
 
-if TYPE_CHECKING:
-    from nanogs._types import Array
-
 _WIDE = ("f8", "i4", "u4")  # types of a centre that float32 does not hold exactly
+_TOKEN = 200  # bytes that a number of text takes while it is read: as text, number and value
 
 
 def read(path: Path) -> Splats:
@@ -81,6 +80,44 @@ def rows(path: Path) -> Rows | None:
     if header.encoding == "ascii":
         return None
     return compressed_ply.Chunks(header) if compressed_ply.is_compressed(header) else _Body(header)
+
+
+def packed(path: Path) -> Packed | None:
+    """A file of text to be unpacked: its rows in binary; None for others.
+
+    Raises:
+        FormatError: As for `inspect`.
+    """
+    header = _checked(path)
+    text = header.encoding == "ascii" and not compressed_ply.is_compressed(header)
+    return _Text(header) if text else None
+
+
+class _Text:
+    """The rows of a file of text."""
+
+    def __init__(self, header: Header) -> None:
+        self._header, self._vertex = header, _Vertex(header, rows=0)
+        element = self._vertex.element
+        self._row = element.dtype()
+        self.columns = {"vertex": Column("|u1", (element.count, self._row.itemsize))}
+        widest = max(len(each.properties) for each in header.elements)
+        self.memory = BLOCK_ROWS * widest * _TOKEN
+
+    def unpack(self, _notes: list[str]) -> Iterator[Array]:
+        """The one column; see `Packed`."""
+        for block in iter_blocks(self._header):
+            if block.element is self._vertex.element:
+                yield block.values.view(np.uint8).reshape(-1, self._row.itemsize)
+
+    def read(self, columns: ColumnReader, start: int, stop: int) -> Splats:
+        """Some rows; see `Packed`."""
+        vertex = _Vertex(self._header, rows=stop - start)
+        for at in range(start, stop, BLOCK_ROWS):
+            rows = columns("vertex", at, min(at + BLOCK_ROWS, stop)).view(self._row)[:, 0]
+            span = slice(at - start, at - start + len(rows))
+            vertex.put(Block(vertex.element, span, rows))
+        return vertex.splats([])
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from nanogs.io import (
     gltf_write,
     ksplat,
     npz,
+    npz_packed,
     ply,
     ply_write,
     sog,
@@ -46,6 +47,7 @@ FORMATS = (
         compressed_ply_write.losses,
         ply.stream,
         ply.rows,
+        ply.packed,
     ),
     Format(
         ".ply",
@@ -55,6 +57,7 @@ FORMATS = (
         ply_write.file_bytes,
         stream=ply.stream,
         rows=ply.rows,
+        packed=ply.packed,
     ),
     Format(
         ".splat",
@@ -65,7 +68,15 @@ FORMATS = (
         losses=splat.losses,
         rows=splat.rows,
     ),
-    Format(".npz", npz.read, npz.inspect, npz.write, npz.file_bytes, losses=npz.losses),
+    Format(
+        ".npz",
+        npz.read,
+        npz.inspect,
+        npz.write,
+        npz.file_bytes,
+        losses=npz.losses,
+        packed=npz_packed.packed,
+    ),
     Format(
         ".spz",
         spz.read,
@@ -85,6 +96,7 @@ FORMATS = (
         gltf_write.write,
         gltf_write.file_bytes,
         gltf_write.losses,
+        rows=gltf.rows,
         frame=_GLTF_FRAME,
         turns=True,
     ),

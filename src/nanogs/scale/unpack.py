@@ -7,7 +7,6 @@ without all before it. What is written is what they hold, not what it stands for
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -104,16 +103,32 @@ def unpack(scratch: Scratch, name: str, file: InputFile) -> Record:
         FormatError: It cannot be read, is damaged, or has changed since the job began.
         OutputError: The table cannot be written.
     """
-    packed, notes = open_packed(file), list[str]()
-    pieces = _of_same(packed.unpack(notes), file)
-    names = [*packed.columns, None]
-    columns = {}
-    for key, following in pairwise(names):
-        assert key is not None  # noqa: S101 - the last one alone is
-        shape = packed.columns[key].shape
-        rows = pieces if following is None else _first(pieces, shape[0])
-        columns[key] = Streamed(np.dtype(packed.columns[key].kind), shape, rows)
+    notes: list[str] = []
+    check_unchanged(file)
+    columns = streamed(open_packed(file), notes, lambda: check_unchanged(file))
     return write_table(scratch, name, columns, {NOTES: notes})
+
+
+def streamed(
+    packed: Packed, notes: list[str], at_end: Callable[[], None] = lambda: None
+) -> dict[str, Streamed]:
+    """The columns of a file, to be written one after the other in this order.
+
+    Args:
+        packed: The file.
+        notes: Gets what is to be said of it.
+        at_end: Called when all has been read.
+    """
+    pieces = _then(packed.unpack(notes), at_end)
+    last = [*packed.columns][-1]
+    return {
+        name: Streamed(
+            np.dtype(column.kind),
+            column.shape,
+            pieces if name == last else _first(pieces, column.shape[0]),
+        )
+        for name, column in packed.columns.items()
+    }
 
 
 def _first(pieces: Iterator[Array], rows: int) -> Iterator[Array]:
@@ -124,8 +139,6 @@ def _first(pieces: Iterator[Array], rows: int) -> Iterator[Array]:
         yield piece
 
 
-def _of_same(pieces: Iterator[Array], file: InputFile) -> Iterator[Array]:
-    """The pieces, of a file that is what it was before the first and after the last of them."""
-    check_unchanged(file)
+def _then(pieces: Iterator[Array], at_end: Callable[[], None]) -> Iterator[Array]:
     yield from pieces
-    check_unchanged(file)
+    at_end()
