@@ -3,6 +3,7 @@
 import gzip
 import os
 
+import numpy as np
 import pytest
 
 import ksplatfiles
@@ -144,6 +145,26 @@ def test_files_of_all_kinds_make_one_scene(tmp_path, splats, few):
         report = nanogs.simplify_blocks(paths, out, ratio=0.3, **SETTLED)
     assert report.input_count == COUNT + 900 + 400 + 300
     assert outs[0].read_bytes() == outs[1].read_bytes()
+
+
+def test_a_link_is_read_by_its_own_name(tmp_path, splats):
+    """As of caches, whose files are called by their checksums."""
+    for suffix in (".ply", ".spz"):
+        blob, link = tmp_path / f"blob{suffix[1:]}", tmp_path / f"a{suffix}"
+        blob.write_bytes(written(tmp_path / f"b{suffix}", splats).read_bytes())
+        link.symlink_to(blob)
+        nanogs.simplify_blocks(link, tmp_path / "small.ply", ratio=0.3, overwrite=True, **FAST)
+
+
+def test_what_is_said_of_parts_becomes_one_sentence(tmp_path):
+    row = np.zeros(COUNT, [("f", "<f4", 6), ("b", "u1", 8)])
+    row["f"] = np.random.default_rng(0).uniform(0.1, 1, (COUNT, 6))
+    row["b"] = 200
+    row["f"][[3, 700, 1100], 4] = -1
+    (tmp_path / "a.splat").write_bytes(row.tobytes())
+    report = nanogs.simplify_blocks(tmp_path / "a.splat", tmp_path / "b.ply", ratio=0.3, **FAST)
+    assert report.dropped_nonfinite == 3
+    assert report.notes == ("3 splats have a negative scale, which became NaN.",)
 
 
 # ---- what was begun -------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from nanogs._types import U8, U16, Array
+from nanogs._types import F32, U8, U16, Array
 from nanogs.errors import FormatError
 from nanogs.io.container import Bundle, Container, Folder
 from nanogs.io.files import BLOCK_ROWS, check_expansion, input_size, splat_bytes, unreadable
@@ -161,6 +161,12 @@ class Model:
         _checked_bytes(container, name, self.meta, self.degree)
         self.sizes = _check_sizes(container, self.meta, self.degree)
         self._where = container.where(self.meta.files.get("shN_labels", name))
+        self._table: F32 | None = None
+
+    def _coordinates(self) -> F32:
+        if self._table is None:  # which takes longer than all else here
+            self._table = self.meta.coordinates()
+        return self._table
 
     def shape(self, texture: str) -> tuple[int, int]:
         """How many texels of a texture, and how many bytes of each, hold something."""
@@ -179,7 +185,7 @@ class Model:
         """
         meta = self.meta
         out: dict[str, Any] = {
-            "means": _lookup(meta.coordinates, _words(texture("means_l"), texture("means_u"))),
+            "means": _lookup(self._coordinates(), _words(texture("means_l"), texture("means_u"))),
             "quats": _quats(texture("quats")),
             "log_scales": _lookup(meta.scales, texture("scales")),
         }

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import U8, Array
+from nanogs.io.json_fields import parse
 from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.sog import Model, opened, texels_of
 from nanogs.io.sog_levels import Piece, check_rows, common_mode, joined_notes, read_manifest
+from nanogs.io.sog_meta import MAX_META_BYTES, file_names
 from nanogs.splats import RenderMode, Splats, padded
 
 _PALETTE = "shN_centroids"
@@ -49,7 +51,8 @@ def files(path: Path) -> Sequence[Path]:
     if path.name.lower().endswith(".sog"):
         return (path,)
     with opened(path) as (container, name):
-        names = Model(container, name).meta.files.values()
+        data = parse(container.read(name, MAX_META_BYTES), container.where(name))
+        names = file_names(data, container.where(name))
     return (path, *(path.parent / each for each in dict.fromkeys(names)))
 
 
@@ -123,6 +126,7 @@ class _Level:
             self.memory = max(self.memory, found.memory)
             self.columns |= {f"{number}:{name}": each for name, each in found.columns.items()}
         self._degree, self._mode = max(degrees), common_mode(modes)
+        self._last: tuple[int, _Textures] | None = None
 
     @staticmethod
     def _opened(piece: Piece) -> _Textures:
@@ -154,7 +158,9 @@ class _Level:
                 def own(name: str, a: int, b: int, number: int = number) -> Array:
                     return columns(f"{number}:{name}", a, b)
 
-                part = self._opened(piece).read(own, low - first, high - first)
+                if self._last is None or self._last[0] != number:
+                    self._last = number, self._opened(piece)
+                part = self._last[1].read(own, low - first, high - first)
                 for name, array in out.items():
                     column = padded(part.sh, coefficients) if name == "sh" else getattr(part, name)
                     array[low - start : high - start] = column

@@ -20,7 +20,7 @@ def input_file(info: FileInfo) -> InputFile:
         access = Access.ROWS
     else:
         access = Access.WHOLE if known.packed(info.path) is None else Access.PACKED
-    where = info.path.resolve()
+    where = info.path.absolute()  # and no link followed, whose target may have another suffix
     return InputFile(str(where), *_identity(where), info.splats, access)
 
 
