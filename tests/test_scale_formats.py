@@ -15,6 +15,7 @@ from nanogs.io import sog_packed, spz
 from nanogs.scale import run, source, work
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.settings import Access
+from nanogs.scale.unpack import Cost
 from nanogs.simplify.target import Goal
 from plyfiles import BASE, ply
 from test_cli import run as run_command
@@ -292,5 +293,7 @@ def test_textures_too_large_for_the_memory_are_refused(tmp_path, splats, monkeyp
     path = MADE[".sog"](tmp_path, splats)
     monkeypatch.setattr(sog_packed, "_TEXEL", 1 << 20)
     assert planned(path).memory > (1 << 20) * COUNT
-    with pytest.raises(OptionError, match="unpacking it takes"):
-        planned(path, memory=400_000_000)
+    with pytest.raises(
+        OptionError, match=r"must be at least 637 MB to unpack a\.sog; raise it, or"
+    ):
+        planned(path).unpacking(Cost(0, 400_000_000, "a.sog"), 500_000_000)

@@ -11,7 +11,7 @@ from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
-from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks, room_of
+from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks
 from nanogs.scale.settings import Settings
 from nanogs.scale.source import look_at, segments_of
 from nanogs.scale.unpack import cost_of
@@ -166,8 +166,7 @@ def plan_job(
         block=plan.block,
         parameters=in_blocks(chosen),
     )
-    cost = cost_of(settings, None if max_memory is None else room_of(max_memory))
-    return settings, plan.unpacking(cost)
+    return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
 
 
 def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None:

@@ -45,8 +45,21 @@ class ScalePlan:
     scratch: int
     seconds: float
 
-    def unpacking(self, cost: Cost) -> "ScalePlan":
-        """With what it takes to unpack the inputs first."""
+    def unpacking(self, cost: Cost, max_memory: int | None) -> "ScalePlan":
+        """With what it takes to unpack the inputs first.
+
+        Args:
+            cost: Of that.
+            max_memory: Bytes that a process may take; not needed where blocks are given.
+
+        Raises:
+            OptionError: That is too little.
+        """
+        if max_memory is not None and cost.memory > _room(max_memory):
+            raise OptionError(
+                f"--max-memory must be at least {_least(cost.memory) / 1e6:,.0f} MB to unpack"
+                f" {cost.path}; raise it, or convert the file to .ply."
+            )
         memory = max(self.memory, LIBRARIES + cost.memory if cost.memory else 0)
         return replace(self, memory=memory, scratch=self.scratch + cost.scratch)
 
@@ -79,12 +92,11 @@ def plan_blocks(
     """
     row, each = row_bytes(layout), held_bytes(layout, parameters, max(shares))
     if block is None:
-        block = int(room_of(max_memory or 0) / each)
+        block = int(_room(max_memory or 0) / each)
         if block < _LEAST:
-            least = (LIBRARIES + _LEAST * each) / _SHARE
             raise OptionError(
-                f"--max-memory must be at least {least / 1e6:,.0f} MB for this model, of which"
-                f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries."
+                f"--max-memory must be at least {_least(_LEAST * each) / 1e6:,.0f} MB for this"
+                f" model, of which {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries."
             )
     segment = max(min(block, _SEGMENT), 1)
     blocks = -(-splats // max(block - block // 16, 1))
@@ -102,9 +114,14 @@ def plan_blocks(
     )
 
 
-def room_of(max_memory: int) -> float:
-    """Bytes of the memory that a process may take which are there for splats."""
+def _room(max_memory: int) -> float:
+    """Bytes that are there for splats, of those that a process may take."""
     return _SHARE * max_memory - LIBRARIES
+
+
+def _least(held: float) -> float:
+    """Bytes that a process must be allowed to take for so many of splats."""
+    return (LIBRARIES + held) / _SHARE
 
 
 def held_bytes(layout: Layout, parameters: ForestParameters, share: float) -> float:

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nanogs._types import Array
-from nanogs.errors import OptionError
-from nanogs.formatting import bytes_text
 from nanogs.io.parts import Packed
 from nanogs.scale.inputs import check_unchanged, open_packed
 from nanogs.scale.scratch import Scratch
@@ -60,35 +58,28 @@ class Cost:
     Attributes:
         scratch: Bytes of the columns of all files.
         memory: Bytes, of the file that takes most.
+        path: Of that file.
     """
 
     scratch: int = 0
     memory: int = 0
+    path: str = ""
 
 
-def cost_of(settings: Settings, room: float | None) -> Cost:
+def cost_of(settings: Settings) -> Cost:
     """What unpacking will take, from headers.
-
-    Args:
-        settings: The job.
-        room: Bytes of memory for it, or None for as much as it takes.
 
     Raises:
         FormatError: A file cannot be read.
-        OptionError: One needs more memory.
     """
-    scratch = memory = 0
+    cost = Cost()
     for number in settings.unpacked:
         file = settings.inputs[number]
         packed = open_packed(file)
-        if room is not None and packed.memory > room:
-            raise OptionError(
-                f"{file.path}: unpacking it takes {bytes_text(packed.memory)} beside Python and its"
-                " libraries, more than --max-memory leaves; raise it, or convert the file to .ply."
-            )
-        scratch += sum(column.bytes for column in packed.columns.values())
-        memory = max(memory, packed.memory)
-    return Cost(scratch, memory)
+        scratch = cost.scratch + sum(column.bytes for column in packed.columns.values())
+        most = max((cost.memory, cost.path), (packed.memory, file.path))
+        cost = Cost(scratch, *most)
+    return cost
 
 
 def unpack(scratch: Scratch, name: str, file: InputFile) -> Record:
