@@ -18,7 +18,7 @@ from nanogs.io.ply_rows import Block, check_body, iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats
 
 _WIDE = ("f8", "i4", "u4")  # types of a centre that float32 does not hold exactly
-_TOKEN = 200  # bytes that a number of text takes while it is read: as text, number and value
+_TOKEN = 120  # bytes that a number of text takes while it is read: as text, number and value
 
 
 def read(path: Path) -> Splats:
