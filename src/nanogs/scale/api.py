@@ -12,7 +12,7 @@ from nanogs.formatting import bytes_text
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks
-from nanogs.scale.settings import Settings
+from nanogs.scale.settings import Chunks, Settings
 from nanogs.scale.source import look_at, segments_of
 from nanogs.scale.unpack import cost_of
 from nanogs.simplify.job import NanPolicy
@@ -94,6 +94,7 @@ def simplify_blocks(
         None if block else max_memory, block, nan,
     )  # fmt: skip
     # Here and not above: these bring Numba, which `--help` and `info` do without.
+    from nanogs.scale.ending import Files
     from nanogs.scale.job import BlockJob, Where
     from nanogs.scale.outcome import report_of
     from nanogs.scale.result import refuse_large
@@ -105,7 +106,7 @@ def simplify_blocks(
     if not resume:
         refuse_full_disk(plan, folder, scratch)
     saving = {"spz_version": spz_version}
-    made = BlockJob(settings, folder, scratch, (output,), saving, overwrite)
+    made = BlockJob(settings, folder, scratch, Files((output,), saving, overwrite))
     where = Where(threads, client, scheduler, workers)
     done, counts = made.run(where, clock, progress or _ignore, resume=resume)
     return report_of(preset, goal, done, counts[0], clock, start)
@@ -138,6 +139,7 @@ def plan_job(
     max_memory: int | None,
     block: int | None,
     nan: NanPolicy,
+    chunks: Chunks | None = None,
 ) -> tuple[Settings, ScalePlan]:
     """What the job is, and what it takes; only headers are read.
 
@@ -148,6 +150,7 @@ def plan_job(
         max_memory: Bytes that a process may take; not needed where `block` is given.
         block: Splats of a block, in place of what memory allows.
         nan: "drop" or "error".
+        chunks: Of the results, or None where each is one file.
 
     Raises:
         NanogsError: An input cannot be read, or the memory is too little.
@@ -155,7 +158,7 @@ def plan_job(
     inputs, layout = look_at(paths)
     splats = sum(each.splats for each in inputs)
     shares = tuple(target_count(splats, g.ratio, g.count) / splats for g in goals)
-    plan = plan_blocks(splats, layout, chosen, shares, max_memory, block)
+    plan = plan_blocks(splats, layout, chosen, shares, max_memory, block, chunks)
     settings = Settings(
         inputs=inputs,
         layout=layout,
@@ -165,6 +168,7 @@ def plan_job(
         nan=nan,
         block=plan.block,
         parameters=in_blocks(chosen),
+        chunks=chunks,
     )
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
 

@@ -4,18 +4,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nanogs.errors import OutputError
-from nanogs.io import check_writable
 from nanogs.report import StageClock
 from nanogs.scale.cluster import Workers, connected, threads_each
-from nanogs.scale.folder import RESULT, SCRATCH, forget, locked, read_manifest, write_manifest
-from nanogs.scale.result import move_into_place, seal, sealed, write_result
+from nanogs.scale.ending import Ending
+from nanogs.scale.folder import SCRATCH, forget, locked, read_manifest, write_manifest
 from nanogs.scale.run import Done, Executor, Here, Progress, run_tasks
 from nanogs.scale.scratch import Scratch, open_scratch
 from nanogs.scale.settings import Settings, differences
-from nanogs.scale.work import Task
 from nanogs.threads import use_threads
 
 if TYPE_CHECKING:
@@ -65,17 +63,13 @@ class BlockJob:
         settings: What decides the results.
         folder: Of the job.
         scratch: Folder or URL of the intermediate files, or None for one in the job folder.
-        results: The files to write, one for each level.
-        saving: What `save` takes for them.
-        overwrite: Whether files that exist are replaced.
+        ending: What is made of the tasks' files.
     """
 
     settings: Settings
     folder: Path
     scratch: str | None
-    results: tuple[Path, ...]
-    saving: dict[str, Any]
-    overwrite: bool
+    ending: Ending
 
     def run(
         self, where: Where, clock: StageClock, progress: Progress, *, resume: bool
@@ -104,9 +98,7 @@ class BlockJob:
                     scratch, self.settings, executor, threads, clock, progress, resumed=resumed
                 )
                 with clock.time("write"):
-                    counts = [
-                        self._finish(done, level, progress) for level in range(self.settings.levels)
-                    ]
+                    counts = self.ending.finish(done, self.folder, progress)
             self._remove(scratch)
         return done, counts
 
@@ -114,8 +106,7 @@ class BlockJob:
         """Whether a run before has begun the job; writes the manifest of a new one."""
         found = read_manifest(self.folder)
         if found is None:
-            for path in self.results:
-                check_writable(path, overwrite=self.overwrite, **self.saving)
+            self.ending.check()
             write_manifest(self.folder, self.settings, self._place())
             return False
         if not resume:
@@ -138,24 +129,6 @@ class BlockJob:
 
     def _open(self) -> Scratch:
         return open_scratch(self._place())
-
-    def _finish(self, done: Done, level: int, progress: Progress) -> int:
-        """Write a result and give it its name, unless a run before has; the splats in it."""
-        target = int(done.work.record(Task("budget", 0, level)).facts["target"])
-        path, file = self.results[level], self._file(level)
-        progress("write", level, self.settings.levels)
-        count = sealed(file, path)
-        if count is None:
-            count = sealed(file, file)
-            if count is None:
-                count = write_result(done.work, level, file, target, self.saving)
-                seal(file, count)
-            move_into_place(file, path, overwrite=self.overwrite)
-        return count
-
-    def _file(self, level: int) -> Path:
-        """Where a result is until it gets its name."""
-        return self.folder / f"{RESULT}{level}{''.join(self.results[level].suffixes[-2:])}"
 
     def _remove(self, scratch: Scratch) -> None:
         """Take away everything; the notes of results go last, with which they are known again."""

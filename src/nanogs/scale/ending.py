@@ -1,0 +1,70 @@
+"""What becomes of a job's files in the end: results that get their names whole."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from nanogs.io import check_writable
+from nanogs.scale.folder import RESULT
+from nanogs.scale.result import move_into_place, seal, sealed, write_result
+from nanogs.scale.run import Done, Progress
+
+
+class Ending(Protocol):
+    """Makes the results of a job whose tasks are done."""
+
+    def check(self) -> None:
+        """Look whether they can be written, before anything is begun.
+
+        Raises:
+            OutputError: They cannot.
+        """
+
+    def finish(self, done: Done, folder: Path, progress: Progress) -> list[int]:
+        """Make them in the job's folder and give them their names, unless a run before has.
+
+        Returns:
+            The splats of each.
+
+        Raises:
+            OutputError: They cannot be written.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """A file for each level.
+
+    Attributes:
+        paths: The files to write.
+        saving: What `save` takes for them.
+        overwrite: Whether files that exist are replaced.
+    """
+
+    paths: tuple[Path, ...]
+    saving: dict[str, Any]
+    overwrite: bool
+
+    def check(self) -> None:
+        """As `Ending` says."""
+        for path in self.paths:
+            check_writable(path, overwrite=self.overwrite, **self.saving)
+
+    def finish(self, done: Done, folder: Path, progress: Progress) -> list[int]:
+        """As `Ending` says."""
+        return [self._finish(done, folder, level, progress) for level in range(len(self.paths))]
+
+    def _finish(self, done: Done, folder: Path, level: int, progress: Progress) -> int:
+        """Write a result and give it its name, unless a run before has; the splats in it."""
+        target = int(done.work.of_job("budget", level).facts["target"])
+        path = self.paths[level]
+        file = folder / f"{RESULT}{level}{''.join(path.suffixes[-2:])}"
+        progress("write", level, len(self.paths))
+        count = sealed(file, path)
+        if count is None:
+            count = sealed(file, file)
+            if count is None:
+                count = write_result(done.work, level, file, target, self.saving)
+                seal(file, count)
+            move_into_place(file, path, overwrite=self.overwrite)
+        return count
