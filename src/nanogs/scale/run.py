@@ -8,7 +8,7 @@ from nanogs.report import StageClock
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import Settings
 from nanogs.scale.tables import verified
-from nanogs.scale.work import Task, Work, do
+from nanogs.scale.work import UNPACK, Task, Work, do
 
 Progress = Callable[[str, int, int], None]
 """Called with a stage's name, how many of its tasks are done, and of how many."""
@@ -82,6 +82,8 @@ def run_tasks(
 
 
 def _stages(settings: Settings) -> Iterator[tuple[str, int]]:
+    if settings.unpacked:
+        yield UNPACK, 0
     for stage in ("frame", "segment", "partition", "forest"):
         yield stage, 0
     for level in range(settings.levels):
@@ -99,6 +101,8 @@ def _stages(settings: Settings) -> Iterator[tuple[str, int]]:
 def _count(work: Work, stage: str) -> int:
     if stage in ("frame", "partition", "budget", "rest"):
         return 1
+    if stage == UNPACK:
+        return len(work.settings.unpacked)
     return len(work.settings.segments) if stage == "segment" else work.partition.blocks
 
 
