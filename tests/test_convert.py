@@ -11,9 +11,9 @@ import nanogs
 from builders import random_splats
 from nanogs import io
 from nanogs.errors import OptionError
-from nanogs.io.registry import FORMATS
+from nanogs.io.registry import formats
 
-WRITTEN = [known.suffix for known in FORMATS if known.write and known.readable]
+WRITTEN = [known.suffix for known in formats() if known.write and known.readable]
 
 
 def run(*arguments):

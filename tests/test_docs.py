@@ -72,7 +72,7 @@ def shown_commands(page):
 
 def check_values(name, values):
     """What the parser leaves to the command: presets, formats, directions, and what is written."""
-    formats = {known.suffix.lstrip(".") for known in registry.FORMATS}
+    formats = {known.suffix.lstrip(".") for known in registry.formats()}
     if values.get("preset"):
         assert values["preset"] in PRESETS
     for key in ("out_format", "read_as", "write_as"):
@@ -151,13 +151,13 @@ def test_the_reference_of_commands_names_all(hooks, commands):
 
 def test_the_readme_lists_every_format(hooks):
     table = hooks["formats"].readme_table(ROOT / "README.md")
-    for known in registry.FORMATS:
+    for known in registry.formats():
         assert known.suffix in table
 
 
 @pytest.mark.parametrize(
     "known",
-    [known for known in registry.FORMATS if known.write and known.readable],
+    [known for known in registry.formats() if known.write and known.readable],
     ids=lambda known: known.suffix,
 )
 def test_formats_keep_what_the_table_says(known, hooks, tmp_path):

@@ -10,7 +10,7 @@ import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import OptionError
 from nanogs.frames import FRAMES, change_between, change_frame, half_turn
-from nanogs.io.registry import FORMATS
+from nanogs.io.registry import formats
 from nanogs.render.rasterize import render
 from nanogs.render.views import automatic_cameras
 from test_cli import run as run_command
@@ -147,4 +147,4 @@ def test_frames_that_say_too_little_or_too_much_are_refused(tmp_path, source, ta
 
 
 def test_every_frame_that_a_format_states_is_one():
-    assert all(known.axes in {*FRAMES, None} for known in FORMATS)
+    assert all(known.axes in {*FRAMES, None} for known in formats())

@@ -62,7 +62,7 @@ def test_what_would_be_lost_is_what_losses_say_of_the_whole(tmp_path, small_bloc
     )
     found = described(tmp_path, model).losses
     whole = io.load(tmp_path / "a.ply")
-    assert set(found) == {known.suffix for known in registry.FORMATS if known.writable}
+    assert set(found) == {known.suffix for known in registry.formats() if known.writable}
     for suffix, sentences in found.items():
         # Names of columns may come in another order where the first rows' normals are zero.
         assert sorted(map(sorted, sentences)) == sorted(
@@ -117,7 +117,7 @@ def _saved(tmp_path, count):
     return tmp_path / "a.ply"
 
 
-BOTH_WAYS = [known.suffix for known in registry.FORMATS if known.write and known.readable]
+BOTH_WAYS = [known.suffix for known in registry.formats() if known.write and known.readable]
 
 
 @pytest.mark.parametrize("suffix", BOTH_WAYS)

@@ -12,7 +12,7 @@ import nanogs
 from nanogs._types import F64, I64
 from nanogs.datasets.synthetic import SH_C0, make_scene
 from nanogs.io import bytes_on_disk
-from nanogs.io.registry import FORMATS, Format
+from nanogs.io.registry import Format, formats
 from nanogs.splats import MAX_SH_DEGREE, ExtraElement, RenderMode, Splats
 
 PROBE = 5000  # splats
@@ -122,12 +122,12 @@ def precision_table() -> str:
 
 def frame_table() -> str:
     """Which way is up, format by format."""
-    rows = [[f"`{known.suffix}`", known.frame] for known in FORMATS]
+    rows = [[f"`{known.suffix}`", known.frame] for known in formats()]
     return _markdown(["format", "frame"], rows)
 
 
 def _written() -> list[Format]:
-    return [known for known in FORMATS if known.writable]
+    return [known for known in formats() if known.writable]
 
 
 def _tamed(plain: Splats, degree: int) -> Splats:

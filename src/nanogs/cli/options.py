@@ -12,9 +12,9 @@ from nanogs.errors import OptionError
 
 def complete_format(start: str) -> list[str]:
     """The formats that are written and begin so, without their dot, for the shell."""
-    from nanogs.io.registry import FORMATS
+    from nanogs.io.registry import formats
 
-    names = [known.suffix.lstrip(".") for known in FORMATS if known.write]
+    names = [known.suffix.lstrip(".") for known in formats() if known.write]
     return [name for name in names if name.startswith(start.lstrip("."))]
 
 

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nanogs._types import F64, I64
-from nanogs.io import sog_write
 from nanogs.io.registry import LEVELS
 from nanogs.lod.boxes import Box, box_around, union
 from nanogs.lod.cells import Cells, divide
@@ -129,6 +128,8 @@ def encode(level: SortedLevel, most: int, prefix: str) -> Iterator[Model]:
         most: Splats of a model.
         prefix: How names of folders begin.
     """
+    from nanogs.io import sog_write  # here, as `--help` does without
+
     for number, (first, end) in enumerate(_runs(level.counts, most)):
         part, leaves = level.take(first, end)
         yield Model(
@@ -191,6 +192,8 @@ class StreamedSog:
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """What the files leave out of a model, one sentence each."""
+        from nanogs.io import sog_write
+
         return sog_write.losses(splats)
 
 
@@ -204,6 +207,8 @@ def write_model(folder: Path, model: Model) -> int:
 
 def made_files(folder: Path) -> frozenset[str] | None:
     """The files of a streamed SOG folder that nanogs wrote; None for other folders."""
+    from nanogs.io import sog_write
+
     data = read_own(folder / NAME, "asset", "generator")
     if data is None:
         return None

@@ -12,14 +12,12 @@ Contents are uncompressed, or packed as SPZ, which is all that CesiumJS draws; s
 import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from nanogs.io import gltf_spz, gltf_write, limits
-from nanogs.io.gltf import MAX_DEGREE
-from nanogs.io.gltf_scene import EXTENSION
 from nanogs.lod.boxes import box_around
 from nanogs.lod.cells import Cells, divide
 from nanogs.lod.chunks import SortedLevel, Written, plain_paths, read_own
@@ -36,6 +34,9 @@ _WIDTH = 4.0
 
 def _plain_losses(splats: Splats) -> tuple[str, ...]:
     """What `gltf_write` leaves out, and the comments, which would be in every tile."""
+    from nanogs.io import limits
+    from nanogs.io.gltf import MAX_DEGREE
+
     found = limits.left_out(splats, ".glb", max_degree=MAX_DEGREE)
     return (*found, *limits.rounded(splats, ".glb"))
 
@@ -49,16 +50,17 @@ class Form:
     extensions: dict[str, list[str]]
 
 
-_PACKED = [EXTENSION, gltf_spz.PACKED]
-FORMS = {
-    False: Form(gltf_write.write, _plain_losses, {"extensionsUsed": [EXTENSION]}),
-    True: Form(
-        gltf_spz.write,
-        gltf_spz.losses,
-        {"extensionsUsed": _PACKED, "extensionsRequired": _PACKED},
-    ),
-}
-"""By whether contents are packed as SPZ."""
+@cache
+def form_of(*, spz: bool) -> Form:
+    """How contents are made, packed as SPZ or not."""
+    from nanogs.io import gltf_spz, gltf_write  # here, as `--help` does without
+    from nanogs.io.gltf_scene import EXTENSION
+
+    if not spz:
+        return Form(gltf_write.write, _plain_losses, {"extensionsUsed": [EXTENSION]})
+    packed = [EXTENSION, gltf_spz.PACKED]
+    extensions = {"extensionsUsed": packed, "extensionsRequired": packed}
+    return Form(gltf_spz.write, gltf_spz.losses, extensions)
 
 
 def encode(
@@ -97,7 +99,7 @@ class Tiles:
             chunk: Most splats of a tile, 1 or more.
             spz: Whether contents are packed.
         """
-        self._folder, self._chunk, self._form = folder, chunk, FORMS[spz]
+        self._folder, self._chunk, self._form = folder, chunk, form_of(spz=spz)
         self._cells: Cells | None = None
         self._levels: list[dict[int, Tile]] = []  # tiles by their node, in the order of the walk
 
