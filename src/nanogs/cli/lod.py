@@ -22,6 +22,7 @@ from nanogs.lod.layout import Layout, Output, check_options, made_files, output_
 from nanogs.lod.levels import check_ratios
 from nanogs.lod.write import write_levels
 from nanogs.report import StopReason
+from nanogs.scale.settings import PATIENCE
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters, renders
 from nanogs.simplify.target import Goal, target_count
@@ -78,6 +79,7 @@ def lod(
     scratch: scale.Scratch = None,
     workers: scale.Workers = None,
     scheduler: scale.Scheduler = None,
+    patience: scale.Patience = PATIENCE,
 ) -> None:
     """Make levels of detail from one build: a file each, or chunks for a viewer that streams.
 
@@ -99,7 +101,7 @@ def lod(
     direction = method.check_views(preset, chosen, views, cameras, up, judged=False)
     blocks = scale.parse_blocks(
         [source], max_memory, join=False, job=job, resume=resume, scratch=scratch,
-        workers=workers, scheduler=scheduler,
+        workers=workers, scheduler=scheduler, patience=patience,
     )  # fmt: skip
     info = inspect(source)
     check_folder_writable(output.folder, made_files, overwrite=overwrite)

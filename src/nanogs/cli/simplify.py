@@ -26,6 +26,7 @@ from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, regi
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
 from nanogs.report import StageClock, StopReason
+from nanogs.scale.settings import PATIENCE
 from nanogs.scale.source import load_joined
 from nanogs.simplify.api import refuse_searches, target_of
 from nanogs.simplify.api import simplify as library_simplify
@@ -90,6 +91,7 @@ def simplify(
     scratch: scale.Scratch = None,
     workers: scale.Workers = None,
     scheduler: scale.Scheduler = None,
+    patience: scale.Patience = PATIENCE,
 ) -> None:
     """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
     overrides: dict[str, Any] = {
@@ -121,6 +123,7 @@ def simplify(
             scratch=scratch,
             workers=workers,
             scheduler=scheduler,
+            patience=patience,
         ),
         looks=views is not None or cameras != "auto" or up is not None,
     )

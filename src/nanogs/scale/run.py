@@ -11,7 +11,7 @@ from nanogs.scale.tables import verified
 from nanogs.scale.work import Task, Work, do
 
 Progress = Callable[[str, int, int], None]
-"""Called with a stage's name, how many of its tasks are done, and of how many."""
+"""Called with a stage's name, how many of its tasks are done, and of how many; see `WAITING`."""
 
 
 class Executor(Protocol):
@@ -69,13 +69,16 @@ def run_tasks(
         NanogsError: A task could not be done.
     """
     work, kept = Work(scratch, settings, threads), 0
+    scratch.prepare()
     for stage, level in _stages(settings):
         tasks = [Task(stage, number, level) for number in range(_count(work, stage))]
         with clock.time(stage):
             left = [task for task in tasks if not (resumed and _is_done(work, task))]
             kept += len(tasks) - len(left)
             progress(stage, len(tasks) - len(left), len(tasks))
-            for done, task in enumerate(executor.run(work, left), len(tasks) - len(left) + 1):
+            # The frame is made here: workers find out by it whether they see the same files.
+            doing = Here() if stage == "frame" else executor
+            for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
                 work.record(task)  # kept: the report is made when the scratch is gone
                 progress(stage, done, len(tasks))
     return Done(work, kept)

@@ -28,6 +28,13 @@ class Scratch(Protocol):
     def place(self) -> str:
         """The folder or URL, as `open_scratch` takes it."""
 
+    def prepare(self) -> None:
+        """Make the folder. Only the caller does: a worker that does not see it must not make one.
+
+        Raises:
+            OutputError: Nothing can be written there.
+        """
+
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
         """Write a file, whole or not at all; its bytes and their SHA-256.
 
@@ -43,7 +50,7 @@ class Scratch(Protocol):
         """
 
     def remove(self) -> None:
-        """Take away all files that `write` made, and the folder if nothing else is in it."""
+        """Take away all files that `write` made, and the folder, and the one around it if empty."""
 
     def tidy(self) -> None:
         """Take away what killed writers left."""
@@ -60,11 +67,17 @@ class FolderScratch:
         """The folder or URL."""
         return str(self.folder)
 
+    def prepare(self) -> None:
+        """As `Scratch` says."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise output_error(self.folder, error) from error
+
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
         """As `Scratch` says."""
         temporary = self.folder / f"{name}.{secrets.token_hex(4)}.tmp"
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
             with temporary.open("xb", buffering=0) as file:
                 written = _write_hashed(cast("BinaryIO", file), parts)
             temporary.replace(self.folder / name)
@@ -85,6 +98,7 @@ class FolderScratch:
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # unless something else is in it
             self.folder.rmdir()
+            self.folder.parent.rmdir()
 
     def tidy(self) -> None:
         """As `Scratch` says."""
@@ -121,10 +135,17 @@ class UrlScratch:
         """The folder or URL."""
         return self.url
 
-    def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
+    def prepare(self) -> None:
         """As `Scratch` says."""
         try:
             self.files.makedirs(self.root, exist_ok=True)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise OutputError(f"{self.url} cannot be written to ({reason}).") from error
+
+    def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
+        """As `Scratch` says."""
+        try:
             with self.files.open(f"{self.root}/{name}", "wb") as file:
                 return _write_hashed(file, parts)
         except OSError as error:
@@ -143,6 +164,7 @@ class UrlScratch:
                     self.files.rm_file(path)
             with contextlib.suppress(OSError, NotImplementedError):
                 self.files.rmdir(self.root)
+                self.files.rmdir(self.root.rpartition("/")[0])
 
     def tidy(self) -> None:
         """Nothing is left: an upload that is not closed never appears."""
@@ -154,7 +176,12 @@ def open_scratch(place: str) -> Scratch:
     Raises:
         OptionError: What reaches that kind of URL is not installed.
     """
-    return UrlScratch(place) if "://" in place else FolderScratch(Path(place))
+    return UrlScratch(place) if is_url(place) else FolderScratch(Path(place))
+
+
+def is_url(place: str) -> bool:
+    """Whether a place is one that fsspec reaches."""
+    return "://" in place
 
 
 def hash_file(file: BinaryIO) -> tuple[int, str]:

@@ -151,8 +151,12 @@ def load_joined(paths: Sequence[Path]) -> Splats:
 
 def _read(file: InputFile, start: int, stop: int) -> Splats:
     path = Path(file.path)
-    status = path.stat() if path.exists() else None
-    if status is None or (status.st_size, status.st_mtime_ns) != (file.bytes, file.modified):
+    if not path.exists():
+        raise FormatError(
+            f"{path} is not there; the caller and all workers must see the inputs under one name."
+        )
+    status = path.stat()
+    if (status.st_size, status.st_mtime_ns) != (file.bytes, file.modified):
         raise FormatError(f"{path} has changed since the job began; begin it anew.")
     if file.seekable:
         return ply.read_span(path, start, stop)

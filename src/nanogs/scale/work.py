@@ -19,7 +19,7 @@ from nanogs.scale.forests import grow
 from nanogs.scale.frame import Frame, frame_of, survey
 from nanogs.scale.halo import find_halo
 from nanogs.scale.partition import Partition, partition, partition_of
-from nanogs.scale.scratch import Scratch, open_scratch
+from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import Layout, Settings
 from nanogs.scale.settle import GONE, GROUP, settled, view_of, write_settled
 from nanogs.scale.spill import spill
@@ -121,17 +121,6 @@ def do(work: Work, task: Task) -> Record:
         record = _STAGES[task.stage](work, task)
     work.known[task.name] = record
     return record
-
-
-def do_elsewhere(place: str, settings: Settings, task: Task, threads: int | None) -> str:
-    """Do a task where nothing is shared with the caller but the scratch.
-
-    Returns:
-        The name of what it wrote.
-    """
-    with use_threads(threads) as used:
-        work = Work(open_scratch(place), settings, used)
-    return do(work, task).name
 
 
 def _frame(work: Work, task: Task) -> Record:
