@@ -203,6 +203,7 @@ def in_blocks(splats, folder, ratio, rounds):
     chosen = block_parameters("fast", {"rounds": rounds})
     settings, _ = plan_job([folder / "in.ply"], (Goal(ratio=ratio),), chosen, None, 2600, "drop")
     scratch, clock = FolderScratch(folder / "scratch"), StageClock()
+    scratch.prepare()
     done = run_tasks(scratch, settings, Here(), 1, clock, lambda *_: None, resumed=False)
     found = done.work.partition
     sizes = [found.count(block) for block in range(found.blocks)]

@@ -40,7 +40,7 @@ def connected(scheduler: str | None = None, workers: int | None = None) -> Itera
         with (
             LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
-                dashboard_address=None, silence_logs=False,
+                dashboard_address=None, silence_logs=logging.CRITICAL,
             ) as cluster,
             closing(Client(cluster, set_as_default=False)) as client,
         ):  # fmt: skip

@@ -41,6 +41,8 @@ def locked(folder: Path) -> Iterator[None]:
                 with suppress(OSError):
                     for path in folder.glob(f"{RESULT}*"):
                         path.unlink()
+                    if (folder / SCRATCH).exists():
+                        (folder / SCRATCH).rmdir()
                     (folder / LOCK).unlink()
                     folder.rmdir()
 

@@ -116,6 +116,7 @@ class BlockJob:
             resumed = place is not None
             with where.executor(progress) as executor, use_threads(where.threads) as threads:
                 scratch = open_scratch(place or self._new_place())
+                scratch.prepare()
                 if resumed:
                     scratch.tidy()
                 else:  # last of all, so that nothing is left of what could not be begun

@@ -57,7 +57,7 @@ def run_tasks(
     """Do every task of a job that is not done yet.
 
     Args:
-        scratch: Its files.
+        scratch: Its files; prepared.
         settings: What it is about.
         executor: Where tasks are done.
         threads: Threads of this process.
@@ -69,7 +69,6 @@ def run_tasks(
         NanogsError: A task could not be done.
     """
     work, kept = Work(scratch, settings, threads), 0
-    scratch.prepare()
     for stage, level in _stages(settings):
         tasks = [Task(stage, number, level) for number in range(_count(work, stage))]
         with clock.time(stage):
