@@ -18,7 +18,7 @@ from nanogs.io import bytes_on_disk
 from nanogs.io.collect import Pair
 from nanogs.scale.api import DEFAULT_MEMORY, block_parameters, job_folder, plan_job
 from nanogs.scale.api import simplify_blocks as library_simplify_blocks
-from nanogs.scale.folder import MANIFEST
+from nanogs.scale.folder import MANIFEST, refuse_finished
 from nanogs.scale.plan import ScalePlan
 from nanogs.scale.settings import WAITING
 from nanogs.simplify.memory import LIBRARIES
@@ -109,9 +109,29 @@ class Blocks:
         """The files that make up the model."""
         return self.joined or (pair.source,)
 
-    def is_begun(self, pair: Pair) -> bool:
-        """Whether there is a job to continue, which sees to its output itself."""
-        return self.resume and (job_folder(pair.target, self.job) / MANIFEST).exists()
+    def is_begun(self, target: Path, *, overwrite: bool) -> bool:
+        """Whether there is a job to continue, which sees to its output itself.
+
+        Raises:
+            OutputError: There is none to continue, but an output.
+        """
+        folder = job_folder(target, self.job)
+        if self.resume and not overwrite:
+            refuse_finished(folder, target)
+        return self.resume and (folder / MANIFEST).exists()
+
+    def refuse_fitting(self, target: Path) -> None:
+        """Refuse to simplify in memory what was begun in blocks.
+
+        Raises:
+            OptionError: There is a job to continue.
+        """
+        folder = job_folder(target, self.job)
+        if self.resume and (folder / MANIFEST).exists():
+            raise OptionError(
+                f"{folder} holds a job in blocks, and this model fits into the memory given; resume"
+                " it with the --max-memory it was begun with, or remove the folder."
+            )
 
 
 def parse_blocks(

@@ -104,6 +104,7 @@ def lod(
         workers=workers, scheduler=scheduler, patience=patience,
     )  # fmt: skip
     info = inspect(source)
+    blocks.is_begun(output.folder, overwrite=overwrite)
     check_folder_writable(output.folder, made_files, overwrite=overwrite)
     finest = target_count(info.splats, ratios[0], None)
     plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen)
@@ -125,6 +126,7 @@ def lod(
             quiet=quiet or json,
         )  # fmt: skip
     else:
+        blocks.refuse_fitting(output.folder)
         given |= {"chunk": chunk, "spz": spz, "threads": threads}
         run = _write(plan, output, ratios, overwrite, cameras, direction, given, quiet or json)
     if json:

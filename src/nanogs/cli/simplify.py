@@ -225,13 +225,16 @@ def _plan(pair: Pair, request: _Request, *, dry_run: bool) -> Plan:
     info, blocks = inspect(pair.source), request.blocks
     if blocks.joined:
         info = replace(info, splats=sum(inspect(path).splats for path in blocks.joined))
-    if not (dry_run and request.folder_later) and not blocks.is_begun(pair):
+    begun = blocks.is_begun(pair.target, overwrite=request.saving["overwrite"])
+    if not (dry_run and request.folder_later) and not begun:
         check_writable(pair.target, **request.saving)
     whole = Plan(info, goal, None, request.preset, request.chosen)
     if blocks.needed(whole):
         scale.refuse_whole_model_wishes(
             whole, filtered=bool(filters), looks=request.looks, turned=bool(frames)
         )
+    else:
+        blocks.refuse_fitting(pair.target)
     if goal.size is None and not (filters and dry_run):
         count = goal.target(info.splats, lambda _count: 0)
     elif dry_run:  # what a row takes and what filters leave is only known from the columns

@@ -108,6 +108,20 @@ def read_manifest(folder: Path) -> tuple[Settings, str] | None:
     return settings_of(settings), scratch
 
 
+def refuse_finished(folder: Path, output: Path) -> None:
+    """Say that there is nothing to resume, where an output stands without a job folder.
+
+    Raises:
+        OutputError: It is so.
+    """
+    empty = output.is_dir() and not any(output.iterdir())
+    if output.exists() and not empty and not (folder / MANIFEST).exists():
+        raise OutputError(
+            f"{output} exists and {folder} holds no job: one that ended well leaves nothing to"
+            " resume; add -w to make it anew."
+        )
+
+
 def forget(folder: Path) -> None:
     """Take away the manifest; the rest goes with the lock."""
     (folder / MANIFEST).unlink(missing_ok=True)

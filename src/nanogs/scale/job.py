@@ -12,7 +12,15 @@ from nanogs.errors import OutputError
 from nanogs.io import check_writable
 from nanogs.report import StageClock
 from nanogs.scale.cluster import connected, starting, threads_each
-from nanogs.scale.folder import RESULT, SCRATCH, forget, locked, read_manifest, write_manifest
+from nanogs.scale.folder import (
+    RESULT,
+    SCRATCH,
+    forget,
+    locked,
+    read_manifest,
+    refuse_finished,
+    write_manifest,
+)
 from nanogs.scale.result import move_into_place, seal, sealed, write_result
 from nanogs.scale.run import Done, Executor, Here, Progress, run_tasks
 from nanogs.scale.scratch import Scratch, is_url, open_scratch
@@ -140,6 +148,8 @@ class BlockJob:
         found = read_manifest(self.folder)
         if found is None:
             for path in self.results:
+                if resume and not self.overwrite:
+                    refuse_finished(self.folder, path)
                 check_writable(path, overwrite=self.overwrite, **self.saving)
             return None
         if not resume:
@@ -155,6 +165,9 @@ class BlockJob:
                 f"{self.folder} holds another job (its {what} differ); resume it with the same"
                 " inputs and options, or remove the folder."
             )
+        for level, path in enumerate(self.results):
+            if sealed(self._file(level), path) is None:  # else it has its name already
+                check_writable(path, overwrite=self.overwrite, **self.saving)
         return place
 
     def _above(self) -> str:
