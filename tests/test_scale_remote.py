@@ -3,7 +3,6 @@
 import http.server
 import json
 import re
-import shutil
 import socket
 import subprocess
 import sys
@@ -11,7 +10,10 @@ import tempfile
 import threading
 import time
 import urllib.request
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -28,9 +30,10 @@ from nanogs.simplify.memory import LIBRARIES
 from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.target import Goal
 
-COUNT, BLOCK = 60_000, 15_000
+COUNT, BLOCK = 60_000, 25_000
 MEMORY = int((LIBRARIES + BLOCK * held_bytes(Layout(0, False, (), "default", (), ()),
                                              ForestParameters(), 0.1)) / 0.95) + 1  # fmt: skip
+GIVEN = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1}
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +48,7 @@ def scene(tmp_path_factory):
 def expected(scene, tmp_path_factory):
     """The bytes of its result."""
     path = tmp_path_factory.mktemp("expected") / "small.ply"
-    nanogs.simplify_blocks(scene, path, ratio=0.1, max_memory=MEMORY, threads=1)
+    nanogs.simplify_blocks(scene, path, **GIVEN)
     return path.read_bytes()
 
 
@@ -58,7 +61,7 @@ def started(scene, out, *more, env=None):
     )
 
 
-def ended(child, code=0, seconds=60):
+def ended(child, code=0, seconds=200):
     """What the command says to people when it has ended: one line, if in error."""
     try:
         text = child.communicate(timeout=seconds)[1]
@@ -70,18 +73,32 @@ def ended(child, code=0, seconds=60):
     return text
 
 
-def until(condition, child, seconds=30):
+def until(condition, child, seconds=100, every=0.005):
     """Wait for something to be so while a command runs."""
     end = time.monotonic() + seconds
     while not condition():
         assert child.poll() is None, "the command has ended"
         assert time.monotonic() < end
-        time.sleep(0.005)
+        time.sleep(every)
 
 
 def records(out):
     """How many tasks are done of a job that keeps its files in its own folder."""
     return len(list(out.with_name(f"{out.name}.job").glob("scratch/*.json")))
+
+
+class CrashError(Exception):
+    """As if the machine had been switched off."""
+
+
+def crash_at(stage, done):
+    """What a run is told its progress by, and ends it."""
+
+    def progress(*told):
+        if told[:2] == (stage, done):
+            raise CrashError
+
+    return progress
 
 
 # ---- schedulers and workers -----------------------------------------------------------------
@@ -92,12 +109,11 @@ def dask(*arguments):
     """A process of Dask, and the address that it says."""
     pytest.importorskip("distributed")
     command = [sys.executable, "-m", "dask", *map(str, arguments), "--no-dashboard"]
-    with tempfile.TemporaryFile("w+") as said:
+    with tempfile.NamedTemporaryFile("a") as said:
         child = subprocess.Popen(command, stdout=said, stderr=said)
 
         def address():
-            said.seek(0)
-            return re.search(r"tcp://[\d.]+:\d+", said.read())
+            return re.search(r"tcp://[\d.]+:\d+", Path(said.name).read_text())
 
         try:
             until(address, child)
@@ -117,9 +133,8 @@ def worker(address):
     return dask("worker", address, "--nthreads", "1", "--memory-limit", "0", "--no-nanny")
 
 
-@pytest.mark.parametrize("resumed", ["here", "there"])
-def test_a_scheduler_that_is_killed_ends_the_run_and_keeps_the_job(
-    scene, tmp_path, expected, resumed
+def test_a_scheduler_that_is_killed_ends_the_run_and_the_job_goes_on_anywhere(
+    scene, tmp_path, expected
 ):
     out = tmp_path / "small.ply"
     with scheduler() as (process, address), worker(address):
@@ -128,33 +143,24 @@ def test_a_scheduler_that_is_killed_ends_the_run_and_keeps_the_job(
         process.kill()
         start = time.monotonic()
         text = ended(child, code=2)
-        assert time.monotonic() - start < 20
+        assert time.monotonic() - start < 60  # it takes one; machines are busy
     assert text.startswith("error: The Dask scheduler was lost")
     assert "--resume continues it" in text
     assert text.count("\n") == 1
     assert records(out) >= 3
     assert not out.exists()
-    if resumed == "here":
-        report = nanogs.simplify_blocks(
-            scene, out, ratio=0.1, max_memory=MEMORY, threads=1, resume=True
-        )
-        assert report.blocks.resumed >= 3
-    else:
-        resume_without_and_with_workers(scene, out)
-    assert out.read_bytes() == expected
-    assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
-
-
-def resume_without_and_with_workers(scene, out):
-    """Runs end when there is no worker for a while, and go on with one that comes."""
-    with scheduler() as (_, address), ExitStack() as late:
-        given = ["--scheduler", address, "--resume"]
-        text = ended(started(scene, out, *given, "--patience", "1"), code=2)
+    with pytest.raises(CrashError):  # some of it here
+        nanogs.simplify_blocks(scene, out, resume=True, progress=crash_at("forest", 2), **GIVEN)
+    with scheduler() as (_, address):  # and the rest by a worker that comes late
+        child = started(scene, out, "--scheduler", address, "--resume", "--patience", "1")
+        text = ended(child, code=2)
         assert "note: The cluster has no worker; waiting for one." in text
         assert "error: The Dask cluster has had no worker for 1 seconds" in text
-        child = started(scene, out, *given, "-q")
-        late.enter_context(worker(address))
-        assert ended(child) == ""
+        child = started(scene, out, "--scheduler", address, "--resume", "-q")
+        with worker(address):
+            assert ended(child) == ""
+    assert out.read_bytes() == expected
+    assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
 def test_what_is_no_scheduler_is_said_in_time(monkeypatch):
@@ -172,7 +178,7 @@ def test_what_is_no_scheduler_is_said_in_time(monkeypatch):
                 cluster.connected(place),
             ):
                 pass
-            assert time.monotonic() - start < 5
+            assert time.monotonic() - start < 20
     finally:
         other.shutdown()
         other.server_close()
@@ -291,37 +297,41 @@ def keyed(store, monkeypatch):
     return store
 
 
+@pytest.mark.filterwarnings("ignore")  # of boto3's own
 def test_a_killed_run_with_a_store_is_resumed_and_the_store_emptied(
     scene, tmp_path, expected, keyed
 ):
     out, given = tmp_path / "small.ply", ["--scratch", "s3://bucket/prefix", "-q"]
     child = started(scene, out, *given)
-    until(lambda: sum(key.endswith(".bin") for key in keys(keyed)) >= 4, child)
+    until(lambda: sum(key.endswith(".bin") for key in keys(keyed)) >= 3, child, every=0.05)
     child.kill()
     child.communicate()
-    begun = next(key.rpartition("/")[0] for key in keys(keyed) if key.endswith(".bin"))
-    ask(f"{keyed}/bucket/{begun}/part-0-00009.bin?uploads", "POST")  # as a kill leaves it
-    damaged = f"{keyed}/bucket/{next(key for key in keys(keyed) if key.endswith('.bin'))}"
-    ask(damaged, "PUT", ask(damaged)[:-1] + b"\xff")
+    damaged = next(key for key in keys(keyed) if key.endswith(".bin"))
+    owner = import_module("boto3").client("s3")
+    owner.put_object(Bucket="bucket", Key=damaged, Body=b"damaged")
+    lost = f"{damaged.rpartition('/')[0]}/part-0-00000.bin"  # an upload, as a kill leaves it
+    owner.create_multipart_upload(Bucket="bucket", Key=lost)
+    owner.close()
+    assert lost in keys(keyed)
     assert ended(started(scene, out, *given, "--resume")) == ""
     assert out.read_bytes() == expected
     assert keys(keyed) == ["prefix/mine.json"]
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
-def test_workers_share_a_store(scene, tmp_path, expected, keyed):
-    out = tmp_path / "small.ply"
-    child = started(scene, out, "--scratch", "s3://bucket", "--workers", "2", "-q")
-    assert ended(child) == ""
-    assert out.read_bytes() == expected
+def test_workers_share_a_store(scene, tmp_path, keyed):
+    here, out = tmp_path / "here.ply", tmp_path / "small.ply"
+    nanogs.simplify_blocks(scene, here, preset="fast", **GIVEN)
+    given = ["--preset", "fast", "--scratch", "s3://bucket", "--workers", "2", "-q"]
+    assert ended(started(scene, out, *given)) == ""
+    assert out.read_bytes() == here.read_bytes()
     assert keys(keyed) == ["prefix/mine.json"]
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_what_a_store_refuses_is_said_before_anything_is_done(scene, tmp_path, keyed):
-    given = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1}
     with pytest.raises(OutputError, match=r"s3://typo/.* cannot be written \(.*bucket"):
-        nanogs.simplify_blocks(scene, tmp_path / "a.ply", scratch="s3://typo/job", **given)
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", scratch="s3://typo/job", **GIVEN)
     assert list(tmp_path.iterdir()) == []
     assert b"typo" not in ask(keyed)
 
@@ -338,11 +348,12 @@ def test_the_library_takes_a_store_too(tmp_path, keyed):
     assert keys(keyed) == ["prefix/mine.json"]
 
 
-def test_what_reaches_a_store_is_named_where_it_is_missing(monkeypatch):
+def test_what_reaches_a_store_is_named_where_it_is_missing():
     pytest.importorskip("fsspec")
-    monkeypatch.setitem(sys.modules, "s3fs", None)
-    with pytest.raises(OptionError, match=r"^s3://bucket/job needs a package.*s3fs"):
-        open_scratch("s3://bucket/job")
+    if find_spec("gcsfs"):
+        pytest.skip("gcsfs is there")
+    with pytest.raises(OptionError, match=r"^gs://bucket/job needs a package.*nstall gcsfs"):
+        open_scratch("gs://bucket/job")
 
 
 def test_files_of_others_in_the_scratch_are_left_alone(tmp_path):
@@ -358,56 +369,54 @@ def test_files_of_others_in_the_scratch_are_left_alone(tmp_path):
 # ---- --resume and what is there -------------------------------------------------------------
 
 
-def killed(scene, out, *more):
-    """Leave a job that was cut off."""
-    child = started(scene, out, *more)
-    until(lambda: records(out) >= 3, child)
-    child.kill()
-    child.communicate()
-
-
 def test_resume_says_what_it_finds(scene, tmp_path, expected):
     out, folder = tmp_path / "small.ply", tmp_path / "small.ply.job"
-    assert ended(started(scene, out, "--resume", "-q")) == ""  # nothing there: it begins
+    nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)  # nothing there: it begins
     finished = "exists and {} holds no job: one that ended well leaves nothing to resume; add -w"
     assert finished.format(folder) in ended(started(scene, out, "--resume"), code=2)
-    given = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1}
     with pytest.raises(OutputError, match="nothing to resume"):
-        nanogs.simplify_blocks(scene, out, resume=True, **given)
+        nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)
     with pytest.raises(OutputError, match="exists already; add -w"):
-        nanogs.simplify_blocks(scene, out, **given)
+        nanogs.simplify_blocks(scene, out, **GIVEN)
     assert out.read_bytes() == expected
-    out.unlink()
-    killed(scene, out)
-    out.write_text("mine")  # while a job waits: said at once, and not when all is computed
+    nanogs.simplify_blocks(scene, out, resume=True, overwrite=True, **GIVEN)  # anew
+
+
+def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expected):
+    out = tmp_path / "small.ply"
+    with pytest.raises(CrashError):
+        nanogs.simplify_blocks(scene, out, progress=crash_at("forest", 1), **GIVEN)
+    out.write_text("mine")
     before = records(out)
-    assert "exists already; add -w" in ended(started(scene, out, "--resume"), code=2)
     with pytest.raises(OutputError, match="exists already; add -w"):
-        nanogs.simplify_blocks(scene, out, resume=True, **given)
+        nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)
     assert (out.read_text(), records(out)) == ("mine", before)
     with pytest.raises(OutputError, match="--resume continues it"):  # -w alone does not
-        nanogs.simplify_blocks(scene, out, overwrite=True, **given)
-    with pytest.raises(OutputError, match="its ratios differ"):
-        nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **(given | {"ratio": 0.2}))
+        nanogs.simplify_blocks(scene, out, overwrite=True, **GIVEN)
+    other = GIVEN | {"ratio": 0.2}
+    with pytest.raises(OutputError, match="its segments, ratios, block differ"):
+        nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **other)
     fits = [sys.executable, "-m", "nanogs", "simplify", scene, out, "--ratio", "0.1", "--resume"]
     done = subprocess.run([*map(str, fits), "-w"], capture_output=True, text=True)
     assert done.returncode == 2
     assert "resume it with the --max-memory it was begun with" in done.stderr
-    report = nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **given)
+    report = nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **GIVEN)
     assert report.blocks.resumed >= 3
     assert out.read_bytes() == expected
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
-def test_a_relative_scratch_is_found_from_elsewhere(scene, tmp_path, monkeypatch):
+def test_a_relative_scratch_is_found_from_elsewhere(scene, tmp_path, expected, monkeypatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     out = tmp_path / "small.ply"
-    child = started(scene, out, "--scratch", "shared", "--job", tmp_path / "job")
-    until((tmp_path / "job" / "job.json").exists, child)
-    child.kill()
-    child.communicate()
-    place = json.loads((tmp_path / "job" / "job.json").read_text())["scratch"]
+    with pytest.raises(CrashError):
+        nanogs.simplify_blocks(
+            scene, out, scratch="shared", progress=crash_at("forest", 1), **GIVEN
+        )
+    place = json.loads((tmp_path / "small.ply.job" / "job.json").read_text())["scratch"]
     assert place.startswith(str(tmp_path / "here" / "shared" / "nanogs-"))
-    shutil.rmtree(tmp_path / "job")
-    shutil.rmtree(place, ignore_errors=True)
+    monkeypatch.chdir(tmp_path)
+    nanogs.simplify_blocks(scene, out, scratch="here/shared", resume=True, **GIVEN)
+    assert out.read_bytes() == expected
+    assert list((tmp_path / "here").iterdir()) == []

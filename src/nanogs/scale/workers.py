@@ -103,13 +103,13 @@ class Workers:
                 staffed = now
 
     def _wait(self, seconds: float) -> None:
-        """Say that there has been no worker for so long, or that it is too long."""
+        """Say that there is no worker; raise if there has been none for too long."""
+        self.waiting()
         if seconds > self.patience:
             raise OutputError(
                 f"The Dask cluster has had no worker for {self.patience:g} seconds; start some with"
                 f" `dask worker`; {KEPT}."
             )
-        self.waiting()
 
 
 def _submit(client: "Client", *given: object, **options: Any) -> "Future[Any]":  # noqa: ANN401
