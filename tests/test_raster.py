@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from itertools import pairwise
 
 import numba
 import numpy as np
@@ -10,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nanogs.errors import OptionError
-from nanogs.kernels import harmonics, pixels, raster
-from nanogs.kernels.policy import kernel
+from nanogs.kernels import harmonics, raster
+from nanogs.kernels import project as project_kernels
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import SURFEL_NOTE, prepare, probe, project, render
 from nanogs.splats import RenderMode, Splats
@@ -368,6 +369,29 @@ def test_tile_lists_miss_no_tile_with_a_visible_pixel():
             assert listed or not visible
 
 
+@pytest.mark.parametrize("size", [(5000, 100), (100, 3000), (300, 300)])
+def test_tile_lists_hold_the_tiles_that_each_splat_meets_nearest_first(size):
+    width, height = size
+    splats = make_splats(60, 3, size=-1, spread=1.5)
+    view = project(prepare(splats), make_camera(width, height, 90.0))
+    wanted = [[] for _ in range(len(view.starts) - 1)]
+    tiles_x, paths = math.ceil(width / raster.TILE), set()
+    for index in view.order.tolist():
+        left, top, across, down = project_kernels.unpack_box(int(view.boxes[index]))
+        lowest = raster._lowest(view.geometry[index])
+        whole = across == 1 or down == 1 or max(across, down) <= raster.SMALL
+        paths.add((whole, across > raster.WIDEST, down > raster.HIGHEST))
+        for ty in range(top, top + down):
+            first, end = left, left + across
+            if not whole:
+                first, end = raster._tile_span(view.geometry[index], lowest, ty, width, height)
+            for tx in range(first, end):
+                wanted[ty * tiles_x + tx].append(index)
+    assert len(paths) > 1
+    found = [view.entries[a:b].tolist() for a, b in pairwise(view.starts)]
+    assert found == wanted
+
+
 seeds = st.integers(0, 2**16)
 
 
@@ -412,52 +436,3 @@ def test_twice_the_pixels_see_the_same_means(seed):
     large = render(splats, make_camera(40, 24, 30.0)).alpha
     pooled = large.reshape(12, 2, 20, 2).mean(axis=(1, 3))
     assert np.abs(pooled - small).max() < 0.03
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_pixels_compiled_do_as_their_plain_python_says(seed):
-    rng = np.random.default_rng(seed)
-    ways = []
-    for blend, scale, multiply in (
-        (pixels.blend_pixels, pixels.add_scaled, pixels.add_products),
-        (blend_compiled, scale_compiled, multiply_compiled),
-    ):
-        rng = np.random.default_rng(seed)
-        left = rng.uniform(-0.2, 1, (16, 16)).astype(np.float32)
-        plane, probe = rng.normal(size=(2, 16, 16)).astype(np.float32)
-        weights, sums = np.full(8, 7, np.float32), np.zeros(24, np.float32)
-        for _ in range(60):
-            base, slope, q, opacity = np.float32([rng.normal(), *rng.uniform(0, (1, 3, 1))])
-            place = int(rng.integers(32)) * 8
-            blend(base, slope, q, opacity, place % 16, left, place, weights, 0)
-            scale(np.float32(rng.normal()), weights, plane, place)
-            multiply(weights, probe, place, sums, 8)
-        ways.append((left, plane, weights, sums))
-    for plain, compiled in zip(*ways, strict=True):
-        np.testing.assert_allclose(compiled, plain, atol=1e-5)
-    assert (ways[0][0] < 0).any()  # some pixels are full
-    assert np.abs(ways[0][3][8:16]).max() > 0.1
-
-
-def test_a_number_too_large_for_float32_leaves_its_pixels_alone():
-    left, weights = np.ones(8, np.float32), np.ones(8, np.float32)
-    huge, one = np.float32(1e30), np.float32(1)
-    for blend in (pixels.blend_pixels, blend_compiled):
-        blend(huge, one, one, one, 0, left, 0, weights, 0)
-        assert (left == 1).all()
-        assert (weights == 0).all()
-
-
-@kernel
-def blend_compiled(base, slope, q, opacity, first, left, at, weights, to):
-    pixels.blend_pixels(base, slope, q, opacity, first, left, at, weights, to)
-
-
-@kernel
-def scale_compiled(value, weights, plane, at):
-    pixels.add_scaled(value, weights, plane, at)
-
-
-@kernel
-def multiply_compiled(weights, probe, at, sums, to):
-    pixels.add_products(weights, probe, at, sums, to)

@@ -21,14 +21,10 @@ import math
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U16
-from nanogs.kernels.pixels import PIXELS, Single, blend_pixels
+from nanogs.kernels.pixels import Single, blend_pixels
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.project import TILE
-from nanogs.kernels.raster import (
-    BATCH,
-    count_open,
-    start_tile,
-)
+from nanogs.kernels.raster import start_tile
+from nanogs.kernels.spans import BATCH, PIXELS, TILE, any_open
 
 CHANNELS = 4
 SUMS = 25  # what `pull_tiles` writes for an entry: see there
@@ -139,7 +135,7 @@ def _pull_splat(
     y0: int,
     lanes: F32,
     left: F32,
-    open_rows: I64,
+    open_rows: I32,
     weights: F32,
     behind: F32,
     residual: F32,
@@ -265,7 +261,7 @@ def pull_tiles(
         trust = np.zeros((TILE, TILE), np.float32)
         weights = np.empty(TILE, np.float32)
         lanes = np.arange(TILE).astype(np.float32)
-        open_rows = np.empty(TILE, np.int64)
+        open_rows = np.empty(TILE, np.int32)
         start_tile(left, x0, y0, width, height)
         _load_tile(image, x0, y0, behind)
         _load_tile(residual, x0, y0, wanted)
@@ -273,7 +269,7 @@ def pull_tiles(
             for x in range(min(TILE, width - x0)):
                 trust[r, x] = precision[y0 + r, x0 + x]
         for e in range(starts[tile], starts[tile + 1]):
-            if (e - starts[tile]) % BATCH == 0 and count_open(left, open_rows) == 0:
+            if (e - starts[tile]) % BATCH == 0 and any_open(left, open_rows) == 0:
                 break
             _pull_splat(
                 geometry,

@@ -4,7 +4,7 @@ Within a band the order is m = -l .. l; odd m carries the Condon-Shortley phase 
 forms: Sloan, "Stupid Spherical Harmonics (SH) Tricks", 2008, appendix A2.
 """
 
-from nanogs._types import F64
+from nanogs._types import F
 from nanogs.kernels.policy import inline
 
 C0 = 0.28209479177387814
@@ -29,7 +29,7 @@ C4 = (
 
 
 @inline
-def sh_basis(x: float, y: float, z: float, degree: int, basis: F64) -> None:
+def sh_basis(x: float, y: float, z: float, degree: int, basis: F) -> None:
     """Write Y_lm(x, y, z) for l = 0 .. degree into basis, which has room for (degree + 1)².
 
     (x, y, z) is a unit vector; in 3DGS it points from the camera to the splat.

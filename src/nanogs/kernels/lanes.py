@@ -1,9 +1,4 @@
-"""Vector instructions across 16 lanes, which Numba's loops do not reach.
-
-Numba runs LLVM without the vectoriser of straight-line code, and its loops over 16 elements are
-unrolled before the loop vectoriser sees them. So each operation here is written twice: as plain
-Python, which says what it does and runs with `NUMBA_DISABLE_JIT=1`, and as LLVM's vector type of
-16 elements, which is portable: the compiler cuts it into the registers that the machine has.
+"""Distances and lists of neighbours across 16 lanes; see `vectors.py`.
 
 A key is the upper half of the bits of a float64 that is not negative. Keys sort like the numbers.
 """
@@ -14,19 +9,15 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
-from numba.extending import intrinsic, overload
 
 from nanogs._types import F64, I32
+from nanogs.kernels import vectors as vec
+from nanogs.kernels.vectors import compiled
 
 LANES = 16
-_INT = ir.IntType(64)
-_KEYS = ir.VectorType(ir.IntType(32), LANES)
-_REALS = ir.VectorType(ir.DoubleType(), LANES)
-_BITS = ir.VectorType(_INT, LANES)
-
-
-# The typing context, first in each signature, is not for the caller: mypy cannot know.
-_vector: Any = intrinsic
+_KEYS = vec.words(LANES)
+_REALS = vec.doubles(LANES)
+_BITS = ir.VectorType(vec.INDEX, LANES)
 
 
 def distance_keys(points: F64, x: float, y: float, z: float, keys: I32, at: int) -> None:
@@ -67,35 +58,6 @@ def insert(lists: I32, keys: I32, at: int, k: int) -> None:
     table[-1] = np.minimum(table[-1], key)
 
 
-def _place(context: Any, builder: Any, array_type: Any, array: Any, offset: Any, kind: Any) -> Any:
-    """Pointer to a vector that starts at a flat offset of a contiguous array."""
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [offset]), kind.as_pointer())
-
-
-def _constant(value: int) -> Any:
-    return ir.Constant(_INT, value)
-
-
-def _load(context: Any, builder: Any, array_type: Any, array: Any, offset: Any, kind: Any) -> Any:
-    place = _place(context, builder, array_type, array, offset, kind)
-    return builder.load(place, align=kind.element.get_abi_size(context.target_data))
-
-
-def _store_keys(
-    context: Any, builder: Any, array_type: Any, array: Any, at: Any, keys: Any
-) -> None:
-    builder.store(keys, _place(context, builder, array_type, array, at, _KEYS), align=4)
-
-
-def _splat(builder: Any, value: Any, kind: Any) -> Any:
-    """The same value in every lane."""
-    empty = ir.Constant(kind, ir.Undefined)
-    first = builder.insert_element(empty, value, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-    return builder.shuffle_vector(first, empty, zeros)
-
-
 def _lesser(builder: Any, a: Any, b: Any) -> Any:
     return builder.select(builder.icmp_signed("<", a, b), a, b)
 
@@ -105,64 +67,55 @@ def _greater(builder: Any, a: Any, b: Any) -> Any:
 
 
 def _keys_of(builder: Any, x: Any, y: Any, z: Any) -> Any:
-    """Keys of x x + y y + z z."""
+    """Keys of x x + y y + z z; to the last bit as written."""
     total = builder.fadd(builder.fmul(x, x), builder.fmul(y, y))
     total = builder.fadd(total, builder.fmul(z, z))
-    shift = ir.Constant(_BITS, [32] * LANES)
-    return builder.trunc(builder.lshr(builder.bitcast(total, _BITS), shift), _KEYS)
+    return builder.trunc(builder.lshr(builder.bitcast(total, _BITS), vec.fill(_BITS, 32)), _KEYS)
 
 
-@_vector
+@compiled(distance_keys)
 def _distance_keys(typing: Any, points: Any, x: Any, y: Any, z: Any, keys: Any, at: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         offsets = []
         for axis in range(3):
-            c = _load(context, builder, points, args[0], _constant(axis * LANES), _REALS)
-            offsets.append(builder.fsub(c, _splat(builder, args[1 + axis], _REALS)))
-        _store_keys(context, builder, keys, args[4], args[5], _keys_of(builder, *offsets))
+            c = vec.read(context, builder, points, args[0], vec.index(axis * LANES), _REALS)
+            offsets.append(builder.fsub(c, vec.splat(builder, args[1 + axis], _REALS)))
+        vec.write(context, builder, keys, args[4], args[5], _keys_of(builder, *offsets))
         return context.get_dummy_value()
 
     return types.void(points, x, y, z, keys, types.int64), generate
 
 
-@_vector
+@compiled(box_keys)
 def _box_keys(typing: Any, points: Any, boxes: Any, node: Any, keys: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        data = context.make_array(boxes)(context, builder, args[1]).data
-        start = builder.mul(args[2], _constant(6))
-        offsets = []
-        zero = ir.Constant(_REALS, [0.0] * LANES)
+        offsets, zero = [], vec.fill(_REALS, 0.0)
         for axis in range(3):
-            c = _load(context, builder, points, args[0], _constant(axis * LANES), _REALS)
+            c = vec.read(context, builder, points, args[0], vec.index(axis * LANES), _REALS)
             low, high = (
-                _splat(
-                    builder,
-                    builder.load(builder.gep(data, [builder.add(start, _constant(place))])),
-                    _REALS,
-                )
-                for place in (axis, 3 + axis)
+                vec.item(context, builder, boxes, args[1], args[2], vec.index(side + axis))
+                for side in (0, 3)
             )
-            below, above = builder.fsub(low, c), builder.fsub(c, high)
-            gap = builder.select(builder.fcmp_ordered(">", below, above), below, above)
-            offsets.append(builder.select(builder.fcmp_ordered(">", gap, zero), gap, zero))
-        _store_keys(context, builder, keys, args[3], _constant(0), _keys_of(builder, *offsets))
+            below = builder.fsub(vec.splat(builder, low, _REALS), c)
+            above = builder.fsub(c, vec.splat(builder, high, _REALS))
+            offsets.append(vec.greater(builder, vec.greater(builder, below, above), zero))
+        vec.write(context, builder, keys, args[3], vec.index(0), _keys_of(builder, *offsets))
         return context.get_dummy_value()
 
     return types.void(points, boxes, types.int64, keys), generate
 
 
-@_vector
+@compiled(within)
 def _within(typing: Any, keys: Any, at: Any, bounds: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        key = _load(context, builder, keys, args[0], args[1], _KEYS)
-        bound = _load(context, builder, bounds, args[2], _constant(0), _KEYS)
-        mask = builder.icmp_signed("<=", key, bound)
-        return builder.zext(builder.bitcast(mask, ir.IntType(LANES)), _INT)
+        key = vec.read(context, builder, keys, args[0], args[1], _KEYS)
+        bound = vec.read(context, builder, bounds, args[2], vec.index(0), _KEYS)
+        return vec.bits(builder, builder.icmp_signed("<=", key, bound))
 
     return types.int64(keys, types.int64, bounds), generate
 
 
-@_vector
+@compiled(lowest_bit)
 def _lowest_bit(typing: Any, mask: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
@@ -170,64 +123,24 @@ def _lowest_bit(typing: Any, mask: Any) -> Any:
     return types.int64(types.int64), generate
 
 
-@_vector
+@compiled(insert)
 def _insert(typing: Any, lists: Any, keys: Any, at: Any, k: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        key = _load(context, builder, keys, args[1], args[2], _KEYS)
-        last = builder.mul(builder.sub(args[3], _constant(1)), _constant(LANES))
+        key = vec.read(context, builder, keys, args[1], args[2], _KEYS)
+        last = builder.mul(builder.sub(args[3], vec.index(1)), vec.index(LANES))
 
         def row(offset: Any) -> Any:
-            return _load(context, builder, lists, args[0], offset, _KEYS)
+            return vec.read(context, builder, lists, args[0], offset, _KEYS)
 
-        with cgutils.for_range_slice(builder, _constant(0), last, _constant(LANES), intp=_INT) as (
-            offset,
-            _,
-        ):
-            after = _greater(builder, row(builder.add(offset, _constant(LANES))), key)
-            _store_keys(
-                context, builder, lists, args[0], offset, _lesser(builder, row(offset), after)
-            )
-        _store_keys(context, builder, lists, args[0], last, _lesser(builder, row(last), key))
+        def store(offset: Any, value: Any) -> None:
+            vec.write(context, builder, lists, args[0], offset, value)
+
+        with cgutils.for_range_slice(
+            builder, vec.index(0), last, vec.index(LANES), intp=vec.INDEX
+        ) as (offset, _):
+            after = _greater(builder, row(builder.add(offset, vec.index(LANES))), key)
+            store(offset, _lesser(builder, row(offset), after))
+        store(last, _lesser(builder, row(last), key))
         return context.get_dummy_value()
 
     return types.void(lists, keys, types.int64, types.int64), generate
-
-
-@overload(distance_keys)
-def _compiled_distance_keys(points: Any, x: Any, y: Any, z: Any, keys: Any, at: Any) -> Any:
-    def body(points: Any, x: Any, y: Any, z: Any, keys: Any, at: Any) -> None:
-        _distance_keys(points, x, y, z, keys, at)
-
-    return body
-
-
-@overload(box_keys)
-def _compiled_box_keys(points: Any, boxes: Any, node: Any, keys: Any) -> Any:
-    def body(points: Any, boxes: Any, node: Any, keys: Any) -> None:
-        _box_keys(points, boxes, node, keys)
-
-    return body
-
-
-@overload(within)
-def _compiled_within(keys: Any, at: Any, bounds: Any) -> Any:
-    def body(keys: Any, at: Any, bounds: Any) -> Any:
-        return _within(keys, at, bounds)
-
-    return body
-
-
-@overload(lowest_bit)
-def _compiled_lowest_bit(mask: Any) -> Any:
-    def body(mask: Any) -> Any:
-        return _lowest_bit(mask)
-
-    return body
-
-
-@overload(insert)
-def _compiled_insert(lists: Any, keys: Any, at: Any, k: Any) -> Any:
-    def body(lists: Any, keys: Any, at: Any, k: Any) -> None:
-        _insert(lists, keys, at, k)
-
-    return body

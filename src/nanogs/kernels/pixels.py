@@ -1,8 +1,4 @@
-"""Vector instructions across 8 pixels of a row, which Numba's loops do not reach; see `lanes.py`.
-
-Each operation is written twice: as plain Python, which says what it does, and as LLVM's vector
-type of 8 float32.
-"""
+"""Blending on 8 pixels of a row, or twice 8, at a time; see `vectors.py`."""
 # ruff: noqa: ANN401, ARG001 - Numba asks for these signatures, and llvmlite has no types
 
 from typing import Any, TypeAlias
@@ -10,13 +6,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from llvmlite import ir
 from numba.core import types
-from numba.extending import intrinsic, overload
 
-from nanogs._types import F32
+from nanogs._types import F32, I32, U32
+from nanogs.kernels import vectors as vec
+from nanogs.kernels.spans import PIXELS, ROWS, SECOND, SPLAT, TILE
+from nanogs.kernels.vectors import compiled
 
 Single: TypeAlias = np.float32
 
-PIXELS = 8
 MIN_ALPHA = 1.0 / 255.0
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
@@ -60,85 +57,119 @@ def blend_pixels(
     flat[at : at + PIXELS] = np.where(full, -abs(before), after)
 
 
-def add_scaled(value: Single, weights: F32, plane: F32, at: int) -> None:
-    """Add the weights (8,) times a value to the plane from flat place `at` on."""
-    plane.reshape(-1)[at : at + PIXELS] += value * weights
+def blend_pair(
+    pieces: U32, k: int, bases: F32, squares: F32, starts: I32, slopes: F32, opacities: F32,
+    left: F32, weights: F32,
+) -> None:  # fmt: skip
+    """Blend two runs of 8 pixels, which must not share any, of one splat; see `blend_pixels`.
+
+    Args:
+        pieces: The places of the runs' rows, at k and k + 1; see `span_rows`.
+        k: Even.
+        bases: See `span_rows`, with the next two.
+        squares: See there.
+        starts: See there.
+        slopes: (n,) 1 / standard deviation of x given y, 1/pixels.
+        opacities: (n,)
+        left: (17, 16) transmittances.
+        weights: Filled from place 8 k.
+    """
+    for piece in pieces[k : k + 2]:
+        place = piece % SECOND
+        first, splat = starts[piece], place // SPLAT
+        at = place % SPLAT * TILE + first
+        base, q = bases[place], squares[place]
+        blend_pixels(base, slopes[splat], q, opacities[splat], first, left, at, weights, k * PIXELS)
+        k += 1
 
 
-def add_products(weights: F32, probe: F32, at: int, sums: F32, to: int) -> None:
-    """Add the weights (8,) times the probe from place `at` on to the sums from place `to` on."""
-    sums.reshape(-1)[to : to + PIXELS] += weights * probe.reshape(-1)[at : at + PIXELS]
+def blend_pair_three(
+    pieces: U32, k: int, bases: F32, squares: F32, starts: I32, slopes: F32, opacities: F32,
+    left: F32, weights: F32, values: F32, planes: F32,
+) -> None:  # fmt: skip
+    """As `blend_pair`, and add the weights times the splat's colours to three planes.
+
+    values: (n, 3 or more); planes: (3, 17, 16).
+    """
+    blend_pair(pieces, k, bases, squares, starts, slopes, opacities, left, weights)
+    for piece in pieces[k : k + 2]:
+        place = piece % SECOND
+        at = place % SPLAT * TILE + starts[piece]
+        for c in range(3):
+            add_scaled(values, place // SPLAT, c, weights, k * PIXELS, planes, at)
+        k += 1
 
 
-_REALS = ir.VectorType(ir.FloatType(), PIXELS)
-_BITS = ir.VectorType(ir.IntType(32), PIXELS)
-_FAST = ("contract", "nsz", "arcp", "reassoc")
+def add_scaled(values: F32, j: int, c: int, weights: F32, at: int, planes: F32, to: int) -> None:
+    """Add 8 weights, from place `at` on, times values[j, c] to plane c from place `to` on.
 
-# The typing context, first in each signature, is not for the caller: mypy cannot know.
-_vector: Any = intrinsic
-
-
-def _all(value: float) -> Any:
-    return ir.Constant(_REALS, [float(np.float32(value))] * PIXELS)
+    planes: (C, 17, 16).
+    """
+    planes[c].reshape(-1)[to : to + PIXELS] += values[j, c] * weights[at : at + PIXELS]
 
 
-def _splat(builder: Any, value: Any) -> Any:
-    """The same value for every pixel."""
-    empty = ir.Constant(_REALS, ir.Undefined)
-    first = builder.insert_element(empty, value, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(first, empty, ir.Constant(_BITS, [0] * PIXELS))
+def add_products(weights: F32, at: int, probes: F32, there: int, sums: F32, to: int) -> None:
+    """Add 8 weights, from place `at` on, times as many probes to as many sums; flat places."""
+    products = weights[at : at + PIXELS] * probes.reshape(-1)[there : there + PIXELS]
+    sums.reshape(-1)[to : to + PIXELS] += products
 
 
-def _place(context: Any, builder: Any, array_type: Any, array: Any, at: Any) -> Any:
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [at]), _REALS.as_pointer())
+_REALS, _PAIR = vec.reals(PIXELS), vec.reals(2 * PIXELS)
+_LOW, _HIGH = range(PIXELS), range(PIXELS, 2 * PIXELS)
 
 
-def _add(builder: Any, a: Any, b: Any) -> Any:
-    return builder.fadd(a, b, flags=_FAST)
-
-
-def _mul(builder: Any, a: Any, b: Any) -> Any:
-    return builder.fmul(a, b, flags=_FAST)
-
-
-def _alpha(builder: Any, base: Any, slope: Any, q: Any, opacity: Any, first: Any) -> Any:
-    """Alpha of the pixels, 0 below 1/255."""
-    start = _splat(builder, builder.sitofp(first, ir.FloatType()))
-    x = _add(builder, start, ir.Constant(_REALS, [float(i) for i in range(PIXELS)]))
-    p = _add(builder, _splat(builder, base), _mul(builder, _splat(builder, slope), x))
-    y = _add(builder, _mul(builder, p, p), _splat(builder, q))
-    y = _mul(builder, y, _all(-0.5))
-    y = builder.select(builder.fcmp_ordered(">", y, _all(-6.0)), y, _all(-6.0))
-    y = _mul(builder, y, _all(0.0625))
-    e = _all(POLYNOMIAL[-1])
+def _falloff(builder: Any, base: Any, slope: Any, q: Any, opacity: Any, x: Any) -> Any:
+    """Alpha of the pixels at x, 0 below 1/255."""
+    kind = x.type
+    p = vec.add(builder, base, vec.mul(builder, slope, x))
+    y = vec.add(builder, vec.mul(builder, p, p), q)
+    y = vec.mul(builder, y, vec.fill(kind, -0.5 / 16))
+    y = vec.greater(builder, y, vec.fill(kind, -6.0 / 16))
+    e = vec.fill(kind, POLYNOMIAL[-1])
     for coefficient in reversed(POLYNOMIAL[:-1]):
-        e = _add(builder, _all(coefficient), _mul(builder, y, e))
+        e = vec.add(builder, vec.fill(kind, coefficient), vec.mul(builder, y, e))
     for _ in range(4):
-        e = _mul(builder, e, e)
-    alpha = _mul(builder, _splat(builder, opacity), e)
-    alpha = builder.select(
-        builder.fcmp_ordered("<", alpha, _all(MAX_ALPHA)), alpha, _all(MAX_ALPHA)
-    )
-    return builder.select(builder.fcmp_ordered(">=", alpha, _all(MIN_ALPHA)), alpha, _all(0.0))
+        e = vec.mul(builder, e, e)
+    alpha = vec.lesser(builder, vec.mul(builder, opacity, e), vec.fill(kind, MAX_ALPHA))
+    seen = builder.fcmp_ordered(">=", alpha, vec.fill(kind, MIN_ALPHA))
+    return builder.select(seen, alpha, vec.fill(kind, 0.0))
 
 
-@_vector
+def _light(builder: Any, alpha: Any, before: Any) -> tuple[Any, Any]:
+    """Weights T alpha, and the transmittances after."""
+    kind = alpha.type
+    after = vec.mul(builder, before, vec.sub(builder, vec.fill(kind, 1.0), alpha))
+    full = builder.fcmp_ordered("<", after, vec.fill(kind, MIN_TRANSMITTANCE))
+    words = vec.words(kind.count)
+    sign = builder.or_(builder.bitcast(before, words), vec.fill(words, 0x80000000))
+    weight = builder.select(full, vec.fill(kind, 0.0), vec.mul(builder, before, alpha))
+    return weight, builder.select(full, builder.bitcast(sign, kind), after)
+
+
+def _columns(builder: Any, first: Any) -> Any:
+    start = vec.splat(builder, builder.sitofp(first, ir.FloatType()), _REALS)
+    return vec.add(builder, start, vec.counting(_REALS))
+
+
+def _add_to(context: Any, builder: Any, kind: Any, array: Any, at: Any, a: Any, b: Any) -> None:
+    """Add a b to the vector at a flat place of an array."""
+    before = vec.read(context, builder, kind, array, at, _REALS)
+    total = vec.add(builder, before, vec.mul(builder, a, b))
+    vec.write(context, builder, kind, array, at, total)
+
+
+@compiled(blend_pixels)
 def _blend_pixels(
     typing: Any, base: Any, slope: Any, q: Any, opacity: Any, first: Any, left: Any, at: Any,
     weights: Any, to: Any,
 ) -> Any:  # fmt: skip
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        alpha = _alpha(builder, *args[:5])
-        place = _place(context, builder, left, args[5], args[6])
-        before = builder.load(place, align=4)
-        after = _mul(builder, before, builder.fsub(_all(1.0), alpha, flags=_FAST))
-        full = builder.fcmp_ordered("<", after, _all(MIN_TRANSMITTANCE))
-        weight = builder.select(full, _all(0.0), _mul(builder, before, alpha))
-        sign = ir.Constant(_BITS, [0x80000000] * PIXELS)
-        closed = builder.bitcast(builder.or_(builder.bitcast(before, _BITS), sign), _REALS)
-        builder.store(builder.select(full, closed, after), place, align=4)
-        builder.store(weight, _place(context, builder, weights, args[7], args[8]), align=4)
+        base, slope, q, opacity = (vec.splat(builder, arg, _REALS) for arg in args[:4])
+        alpha = _falloff(builder, base, slope, q, opacity, _columns(builder, args[4]))
+        before = vec.read(context, builder, left, args[5], args[6], _REALS)
+        weight, after = _light(builder, alpha, before)
+        vec.write(context, builder, left, args[5], args[6], after)
+        vec.write(context, builder, weights, args[7], args[8], weight)
         return context.get_dummy_value()
 
     real, place = types.float32, types.int64
@@ -146,58 +177,104 @@ def _blend_pixels(
     return signature, generate
 
 
-@_vector
-def _add_scaled(typing: Any, value: Any, weights: Any, plane: Any, at: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        zero = ir.Constant(ir.IntType(64), 0)
-        weight = builder.load(_place(context, builder, weights, args[1], zero), align=4)
-        place = _place(context, builder, plane, args[2], args[3])
-        more = _mul(builder, _splat(builder, args[0]), weight)
-        builder.store(_add(builder, builder.load(place, align=4), more), place, align=4)
-        return context.get_dummy_value()
+def _pair(context: Any, builder: Any, signature: Any, args: Any) -> tuple[Any, Any, Any]:
+    """What `blend_pair` does: the weights of each run, their flat places, and the splat."""
+    kinds = signature.args
 
-    return types.void(types.float32, weights, plane, types.int64), generate
+    def load(which: int, at: Any) -> Any:
+        return vec.item(context, builder, kinds[which], args[which], at)
+
+    def both(values: Any) -> Any:
+        return vec.shuffled(builder, values[0], values[1], range(2 * PIXELS))
+
+    def spread(which: int, at: Any, kind: Any = _REALS) -> Any:
+        return vec.splat(builder, load(which, at), kind)
+
+    pieces = [builder.zext(load(0, builder.add(args[1], vec.index(k))), vec.INDEX) for k in (0, 1)]
+    places = [builder.and_(piece, vec.index(SECOND - 1)) for piece in pieces]
+    splat = builder.lshr(places[0], vec.index(SPLAT.bit_length() - 1))
+    firsts = [builder.sext(load(4, piece), vec.INDEX) for piece in pieces]
+    rows = [builder.and_(place, vec.index(SPLAT - 1)) for place in places]
+    ats = [
+        builder.add(builder.mul(row, vec.index(TILE)), first)
+        for row, first in zip(rows, firsts, strict=True)
+    ]
+    base, q = (both([spread(which, place) for place in places]) for which in (2, 3))
+    slope, opacity = (spread(which, splat, _PAIR) for which in (5, 6))
+    x = both([_columns(builder, first) for first in firsts])
+    alpha = _falloff(builder, base, slope, q, opacity, x)
+    before = both([vec.read(context, builder, kinds[7], args[7], at, _REALS) for at in ats])
+    weight, after = _light(builder, alpha, before)
+    for at, lanes in zip(ats, (_LOW, _HIGH), strict=True):
+        half = vec.shuffled(builder, after, after, lanes)
+        vec.write(context, builder, kinds[7], args[7], at, half)
+    to = builder.mul(args[1], vec.index(PIXELS))
+    vec.write(context, builder, kinds[8], args[8], to, weight)
+    halves = [vec.shuffled(builder, weight, weight, lanes) for lanes in (_LOW, _HIGH)]
+    return halves, ats, splat
 
 
-@_vector
-def _add_products(typing: Any, weights: Any, probe: Any, at: Any, sums: Any, to: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        zero = ir.Constant(ir.IntType(64), 0)
-        weight = builder.load(_place(context, builder, weights, args[0], zero), align=4)
-        probed = builder.load(_place(context, builder, probe, args[1], args[2]), align=4)
-        place = _place(context, builder, sums, args[3], args[4])
-        more = _mul(builder, weight, probed)
-        builder.store(_add(builder, builder.load(place, align=4), more), place, align=4)
-        return context.get_dummy_value()
-
-    return types.void(weights, probe, types.int64, sums, types.int64), generate
-
-
-@overload(blend_pixels)
-def _compiled_blend_pixels(
-    base: Any, slope: Any, q: Any, opacity: Any, first: Any, left: Any, at: Any,
-    weights: Any, to: Any,
+@compiled(blend_pair)
+def _blend_pair(
+    typing: Any, pieces: Any, k: Any, bases: Any, squares: Any, starts: Any, slopes: Any,
+    opacities: Any, left: Any, weights: Any,
 ) -> Any:  # fmt: skip
-    def body(
-        base: Any, slope: Any, q: Any, opacity: Any, first: Any, left: Any, at: Any,
-        weights: Any, to: Any,
-    ) -> None:  # fmt: skip
-        _blend_pixels(base, slope, q, opacity, first, left, at, weights, to)
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        _pair(context, builder, signature, args)
+        return context.get_dummy_value()
 
-    return body
-
-
-@overload(add_scaled)
-def _compiled_add_scaled(value: Any, weights: Any, plane: Any, at: Any) -> Any:
-    def body(value: Any, weights: Any, plane: Any, at: Any) -> None:
-        _add_scaled(value, weights, plane, at)
-
-    return body
+    place = types.int64
+    signature = types.void(pieces, place, bases, squares, starts, slopes, opacities, left, weights)
+    return signature, generate
 
 
-@overload(add_products)
-def _compiled_add_products(weights: Any, probe: Any, at: Any, sums: Any, to: Any) -> Any:
-    def body(weights: Any, probe: Any, at: Any, sums: Any, to: Any) -> None:
-        _add_products(weights, probe, at, sums, to)
+@compiled(blend_pair_three)
+def _blend_pair_three(
+    typing: Any, pieces: Any, k: Any, bases: Any, squares: Any, starts: Any, slopes: Any,
+    opacities: Any, left: Any, weights: Any, values: Any, planes: Any,
+) -> Any:  # fmt: skip
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        halves, ats, splat = _pair(context, builder, signature, args)
+        for c in range(3):
+            value = vec.item(context, builder, values, args[9], splat, vec.index(c))
+            value = vec.splat(builder, value, _REALS)
+            for half, at in zip(halves, ats, strict=True):
+                there = builder.add(at, vec.index(c * ROWS * TILE))
+                _add_to(context, builder, planes, args[10], there, value, half)
+        return context.get_dummy_value()
 
-    return body
+    place = types.int64
+    signature = types.void(
+        pieces, place, bases, squares, starts, slopes, opacities, left, weights, values, planes
+    )
+    return signature, generate
+
+
+@compiled(add_scaled)
+def _add_scaled(
+    typing: Any, values: Any, j: Any, c: Any, weights: Any, at: Any, planes: Any, to: Any
+) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        value = vec.item(context, builder, values, *args[:3])
+        weight = vec.read(context, builder, weights, args[3], args[4], _REALS)
+        there = builder.add(args[6], builder.mul(args[2], vec.index(ROWS * TILE)))
+        value = vec.splat(builder, value, _REALS)
+        _add_to(context, builder, planes, args[5], there, value, weight)
+        return context.get_dummy_value()
+
+    place = types.int64
+    return types.void(values, place, place, weights, place, planes, place), generate
+
+
+@compiled(add_products)
+def _add_products(
+    typing: Any, weights: Any, at: Any, probes: Any, there: Any, sums: Any, to: Any
+) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        weight = vec.read(context, builder, weights, args[0], args[1], _REALS)
+        probed = vec.read(context, builder, probes, args[2], args[3], _REALS)
+        _add_to(context, builder, sums, args[4], args[5], probed, weight)
+        return context.get_dummy_value()
+
+    place = types.int64
+    return types.void(weights, place, probes, place, sums, place), generate

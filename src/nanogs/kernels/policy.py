@@ -6,6 +6,7 @@ that they also run with `NUMBA_DISABLE_JIT=1`.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numba
@@ -79,6 +80,25 @@ def inline(function: Kernel) -> Kernel:
 def exact_inline(function: Kernel) -> Kernel:
     """Compile a small function to be inlined, without any liberty: for the exact kernels."""
     return cast("Kernel", numba.njit(function, **INLINE))
+
+
+def _spare_linear_algebra() -> None:
+    """Load Numba's array functions without SciPy's linear algebra, which takes as long as they do.
+
+    They ask for it as they are imported, only to know that it is there, as it is wherever nanogs
+    is. What uses it asks again.
+    """
+    with suppress(ImportError, AttributeError):  # another version of Numba: slower, but no harm
+        from numba.np import linalg
+
+        ask, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+        try:
+            import numba.np.arraymath  # noqa: F401
+        finally:
+            linalg.ensure_blas = ask
+
+
+_spare_linear_algebra()
 
 
 class _Listener(event.Listener):

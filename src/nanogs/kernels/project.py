@@ -11,7 +11,7 @@ A projected splat is one row of `geometry`, eight float64 (one cache line):
     4     inv_yy  1 / cov_yy, 1/pixels²
     5     reach   2 ln(255 opacity): the squared radius at which alpha falls to 1/255, plus SLACK
     6     opacity, in [0, 1], after the compensation of MIP models
-    7     depth   along the viewing axis, scene units
+    7     rise    half the height of the box around what has alpha 1/255 or more, pixels
 
 With (dx, dy) from the centre to a pixel, the Gaussian's exponent is
 -((inv_w (dx - slope dy))² + inv_yy dy²) / 2: a sum of squares, which float32 can hold for any
@@ -25,43 +25,49 @@ import numpy as np
 from nanogs._types import F32, F64, I64, Bool, F
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
+from nanogs.kernels.spans import TILE
 
 DILATION = 0.3  # pixels², added to both variances on screen ([K]'s rasteriser)
 GUARD = 1.3  # x/z and y/z in the Jacobian stay within this many half fields of view
 MIN_ALPHA = 1.0 / 255.0
 SLACK = 1e-4  # widens bounds only, so that rounding never loses a pixel: alpha is tested exactly
-TILE = 16  # pixels along each side of a tile
 HIDDEN = 0  # stands for the tiles of a splat that reaches no pixel
 LARGEST = 32767 * TILE  # pixels along a side of an image: a box of tiles is packed into 64 bits
 
 
 @inline
-def _project_gaussian(factor: F, point: F64, rotation: F64, lens: F64, row: F64) -> float:
-    """Centre and 2D covariance of one splat ([Z] eqs. 26 to 31); returns det before / after.
+def _project_gaussian(
+    factor: F,
+    x: float,
+    y: float,
+    z: float,
+    rotation: F64,
+    lens: F64,
+    bounds: tuple[float, float, float, float],
+    row: F64,
+) -> tuple[float, float, float]:
+    """Centre and 2D covariance of one splat ([Z] eqs. 26 to 31).
 
-    factor is R diag(s), so that Sigma = factor factorᵀ; point is the centre in camera space. The
-    covariance stays in its factor J W R diag(s), whose rows give it without cancellation.
+    factor is R diag(s), so that Sigma = factor factorᵀ; (x, y, z) is the centre in camera space.
+    The covariance stays in its factor J W R diag(s), whose rows give it without cancellation.
+
+    Returns:
+        The variances of x and y on screen, and det before / after the dilation.
     """
-    fx, fy, cx, cy, width, height = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
-    z = point[2]
-    xz, yz = point[0] / z, point[1] / z
-    row[0] = fx * xz + cx
-    row[1] = fy * yz + cy
-    row[7] = z
-    margin_x = (GUARD - 1.0) * 0.5 * width / fx
-    margin_y = (GUARD - 1.0) * 0.5 * height / fy
-    tx = min(max(xz, -cx / fx - margin_x), (width - cx) / fx + margin_x)
-    ty = min(max(yz, -cy / fy - margin_y), (height - cy) / fy + margin_y)
-    jx, jy = fx / z, fy / z
+    inv_z = 1.0 / z
+    xz, yz = x * inv_z, y * inv_z
+    row[0] = lens[0] * xz + lens[2]
+    row[1] = lens[1] * yz + lens[3]
+    tx = min(max(xz, bounds[0]), bounds[1])
+    ty = min(max(yz, bounds[2]), bounds[3])
+    jx, jy = lens[0] * inv_z, lens[1] * inv_z
     xx = xy = yy = 0.0
     ax = ay = az = bx = by = bz = 0.0
     for k in range(3):
-        c0 = rotation[0, 0] * factor[0, k] + rotation[0, 1] * factor[1, k]
-        c0 += rotation[0, 2] * factor[2, k]
-        c1 = rotation[1, 0] * factor[0, k] + rotation[1, 1] * factor[1, k]
-        c1 += rotation[1, 2] * factor[2, k]
-        c2 = rotation[2, 0] * factor[0, k] + rotation[2, 1] * factor[1, k]
-        c2 += rotation[2, 2] * factor[2, k]
+        f0, f1, f2 = np.float64(factor[0, k]), np.float64(factor[1, k]), np.float64(factor[2, k])
+        c0 = rotation[0, 0] * f0 + rotation[0, 1] * f1 + rotation[0, 2] * f2
+        c1 = rotation[1, 0] * f0 + rotation[1, 1] * f1 + rotation[1, 2] * f2
+        c2 = rotation[2, 0] * f0 + rotation[2, 1] * f1 + rotation[2, 2] * f2
         a, b = jx * (c0 - tx * c2), jy * (c1 - ty * c2)
         xx += a * a
         xy += a * b
@@ -71,26 +77,29 @@ def _project_gaussian(factor: F, point: F64, rotation: F64, lens: F64, row: F64)
     n0, n1, n2 = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     before = n0 * n0 + n1 * n1 + n2 * n2  # |a x b|² = det(a bᵀ), never negative
     after = before + DILATION * (xx + yy) + DILATION * DILATION
+    xx += DILATION
     yy += DILATION
+    inv_yy = 1.0 / yy
     row[2] = math.sqrt(yy / after)
-    row[3] = xy / yy
-    row[4] = 1.0 / yy
-    return before / after
+    row[3] = xy * inv_yy
+    row[4] = inv_yy
+    return xx, yy, before / after
 
 
 @inline
-def _tile_box(row: F64, width: float, height: float) -> int:
-    """Tiles that the box around all pixel centres with alpha 1/255 or more meets, packed."""
-    ey = math.sqrt(row[5] / row[4])
-    ex = math.sqrt(row[5] * (1.0 / (row[2] * row[2]) + row[3] * row[3] / row[4]))
-    inside_x = row[0] + ex >= 0.5 and row[0] - ex <= width - 0.5
-    inside_y = row[1] + ey >= 0.5 and row[1] - ey <= height - 0.5
+def _tile_box(u: float, v: float, ex: float, ey: float, width: float, height: float) -> int:
+    """Tiles that the box around all pixel centres with alpha 1/255 or more meets, packed.
+
+    (u, v) is the centre, ex and ey are half the sides of the box, all in pixels.
+    """
+    inside_x = u + ex >= 0.5 and u - ex <= width - 0.5
+    inside_y = v + ey >= 0.5 and v - ey <= height - 0.5
     if not (inside_x and inside_y):  # nor is NaN
         return HIDDEN
-    left = math.ceil(max(row[0] - ex - 0.5, 0.0))
-    right = math.floor(min(row[0] + ex - 0.5, width - 1.0))
-    top = math.ceil(max(row[1] - ey - 0.5, 0.0))
-    bottom = math.floor(min(row[1] + ey - 0.5, height - 1.0))
+    left = math.ceil(max(u - ex - 0.5, 0.0))
+    right = math.floor(min(u + ex - 0.5, width - 1.0))
+    top = math.ceil(max(v - ey - 0.5, 0.0))
+    bottom = math.floor(min(v + ey - 0.5, height - 1.0))
     if right < left or bottom < top:  # between the pixels
         return HIDDEN
     x, y = left // TILE, top // TILE
@@ -109,6 +118,24 @@ def unpack_box(box: int) -> tuple[int, int, int, int]:
     return box & 0xFFFF, (box >> 16) & 0xFFFF, (box >> 32) & 0xFFFF, box >> 48
 
 
+def reaches_of(opacities: F32) -> F32:
+    """(N,) float32, 2 ln(255 opacity) + SLACK, at 0 where alpha never is 1/255."""
+    seen = np.maximum(opacities, np.float32(MIN_ALPHA)).astype(np.float64)
+    return (2.0 * np.log(255.0 * seen) + SLACK).astype(np.float32)
+
+
+@inline
+def _guard_bounds(lens: F64) -> tuple[float, float, float, float]:
+    """Least and most x/z and y/z of the Jacobian ([K])."""
+    fx, fy, cx, cy, width, height = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
+    margin_x = (GUARD - 1.0) * 0.5 * width / fx
+    margin_y = (GUARD - 1.0) * 0.5 * height / fy
+    return (
+        -cx / fx - margin_x, (width - cx) / fx + margin_x,
+        -cy / fy - margin_y, (height - cy) / fy + margin_y,
+    )  # fmt: skip
+
+
 @parallel_kernel("means")
 def project_splats(
     start: int,
@@ -116,6 +143,7 @@ def project_splats(
     means: F,
     factors: F32,
     opacities: F32,
+    reaches: F32,
     keep: Bool,
     sh: F32,
     rotation: F64,
@@ -135,6 +163,7 @@ def project_splats(
         means: (N, 3), scene units.
         factors: (N, 3, 3), R diag(s), scene units.
         opacities: (N,) in [0, 1].
+        reaches: (N,) see `reaches_of`; of no use for MIP models.
         keep: (N,) false for rows that are not to be drawn.
         sh: (N, K, 3) with K >= (degree + 1)².
         rotation: (3, 3), world to camera.
@@ -148,40 +177,46 @@ def project_splats(
             that can reach none, whose rows of the other outputs are junk.
     """
     coefficients = (degree + 1) ** 2
-    basis = np.empty(25, np.float64)
-    point = np.empty(3, np.float64)
+    basis = np.empty(25, np.float32)
+    bounds = _guard_bounds(lens)
+    px, py, pz = position[0], position[1], position[2]
+    r = rotation
+    near, width, height = lens[6], lens[4], lens[5]
     for i in range(start, stop):
         boxes[i] = HIDDEN
         if not keep[i]:
             continue
         # Subtracted in double precision: scenes in map coordinates lie far from the origin.
-        dx = np.float64(means[i, 0]) - position[0]
-        dy = np.float64(means[i, 1]) - position[1]
-        dz = np.float64(means[i, 2]) - position[2]
-        for k in range(3):
-            point[k] = rotation[k, 0] * dx + rotation[k, 1] * dy + rotation[k, 2] * dz
-        if not point[2] > lens[6]:
+        dx = np.float64(means[i, 0]) - px
+        dy = np.float64(means[i, 1]) - py
+        dz = np.float64(means[i, 2]) - pz
+        z = r[2, 0] * dx + r[2, 1] * dy + r[2, 2] * dz
+        if not z > near:
             continue
+        x = r[0, 0] * dx + r[0, 1] * dy + r[0, 2] * dz
+        y = r[1, 0] * dx + r[1, 1] * dy + r[1, 2] * dz
         row = geometry[i]
-        ratio = _project_gaussian(factors[i], point, rotation, lens, row)
-        opacity = np.float64(opacities[i])
+        xx, yy, ratio = _project_gaussian(factors[i], x, y, z, rotation, lens, bounds, row)
+        opacity, reach = float(opacities[i]), float(reaches[i])
         if mip:
             opacity *= math.sqrt(max(0.0, ratio))
-        if not opacity >= MIN_ALPHA:
-            continue
-        row[5] = 2.0 * math.log(255.0 * opacity) + SLACK
+            if not opacity >= MIN_ALPHA:
+                continue
+            reach = 2.0 * math.log(255.0 * opacity) + SLACK
+        row[5] = reach
         row[6] = opacity
-        boxes[i] = _tile_box(row, lens[4], lens[5])
+        row[7] = math.sqrt(reach * yy)
+        boxes[i] = _tile_box(row[0], row[1], math.sqrt(reach * xx), row[7], width, height)
         if boxes[i] == HIDDEN:
             continue
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        sh_basis(dx / length, dy / length, dz / length, degree, basis)
-        red = green = blue = 0.5
+        inverse = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+        sh_basis(dx * inverse, dy * inverse, dz * inverse, degree, basis)
+        red = green = blue = np.float32(0.5)
         for k in range(coefficients):
             red += basis[k] * sh[i, k, 0]
             green += basis[k] * sh[i, k, 1]
             blue += basis[k] * sh[i, k, 2]
-        features[i, 0] = max(red, 0.0)
-        features[i, 1] = max(green, 0.0)
-        features[i, 2] = max(blue, 0.0)
-        features[i, 3] = point[2]
+        features[i, 0] = max(red, np.float32(0.0))
+        features[i, 1] = max(green, np.float32(0.0))
+        features[i, 2] = max(blue, np.float32(0.0))
+        features[i, 3] = z

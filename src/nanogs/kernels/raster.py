@@ -8,26 +8,38 @@ import math
 
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64, U64
-from nanogs.kernels.pixels import PIXELS, add_products, add_scaled, blend_pixels
+from nanogs._types import F32, F64, I32, I64, U32, U64
+from nanogs.kernels.pixels import add_products, add_scaled, blend_pair, blend_pair_three
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
-from nanogs.kernels.project import HIDDEN, TILE, unpack_box
+from nanogs.kernels.project import HIDDEN, unpack_box
+from nanogs.kernels.spans import (
+    BATCH,
+    PIXELS,
+    ROWS,
+    ROWS_OF,
+    SECOND,
+    SPLAT,
+    TILE,
+    any_open,
+    prefetch,
+    span_rows,
+)
 
+FAR = np.float32(1e30)  # so far from a splat that it gives no light
 CHUNKS = 16  # runs of the depth order listed independently; fixed, so that threads do not matter
 SMALL = 2  # tiles along a side of a box that is listed whole: what lies beside it draws nothing
-BATCH = 16  # splats fetched at a time, and between two looks at whether a tile is full
+HIGHEST, WIDEST = 4, 254  # tiles of the largest box whose spans are remembered
+WHOLE, UNKNOWN = np.uint64(0), np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 @inline
-def _tile_span(
-    geometry: F64, i: int, lowest: float, ty: int, width: int, height: int
-) -> tuple[int, int]:
-    """Tiles [first, end) of tile row ty that hold a pixel centre inside splat i's ellipse.
+def _tile_span(row: F64, lowest: float, ty: int, width: int, height: int) -> tuple[int, int]:
+    """Tiles [first, end) of tile row ty that hold a pixel centre inside a splat's ellipse.
 
-    lowest is the height above the centre, in pixels, at which the ellipse is leftmost.
+    row: of geometry; lowest: the height above the centre at which it is leftmost, in pixels.
     """
-    u, v, sigma = geometry[i, 0], geometry[i, 1], 1.0 / geometry[i, 2]
-    slope, inv_yy, reach = geometry[i, 3], geometry[i, 4], geometry[i, 5]
+    u, v, sigma = row[0], row[1], 1.0 / row[2]
+    slope, inv_yy, reach = row[3], row[4], row[5]
     y0 = ty * TILE + 0.5 - v
     y1 = min(ty * TILE + TILE, height) - 0.5 - v
     left_y = min(max(lowest, y0), y1)
@@ -42,11 +54,10 @@ def _tile_span(
 
 
 @inline
-def _lowest(geometry: F64, i: int) -> float:
-    """The height above the centre at which splat i is leftmost, in pixels."""
-    ey = math.sqrt(geometry[i, 5] / geometry[i, 4])
-    drift = geometry[i, 3] / math.sqrt(geometry[i, 4])
-    height: float = -ey * drift / math.sqrt(drift * drift + 1.0 / (geometry[i, 2] * geometry[i, 2]))
+def _lowest(row: F64) -> float:
+    """The height above the centre at which a splat is leftmost, in pixels."""
+    drift = row[3] * row[2]
+    height: float = -row[7] * drift / math.sqrt(drift * drift + row[4])
     return height
 
 
@@ -66,27 +77,8 @@ def depth_keys(features: F32, boxes: I64, keys: U64) -> int:
     return count
 
 
-@inline
-def _walk(
-    geometry: F64, boxes: I64, index: int, width: int, height: int, cursors: I64, entries: I32
-) -> None:
-    """Move the cursor of each tile that a splat meets; write the splat if there is room."""
-    tiles_x = (width + TILE - 1) // TILE
-    left, top, across, down = unpack_box(boxes[index])
-    small = across <= SMALL and down <= SMALL
-    lowest = 0.0 if small else _lowest(geometry, index)
-    for ty in range(top, top + down):
-        first, end = left, left + across
-        if not small:
-            first, end = _tile_span(geometry, index, lowest, ty, width, height)
-        for tile in range(ty * tiles_x + first, ty * tiles_x + end):
-            if len(entries) > 0:
-                entries[cursors[tile]] = index
-            cursors[tile] += 1
-
-
-@parallel_kernel("cursors", least=1)
-def walk_order(
+@parallel_kernel("counts", least=1)
+def span_tiles(
     start: int,
     stop: int,
     geometry: F64,
@@ -94,26 +86,92 @@ def walk_order(
     order: I64,
     width: int,
     height: int,
-    cursors: I64,
-    entries: I32,
+    spans: U64,
+    counts: I64,
 ) -> None:
-    """Move each tile's cursors past the runs of the depth order; write the splats if there is room.
+    """Find the tiles that the splats of each run of the depth order meet, and count them.
 
     Args:
         start: First run of the range.
         stop: The run after its last.
         geometry: (N, 8) rows of projected splats.
-        boxes: (N,) the tiles around each, from `project_splats`.
+        boxes: (M,) the tiles around each, in this order.
         order: (M,) indices of the drawn splats, nearest first.
         width: Image width in pixels.
         height: Image height in pixels.
-        cursors: (runs, T) in and out, one for each run of the order and tile.
-        entries: (E,) out, or (0,) where only the cursors are wanted.
+        spans: (M,) out, for each place of the order the first tile and the end in up to four rows
+            of the box, in bytes counted from its left; 0 for a box that is met whole, and
+            `UNKNOWN` for one that does not fit.
+        counts: (runs, T) out, for each run of the order and tile.
     """
+    tiles_x = (width + TILE - 1) // TILE
+    size = (len(order) + len(counts) - 1) // len(counts)
+    for run in range(start, stop):
+        counts[run] = 0
+        for m in range(run * size, min((run + 1) * size, len(order))):
+            index = order[m]
+            left, top, across, down = unpack_box(boxes[m])
+            whole = across == 1 or down == 1 or (across <= SMALL and down <= SMALL)
+            spans[m] = WHOLE if whole else UNKNOWN
+            fits = not whole and across <= WIDEST and down <= HIGHEST
+            lowest = 0.0 if whole else _lowest(geometry[index])
+            found = 0
+            for k in range(down):
+                first, end = left, left + across
+                if not whole:
+                    first, end = _tile_span(geometry[index], lowest, top + k, width, height)
+                    if first < end and fits:
+                        found |= ((first - left) | (end - left) << 8) << (16 * k)
+                for tile in range((top + k) * tiles_x + first, (top + k) * tiles_x + end):
+                    counts[run, tile] += 1
+            if fits and found != 0:
+                spans[m] = np.uint64(found)
+
+
+@parallel_kernel("cursors", least=1)
+def list_runs(
+    start: int,
+    stop: int,
+    geometry: F64,
+    boxes: I64,
+    order: I64,
+    width: int,
+    height: int,
+    spans: U64,
+    cursors: I64,
+    entries: I32,
+) -> None:
+    """Write the splats of each run of the depth order into the lists of the tiles that they meet.
+
+    Args:
+        start: First run of the range.
+        stop: The run after its last.
+        geometry: (N, 8) rows of projected splats.
+        boxes: (M,) the tiles around each, in this order.
+        order: (M,) indices of the drawn splats, nearest first.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        spans: (M,) from `span_tiles`.
+        cursors: (runs, T) where each run begins in each tile's list, moved to its end.
+        entries: (E,) out.
+    """
+    tiles_x = (width + TILE - 1) // TILE
     size = (len(order) + len(cursors) - 1) // len(cursors)
     for run in range(start, stop):
-        for index in order[run * size : (run + 1) * size]:
-            _walk(geometry, boxes, index, width, height, cursors[run], entries)
+        for m in range(run * size, min((run + 1) * size, len(order))):
+            index, span = order[m], spans[m]
+            left, top, across, down = unpack_box(boxes[m])
+            lowest = _lowest(geometry[index]) if span == UNKNOWN else 0.0
+            for k in range(down):
+                first, end = left, left + across
+                if span == UNKNOWN:
+                    first, end = _tile_span(geometry[index], lowest, top + k, width, height)
+                elif span != WHOLE:
+                    both = int(span >> np.uint64(16 * k)) & 0xFFFF
+                    first, end = left + (both & 0xFF), left + (both >> 8)
+                for tile in range((top + k) * tiles_x + first, (top + k) * tiles_x + end):
+                    entries[cursors[run, tile]] = index
+                    cursors[run, tile] += 1
 
 
 def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -> tuple[I64, I32]:
@@ -131,33 +189,22 @@ def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -
         entries[starts[t]:starts[t + 1]].
     """
     tiles = (-(-width // TILE)) * (-(-height // TILE))
-    counts = np.zeros((CHUNKS, tiles), np.int64)
-    walk_order(geometry, boxes, order, width, height, counts, np.empty(0, np.int32))
+    counts = np.empty((CHUNKS, tiles), np.int64)
+    boxes = boxes[order]  # at once: reads of far memory then wait at the same time
+    spans = np.empty(len(order), np.uint64)
+    span_tiles(geometry, boxes, order, width, height, spans, counts)
     ends = np.cumsum(counts.T).reshape(tiles, CHUNKS)
     starts = np.append(ends[:, 0] - counts[0], ends[-1, -1])
     cursors = np.ascontiguousarray((ends - counts.T).T)
     entries = np.empty(starts[-1], np.int32)
-    walk_order(geometry, boxes, order, width, height, cursors, entries)
+    list_runs(geometry, boxes, order, width, height, spans, cursors, entries)
     return starts, entries
-
-
-@inline
-def count_open(left: F32, open_rows: I64) -> int:
-    """How many pixels of the tile still take light, and per row into open_rows."""
-    total = 0
-    for r in range(TILE):
-        count = 0
-        for x in range(TILE):
-            count += left[r, x] > np.float32(0.0)
-        open_rows[r] = count
-        total += count
-    return total
 
 
 @inline
 def start_tile(left: F32, x0: int, y0: int, width: int, height: int) -> None:
     """Set the transmittances of a tile: 1 on the image, full outside."""
-    for r in range(TILE):
+    for r in range(len(left)):
         for x in range(TILE):
             inside = y0 + r < height and x0 + x < width
             left[r, x] = np.float32(1.0) if inside else np.float32(-1.0)
@@ -165,79 +212,104 @@ def start_tile(left: F32, x0: int, y0: int, width: int, height: int) -> None:
 
 @inline
 def _list_pieces(
-    rows: F64, count: int, x0: int, y0: int, open_rows: I64, numbers: F32, places: I64
+    rows: F64,
+    count: int,
+    x0: int,
+    y0: int,
+    open_rows: I32,
+    bases: F32,
+    squares: F32,
+    starts: I32,
+    pieces: U32,
 ) -> int:
-    """The half rows of a tile that each of some splats reaches, splat by splat; how many.
+    """The runs of 8 pixels of a tile that each of some splats reaches, splat by splat; how many.
 
     Listed first and blended later, since branches that depend on a splat cost as much as blending.
-    rows: (count, 8) and more, of geometry; (x0, y0): the tile's corner; numbers: (n, 4) filled
-    with what `blend_pixels` takes; places: (n, 2) filled, the first pixel and which splat.
+    Those of a splat come in pairs. rows: (count, 8) and more, of geometry; (x0, y0): the tile's
+    corner; bases, squares, starts and pieces: out, see `span_rows`.
     """
     n = 0
     for j in range(count):
         u, v = rows[j, 0] - x0 - 0.5, rows[j, 1] - y0 - 0.5
         inv_w, slope, inv_yy, reach = rows[j, 2], rows[j, 3], rows[j, 4], rows[j, 5]
-        ey, width = math.sqrt(reach / inv_yy), 1.0 / inv_w
-        top = math.ceil(max(v - ey, 0.0))
-        bottom = math.floor(min(v + ey, TILE - 1.0))
-        for r in range(top, bottom + 1):
-            dy = r - v
-            q = dy * dy * inv_yy
-            half = math.sqrt(max(0.0, reach - q)) * width
-            centre = u + slope * dy
-            low, high = centre - half, centre + half
-            taken = (
-                (open_rows[r] != 0) & (low <= PIXELS - 1.0) & (high >= 0.0),
-                (open_rows[r] != 0) & (low <= TILE - 1.0) & (high >= PIXELS),
-            )
-            for side in range(2):
-                numbers[n, 0] = -inv_w * centre
-                numbers[n, 1] = inv_w
-                numbers[n, 2] = q
-                numbers[n, 3] = rows[j, 6]
-                places[n, 0] = r * TILE + side * PIXELS
-                places[n, 1] = j
-                n += int(taken[side])
+        ey = rows[j, 7]
+        top = min(int(max(v - ey + 1.0, 0.0)), PIXELS)
+        tall = v + ey >= top + PIXELS
+        for row in range(0 if tall else top, TILE if tall else top + 1, PIXELS):
+            n = span_rows(
+                u, v, inv_w, slope, inv_yy, reach, row, open_rows, bases, squares, starts,
+                j * SPLAT + row, pieces, n, ROWS_OF,
+            )  # fmt: skip
+        pieces[n] = j * SPLAT + TILE  # makes an even number
+        n += n & 1
     return n
 
 
 @inline
 def _blend_pieces(
-    numbers: F32,
-    places: I64,
+    n: int,
+    pieces: U32,
+    bases: F32,
+    squares: F32,
+    starts: I32,
+    slopes: F32,
+    opacities: F32,
     values: F32,
     left: F32,
-    planes: F32,
     weights: F32,
-    probes: F32,
-    sums: F32,
+    planes: F32,
 ) -> None:
-    """Blend half rows of a tile, one after the other.
+    """Blend runs of 8 pixels of a tile, one after the other.
 
-    numbers, places: from `_list_pieces`; values: (n, C) features of the splats; sums: (n P, 8), of
-    each splat and probe, get the weights times the probes (P, 16, 16), by column modulo 8.
+    n, pieces, bases, squares, starts: from `_list_pieces`; slopes, opacities: (n,) of the splats;
+    values: (n, C or more) their colours; weights: (8 pieces,) out; planes: (C, 17, 16).
     """
-    for k in range(len(numbers)):
-        at, j = places[k, 0], places[k, 1]
-        base, slope, q, opacity = numbers[k, 0], numbers[k, 1], numbers[k, 2], numbers[k, 3]
-        blend_pixels(base, slope, q, opacity, at % TILE, left, at, weights, 0)
-        for c in range(len(planes)):
-            add_scaled(values[j, c], weights, planes, c * TILE * TILE + at)
-        for p in range(len(probes)):
-            to = (j * len(probes) + p) * PIXELS
-            add_products(weights, probes, p * TILE * TILE + at, sums, to)
+    for k in range(0, n, 2):
+        if len(planes) == 3:  # at once, since most of the time goes here
+            blend_pair_three(
+                pieces, k, bases, squares, starts, slopes, opacities, left, weights, values, planes
+            )
+        else:
+            blend_pair(pieces, k, bases, squares, starts, slopes, opacities, left, weights)
+    if len(planes) != 3:
+        for k in range(n):
+            place = pieces[k] & (SECOND - 1)
+            at = (place % SPLAT) * TILE + starts[pieces[k]]
+            for c in range(len(planes)):
+                add_scaled(values, place // SPLAT, c, weights, k * PIXELS, planes, at)
 
 
 @inline
-def fetch(
-    geometry: F64, features: F32, entries: I32, first: int, count: int, rows: F64, values: F32
+def _probe_pieces(n: int, pieces: U32, starts: I32, weights: F32, probes: F32, sums: F32) -> None:
+    """Add the weights times the probes (P, 17, 16) to the sums (n, P, 8) of each splat."""
+    for p in range(len(probes)):
+        for k in range(n):
+            place = pieces[k] & (SECOND - 1)
+            there = (p * ROWS + place % SPLAT) * TILE + starts[pieces[k]]
+            to = (place // SPLAT * len(probes) + p) * PIXELS
+            add_products(weights, k * PIXELS, probes, there, sums, to)
+
+
+@inline
+def _fetch(
+    geometry: F64,
+    features: F32,
+    entries: I32,
+    first: int,
+    count: int,
+    rows: F64,
+    values: F32,
+    slopes: F32,
+    opacities: F32,
 ) -> None:
     """Copy some splats side by side: many reads of far memory then wait at the same time."""
     for j in range(count):
         i = entries[first + j]
         for k in range(8):
             rows[j, k] = geometry[i, k]
-        for c in range(features.shape[1]):
+        slopes[j] = np.float32(geometry[i, 2])
+        opacities[j] = np.float32(geometry[i, 6])
+        for c in range(values.shape[1]):
             values[j, c] = features[i, c]
 
 
@@ -249,59 +321,40 @@ def _write_tile(
     height, width, channels = image.shape
     for r in range(min(TILE, height - y0)):
         for x in range(min(TILE, width - x0)):
-            rest = abs(left[r, x])
-            transmittance[y0 + r, x0 + x] = rest
-            for c in range(channels):
-                image[y0 + r, x0 + x, c] = planes[c, r, x] + rest * background[c]
-
-
-@kernel
-def _blend_tile(
-    geometry: F64,
-    features: F32,
-    entries: I32,
-    x0: int,
-    y0: int,
-    background: F32,
-    image: F32,
-    transmittance: F32,
-    probes: F32,
-    partial: F32,
-) -> None:
-    """Blend the splats of the tile whose corner is (x0, y0); entries and partial are its own."""
-    height, width, channels = image.shape
-    left = np.empty((TILE, TILE), np.float32)
-    planes = np.zeros((channels, TILE, TILE), np.float32)
-    weights = np.empty(PIXELS, np.float32)
-    sums = np.empty((BATCH * len(probes), PIXELS), np.float32)
-    numbers = np.empty((2 * TILE * BATCH + 1, 4), np.float32)
-    places = np.empty((2 * TILE * BATCH + 1, 2), np.int64)
-    probed = np.zeros((len(probes), TILE, TILE), np.float32)
-    open_rows = np.empty(TILE, np.int64)
-    rows = np.empty((BATCH, 8), np.float64)
-    values = np.empty((BATCH, channels), np.float32)
-    for p in range(len(probes)):
-        for r in range(min(TILE, height - y0)):
+            transmittance[y0 + r, x0 + x] = abs(left[r, x])
+        for c in range(channels):
             for x in range(min(TILE, width - x0)):
-                probed[p, r, x] = probes[p, y0 + r, x0 + x]
-    start_tile(left, x0, y0, width, height)
-    for e in range(len(partial)):
-        for p in range(len(probes)):
-            partial[e, p] = np.float32(0.0)
-    for first in range(0, len(entries), BATCH):
-        if count_open(left, open_rows) == 0:
-            break
-        count = min(BATCH, len(entries) - first)
-        fetch(geometry, features, entries, first, count, rows, values)
-        pieces = _list_pieces(rows, count, x0, y0, open_rows, numbers, places)
-        sums[: count * len(probes)] = np.float32(0.0)
-        _blend_pieces(numbers[:pieces], places, values, left, planes, weights, probed, sums)
-        for k in range(count * len(probes)):
+                image[y0 + r, x0 + x, c] = planes[c, r, x] + abs(left[r, x]) * background[c]
+
+
+@inline
+def _clear(planes: F32) -> None:
+    """Set an array of three axes to 0."""
+    for plane in range(len(planes)):
+        for row in range(planes.shape[1]):
+            for column in range(planes.shape[2]):
+                planes[plane, row, column] = np.float32(0.0)
+
+
+@inline
+def _read_tile(probes: F32, x0: int, y0: int, planes: F32) -> None:
+    """Copy a tile of (P, H, W) probes into (P, 17, 16) planes, 0 beside the image."""
+    _clear(planes)
+    for p in range(len(probes)):
+        for r in range(min(TILE, probes.shape[1] - y0)):
+            for x in range(min(TILE, probes.shape[2] - x0)):
+                planes[p, r, x] = probes[p, y0 + r, x0 + x]
+
+
+@inline
+def _add_up(sums: F32, partial: F32, first: int, count: int) -> None:
+    """Write the sums (n, P, 8) of some splats and all probes into partial (E, P)."""
+    for j in range(count):
+        for p in range(partial.shape[1]):
             total = np.float32(0.0)
             for x in range(PIXELS):
-                total += sums[k, x]
-            partial[first + k // len(probes), k % len(probes)] = total
-    _write_tile(x0, y0, left, planes, background, image, transmittance)
+                total += sums[j, p, x]
+            partial[first + j, p] = total
 
 
 @parallel_kernel("starts", least=8)
@@ -324,7 +377,7 @@ def blend_tiles(
         start: First tile of the range.
         stop: The tile after its last.
         geometry: (N, 8) rows of projected splats.
-        features: (N, C) what to blend.
+        features: (N, C or more) what to blend.
         starts: (T + 1,) from `list_tiles`.
         entries: (E,) from `list_tiles`.
         background: (C,) added with the transmittance that is left.
@@ -333,21 +386,48 @@ def blend_tiles(
         probes: (P, H, W) what the weights T alpha are multiplied by; P may be 0.
         partial: (E, P) out, sums of these products for each entry over its tile.
     """
-    tiles_x = (image.shape[1] + TILE - 1) // TILE
+    height, width, channels = image.shape
+    tiles_x = (width + TILE - 1) // TILE
+    left = np.empty((ROWS, TILE), np.float32)
+    planes = np.empty((channels, ROWS, TILE), np.float32)
+    probed = np.empty((len(probes), ROWS, TILE), np.float32)
+    open_rows = np.empty(TILE, np.int32)
+    rows = np.empty((BATCH, 8), np.float64)
+    slopes, opacities = np.empty(BATCH, np.float32), np.empty(BATCH, np.float32)
+    values = np.empty((BATCH, channels), np.float32)
+    bases, squares = np.empty(SECOND, np.float32), np.empty(SECOND, np.float32)
+    begins = np.empty(2 * SECOND, np.int32)
+    for place in range(SECOND):
+        bases[place], squares[place] = np.float32(0.0), FAR
+        begins[place], begins[SECOND + place] = 0, PIXELS
+    pieces = np.empty(2 * TILE * BATCH + PIXELS, np.uint32)
+    weights = np.empty(len(pieces) * PIXELS, np.float32)
+    sums = np.empty((BATCH, len(probes), PIXELS), np.float32)
     for tile in range(start, min(stop, len(starts) - 1)):
-        first, end = starts[tile], starts[tile + 1]
-        _blend_tile(
-            geometry,
-            features,
-            entries[first:end],
-            (tile % tiles_x) * TILE,
-            (tile // tiles_x) * TILE,
-            background,
-            image,
-            transmittance,
-            probes,
-            partial[first:end],
-        )
+        x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        for e in range(starts[tile], starts[tile + 1]):
+            for p in range(len(probes)):
+                partial[e, p] = np.float32(0.0)
+        _clear(planes)
+        start_tile(left, x0, y0, width, height)
+        _read_tile(probes, x0, y0, probed)
+        end = starts[tile + 1]
+        for first in range(starts[tile], end, BATCH):
+            if any_open(left, open_rows) == 0:
+                break
+            count = min(BATCH, end - first)
+            _fetch(geometry, features, entries, first, count, rows, values, slopes, opacities)
+            for e in range(first + BATCH, min(first + 2 * BATCH, end)):
+                prefetch(geometry, entries[e])
+                prefetch(features, entries[e])
+            n = _list_pieces(rows, count, x0, y0, open_rows, bases, squares, begins, pieces)
+            _clear(sums)
+            _blend_pieces(
+                n, pieces, bases, squares, begins, slopes, opacities, values, left, weights, planes
+            )
+            _probe_pieces(n, pieces, begins, weights, probed, sums)
+            _add_up(sums, partial, first, count)
+        _write_tile(x0, y0, left, planes, background, image, transmittance)
 
 
 @kernel

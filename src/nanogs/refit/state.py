@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, F64, Array, Bool
-from nanogs.kernels.project import MIN_ALPHA
+from nanogs.kernels.project import MIN_ALPHA, reaches_of
 from nanogs.render.rasterize import PreparedSplats, rotations
 from nanogs.splats import Splats
 
@@ -95,6 +95,7 @@ def activate(state: State, splats: Splats, finite: Bool) -> Active:
         means=state.means,
         factors=axes * scales[:, None, :],
         opacities=opacities,
+        reaches=reaches_of(opacities),
         sh=state.sh,
         keep=finite & (opacities >= MIN_ALPHA),
         sh_degree=splats.sh_degree,

@@ -32,6 +32,7 @@ class PreparedSplats:
         means: (N, 3) float32 or float64, scene units; as stored.
         factors: (N, 3, 3) float32, R diag(s), scene units: the covariance is factor factorᵀ.
         opacities: (N,) float32 in [0, 1].
+        reaches: (N,) float32, squared radii at which alpha falls to 1/255; see `reaches_of`.
         sh: (N, K, 3) float32; as stored.
         keep: (N,) bool, false where the alpha is below 1/255 or a value is not finite.
         sh_degree: 0 to 4.
@@ -42,6 +43,7 @@ class PreparedSplats:
     means: F
     factors: F32
     opacities: F32
+    reaches: F32
     sh: F32
     keep: Bool
     sh_degree: int
@@ -122,6 +124,7 @@ def prepare(splats: Splats) -> PreparedSplats:
         means=splats.means,
         factors=np.ascontiguousarray(factors),
         opacities=opacities,
+        reaches=projection.reaches_of(opacities),
         sh=np.ascontiguousarray(splats.sh),
         keep=keep,
         sh_degree=splats.sh_degree,
@@ -174,9 +177,9 @@ def render(
     prepared = splats if isinstance(splats, PreparedSplats) else prepare(splats)
     behind = _background(background)
     view = project(prepared, camera, sh_degree=sh_degree)
-    features = view.features if depth else np.ascontiguousarray(view.features[:, :3])
     probes = np.ones((1 if contributions else 0, camera.height, camera.width), np.float32)
-    image, left, totals = blend(view, camera, features, behind, probes)
+    behind = behind if depth else behind[:3]
+    image, left, totals = blend(view, camera, view.features, behind, probes)
     alpha = 1 - left
     return Rendering(
         color=np.ascontiguousarray(image[..., :3]),
@@ -211,7 +214,7 @@ def project(
     _check_camera(camera)
     degree = _degree(prepared, sh_degree)
     n = len(prepared)
-    geometry = np.empty((n, 8), np.float64)
+    geometry = _rows_of_a_line(n)
     features = np.empty((n, 4), np.float32)
     boxes = np.empty(n, np.int64)
     lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.near)
@@ -219,6 +222,7 @@ def project(
         prepared.means,
         prepared.factors,
         prepared.opacities,
+        prepared.reaches,
         prepared.keep,
         prepared.sh,
         np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64),
@@ -247,7 +251,7 @@ def blend(
     Args:
         view: From `project`, of this camera.
         camera: Where to look from.
-        features: (N, C) float32; rows that are not drawn may hold junk.
+        features: (N, C or more) float32; rows that are not drawn may hold junk.
         background: (C,) float32, seen through what is left.
         probes: (P, H, W) float32, see there; none by default.
 
@@ -258,7 +262,7 @@ def blend(
     if probes is None:
         probes = np.empty((0, camera.height, camera.width), np.float32)
     probes = np.ascontiguousarray(probes)  # another layout would be another kernel to compile
-    image = np.empty((camera.height, camera.width, features.shape[1]), np.float32)
+    image = np.empty((camera.height, camera.width, len(background)), np.float32)
     left = np.empty(image.shape[:2], np.float32)
     partial = np.empty((len(view.entries), len(probes)), np.float32)
     raster.blend_tiles(
@@ -278,8 +282,13 @@ def probe(view: Projection, camera: Camera, probes: F32) -> F64:
         camera: Where to look from.
         probes: (P, H, W) float32.
     """
-    nothing = np.empty((len(view.features), 0), np.float32)
-    return blend(view, camera, nothing, np.empty(0, np.float32), probes)[2]
+    return blend(view, camera, view.features, np.empty(0, np.float32), probes)[2]
+
+
+def _rows_of_a_line(n: int) -> F64:
+    """(n, 8) float64, junk, each row in one line of the processor's cache."""
+    flat = np.empty(8 * n + 7, np.float64)
+    return flat[-flat.ctypes.data % 64 // 8 :][: 8 * n].reshape(n, 8)
 
 
 def _depth_order(features: F32, boxes: I64) -> I64:

@@ -1,0 +1,164 @@
+"""Vectors in LLVM's own types, for what Numba's loops do not reach; portable.
+
+Numba runs LLVM without the vectoriser of straight-line code, and its loops over as many elements as
+a vector has are unrolled before the loop vectoriser sees them. So `lanes.py`, `pixels.py` and
+`spans.py` write their operations twice: as plain Python, which says what they do and runs with
+`NUMBA_DISABLE_JIT=1`, and with these: the compiler cuts the vectors into the registers that the
+machine has.
+"""
+# ruff: noqa: ANN401 - llvmlite has no types
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils
+from numba.extending import intrinsic, overload
+
+INDEX = ir.IntType(64)
+FAST = ("contract", "nsz", "arcp", "reassoc")
+
+
+def reals(count: int) -> Any:
+    """The type of so many float32."""
+    return ir.VectorType(ir.FloatType(), count)
+
+
+def doubles(count: int) -> Any:
+    """The type of so many float64."""
+    return ir.VectorType(ir.DoubleType(), count)
+
+
+def words(count: int) -> Any:
+    """The type of so many int32."""
+    return ir.VectorType(ir.IntType(32), count)
+
+
+def index(value: int) -> Any:
+    """An int64."""
+    return ir.Constant(INDEX, value)
+
+
+def fill(kind: Any, value: float) -> Any:
+    """A vector of one constant."""
+    if kind.element == ir.FloatType():
+        value = float(np.float32(value))
+    return ir.Constant(kind, [value] * kind.count)
+
+
+def counting(kind: Any) -> Any:
+    """The vector 0, 1, 2, ..."""
+    whole = isinstance(kind.element, ir.IntType)
+    return ir.Constant(kind, [lane if whole else float(lane) for lane in range(kind.count)])
+
+
+def splat(builder: Any, value: Any, kind: Any) -> Any:
+    """A vector of one value."""
+    empty = ir.Constant(kind, ir.Undefined)
+    first = builder.insert_element(empty, value, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(first, empty, fill(words(kind.count), 0))
+
+
+def shuffled(builder: Any, a: Any, b: Any, lanes: range) -> Any:
+    """Lanes of two vectors, one after the other."""
+    return builder.shuffle_vector(a, b, ir.Constant(words(len(lanes)), list(lanes)))
+
+
+def place(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: Any) -> Any:
+    """Pointer to a vector that starts at a flat place of a contiguous array of some type."""
+    data = context.make_array(kind)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [at]), vector.as_pointer())
+
+
+def read(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: Any) -> Any:
+    """The vector there."""
+    where = place(context, builder, kind, array, at, vector)
+    return builder.load(where, align=vector.element.get_abi_size(context.target_data))
+
+
+def write(context: Any, builder: Any, kind: Any, array: Any, at: Any, value: Any) -> None:
+    """Store a vector there."""
+    where = place(context, builder, kind, array, at, value.type)
+    builder.store(value, where, align=value.type.element.get_abi_size(context.target_data))
+
+
+def item(context: Any, builder: Any, kind: Any, array: Any, *at: Any) -> Any:
+    """A number of a contiguous array of one or two axes."""
+    table = context.make_array(kind)(context, builder, array)
+    offset = at[0]
+    if len(at) > 1:
+        offset = builder.add(builder.mul(offset, builder.extract_value(table.shape, 1)), at[1])
+    return builder.load(builder.gep(table.data, [offset]))
+
+
+def add(builder: Any, a: Any, b: Any) -> Any:
+    """The sum a + b; with the liberties of the kernels, as all here."""
+    return builder.fadd(a, b, flags=FAST)
+
+
+def sub(builder: Any, a: Any, b: Any) -> Any:
+    """The difference a - b."""
+    return builder.fsub(a, b, flags=FAST)
+
+
+def mul(builder: Any, a: Any, b: Any) -> Any:
+    """The product a b."""
+    return builder.fmul(a, b, flags=FAST)
+
+
+def div(builder: Any, a: Any, b: Any) -> Any:
+    """The quotient a / b."""
+    return builder.fdiv(a, b, flags=FAST)
+
+
+def lesser(builder: Any, a: Any, b: Any) -> Any:
+    """The smaller numbers; b's for NaN."""
+    return builder.select(builder.fcmp_ordered("<", a, b), a, b)
+
+
+def greater(builder: Any, a: Any, b: Any) -> Any:
+    """The larger numbers; b's for NaN."""
+    return builder.select(builder.fcmp_ordered(">", a, b), a, b)
+
+
+def declared(builder: Any, name: str, kind: Any) -> Any:
+    """One of LLVM's own functions."""
+    return cgutils.get_or_insert_function(builder.module, kind, name)  # type: ignore[no-untyped-call]
+
+
+def call(builder: Any, name: str, value: Any) -> Any:
+    """LLVM's sqrt, ceil or floor of a vector."""
+    kind = value.type
+    short = "f32" if kind.element == ir.FloatType() else "f64"
+    name = f"llvm.{name}.v{kind.count}{short}"
+    return builder.call(declared(builder, name, ir.FunctionType(kind, [kind])), [value])
+
+
+def bits(builder: Any, mask: Any) -> Any:
+    """The truth of each lane as a bit of an int64, the first the lowest."""
+    return builder.zext(builder.bitcast(mask, ir.IntType(mask.type.count)), INDEX)
+
+
+def compiled(plain: Callable[..., Any]) -> Callable[[Any], Any]:
+    """Make what follows stand for a plain function wherever Numba compiles a call of it.
+
+    What follows takes the typing context and the types of the arguments, and returns a signature
+    and the function that builds the instructions, as Numba's `intrinsic` says.
+    """
+
+    def stand(written: Any) -> Any:
+        operation: Any = intrinsic(written)
+
+        def implementation(*args: Any) -> Any:
+            del args  # Numba wants the same names in both
+
+            def body(*args: Any) -> Any:
+                return operation(*args)
+
+            return body
+
+        overload(plain)(implementation)
+        return operation
+
+    return stand
