@@ -30,7 +30,7 @@ from nanogs.simplify.memory import LIBRARIES
 from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.target import Goal
 
-COUNT, BLOCK = 60_000, 25_000
+COUNT, BLOCK = 60_000, 15_000
 MEMORY = int((LIBRARIES + BLOCK * held_bytes(Layout(0, False, (), "default", (), ()),
                                              ForestParameters(), 0.1)) / 0.95) + 1  # fmt: skip
 GIVEN = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1}
