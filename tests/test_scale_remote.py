@@ -394,7 +394,7 @@ def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expec
     with pytest.raises(OutputError, match="--resume continues it"):  # -w alone does not
         nanogs.simplify_blocks(scene, out, overwrite=True, **GIVEN)
     other = GIVEN | {"ratio": 0.2}
-    with pytest.raises(OutputError, match="its .*ratios.* differ"):
+    with pytest.raises(OutputError, match=r"its .*ratios.* differ"):
         nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **other)
     fits = [sys.executable, "-m", "nanogs", "simplify", scene, out, "--ratio", "0.1", "--resume"]
     done = subprocess.run([*map(str, fits), "-w"], capture_output=True, text=True)
