@@ -2,6 +2,7 @@
 
 python benchmarks/scale.py make city.ply --splats 20000000 --degree 3 scene.ply ...
 python benchmarks/scale.py run city.ply --max-memory 2GB --ratio 0.1
+python benchmarks/scale.py lod city.ply tileset.json --max-memory 2GB
 python benchmarks/scale.py kill scene.ply --times 100
 python benchmarks/scale.py seam scene.ply ... --blocks 4
 """
@@ -13,6 +14,7 @@ import math
 import os
 import random
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -122,19 +124,42 @@ def run(args: argparse.Namespace) -> None:
     print(", ".join(f"{name} {value:.1f}" for name, value in stages.items()))
 
 
+def lod(args: argparse.Namespace) -> None:
+    """Make levels of detail and say what it took."""
+    with tempfile.TemporaryDirectory(dir=args.folder) as folder:
+        out = Path(folder) / "levels" / args.name
+        command = [*NANOGS, "lod", str(args.source), str(out), "--preset", args.preset, "--json"]
+        command += ["--levels", args.levels]
+        for option in ("max_memory", "threads", "workers", "chunk"):
+            if (value := getattr(args, option)) is not None:
+                command += [f"--{option.replace('_', '-')}", str(value)]
+        seconds, spent, peak, text = watched(command)
+    report = json.loads(text)
+    count, first = report["source_count"], report["reports"][0]
+    print(f"{count:,} splats to {[each['count'] for each in report['levels']]}")
+    print(f"{[len(each.get('files', '.')) for each in report['levels']]} files, blocks: ", end="")
+    print(first["blocks"])
+    print(f"{seconds:.1f} s, {spent:.1f} s of processors, {peak / 1e6:.0f} MB resident at most")
+    print(", ".join(f"{name} {value:.1f}" for name, value in first["seconds"].items()))
+
+
 def kill(args: argparse.Namespace) -> None:
     """Kill runs at random moments until one ends, again and again; every result is the same."""
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
-        out = Path(folder) / "small.ply"
-        command = [*NANOGS, "simplify", str(args.source), str(out), "--ratio", "0.1", "-q"]
-        command += ["--max-memory", args.max_memory, "--resume"]
+        out = Path(folder) / ("levels" if args.lod else "small.ply")
+        what = ["lod", str(args.source), str(out / args.lod), "--preset", "fast"]
+        if not args.lod:
+            what = ["simplify", str(args.source), str(out), "--ratio", "0.1"]
+        elif args.chunk:
+            what += ["--chunk", str(args.chunk)]
+        command = [*NANOGS, *what, "-q", "--max-memory", args.max_memory, "--resume"]
         start = time.perf_counter()
         subprocess.run(command, check=True)
         whole = time.perf_counter() - start
-        wanted = hashlib.sha256(out.read_bytes()).hexdigest()
+        wanted = digest(out)
         rng, kills, results = random.Random(args.seed), 0, 0
         while kills < args.times:
-            out.unlink(missing_ok=True)
+            remove(out)
             while True:
                 child = subprocess.Popen(command)
                 try:
@@ -147,11 +172,22 @@ def kill(args: argparse.Namespace) -> None:
                         continue  # else it had ended already, but for Python's own end
                 break
             results += 1
-            if not out.exists() or hashlib.sha256(out.read_bytes()).hexdigest() != wanted:
+            if digest(out) != wanted:
                 raise SystemExit(f"after {kills} kills the result differs")
             if left := [path.name for path in Path(folder).iterdir() if path != out]:
                 raise SystemExit(f"after {kills} kills {left} were left")
         print(f"{kills} kills, {results} results, all the same; nothing was left")
+
+
+def digest(path: Path) -> dict[str, str]:
+    """SHA-256 of a file, or of every file in a folder, by name."""
+    files = [path, *path.rglob("*")]
+    return {str(f): hashlib.sha256(f.read_bytes()).hexdigest() for f in files if f.is_file()}
+
+
+def remove(path: Path) -> None:
+    """Take a file or folder away if it is there."""
+    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def seam(args: argparse.Namespace) -> None:
@@ -181,9 +217,22 @@ def main() -> None:
     one.add_argument("--threads", type=int)
     one.add_argument("--preset", default="fast")
     one.set_defaults(do=run)
+    one = commands.add_parser("lod")
+    one.add_argument("source", type=Path)
+    one.add_argument("name", choices=["tileset.json", "lod-meta.json"])
+    one.add_argument("--levels", default="0.5,0.25,0.1,0.01")
+    one.add_argument("--max-memory", help="in memory without it")
+    one.add_argument("--workers", type=int)
+    one.add_argument("--threads", type=int)
+    one.add_argument("--chunk", type=int)
+    one.add_argument("--preset", default="fast")
+    one.add_argument("--folder", type=Path)
+    one.set_defaults(do=lod)
     one = commands.add_parser("kill")
     one.add_argument("source", type=Path)
     one.add_argument("--times", type=int, default=100)
+    one.add_argument("--lod", default="", help="make levels: tileset.json or lod-meta.json")
+    one.add_argument("--chunk", type=int)
     one.add_argument("--max-memory", default="225MB")
     one.add_argument("--seed", type=int, default=0)
     one.add_argument("--folder", type=Path)

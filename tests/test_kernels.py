@@ -41,6 +41,7 @@ from nanogs.simplify.merge import merge
 from nanogs.simplify.neighbours import coincident_groups, nearest_neighbours
 from nanogs.simplify.order import morton_codes
 from nanogs.simplify.presets import PaperParameters
+from nanogs.threads import use_threads
 
 stage_four = importlib.import_module(
     "nanogs.simplify.match"
@@ -343,6 +344,7 @@ def test_matching_in_batches_changes_nothing(monkeypatch):
     monkeypatch.setattr(
         stage_four, "_sorted_keys", lambda *given: batches.append(1) or whole(*given)
     )
+    monkeypatch.setattr(stage_four, "FEW", 1.0)  # all is left to the batches
     monkeypatch.setattr(stage_four, "BATCH", 0.0)
     for smallest in (1 << 16, 50, 1):
         monkeypatch.setattr(stage_four, "SMALLEST_BATCH", smallest)
@@ -352,6 +354,36 @@ def test_matching_in_batches_changes_nothing(monkeypatch):
         assert list(map(tuple, plan.pairs.tolist())) == expected
         assert plan.without_cost == np.isnan(costs).sum() > 0
     assert len(batches) > 20
+
+
+@pytest.mark.parametrize("stretch", [7, 100, 1 << 16])
+def test_matching_in_rounds_changes_nothing(monkeypatch, stretch):
+    rng = np.random.default_rng(36)
+    pairs = neighbour_pairs(rng.normal(size=(800, 3)), 8, threads=1)
+    costs = rng.choice([*rng.normal(size=90), math.nan, 0.0, -0.0], len(pairs)).astype(np.float32)
+    left = []
+    whole = stage_four._match_sorted
+    monkeypatch.setattr(
+        stage_four, "_match_sorted", lambda *given: left.append((~given[-1]).sum()) or whole(*given)
+    )
+    monkeypatch.setattr(stage_four, "STRETCH", stretch)
+    for threads in (1, 2):
+        with use_threads(threads):
+            plan = match(pairs, costs, 800, 390)
+        assert list(map(tuple, plan.pairs.tolist())) == twins.greedy(pairs, costs.tolist(), 390)
+        assert (np.diff(plan.costs) >= 0).all()
+    assert max(left) < 200  # most are taken in rounds
+
+
+def test_a_chain_of_ascending_costs_takes_no_round_for_each_pair(monkeypatch):
+    rows = np.arange(5000, dtype=np.int32)
+    pairs = np.stack((rows[:-1], rows[1:]), axis=1)
+    costs = rows[1:].astype(np.float32)
+    rounds, whole = [], stage_four.join_pairs
+    monkeypatch.setattr(stage_four, "join_pairs", lambda *given: rounds.append(1) or whole(*given))
+    plan = match(pairs, costs, 5000, 2500)
+    assert plan.pairs.tolist() == pairs[::2].tolist()
+    assert len(rounds) == 1
 
 
 @given(

@@ -36,8 +36,11 @@ def compile_later_stages() -> None:
     import nanogs
     from nanogs.datasets.synthetic import make_scene
     from nanogs.metrics import ssim
+    from nanogs.simplify.match import match
 
     nanogs.simplify(make_scene(200), ratio=0.1, preset="fast", rounds=1)
+    chain = np.arange(1000, dtype=np.int32)  # of which rounds leave most to the sorted walk
+    match(np.stack((chain[:-1], chain[1:])).T, chain[1:].astype(np.float32), 1000, 500)
     grey = np.zeros((16, 16), np.float32)
     ssim(grey, grey)
 

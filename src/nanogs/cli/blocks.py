@@ -14,10 +14,14 @@ from nanogs.cli.simplify_report import Plan
 from nanogs.cli.streams import DASH
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
-from nanogs.io import bytes_on_disk
+from nanogs.io import FileInfo, bytes_on_disk
 from nanogs.io.collect import Pair
+from nanogs.io.files import splat_bytes
+from nanogs.lod.in_blocks import chunks_of, plan_levels, write_levels_in_blocks
+from nanogs.lod.layout import Output
 from nanogs.scale.api import DEFAULT_MEMORY, block_parameters, job_folder, plan_job
 from nanogs.scale.api import simplify_blocks as library_simplify_blocks
+from nanogs.scale.encoding import Encoding, encoding_of
 from nanogs.scale.folder import MANIFEST, refuse_finished
 from nanogs.scale.plan import ScalePlan
 from nanogs.scale.settings import WAITING
@@ -237,9 +241,29 @@ def simplify_in_blocks(
     return run | {"output_bytes": bytes_on_disk(pair.target)}
 
 
+def levels_encoding(
+    info: FileInfo, ratios: Sequence[float], output: Output, chunk: int | None, *, spz: bool
+) -> Encoding:
+    """What the chunks of the levels of a model take; nothing for plain files."""
+    row = splat_bytes(info.sh_degree) + info.extra_bytes()
+    chunks = chunks_of(output.layout, chunk, spz=spz)
+    return encoding_of(row, info.sh_degree, chunks, info.splats, ratios)
+
+
+def levels_plan(
+    source: Path, ratios: Sequence[float], blocks: Blocks, given: dict[str, Any]
+) -> ScalePlan:
+    """How a model would be divided of which levels are to be made.
+
+    Raises:
+        NanogsError: It cannot be.
+    """
+    return plan_levels([source], ratios, max_memory=blocks.max_memory, **given)[1]
+
+
 def levels_in_blocks(
     source: Path,
-    folder: Path,
+    output: Output,
     ratios: Sequence[float],
     blocks: Blocks,
     threads: int | None,
@@ -248,19 +272,18 @@ def levels_in_blocks(
     quiet: bool,
 ) -> dict[str, Any]:
     """Make levels of a model that does not fit; the manifest with the reports."""
-    from nanogs.lod.in_blocks import write_levels_in_blocks
     from nanogs.scale.job import Where
 
     start, rest = time.perf_counter(), blocks.given
     where = Where(threads, None, rest["scheduler"], rest["workers"], rest["patience"])
     with stage_bar(quiet=quiet) as progress:
         manifest, reports = write_levels_in_blocks(
-            [source], folder, ratios, max_memory=blocks.max_memory, job=blocks.job,
+            [source], output.folder, ratios, max_memory=blocks.max_memory, job=blocks.job,
             scratch=rest["scratch"], resume=blocks.resume, where=where,
             progress=_telling(progress, quiet=quiet), **given,
         )  # fmt: skip
-    run = manifest.to_dict() | {"input": str(source), "output": str(folder), "layout": "ply"}
-    run["dropped_nonfinite"] = reports[0].dropped_nonfinite
+    run = manifest.to_dict() | {"input": str(source), "output": str(output.path)}
+    run |= {"layout": output.layout.value, "dropped_nonfinite": reports[0].dropped_nonfinite}
     run["reports"] = [report.to_dict() for report in reports]
     return run | {"total_seconds": time.perf_counter() - start}
 

@@ -1,6 +1,7 @@
 """`nanogs lod`."""
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,17 +12,23 @@ from nanogs.ahead import compile_ahead
 from nanogs.cli import blocks as scale
 from nanogs.cli import method, options
 from nanogs.cli.console import count_down, err, print_json, show, warn
-from nanogs.cli.simplify_report import Plan, show_plan, warn_of_input
-from nanogs.errors import OptionError
+from nanogs.cli.simplify_report import (
+    Plan,
+    describe_plan,
+    print_divided,
+    show_plan,
+    warn_of_input,
+)
 from nanogs.formatting import bytes_text, number_text
 from nanogs.io import inspect, load
 from nanogs.io.folder import check_folder_writable
 from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.chunks import CHUNK
-from nanogs.lod.layout import Layout, Output, check_options, made_files, output_of
+from nanogs.lod.layout import Output, check_options, made_files, output_of
 from nanogs.lod.levels import check_ratios
 from nanogs.lod.write import write_levels
 from nanogs.report import StopReason
+from nanogs.scale.plan import ScalePlan
 from nanogs.scale.settings import PATIENCE
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters, renders
@@ -104,30 +111,31 @@ def lod(
         workers=workers, scheduler=scheduler, patience=patience,
     )  # fmt: skip
     info = inspect(source)
-    blocks.is_begun(output.folder, overwrite=overwrite)
-    check_folder_writable(output.folder, made_files, overwrite=overwrite)
+    # A job sees to its output itself.
+    if not blocks.is_begun(output.folder, overwrite=overwrite):
+        check_folder_writable(output.folder, made_files, overwrite=overwrite)
     finest = target_count(info.splats, ratios[0], None)
-    plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen)
-    if dry_run:
-        _print_plan(plan, output, ratios, json=json)
-        return
+    encoding = scale.levels_encoding(info, ratios, output, chunk, spz=spz)
+    plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen, encoding)
     given = {name: value for name, value in overrides.items() if value is not None}
-    given |= {"preset": preset, "nan": nan.value}
-    if blocks.needed(plan):
-        if output.layout is not Layout.PLY:
-            raise OptionError(
-                f"This model takes more than --max-memory, and {output.path.name} is made of levels"
-                " in memory; name a folder for .ply files, or raise --max-memory."
-            )
+    given |= {"preset": preset, "nan": nan.value, "chunk": chunk, "spz": spz}
+    given["layout"] = output.layout
+    divided = blocks.needed(plan)
+    if divided:
         looks = views is not None or cameras != "auto" or up is not None
         scale.refuse_whole_model_wishes(plan, filtered=False, looks=looks)
+    if dry_run:
+        made_in = scale.levels_plan(source, ratios, blocks, given) if divided else None
+        _print_plan(plan, output, ratios, made_in, json=json)
+        return
+    if divided:
         run = scale.levels_in_blocks(
-            source, output.folder, ratios, blocks, threads, given | {"overwrite": overwrite},
+            source, output, ratios, blocks, threads, given | {"overwrite": overwrite},
             quiet=quiet or json,
         )  # fmt: skip
     else:
         blocks.refuse_fitting(output.folder)
-        given |= {"chunk": chunk, "spz": spz, "threads": threads}
+        given["threads"] = threads
         run = _write(plan, output, ratios, overwrite, cameras, direction, given, quiet or json)
     if json:
         print_json(run)
@@ -158,7 +166,6 @@ def _write(
             output.folder,
             ratios,
             source=info.path.name,
-            layout=output.layout,
             overwrite=overwrite,
             cameras=requested_cameras(splats, cameras, up, plan.parameters),
             progress=progress,
@@ -171,11 +178,25 @@ def _write(
     return run | {"total_seconds": time.perf_counter() - start}
 
 
-def _print_plan(plan: Plan, output: Output, ratios: tuple[float, ...], *, json: bool) -> None:
+def _print_plan(
+    plan: Plan,
+    output: Output,
+    ratios: tuple[float, ...],
+    divided: ScalePlan | None,
+    *,
+    json: bool,
+) -> None:
     counts = [target_count(plan.info.splats, ratio, None) for ratio in ratios]
     asked = [{"ratio": r, "count": c} for r, c in zip(ratios, counts, strict=True)]
     text = f"{output.path}: levels of {', '.join(f'{c:,}' for c in counts)} splats"
-    show_plan(plan, {"levels": asked, "layout": output.layout.value}, text, json=json)
+    told = {"levels": asked, "layout": output.layout.value}
+    if divided is None:
+        show_plan(plan, told, text, json=json)
+    elif json:
+        print_json(describe_plan(plan, told) | {"blocks": asdict(divided)})
+    else:
+        print_divided(plan, text)
+        scale.plan_rows(divided)
 
 
 def _print_report(run: dict[str, Any]) -> None:

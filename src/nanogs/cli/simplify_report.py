@@ -1,6 +1,6 @@
 """How `nanogs simplify` shows its plan and its report."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from rich.table import Table
@@ -10,6 +10,7 @@ from nanogs.cli.filtering import report_filters
 from nanogs.formatting import bytes_text
 from nanogs.io import FileInfo
 from nanogs.report import StopReason
+from nanogs.scale.encoding import NO_CHUNKS, PLACED, Encoding
 from nanogs.simplify.memory import LIBRARIES, MemoryPlan, plan_memory
 from nanogs.simplify.presets import Parameters
 from nanogs.simplify.target import Goal
@@ -25,6 +26,7 @@ class Plan:
         count: What that comes to, or None where it is not known beforehand.
         preset: Name of the preset.
         parameters: Of the method.
+        encoding: What chunks take, for levels that lie in them.
     """
 
     info: FileInfo
@@ -32,15 +34,22 @@ class Plan:
     count: int | None
     preset: str
     parameters: Parameters
+    encoding: Encoding = NO_CHUNKS
 
     def memory(self) -> MemoryPlan:
         """What it takes; an unknown count takes what the whole model would."""
         info = self.info
         most = self.count or info.splats
-        return plan_memory(
+        plan = plan_memory(
             info.splats, info.sh_degree, info.extra_bytes(), self.parameters, most,
             judged=self.goal.psnr is not None,
         )  # fmt: skip
+        if not self.encoding.each:
+            return plan
+        # Between two levels, what a cut needs is kept, and each is encoded before the next.
+        row = plan.input_columns // info.splats + PLACED
+        held = int(plan.stages.get("cut", plan.input_columns) + most * row + self.encoding.file)
+        return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
 
 
 def print_plan(plan: Plan) -> None:
@@ -56,7 +65,12 @@ def print_plan(plan: Plan) -> None:
 
 def print_wish(plan: Plan) -> None:
     """Show on stderr what a run would read and write, of a model that does not fit into memory."""
-    rows = _wish_rows(plan, f"{plan.count or 0:,} splats")
+    print_divided(plan, f"{plan.count or 0:,} splats")
+
+
+def print_divided(plan: Plan, text: str) -> None:
+    """The same with what would be written in other words."""
+    rows = _wish_rows(plan, text)
     show(err, key_value_table(rows | {"peak memory": f"{bytes_text(plan.memory().peak)} if whole"}))
 
 
@@ -64,7 +78,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
     """What a run would do, for JSON."""
     asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
     asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
-    return _plan_json(plan, asked)
+    return describe_plan(plan, asked)
 
 
 def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> None:
@@ -77,12 +91,13 @@ def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> No
         json: On stdout as JSON, else on stderr for people.
     """
     if json:
-        print_json(_plan_json(plan, asked))
+        print_json(describe_plan(plan, asked))
     else:
         _print_rows(plan, text)
 
 
-def _plan_json(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
+def describe_plan(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
+    """What a run would do and what is asked of it, for JSON."""
     return {
         "input": str(plan.info.path),
         "input_count": plan.info.splats,

@@ -45,6 +45,30 @@ def atomic_folder(path: Path, ours: Ours, *, overwrite: bool = False) -> Iterato
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def move_folder(folder: Path, path: Path, ours: Ours, *, overwrite: bool = False) -> None:
+    """Give a finished folder its name, across file systems if need be.
+
+    Args:
+        folder: What is to be moved.
+        path: Where to.
+        ours: As `atomic_folder` takes it.
+        overwrite: See there.
+
+    Raises:
+        OutputError: As for `atomic_folder`; the folder is then still where it was.
+    """
+    target = _target(path, ours, overwrite=overwrite)
+    if folder.stat().st_dev == target.parent.stat().st_dev:
+        try:
+            _take_place(folder, target, ours)
+        except OSError as error:
+            raise output_error(path, error) from error
+        return
+    with atomic_folder(path, ours, overwrite=overwrite) as temporary:
+        shutil.copytree(folder, temporary, dirs_exist_ok=True)
+    shutil.rmtree(folder)
+
+
 def check_folder_writable(path: Path, ours: Ours, *, overwrite: bool = False) -> None:
     """Fail now if `atomic_folder` would fail later, short of a full disk.
 

@@ -45,7 +45,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
         ModelError: No splat is finite, or there are more than a texture holds.
     """
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
-        for name, data in _files(splats).items():
+        for name, data in contents(splats).items():
             entry = zipfile.ZipInfo(name, _EPOCH)
             entry.create_system = 3  # the same bytes on every system
             entry.external_attr = 0o644 << 16
@@ -69,8 +69,7 @@ def write_files(splats: Splats, folder: Path, groups: I64 | None = None) -> int:
     Args:
         splats: N splats.
         folder: Where to; it exists.
-        groups: (N,) numbers from 0 on. Splats go in their order, those of one group in Morton
-            order; by default all are one group.
+        groups: As `contents` takes them.
 
     Returns:
         Bytes written.
@@ -78,10 +77,40 @@ def write_files(splats: Splats, folder: Path, groups: I64 | None = None) -> int:
     Raises:
         ModelError: As for `write`.
     """
-    files = _files(splats, groups)
+    files = contents(splats, groups)
     for name, data in files.items():
         (folder / name).write_bytes(data)
     return sum(map(len, files.values()))
+
+
+def contents(splats: Splats, groups: I64 | None = None) -> dict[str, bytes]:
+    """The contents of `meta.json` and its textures by name.
+
+    Args:
+        splats: N splats.
+        groups: (N,) numbers from 0 on. Splats go in their order, those of one group in Morton
+            order; by default all are one group.
+
+    Raises:
+        ModelError: As for `write`.
+    """
+    import numba
+
+    rows = np.flatnonzero(splats.finite())
+    if not len(rows):
+        raise ModelError("The model holds no finite splat; there is nothing to write.")
+    if len(rows) > MAX_SIDE**2 // 2:
+        raise ModelError(f"{len(rows)} splats are too many for one SOG file; simplify the model.")
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        encoding: dict[str, Future[bytes]] = {}
+
+        def submit(name: str, texels: U8) -> None:
+            encoding[name] = pool.submit(encode, texels)
+
+        meta = _encode(splats, rows, None if groups is None else groups[rows], submit)
+        files = {name: future.result() for name, future in encoding.items()}
+    text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
+    return files | {"meta.json": text.encode()}
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
@@ -115,27 +144,6 @@ def ours(folder: Path) -> frozenset[str] | None:
         return None
     # Plain names only: a description that someone changed must not lead out of its folder.
     return frozenset({"meta.json", *filter(is_plain, named)})
-
-
-def _files(splats: Splats, groups: I64 | None = None) -> dict[str, bytes]:
-    """The contents of all files by name."""
-    import numba
-
-    rows = np.flatnonzero(splats.finite())
-    if not len(rows):
-        raise ModelError("The model holds no finite splat; there is nothing to write.")
-    if len(rows) > MAX_SIDE**2 // 2:
-        raise ModelError(f"{len(rows)} splats are too many for one SOG file; simplify the model.")
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        encoding: dict[str, Future[bytes]] = {}
-
-        def submit(name: str, texels: U8) -> None:
-            encoding[name] = pool.submit(encode, texels)
-
-        meta = _encode(splats, rows, None if groups is None else groups[rows], submit)
-        files = {name: future.result() for name, future in encoding.items()}
-    text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
-    return files | {"meta.json": text.encode()}
 
 
 def _encode(splats: Splats, rows: I64, groups: I64 | None, submit: Submit) -> dict[str, Any]:

@@ -108,6 +108,86 @@ def _sortable(bits: np.uint32) -> np.uint32:
     return np.uint32(~bits if bits >> np.uint32(31) else bits | np.uint32(0x80000000))
 
 
+NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+@inline
+def _key(costs: F32, edge: int) -> np.uint64:
+    """An integer that sorts like (cost, row of the pair)."""
+    bits = _sortable(costs.view(np.uint32)[edge])
+    return np.uint64(bits) << np.uint64(32) | np.uint64(edge)
+
+
+@parallel_kernel("bounds", least=1)
+def offer_pairs(
+    start: int,
+    stop: int,
+    firsts: I32,
+    seconds: I32,
+    costs: F32,
+    taken: Bool,
+    bounds: I64,
+    size: int,
+    bests: U64,
+) -> None:
+    """Find the cheapest free pair of every row, among those with both rows in one stretch.
+
+    Args:
+        start: First stretch of the range.
+        stop: The stretch after its last.
+        firsts: (E,) the smaller row of each pair, ascending.
+        seconds: (E,) the larger.
+        costs: (E,) of the pairs; one that is NaN is no candidate.
+        taken: (N,) rows that are not free.
+        bounds: (stretches + 1,) where the pairs of each stretch's rows begin.
+        size: Rows of a stretch.
+        bests: (N,) out, `_key` of the pair, or NONE; the smaller row has seen all its pairs with
+            larger ones, the larger one those within its stretch.
+    """
+    for stretch in range(start, min(stop, len(bounds) - 1)):
+        end = min((stretch + 1) * size, len(bests))
+        bests[stretch * size : end] = NONE
+        for edge in range(bounds[stretch], bounds[stretch + 1]):
+            i, j = firsts[edge], seconds[edge]
+            if not (taken[i] or taken[j] or np.isnan(costs[edge])):
+                key = _key(costs, edge)
+                bests[i] = min(bests[i], key)
+                if j < end:
+                    bests[j] = min(bests[j], key)
+
+
+@kernel
+def offer_crossing(
+    firsts: I32, seconds: I32, costs: F32, taken: Bool, crossing: I32, bests: U64
+) -> None:
+    """Show the larger rows of some pairs what they have not seen; arguments as `offer_pairs`.
+
+    crossing: (C,) pairs whose rows are in two stretches.
+    """
+    for edge in crossing:
+        i, j = firsts[edge], seconds[edge]
+        if not (taken[i] or taken[j] or np.isnan(costs[edge])):
+            bests[j] = min(bests[j], _key(costs, edge))
+
+
+@parallel_kernel("bests")
+def join_pairs(
+    start: int, stop: int, firsts: I32, seconds: I32, bests: U64, taken: Bool, joined: I32
+) -> None:
+    """Take the pairs that are the cheapest of both their rows.
+
+    firsts, seconds, bests: from `offer_pairs`; taken: (N,), changed; joined: (N,) the pair that
+    each smaller row is in, changed.
+    """
+    for i in range(start, stop):
+        if bests[i] != NONE:
+            edge = np.int64(bests[i] & np.uint64(0xFFFFFFFF))
+            j = seconds[edge]
+            if firsts[edge] == i and bests[j] == bests[i]:
+                taken[i] = taken[j] = True
+                joined[i] = edge
+
+
 @kernel
 def tally_free(firsts: I32, seconds: I32, costs: F32, taken: Bool, counts: I64) -> int:
     """Count the pairs whose ends are both free by the upper half of their cost's bits.
@@ -137,12 +217,10 @@ def collect_free(
     bits = costs.view(np.uint32)
     count = 0
     for edge in range(len(costs)):
-        free = not (taken[firsts[edge]] or taken[seconds[edge]])
-        if free and not np.isnan(costs[edge]):
-            b = _sortable(bits[edge])
-            if b >> np.uint32(16) < end:
-                keys[count] = np.uint64(b) << np.uint64(32) | np.uint64(edge)
-                count += 1
+        free = not (taken[firsts[edge]] or taken[seconds[edge]] or np.isnan(costs[edge]))
+        if free and _sortable(bits[edge]) >> np.uint32(16) < end:
+            keys[count] = _key(costs, edge)
+            count += 1
     return count
 
 

@@ -1,25 +1,78 @@
-"""Levels of a model that does not fit into memory, as a folder of `.ply` files."""
+"""Levels of a model that does not fit into memory, in any layout."""
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs._version import __version__
-from nanogs.io.folder import atomic_folder
-from nanogs.lod.layout import made_files
+from nanogs.io.findings import join_findings
+from nanogs.lod.chunks import CHUNK
+from nanogs.lod.layout import Layout, check_options
 from nanogs.lod.levels import check_ratios
-from nanogs.lod.manifest import Manifest, describe_level
+from nanogs.lod.manifest import (
+    ChunkedLevel,
+    Level,
+    Manifest,
+    describe_chunks,
+    describe_level,
+)
 from nanogs.lod.ply_levels import PlyLevels, level_name
 from nanogs.report import SimplifyReport, StageClock
-from nanogs.scale.api import block_parameters, job_folder, plan_job
+from nanogs.scale.api import block_parameters, job_folder, plan_job, refuse_full_disk
+from nanogs.scale.plan import ScalePlan
+from nanogs.scale.settings import Chunks, Settings
 from nanogs.simplify.job import NanPolicy
 from nanogs.simplify.target import Goal
 
 if TYPE_CHECKING:
     from nanogs.scale.job import Where
-    from nanogs.scale.run import Progress
+    from nanogs.scale.run import Done, Progress
+
+
+def plan_levels(
+    inputs: Sequence[Path],
+    ratios: Sequence[float],
+    *,
+    layout: Layout = Layout.PLY,
+    chunk: int | None = None,
+    spz: bool = False,
+    preset: str,
+    max_memory: int | None,
+    block: int | None = None,
+    nan: NanPolicy = "drop",
+    **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
+) -> tuple[Settings, ScalePlan]:
+    """What the job would be, and what it takes; only headers are read.
+
+    Args:
+        inputs: As `write_levels_in_blocks` takes them, and all others too.
+        ratios: See there.
+        layout: See there.
+        chunk: See there.
+        spz: See there.
+        preset: See there.
+        max_memory: See there.
+        block: See there.
+        nan: See there.
+        **overrides: See there.
+
+    Raises:
+        NanogsError: An input cannot be read, options make no sense, or the memory is too little.
+    """
+    check_ratios(ratios)
+    check_options(layout, chunk, spz=spz)
+    goals = [Goal(ratio=ratio) for ratio in ratios]
+    chosen = block_parameters(preset, overrides)
+    return plan_job(
+        inputs, goals, chosen, max_memory, block, nan, chunks_of(layout, chunk, spz=spz)
+    )
+
+
+def chunks_of(layout: Layout, chunk: int | None, *, spz: bool) -> Chunks | None:
+    """The chunks of a layout; None where levels are plain files."""
+    return None if layout is Layout.PLY else Chunks(layout.value, chunk or CHUNK, spz)
 
 
 def write_levels_in_blocks(
@@ -27,6 +80,9 @@ def write_levels_in_blocks(
     folder: Path,
     ratios: Sequence[float],
     *,
+    layout: Layout = Layout.PLY,
+    chunk: int | None = None,
+    spz: bool = False,
     preset: str,
     max_memory: int | None,
     block: int | None = None,
@@ -45,6 +101,10 @@ def write_levels_in_blocks(
         inputs: The parts of one scene.
         folder: The folder to make.
         ratios: As `levels` takes them.
+        layout: `.ply` files, streamed SOG, or 3D Tiles; in chunks, each block has a tree of its
+            own, and what describes the folder joins them.
+        chunk: As `write_levels` takes it, and so is `spz`.
+        spz: See there.
         preset: `default` or `fast`.
         max_memory: As `simplify_blocks` takes it, and so are `block`, `job`, `scratch`, `resume`,
             `nan` and the overrides.
@@ -64,36 +124,87 @@ def write_levels_in_blocks(
     Raises:
         NanogsError: As for `simplify_blocks`, or the folder may not be replaced.
     """
+    from nanogs.lod.blocks_folder import LevelsFolder
     from nanogs.scale.job import BlockJob
-    from nanogs.scale.outcome import report_of
 
-    start, clock = time.perf_counter(), StageClock()
-    check_ratios(ratios)
-    goals = [Goal(ratio=ratio) for ratio in ratios]
-    chosen = block_parameters(preset, overrides)
-    settings, _ = plan_job(inputs, goals, chosen, max_memory, block, nan)
-    with atomic_folder(folder, made_files, overwrite=overwrite) as temporary:
-        files = tuple(temporary / level_name(level) for level in range(len(ratios)))
-        kept = job_folder(folder, job)
-        done, counts = BlockJob(settings, kept, scratch, files, {}, overwrite=False).run(
-            where, clock, progress, resume=resume
-        )
-        reports = tuple(
-            report_of(preset, goal, done, counts[level], clock, start, level)
-            for level, goal in enumerate(goals)
-        )
-        first = reports[0]
+    settings, plan = plan_levels(
+        inputs, ratios, layout=layout, chunk=chunk, spz=spz, preset=preset,
+        max_memory=max_memory, block=block, nan=nan, **overrides,
+    )  # fmt: skip
+    told = _Telling(inputs[0].name, preset, tuple(ratios), StageClock(), time.perf_counter())
+    kept = job_folder(folder, job)
+    if not resume:
+        refuse_full_disk(plan, kept, scratch)
+    ending = LevelsFolder(folder, layout, told.write_plain, overwrite)
+    done, counts = BlockJob(settings, kept, scratch, ending).run(
+        where, told.clock, progress, resume=resume
+    )
+    manifest, reports = told.of(done, counts, folder)
+    return manifest, tuple(replace(report, seconds=told.clock.seconds) for report in reports)
+
+
+@dataclass(frozen=True, slots=True)
+class _Telling:
+    """What is said of the levels once they are made."""
+
+    source: str
+    preset: str
+    ratios: tuple[float, ...]
+    clock: StageClock
+    start: float
+
+    def write_plain(self, done: "Done", counts: list[int], folder: Path) -> None:
+        """Write the manifest of plain levels beside them."""
+        PlyLevels(folder).finish(self.of(done, counts, folder)[0])
+
+    def of(
+        self, done: "Done", counts: list[int], folder: Path
+    ) -> tuple[Manifest, list[SimplifyReport]]:
+        """The manifest and the report of each level, all of whose files are in a folder."""
+        from nanogs.scale.outcome import report_of
+
+        reports = [
+            report_of(self.preset, Goal(ratio=r), done, counts[n], self.clock, self.start, n)
+            for n, r in enumerate(self.ratios)
+        ]
         manifest = Manifest(
             generator=f"nanogs {__version__}",
-            source=inputs[0].name,
-            source_count=first.input_count,
-            preset=preset,
-            parameters=first.parameters,
+            source=self.source,
+            source_count=reports[0].input_count,
+            preset=self.preset,
+            parameters=reports[0].parameters,
             levels=tuple(
-                describe_level(file, goal.ratio or 1, report, first.total_seconds if not i else 0)
-                for i, (file, goal, report) in enumerate(zip(files, goals, reports, strict=True))
+                _entry(done, folder, level, ratio, report)
+                for level, (ratio, report) in enumerate(zip(self.ratios, reports, strict=True))
             ),
-            notes=first.notes,
+            notes=(*reports[0].notes, *_left_out(done)),
         )
-        PlyLevels(temporary).finish(manifest)
-    return manifest, tuple(replace(report, seconds=clock.seconds) for report in reports)
+        return manifest, reports
+
+
+def _entry(
+    done: "Done", folder: Path, level: int, ratio: float, report: SimplifyReport
+) -> Level | ChunkedLevel:
+    """What the manifest says of a level; the first one has the seconds of all."""
+    seconds = report.total_seconds if level == 0 else 0.0
+    if done.work.settings.chunks is None:
+        return describe_level(folder / level_name(level), ratio, report, seconds)
+    records = done.work.of_blocks("chunk", level)
+    # A model in a folder of its own is named by what describes it.
+    files = [name for record in records for name in record.columns]
+    named = [name for name in files if "/" not in name or name.endswith("/meta.json")]
+    size = sum(record.bytes for record in records)
+    return describe_chunks(tuple(named), size, ratio, report, seconds)
+
+
+def _left_out(done: "Done") -> list[str]:
+    """What the files leave out: said of the finest level, and of others where it differs."""
+    from nanogs.scale.chunked import losses_of
+
+    found: list[str] = []
+    settings = done.work.settings
+    for level in range(settings.levels if settings.chunks else 0):
+        prefix = f"Level {level}: " if level else ""
+        losses = join_findings(losses_of(each) for each in done.work.of_blocks("chunk", level))
+        found += [prefix + loss for loss in losses if loss not in found]
+    return found

@@ -7,16 +7,16 @@ more room.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nanogs._types import F64, I64
 from nanogs.io import sog_write
 from nanogs.io.registry import LEVELS
-from nanogs.io.sog_write import write_files
 from nanogs.lod.boxes import Box, box_around, union
 from nanogs.lod.cells import Cells, divide
 from nanogs.lod.chunks import SortedLevel, Written, generator, plain_paths, read_own
@@ -24,11 +24,127 @@ from nanogs.lod.manifest import Manifest
 from nanogs.splats import Splats
 
 NAME = LEVELS
-_CHUNKS_A_FILE = 4  # full ones; that makes files of 1 to 2 MB
+CHUNKS_A_FILE = 4  # full ones; that makes files of 1 to 2 MB
 # As the format's own tool has it. A viewer chooses levels by the distance to these boxes, so that
 # larger ones would bring fine levels too early.
 _DEVIATIONS = 1.0
-_META = "meta.json"
+META = "meta.json"
+
+
+class Place(NamedTuple):
+    """Where the splats of a leaf are in a model, and the box around them."""
+
+    leaf: int
+    offset: int
+    splats: int
+    box: Box
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """A range of leaves of one level.
+
+    Attributes:
+        folder: Its name.
+        places: Where each leaf is that has anything in it.
+        files: The contents of its files by name.
+    """
+
+    folder: str
+    places: list[Place]
+    files: Mapping[str, bytes]
+
+
+class Tree:
+    """Some of the scene: which splats of which models stand for each leaf."""
+
+    def __init__(self, cells: Cells) -> None:
+        self.cells = cells
+        self._entries: list[dict[str, dict[str, int]]] = [{} for _ in range(cells.count)]
+        self._boxes: list[list[Box]] = [[] for _ in range(cells.count)]
+
+    def add(self, level: int, file: int, places: Sequence[Place]) -> None:
+        """Note the places in a file of a level; the finest level, which fills all leaves, first."""
+        for leaf, offset, splats, box in places:
+            place = {"file": file, "offset": offset, "count": splats}
+            self._entries[leaf][str(level)] = place
+            self._boxes[leaf].append(box)
+
+    def described(self) -> tuple[dict[str, Any], Box]:
+        """The tree and the box around all of it; from the leaves up, as boxes grow."""
+        cells = self.cells
+        nodes: dict[int, tuple[dict[str, Any], Box]] = {}
+        for node in range(len(cells.axes) - 1, -1, -1):
+            if cells.is_leaf(node):
+                leaf = int(cells.leaves[node, 0])
+                box = union(self._boxes[leaf])
+                nodes[node] = {"bound": _bound(box), "lods": self._entries[leaf]}, box
+            else:
+                nodes[node] = _parent(*map(nodes.pop, cells.children[node].tolist()))
+        return nodes[0]
+
+
+def describe(trees: Sequence[Tree], names: Sequence[str], counts: Sequence[int], chunk: int) -> str:
+    """The contents of `lod-meta.json`.
+
+    Args:
+        trees: One or more, neighbours beside each other.
+        names: Each model's `meta.json`.
+        counts: Splats of each level.
+        chunk: Most splats of the finest level in a leaf.
+    """
+    data = {
+        "version": 1,
+        "asset": {"generator": generator(), "chunkGaussians": chunk},
+        "count": sum(counts),
+        "counts": list(counts),
+        "lodLevels": len(counts),
+        "lodErrors": False,
+        "filenames": list(names),
+        "tree": _joined([tree.described() for tree in trees])[0],
+    }
+    return json.dumps(data, separators=(",", ":"), allow_nan=False)
+
+
+def _joined(trees: list[tuple[dict[str, Any], Box]]) -> tuple[dict[str, Any], Box]:
+    """Trees beside each other as one, as binary as each of them."""
+    while len(trees) > 1:
+        pairs = [trees[i : i + 2] for i in range(0, len(trees), 2)]
+        trees = [_parent(*pair) if len(pair) == 2 else pair[0] for pair in pairs]
+    return trees[0]
+
+
+def _parent(
+    near: tuple[dict[str, Any], Box], far: tuple[dict[str, Any], Box]
+) -> tuple[dict[str, Any], Box]:
+    box = union([near[1], far[1]])
+    return {"bound": _bound(box), "children": [near[0], far[0]]}, box
+
+
+def encode(level: SortedLevel, most: int, prefix: str) -> Iterator[Model]:
+    """The models of a level, one at a time.
+
+    Args:
+        level: Its splats.
+        most: Splats of a model.
+        prefix: How names of folders begin.
+    """
+    for number, (first, end) in enumerate(_runs(level.counts, most)):
+        part, leaves = level.take(first, end)
+        yield Model(
+            f"{prefix}{number}",
+            list(_places(part, level.counts, first, end)),
+            sog_write.contents(part, leaves),
+        )
+
+
+def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[Place]:
+    offset = 0
+    for leaf in range(first, end):
+        if count := int(counts[leaf]):
+            rows = np.arange(offset, offset + count)
+            yield Place(leaf, offset, count, box_around(part.take(rows), _DEVIATIONS))
+            offset += count
 
 
 class StreamedSog:
@@ -42,11 +158,9 @@ class StreamedSog:
             chunk: Most splats of the finest level in a leaf, 1 or more.
         """
         self._folder, self._chunk = folder, chunk
-        self._cells: Cells | None = None
+        self._tree: Tree | None = None
         self._names: list[str] = []
         self._counts: list[int] = []
-        self._entries: list[dict[str, dict[str, int]]] = []
-        self._boxes: list[list[Box]] = []
 
     def add(self, splats: Splats) -> Written:
         """Write the next level, the finest first, one model at a time.
@@ -54,69 +168,38 @@ class StreamedSog:
         Args:
             splats: N splats, all finite.
         """
-        if self._cells is None:
-            self._cells = divide(splats.means, self._chunk)
-            self._entries = [{} for _ in range(self._cells.count)]
-            self._boxes = [[] for _ in range(self._cells.count)]
-        level, known = SortedLevel(splats, self._cells), len(self._names)
-        written = sum(
-            self._write_model(level, number, first, end)
-            for number, (first, end) in enumerate(_runs(level.counts, _CHUNKS_A_FILE * self._chunk))
+        if self._tree is None:
+            self._tree = Tree(divide(splats.means, self._chunk))
+        level, known, depth = (
+            SortedLevel(splats, self._tree.cells),
+            len(self._names),
+            len(self._counts),
         )
+        written = 0
+        for model in encode(level, CHUNKS_A_FILE * self._chunk, f"{depth}_"):
+            self._tree.add(depth, len(self._names), model.places)
+            self._names.append(f"{model.folder}/{META}")
+            written += write_model(self._folder, model)
         self._counts.append(len(splats))
         return Written(tuple(self._names[known:]), written)
 
-    def _write_model(self, level: SortedLevel, number: int, first: int, end: int) -> int:
-        """Write a range of leaves and note where each is; the bytes."""
-        part, leaves = level.take(first, end)
-        depth = len(self._counts)
-        folder = f"{depth}_{number}"
-        offset = 0
-        for leaf in range(first, end):
-            if count := int(level.counts[leaf]):
-                place = {"file": len(self._names), "offset": offset, "count": count}
-                self._entries[leaf][str(depth)] = place
-                rows = np.arange(offset, offset + count)
-                self._boxes[leaf].append(box_around(part.take(rows), _DEVIATIONS))
-                offset += count
-        self._names.append(f"{folder}/{_META}")
-        (self._folder / folder).mkdir()
-        return write_files(part, self._folder / folder, leaves)
-
     def finish(self, _made: Manifest) -> None:
         """Write `lod-meta.json`."""
-        data = {
-            "version": 1,
-            "asset": {"generator": generator(), "chunkGaussians": self._chunk},
-            "count": sum(self._counts),
-            "counts": self._counts,
-            "lodLevels": len(self._counts),
-            "lodErrors": False,
-            "filenames": self._names,
-            "tree": self._tree()[0],
-        }
-        text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+        assert self._tree is not None, "a folder of levels has at least one"  # noqa: S101
+        text = describe([self._tree], self._names, self._counts, self._chunk)
         (self._folder / NAME).write_text(text, encoding="utf-8")
-
-    def _tree(self) -> tuple[dict[str, Any], Box]:
-        """The tree and the box around all of it; from the leaves up, as boxes grow."""
-        cells = self._cells
-        assert cells is not None, "a folder of levels has at least one"  # noqa: S101
-        nodes: dict[int, tuple[dict[str, Any], Box]] = {}
-        for node in range(len(cells.axes) - 1, -1, -1):
-            inner: dict[str, Any]
-            if cells.is_leaf(node):
-                leaf = int(cells.leaves[node, 0])
-                box, inner = union(self._boxes[leaf]), {"lods": self._entries[leaf]}
-            else:
-                near, far = (nodes.pop(child) for child in cells.children[node].tolist())
-                box, inner = union([near[1], far[1]]), {"children": [near[0], far[0]]}
-            nodes[node] = {"bound": _bound(box)} | inner, box
-        return nodes[0]
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """What the files leave out of a model, one sentence each."""
         return sog_write.losses(splats)
+
+
+def write_model(folder: Path, model: Model) -> int:
+    """Write the files of a model into a folder of its own in this one; their bytes."""
+    (folder / model.folder).mkdir()
+    for name, data in model.files.items():
+        (folder / model.folder / name).write_bytes(data)
+    return sum(map(len, model.files.values()))
 
 
 def made_files(folder: Path) -> frozenset[str] | None:
@@ -128,7 +211,7 @@ def made_files(folder: Path) -> frozenset[str] | None:
     given = data.get("filenames")
     for name in plain_paths(given if isinstance(given, list) else []):
         inner, _, file = name.rpartition("/")
-        if inner and file == _META:
+        if inner and file == META:
             names |= {f"{inner}/{own}" for own in sog_write.ours(folder / inner) or ()}
     return frozenset(names)
 

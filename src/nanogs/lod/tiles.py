@@ -9,27 +9,25 @@ root's transform is the identity; whoever knows the place writes it there.
 Contents are uncompressed, or packed as SPZ, which is all that CesiumJS draws; see `gltf_spz`.
 """
 
-import json
-from collections.abc import Callable
-from dataclasses import dataclass
+import io
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
-from nanogs._types import F64
 from nanogs.io import gltf_spz, gltf_write, limits
 from nanogs.io.gltf import MAX_DEGREE
 from nanogs.io.gltf_scene import EXTENSION
-from nanogs.lod.boxes import Box, box_around, union
+from nanogs.lod.boxes import box_around
 from nanogs.lod.cells import Cells, divide
-from nanogs.lod.chunks import SortedLevel, Written, generator, plain_paths, read_own
+from nanogs.lod.chunks import SortedLevel, Written, plain_paths, read_own
 from nanogs.lod.manifest import Manifest
+from nanogs.lod.tileset import Tile, Tree, describe
 from nanogs.splats import Splats
 
 NAME = "tileset.json"
-# Runtimes learn from it which extensions the contents use; that glTF is a content is core in 1.1.
-_CONTENT = "3DTILES_content_gltf"
 _DEVIATIONS = 3.0  # as far as rasterisers draw; what is outside of a box may be culled
 # A level's error is the width, in deviations, of what one sees of its splats: by the usual 16
 # pixels of error, a tile is replaced when they are wider than that.
@@ -43,7 +41,7 @@ def _plain_losses(splats: Splats) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Form:
+class Form:
     """How contents are written, what they leave out, and the extensions that tell of them."""
 
     write: Callable[[Splats, BinaryIO], None]
@@ -52,30 +50,40 @@ class _Form:
 
 
 _PACKED = [EXTENSION, gltf_spz.PACKED]
-_FORMS = {
-    False: _Form(gltf_write.write, _plain_losses, {"extensionsUsed": [EXTENSION]}),
-    True: _Form(
+FORMS = {
+    False: Form(gltf_write.write, _plain_losses, {"extensionsUsed": [EXTENSION]}),
+    True: Form(
         gltf_spz.write,
         gltf_spz.losses,
         {"extensionsUsed": _PACKED, "extensionsRequired": _PACKED},
     ),
 }
+"""By whether contents are packed as SPZ."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Tile:
-    """A cell of one level.
+def encode(
+    level: SortedLevel, cells: Cells, nodes: Sequence[int], form: Form, prefix: str
+) -> Iterator[tuple[int, Tile, bytes]]:
+    """The tiles of a level, one at a time: node, tile and the content's bytes.
 
-    Attributes:
-        content: Its file, or None where the level has nothing in it.
-        box: Around its splats; None without any.
-        width: The typical visible width of its splats, scene units; of the whole level's for an
-            empty one.
+    An empty tile has no content, no box and the width 0.
+
+    Args:
+        level: Its splats.
+        cells: What divides them.
+        nodes: The level's tiles, as `Cells.cut` gives them.
+        form: Of the contents.
+        prefix: How names of files begin.
     """
-
-    content: str | None
-    box: Box | None
-    width: float
+    for number, node in enumerate(nodes):
+        part, _ = level.take(*cells.leaves[node].tolist())
+        if not len(part):
+            yield node, Tile(None, None, 0.0), b""
+            continue
+        file = io.BytesIO()
+        form.write(part, file)
+        box = box_around(part, _DEVIATIONS)
+        yield node, Tile(f"{prefix}{number}.glb", box, _width(part)), file.getvalue()
 
 
 class Tiles:
@@ -89,9 +97,9 @@ class Tiles:
             chunk: Most splats of a tile, 1 or more.
             spz: Whether contents are packed.
         """
-        self._folder, self._chunk, self._form = folder, chunk, _FORMS[spz]
+        self._folder, self._chunk, self._form = folder, chunk, FORMS[spz]
         self._cells: Cells | None = None
-        self._levels: list[dict[int, _Tile]] = []  # tiles by their node, in the order of the walk
+        self._levels: list[dict[int, Tile]] = []  # tiles by their node, in the order of the walk
 
     def add(self, splats: Splats) -> Written:
         """Write the next level, the finest first, one tile at a time.
@@ -103,62 +111,25 @@ class Tiles:
             self._cells = divide(splats.means, self._chunk)
         finer = frozenset(self._levels[-1]) if self._levels else self._cells.all_leaves()
         level, typical = SortedLevel(splats, self._cells), _width(splats)
-        tiles: dict[int, _Tile] = {}
+        nodes = self._cells.cut(level.counts, self._chunk, finer)
+        tiles: dict[int, Tile] = {}
         written = 0
-        for node in self._cells.cut(level.counts, self._chunk, finer):
-            part, _ = level.take(*self._cells.leaves[node].tolist())
-            if not len(part):
-                tiles[node] = _Tile(None, None, typical)
-                continue
-            path = self._folder / f"{len(self._levels)}_{len(tiles)}.glb"
-            with path.open("wb") as file:
-                self._form.write(part, file)
-            written += path.stat().st_size
-            tiles[node] = _Tile(path.name, box_around(part, _DEVIATIONS), _width(part))
+        for node, tile, data in encode(
+            level, self._cells, nodes, self._form, f"{len(self._levels)}_"
+        ):
+            tiles[node] = tile if tile.content else replace(tile, width=typical)
+            if tile.content:
+                (self._folder / tile.content).write_bytes(data)
+            written += len(data)
         self._levels.append(tiles)
         names = tuple(tile.content for tile in tiles.values() if tile.content)
         return Written(names, written)
 
     def finish(self, _made: Manifest) -> None:
         """Write `tileset.json`."""
-        depth = len(self._levels) - 1
-        tops = [self._tile(depth, node) for node in self._levels[-1]]
-        box = union(box for _, box in tops)
-        diagonal = float(np.linalg.norm(box.high - box.low))
-        root = tops[0][0]
-        if len(tops) > 1:
-            # Without a content, and so wrong by as much as there is to see.
-            children = [tile for tile, _ in tops]
-            root = _described(box, max(diagonal, _error(children))) | {"children": children}
-        data = {
-            "asset": {"version": "1.1", "extras": {"generator": generator()}},
-            "extensionsUsed": [_CONTENT],
-            "extensions": {_CONTENT: self._form.extensions},
-            "geometricError": max(diagonal, root["geometricError"]),
-            "root": {"transform": np.eye(4).ravel().tolist(), "refine": "REPLACE"} | root,
-        }
-        text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+        assert self._cells is not None, "a folder of levels has at least one"  # noqa: S101
+        text = describe([Tree(self._cells, self._levels)], self._form.extensions)
         (self._folder / NAME).write_text(text, encoding="utf-8")
-
-    def _tile(self, level: int, node: int) -> tuple[dict[str, Any], Box]:
-        """A tile with all below it, and the box around all of that."""
-        own = self._levels[level][node]
-        below = [self._tile(level - 1, inner) for inner in self._inside(level, node)]
-        children = [tile for tile, _ in below]
-        box = union([*([own.box] if own.box else []), *(box for _, box in below)])
-        tile = _described(box, max(own.width, _error(children)) if children else 0.0)
-        if own.content:
-            tile["content"] = {"uri": own.content}
-        return tile | ({"children": children} if children else {}), box
-
-    def _inside(self, level: int, node: int) -> list[int]:
-        """The nodes of the next finer level's tiles in a tile's cell."""
-        cells = self._cells
-        if cells is None or level == 0:
-            return []
-        first, end = cells.leaves[node]
-        finer = self._levels[level - 1]
-        return [inner for inner in finer if first <= cells.leaves[inner, 0] < end]
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """What the files leave out of a model, one sentence each."""
@@ -180,28 +151,6 @@ def made_files(folder: Path) -> frozenset[str] | None:
         uris += [content.get("uri")] if isinstance(content, dict) else []
         waiting += children if isinstance(children, list) else []
     return frozenset({NAME, *plain_paths(uris)})
-
-
-def _described(box: Box, error: float) -> dict[str, Any]:
-    return {"boundingVolume": {"box": _volume(box)}, "geometricError": error}
-
-
-def _error(tiles: list[dict[str, Any]]) -> float:
-    """The largest error of some tiles: no child's is larger than its parent's."""
-    return float(max((tile["geometricError"] for tile in tiles), default=0.0))
-
-
-def _volume(box: Box) -> list[float]:
-    """The centre and the three half axes of a box, in the frame of the tileset."""
-    corners = np.stack([_turned(box.low), _turned(box.high)])
-    centre, half = corners.mean(axis=0), np.abs(corners[1] - corners[0]) / 2
-    return [*centre.tolist(), *np.diag(half).ravel().tolist()]
-
-
-def _turned(point: F64) -> F64:
-    """From y down by half a turn about z to y up, and on by a quarter about x to z up."""
-    x, y, z = point
-    return np.array([-x, -z, -y])
 
 
 def _width(splats: Splats) -> float:

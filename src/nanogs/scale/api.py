@@ -12,7 +12,7 @@ from nanogs.formatting import bytes_text
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks
-from nanogs.scale.settings import PATIENCE, Settings
+from nanogs.scale.settings import PATIENCE, Chunks, Settings
 from nanogs.scale.source import look_at, segments_of
 from nanogs.simplify.job import NanPolicy
 from nanogs.simplify.presets import DEFAULT_PRESET, ForestParameters, parameters
@@ -96,6 +96,7 @@ def simplify_blocks(
         None if block else max_memory, block, nan,
     )  # fmt: skip
     # Here and not above: these bring Numba, which `--help` and `info` do without.
+    from nanogs.scale.ending import Files
     from nanogs.scale.job import BlockJob, Where
     from nanogs.scale.outcome import report_of
     from nanogs.scale.result import refuse_large
@@ -107,7 +108,7 @@ def simplify_blocks(
     if not resume:
         refuse_full_disk(plan, folder, scratch)
     saving = {"spz_version": spz_version}
-    made = BlockJob(settings, folder, scratch, (output,), saving, overwrite)
+    made = BlockJob(settings, folder, scratch, Files((output,), saving, overwrite))
     where = Where(threads, client, scheduler, workers, patience)
     done, counts = made.run(where, clock, progress or _ignore, resume=resume)
     return report_of(preset, goal, done, counts[0], clock, start)
@@ -140,6 +141,7 @@ def plan_job(
     max_memory: int | None,
     block: int | None,
     nan: NanPolicy,
+    chunks: Chunks | None = None,
 ) -> tuple[Settings, ScalePlan]:
     """What the job is, and what it takes; only headers are read.
 
@@ -150,6 +152,7 @@ def plan_job(
         max_memory: Bytes that a process may take; not needed where `block` is given.
         block: Splats of a block, in place of what memory allows.
         nan: "drop" or "error".
+        chunks: Of the results, or None where each is one file.
 
     Raises:
         NanogsError: An input cannot be read, or the memory is too little.
@@ -157,7 +160,7 @@ def plan_job(
     inputs, layout = look_at(paths)
     splats = sum(each.splats for each in inputs)
     shares = tuple(target_count(splats, g.ratio, g.count) / splats for g in goals)
-    plan = plan_blocks(splats, layout, chosen, shares, max_memory, block)
+    plan = plan_blocks(splats, layout, chosen, shares, max_memory, block, chunks)
     settings = Settings(
         inputs=inputs,
         layout=layout,
@@ -167,6 +170,7 @@ def plan_job(
         nan=nan,
         block=plan.block,
         parameters=in_blocks(chosen),
+        chunks=chunks,
     )
     return settings, plan
 

@@ -5,6 +5,7 @@ The lock is the system's, on an open file: it goes with the process that holds i
 
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -40,7 +41,7 @@ def locked(folder: Path) -> Iterator[None]:
             if not (folder / MANIFEST).exists():
                 with suppress(OSError):
                     for path in folder.glob(f"{RESULT}*"):
-                        path.unlink()
+                        shutil.rmtree(path) if path.is_dir() else path.unlink()
                     if (folder / SCRATCH).exists():
                         (folder / SCRATCH).rmdir()
                     (folder / LOCK).unlink()

@@ -6,26 +6,16 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nanogs.errors import OutputError
-from nanogs.io import check_writable
 from nanogs.report import StageClock
 from nanogs.scale.cluster import connected, starting, threads_each
-from nanogs.scale.folder import (
-    RESULT,
-    SCRATCH,
-    forget,
-    locked,
-    read_manifest,
-    refuse_finished,
-    write_manifest,
-)
-from nanogs.scale.result import move_into_place, seal, sealed, write_result
+from nanogs.scale.ending import Ending
+from nanogs.scale.folder import SCRATCH, forget, locked, read_manifest, write_manifest
 from nanogs.scale.run import Done, Executor, Here, Progress, run_tasks
 from nanogs.scale.scratch import Scratch, is_url, open_scratch
 from nanogs.scale.settings import PATIENCE, WAITING, Settings, differences
-from nanogs.scale.work import Task
 from nanogs.scale.workers import Workers
 from nanogs.threads import use_threads
 
@@ -90,17 +80,13 @@ class BlockJob:
         settings: What decides the results.
         folder: Of the job.
         scratch: Folder or URL of the intermediate files, or None for one in the job folder.
-        results: The files to write, one for each level.
-        saving: What `save` takes for them.
-        overwrite: Whether files that exist are replaced.
+        ending: What is made of the tasks' files.
     """
 
     settings: Settings
     folder: Path
     scratch: str | None
-    results: tuple[Path, ...]
-    saving: dict[str, Any]
-    overwrite: bool
+    ending: Ending
 
     def run(
         self, where: Where, clock: StageClock, progress: Progress, *, resume: bool
@@ -133,9 +119,7 @@ class BlockJob:
                     scratch, self.settings, executor, threads, clock, progress, resumed=resumed
                 )
                 with clock.time("write"):
-                    counts = [
-                        self._finish(done, level, progress) for level in range(self.settings.levels)
-                    ]
+                    counts = self.ending.finish(done, self.folder, progress)
             self._remove(scratch)
         return done, counts
 
@@ -147,10 +131,7 @@ class BlockJob:
         """
         found = read_manifest(self.folder)
         if found is None:
-            for path in self.results:
-                if resume and not self.overwrite:
-                    refuse_finished(self.folder, path)
-                check_writable(path, overwrite=self.overwrite, **self.saving)
+            self.ending.check(self.folder, resume=resume)
             return None
         if not resume:
             raise OutputError(
@@ -165,9 +146,7 @@ class BlockJob:
                 f"{self.folder} holds another job (its {what} differ); resume it with the same"
                 " inputs and options, or remove the folder."
             )
-        for level, path in enumerate(self.results):
-            if sealed(self._file(level), path) is None:  # else it has its name already
-                check_writable(path, overwrite=self.overwrite, **self.saving)
+        self.ending.check_begun(self.folder)
         return place
 
     def _above(self) -> str:
@@ -182,24 +161,6 @@ class BlockJob:
         """One of its own for each job: what others keep beside it is not taken for the job's."""
         name = SCRATCH if self.scratch is None else f"nanogs-{secrets.token_hex(8)}"
         return f"{self._above()}/{name}"
-
-    def _finish(self, done: Done, level: int, progress: Progress) -> int:
-        """Write a result and give it its name, unless a run before has; the splats in it."""
-        target = int(done.work.record(Task("budget", 0, level)).facts["target"])
-        path, file = self.results[level], self._file(level)
-        progress("write", level, self.settings.levels)
-        count = sealed(file, path)
-        if count is None:
-            count = sealed(file, file)
-            if count is None:
-                count = write_result(done.work, level, file, target, self.saving)
-                seal(file, count)
-            move_into_place(file, path, overwrite=self.overwrite)
-        return count
-
-    def _file(self, level: int) -> Path:
-        """Where a result is until it gets its name."""
-        return self.folder / f"{RESULT}{level}{''.join(self.results[level].suffixes[-2:])}"
 
     def _remove(self, scratch: Scratch) -> None:
         """Take away everything; the notes of results go last, with which they are known again."""

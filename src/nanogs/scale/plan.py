@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from nanogs.errors import OptionError
 from nanogs.io.files import splat_bytes
 from nanogs.scale.columns import row_bytes
-from nanogs.scale.settings import MOST_SEEN, Layout
+from nanogs.scale.encoding import encoding_of
+from nanogs.scale.settings import MOST_SEEN, Chunks, Layout
 from nanogs.simplify.memory import LIBRARIES, plan_memory
 from nanogs.simplify.presets import ForestParameters
 
@@ -57,6 +58,7 @@ def plan_blocks(
     shares: tuple[float, ...],
     max_memory: int | None,
     block: int | None = None,
+    chunks: Chunks | None = None,
 ) -> ScalePlan:
     """Blocks as large as the memory allows.
 
@@ -67,33 +69,37 @@ def plan_blocks(
         shares: What the results keep of the splats.
         max_memory: Bytes that a process may take; not needed where `block` is given.
         block: Splats of a block, in place of what memory allows.
+        chunks: Of the results, or None where each is one file.
 
     Raises:
         OptionError: The memory is too little for any block.
     """
     row, each = row_bytes(layout), held_bytes(layout, parameters, max(shares))
+    encoding = encoding_of(row, layout.sh_degree, chunks, splats, shares)
     if block is None:
         room = _SHARE * (max_memory or 0) - LIBRARIES
-        block = int(room / each)
+        block = encoding.most(room, int(room / each))
         if block < _LEAST:
-            least = (LIBRARIES + _LEAST * each) / _SHARE
+            least = (LIBRARIES + max(_LEAST * each, encoding.held(_LEAST))) / _SHARE
             raise OptionError(
                 f"--max-memory must be at least {least / 1e6:,.0f} MB for this model, of which"
-                f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries."
+                f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries{encoding.remedy()}"
             )
     segment = max(min(block, _SEGMENT), 1)
     blocks = -(-splats // max(block - block // 16, 1))
+    held = min(block, splats)
     results = sum(int(share * splats) for share in shares)
     sorted_rows = splats * (row + 8)
-    tables = splats * (12 + len(shares) * 2 * 4) + results * (2 * row + _PLACES)
+    copies = 3 if chunks else 2  # parts, what is encoded of them, and the result
+    tables = splats * (12 + len(shares) * 2 * 4) + results * (copies * row + _PLACES)
     return ScalePlan(
         splats=splats,
         block=block,
         segment=segment,
         blocks=blocks,
-        memory=LIBRARIES + int(max(min(block, splats) * each, segment * (row + _KEYS))),
+        memory=LIBRARIES + int(max(held * each, segment * (row + _KEYS), encoding.held(held))),
         scratch=sorted_rows + tables,
-        seconds=splats * (_SECONDS + _LEVEL_SECONDS * (len(shares) - 1)),
+        seconds=splats * (_SECONDS + _LEVEL_SECONDS * (len(shares) - 1)) + encoding.seconds,
     )
 
 

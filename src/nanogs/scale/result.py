@@ -6,20 +6,17 @@ A run that is killed between any two of its steps finds what was done by checksu
 import json
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from nanogs.errors import OptionError
 from nanogs.io import check_writable, ply_write, registry, save
 from nanogs.io.atomic import atomic_write
-from nanogs.scale.columns import count_of, empty_columns, read_rows, splats_of
+from nanogs.scale.columns import count_of
+from nanogs.scale.parts import further, read_part
 from nanogs.scale.scratch import hash_file
-from nanogs.scale.settings import Settings
-from nanogs.scale.tables import Record, Table
 from nanogs.scale.work import Work
-from nanogs.simplify.api import simplify
-from nanogs.splats import Splats, concatenate
+from nanogs.splats import concatenate
 
 _STREAMED = ".ply"
 
@@ -63,35 +60,18 @@ def write_result(work: Work, level: int, file: Path, target: int, saving: dict[s
     """
     records = work.of_blocks("part", level)
     counts = [count_of(record) for record in records]
+    parts = (read_part(work.scratch, work.settings, record) for record in records)
     known = registry.writable(file)
     if sum(counts) > target or known.suffix != _STREAMED:
-        small = concatenate(list(_parts(work, records)))
+        small = concatenate(list(parts))
         if len(small) > target:
-            small = _further(small, target, work.settings)
+            small = further(small, target, work.settings)
         save(small, file, **(saving | {"overwrite": True}))
         return len(small)
     with atomic_write(file, overwrite=True) as out:
-        first = next(_parts(work, records[:1]))
-        ply_write.write_parts(first, _parts(work, records), sum(counts), out)
+        first = read_part(work.scratch, work.settings, records[0])
+        ply_write.write_parts(first, parts, sum(counts), out)
     return sum(counts)
-
-
-def _parts(work: Work, records: list[Record]) -> Iterator[Splats]:
-    """The parts one after the other, each in pieces that take little memory."""
-    for record in records:
-        columns = empty_columns(work.settings.layout, count_of(record))
-        with Table(work.scratch, record) as table:
-            read_rows(table, columns, 0, slice(0, count_of(record)))
-        yield splats_of(columns, work.settings.layout)
-
-
-def _further(small: Splats, target: int, settings: Settings) -> Splats:
-    """The model of a count below what blocks can be cut to, which are few splats by then."""
-    given = settings.parameters
-    return simplify(
-        small, count=target, preset="fast", k=given.k, lambda_app=given.lambda_app,
-        balance=given.balance, rounds=given.rounds, pixels=given.pixels, growth=given.growth,
-    )[0]  # fmt: skip
 
 
 def move_into_place(file: Path, path: Path, *, overwrite: bool) -> None:

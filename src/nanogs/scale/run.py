@@ -92,10 +92,14 @@ def _stages(settings: Settings) -> Iterator[tuple[str, int]]:
             yield "cut", level
             yield "settle", level
         yield "part", level
+    if settings.chunks:
+        yield from (("rest", level) for level in range(settings.levels))
+        yield "cells", 0
+        yield from (("chunk", level) for level in range(settings.levels))
 
 
 def _count(work: Work, stage: str) -> int:
-    if stage in ("frame", "partition", "budget"):
+    if stage in ("frame", "partition", "budget", "rest"):
         return 1
     return len(work.settings.segments) if stage == "segment" else work.partition.blocks
 

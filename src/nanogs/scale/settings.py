@@ -11,6 +11,7 @@ from nanogs.simplify.presets import ForestParameters
 MOST_SEEN = 0.1
 PATIENCE = 300.0  # seconds that a run waits for workers where there is none, by default
 WAITING = "wait"  # told in place of a stage's name while there is none
+SOG, TILES = "streamed sog", "3d tiles"  # levels in chunks, as `lod.layout` names them
 VERSION = 1  # of the job folder; one of another version is not continued
 
 
@@ -64,6 +65,21 @@ class Layout:
 
 
 @dataclass(frozen=True, slots=True)
+class Chunks:
+    """How the results lie, where they are levels in chunks.
+
+    Attributes:
+        layout: `SOG` or `TILES`.
+        most: Splats of the finest level in a chunk, at most.
+        spz: Whether the contents of 3D Tiles are packed.
+    """
+
+    layout: str
+    most: int
+    spz: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
     """A job.
 
@@ -76,6 +92,7 @@ class Settings:
         nan: "drop" or "error".
         block: Most splats of a block.
         parameters: Of the forest.
+        chunks: Of the results, or None where each is one file.
     """
 
     inputs: tuple[InputFile, ...]
@@ -86,6 +103,7 @@ class Settings:
     nan: str
     block: int
     parameters: ForestParameters
+    chunks: Chunks | None = None
 
     @property
     def splats(self) -> int:
@@ -104,6 +122,12 @@ class Settings:
     def levels(self) -> int:
         """How many results there are."""
         return len(self.ratios) or len(self.counts)
+
+    @property
+    def chunked(self) -> Chunks:
+        """The chunks of results that have them."""
+        assert self.chunks is not None, "tasks of chunks are for jobs that have them"  # noqa: S101
+        return self.chunks
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, as `json.dumps` takes it."""
@@ -132,6 +156,7 @@ def settings_of(data: Mapping[str, Any]) -> Settings:
             nan=str(data["nan"]),
             block=int(data["block"]),
             parameters=ForestParameters(**data["parameters"]),
+            chunks=Chunks(**data["chunks"]) if data.get("chunks") else None,
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FormatError(

@@ -88,10 +88,40 @@ def write_table(
         size = rows * places[key].row().itemsize
         offset += size + -size % ALIGN
     written = scratch.write(f"{name}.bin", _parts(columns)) if columns else (0, "")
-    record = Record(name, *written, places, facts)
+    return _write_record(scratch, Record(name, *written, places, facts))
+
+
+def write_files(
+    scratch: Scratch, name: str, files: Iterable[tuple[str, bytes]], facts: Mapping[str, Any]
+) -> Record:
+    """Write files as the columns of a table, one at a time as they come.
+
+    Args:
+        scratch: Where to.
+        name: Of the table.
+        files: Name and contents of each.
+        facts: What else was found; looked at when all files have come.
+
+    Raises:
+        OutputError: They cannot be written.
+    """
+    places: dict[str, Place] = {}
+
+    def parts() -> Iterator[Array]:
+        offset = 0
+        for file, data in files:
+            places[file] = Place("|u1", (len(data),), offset)
+            offset += len(data)
+            yield np.frombuffer(data, np.uint8)
+
+    written = scratch.write(f"{name}.bin", parts())
+    return _write_record(scratch, Record(name, *written, places, facts))
+
+
+def _write_record(scratch: Scratch, record: Record) -> Record:
     text = json.dumps(asdict(record))
     whole = json.dumps({"record": text, "sha256": _sha256(text)}).encode()
-    scratch.write(f"{name}.json", [np.frombuffer(whole, np.uint8)])
+    scratch.write(f"{record.name}.json", [np.frombuffer(whole, np.uint8)])
     return record
 
 

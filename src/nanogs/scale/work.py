@@ -13,12 +13,14 @@ from nanogs._types import I32, I64, Array
 from nanogs.errors import OutputError
 from nanogs.scale.blocks import leaves_of, morton_rows, read_block, with_codes
 from nanogs.scale.budget import budget
+from nanogs.scale.chunked import write_cells, write_chunks
 from nanogs.scale.columns import CODES, empty_columns, read_rows, sorted_columns, splats_of
 from nanogs.scale.cuts import LABELS, cut_block, write_cut
 from nanogs.scale.forests import grow
 from nanogs.scale.frame import Frame, frame_of, survey
 from nanogs.scale.halo import find_halo
 from nanogs.scale.partition import Partition, partition, partition_of
+from nanogs.scale.parts import write_rest
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import Layout, Settings
 from nanogs.scale.settle import GONE, GROUP, settled, view_of, write_settled
@@ -99,6 +101,14 @@ class Work:
     def segments(self) -> list[Record]:
         """The sorted segments."""
         return [self.record(Task("segment", i)) for i in range(len(self.settings.segments))]
+
+    def of_job(self, stage: str, level: int = 0) -> Record:
+        """What a stage of one task wrote."""
+        return self.record(Task(stage, 0, level))
+
+    def of_block(self, stage: str, block: int, level: int = 0) -> Record:
+        """What a stage wrote for a block."""
+        return self.record(Task(stage, block, level))
 
     def of_blocks(self, stage: str, level: int = 0) -> list[Record]:
         """What a stage wrote for each block."""
@@ -195,6 +205,19 @@ def _part(work: Work, task: Task) -> Record:
     return write_table(work.scratch, task.name, sorted_columns(small, order), {})
 
 
+def _rest(work: Work, task: Task) -> Record:
+    target = int(work.of_job("budget", task.level).facts["target"])
+    return write_rest(work, task.name, task.level, target)
+
+
+def _cells(work: Work, task: Task) -> Record:
+    return write_cells(work, task.name, task.number)
+
+
+def _chunk(work: Work, task: Task) -> Record:
+    return write_chunks(work, task.name, task.number, task.level)
+
+
 def _members(work: Work, task: Task) -> tuple[Splats, Nodes, I32]:
     """The splats of a block's groups, a leaf for each of them, and the group of each leaf."""
     if not work.settings.parameters.rounds:
@@ -258,4 +281,7 @@ _STAGES: dict[str, Callable[[Work, Task], Record]] = {
     "cut": _cut,
     "settle": _settle,
     "part": _part,
+    "rest": _rest,
+    "cells": _cells,
+    "chunk": _chunk,
 }

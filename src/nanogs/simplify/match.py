@@ -5,13 +5,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, I32, I64, U64, Bool
-from nanogs.kernels.pairs import collect_free, greedy_matching, tally_free
+from nanogs.kernels.pairs import (
+    collect_free,
+    greedy_matching,
+    join_pairs,
+    offer_crossing,
+    offer_pairs,
+    tally_free,
+)
 from nanogs.kernels.radix import radix_sort
+from nanogs.simplify.blocks import BLOCK_PAIRS, blocks
 
 # The pairs are sorted in batches, the cheapest first: those that an earlier batch made impossible
 # are never sorted, and the keys take little memory.
 BATCH = 0.5  # pairs for each row
 SMALLEST_BATCH = 1 << 16
+STRETCH = 1 << 16  # rows that one thread goes through; fixed, so that threads do not matter
+FEW = 0.01  # share of the rows that is no longer worth a round
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +45,11 @@ class MergePlan:
 def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     """Take pairs in ascending order of (cost, pair) while both ends are free.
 
+    A pair that is the cheapest of both its rows is taken whatever the order of the others (Preis,
+    "Linear time 1/2-approximation algorithm for maximum weighted matching", 1999). So rounds of
+    taking all of these, in which rows need not wait for each other, come before sorting the few
+    pairs that are left: the matching is the same.
+
     Args:
         pairs: (E, 2) candidates, i < j, ascending.
         costs: (E,) float32; a pair whose cost is NaN is no candidate.
@@ -43,21 +58,70 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     """
     firsts, seconds = pairs.T
     taken = np.zeros(rows, dtype=bool)
-    chosen: I64 = np.empty(limit, dtype=np.int64)
-    room = max(int(BATCH * rows), SMALLEST_BATCH)
-    count, without_cost = 0, 0
-    while count < limit:
+    joined = _agree(firsts, seconds, costs, taken)
+    left, without_cost = _match_sorted(firsts, seconds, costs, taken)
+    chosen = _cheapest_first(np.sort(np.concatenate((joined, left))), costs)[:limit]
+    matched = np.stack((firsts[chosen], seconds[chosen]), axis=1)
+    return MergePlan(matched, costs[chosen], without_cost)
+
+
+def _agree(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> I64:
+    """Rows of the pairs that are the cheapest of both their rows, then of those left, and so on.
+
+    It ends when a round takes few: in a chain of ascending costs each round would take one.
+    """
+    rows = len(taken)
+    stretches = -(-rows // STRETCH)
+    starts = np.minimum(np.arange(stretches + 1) * STRETCH, rows)
+    # Of the pairs' own type: they would be copied otherwise.
+    bounds = np.searchsorted(firsts, starts.astype(np.int32))
+    crossing = _crossing(firsts, seconds)
+    bests: U64 = np.empty(rows, dtype=np.uint64)
+    joined: I32 = np.full(rows, -1, dtype=np.int32)
+    before, now = -rows, 0
+    while now - before > FEW * rows:
+        offer_pairs(firsts, seconds, costs, taken, bounds, STRETCH, bests)
+        offer_crossing(firsts, seconds, costs, taken, crossing, bests)
+        join_pairs(firsts, seconds, bests, taken, joined)
+        before, now = now, int(np.count_nonzero(taken))
+    return joined[joined >= 0].astype(np.int64)
+
+
+def _crossing(firsts: I32, seconds: I32) -> I32:
+    """Rows of the pairs whose rows are in two stretches."""
+    found = [
+        np.flatnonzero(firsts[block] // STRETCH != seconds[block] // STRETCH) + block.start
+        for block in blocks(len(firsts), BLOCK_PAIRS)
+    ]
+    return np.concatenate([*found, np.empty(0, np.int64)]).astype(np.int32)
+
+
+def _match_sorted(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> tuple[I64, int]:
+    """Rows of the pairs that are taken of what is free, and how many pairs have no cost."""
+    chosen: I64 = np.empty((len(taken) - np.count_nonzero(taken)) // 2, dtype=np.int64)
+    room = max(int(BATCH * len(taken)), SMALLEST_BATCH)
+    count = 0
+    while True:
         counts = np.zeros(1 << 16, dtype=np.int64)
         without_cost = tally_free(firsts, seconds, costs, taken, counts)
         if not counts.any():
-            break
+            return chosen[:count], without_cost
         end = _end_of_batch(counts, room)
         keys = _sorted_keys(firsts, seconds, costs, taken, end, int(counts[:end].sum()))
         count = greedy_matching(firsts, seconds, keys, taken, chosen, count)
         del keys
-    chosen = chosen[:count]
-    matched = np.stack((firsts[chosen], seconds[chosen]), axis=1)
-    return MergePlan(matched, costs[chosen], without_cost)
+
+
+def _cheapest_first(chosen: I64, costs: F32) -> I64:
+    """Ascending rows of pairs, put in the order of (cost, pair)."""
+    bits = costs[chosen].view(np.uint32)
+    sign = np.uint32(1 << 31)
+    # As `_sortable` has it; of the zeros, that below 0 has the bits that the other one gets.
+    bits = np.where(bits > sign, ~bits, bits | sign)
+    keys = bits.astype(np.uint64) << np.uint64(32) | chosen.astype(np.uint64)
+    other = np.empty_like(keys)
+    keys = other if radix_sort(keys, other) else keys
+    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
 
 
 def _end_of_batch(counts: I64, room: int) -> int:

@@ -15,7 +15,7 @@ _PAIRS_PER_NEIGHBOUR = 0.66
 _LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
 _CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the median, flags
 _TILES = 3  # tiles of a 256-pixel view that a splat lies in, on average at most
-_PREPARED = 9 * _F4 + _F4 + 1  # factors, alpha and mask, as the rasteriser reads them
+_PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rasteriser reads them
 _DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
 _SHARES = 5 * _F8 + _TILES * _F4  # of every splat in a view and in all
 _GROUPS = 12  # see `reassign.NEIGHBOURS`
@@ -75,7 +75,10 @@ def graph_bytes(k: int) -> float:
 
 
 def match_bytes(k: int) -> float:
-    """Bytes a splat of pairs, costs, a batch of keys, flags and what is chosen."""
+    """Bytes a splat of pairs, costs, a batch of keys, flags and what is chosen.
+
+    Rounds before the first batch take no more: the cheapest pair of each row and what was joined.
+    """
     return pairs_of(k) * (2 * _I4 + _F4) + 0.5 * 2 * _I8 + 1 + 0.5 * _I8
 
 

@@ -1,0 +1,117 @@
+"""The splats that blocks are left with, level by level: what results are put together from."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nanogs._types import I64, U64, Array, F
+from nanogs.scale.columns import (
+    CODES,
+    count_of,
+    empty_columns,
+    read_rows,
+    sorted_columns,
+    splats_of,
+)
+from nanogs.scale.scratch import Scratch
+from nanogs.scale.settings import Settings
+from nanogs.scale.tables import Record, Table, write_table
+from nanogs.simplify.api import simplify
+from nanogs.splats import Splats, concatenate
+
+if TYPE_CHECKING:
+    from nanogs.scale.work import Work
+
+BOUNDS = "bounds"
+
+
+def read_part(scratch: Scratch, settings: Settings, record: Record) -> Splats:
+    """All splats of a table of them."""
+    return _rows(scratch, settings, record, slice(0, count_of(record)))
+
+
+def further(small: Splats, target: int, settings: Settings) -> Splats:
+    """The model of a count below what blocks can be cut to, which are few splats by then."""
+    given = settings.parameters
+    return simplify(
+        small, count=target, preset="fast", k=given.k, lambda_app=given.lambda_app,
+        balance=given.balance, rounds=given.rounds, pixels=given.pixels, growth=given.growth,
+    )[0]  # fmt: skip
+
+
+def write_rest(work: "Work", name: str, level: int, target: int) -> Record:
+    """Where blocks could not go as far as asked, do the rest in memory, and divide what it gives.
+
+    Splats go to the block that they lie in; where a finer level left one empty, to the one before.
+
+    Args:
+        work: The job, all parts of the level done.
+        name: Of the table, which is empty where nothing was left to do.
+        level: Of the result.
+        target: Splats asked for.
+    """
+    records = work.of_blocks("part", level)
+    if sum(map(count_of, records)) <= target:
+        return write_table(work.scratch, name, {}, {BOUNDS: None})
+    parts = [read_part(work.scratch, work.settings, record) for record in records]
+    small = further(concatenate(parts), target, work.settings)
+    codes = work.frame.codes(small)
+    order = np.argsort(codes, kind="stable")
+    blocks = _filled(work, level)
+    found = np.searchsorted(_first_codes(work)[blocks], codes[order], side="right") - 1
+    places = blocks[np.maximum(found, 0)]
+    bounds = np.searchsorted(places, np.arange(len(records) + 1))
+    return write_table(work.scratch, name, sorted_columns(small, order), {BOUNDS: bounds.tolist()})
+
+
+def part_of_block(work: "Work", block: int, level: int) -> Splats:
+    """The splats of a level that stand for a block; none is missing or twice in all blocks."""
+    return _rows(work.scratch, work.settings, *_place(work, block, level))
+
+
+def means_of_block(work: "Work", block: int, level: int) -> F:
+    """(N, 3) the centres of these splats, scene units."""
+    record, rows = _place(work, block, level)
+    if rows.start == rows.stop:
+        return np.empty((0, 3), np.float32)
+    with Table(work.scratch, record) as table:
+        return table.read("means", rows.start, rows.stop)
+
+
+def _place(work: "Work", block: int, level: int) -> tuple[Record, slice]:
+    """The table and the rows of a block's splats."""
+    rest = work.of_job("rest", level)
+    bounds = rest.facts[BOUNDS]
+    if bounds is None:
+        record = work.of_block("part", block, level)
+        return record, slice(0, count_of(record))
+    return rest, slice(*bounds[block : block + 2])
+
+
+def _filled(work: "Work", level: int) -> I64:
+    """The blocks that hold anything of the finest level, whose cells the others are put into."""
+    bounds = work.of_job("rest", 0).facts[BOUNDS] if level else None
+    if bounds is None:
+        return np.arange(work.partition.blocks)
+    return np.flatnonzero(np.diff(bounds))
+
+
+def _first_codes(work: "Work") -> U64:
+    """(B,) the lowest Morton code of each block."""
+    partition = work.partition
+    lowest = np.full(partition.blocks, np.iinfo(np.uint64).max)
+    for record, bounds in zip(work.segments(), partition.bounds, strict=True):
+        with Table(work.scratch, record) as table:
+            for block in np.flatnonzero(np.diff(bounds)):
+                start = bounds[block]
+                lowest[block] = min(lowest[block], table.read(CODES, start, start + 1)[0])
+    return lowest
+
+
+def _rows(scratch: Scratch, settings: Settings, record: Record, rows: slice) -> Splats:
+    layout = settings.layout
+    columns: dict[str, Array] = empty_columns(layout, rows.stop - rows.start)
+    if rows.stop > rows.start:
+        with Table(scratch, record) as table:
+            read_rows(table, columns, 0, rows)
+    return splats_of(columns, layout)

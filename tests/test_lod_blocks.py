@@ -1,0 +1,443 @@
+"""Levels in chunks of models that do not fit into memory: 3D Tiles and streamed SOG by blocks."""
+
+import itertools
+import json
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs import io
+from nanogs.errors import FormatError, OptionError, OutputError
+from nanogs.io.sog_levels import read_level
+from nanogs.lod import blocks_folder
+from nanogs.lod.cells import divide
+from nanogs.lod.in_blocks import write_levels_in_blocks
+from nanogs.lod.layout import Layout, made_files
+from nanogs.scale import run as scale_run
+from nanogs.scale import work
+from nanogs.scale.chunked import cut_of
+from nanogs.scale.folder import MANIFEST
+from nanogs.scale.job import Where
+from nanogs.scale.plan import plan_blocks
+from nanogs.scale.scratch import FolderScratch
+from nanogs.scale.settings import SOG, TILES, Chunks
+from nanogs.scale.settings import Layout as Columns
+from nanogs.scale.tables import write_files
+from nanogs.simplify.presets import ForestParameters
+from nanogs.splats import concatenate
+from test_cli import run
+from test_lod_stream import files, leaves, nodes, seen_by_the_viewer
+from test_scale_runs import wall
+from test_tiles import corners, level_of, tiles
+
+RATIOS = (0.5, 0.1, 0.02)
+CHUNK = 60
+BLOCK = 400
+
+
+@pytest.fixture(scope="module")
+def splats():
+    return random_splats(1200, degree=1)
+
+
+@pytest.fixture(scope="module")
+def scene(splats, tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(splats, path)
+    return path
+
+
+def write(scene, folder, layout, *, ratios=RATIOS, where=None, progress=None, **options):
+    given = {"preset": "fast", "rounds": 1, "block": BLOCK, "max_memory": None}
+    if layout is not Layout.PLY:
+        given["chunk"] = CHUNK
+    return write_levels_in_blocks(
+        [scene], folder, ratios, layout=layout, where=where or Where(1),
+        progress=progress or (lambda *_: None), **(given | options),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(scene, tmp_path_factory):
+    """The folder of each layout, and what is said of it."""
+    folder = tmp_path_factory.mktemp("made")
+    return {
+        layout: (folder / layout.name, *write(scene, folder / layout.name, layout))
+        for layout in Layout
+    }
+
+
+@pytest.fixture(scope="module")
+def plain(made):
+    """The levels as plain files hold them."""
+    return [nanogs.load(made[Layout.PLY][0] / f"level_{n}.ply") for n in range(len(RATIOS))]
+
+
+def in_order(splats):
+    return splats.take(np.lexsort(splats.means.T))
+
+
+def tile_parts(path):
+    """The contents of each level."""
+    parts = {}
+    for tile, _ in tiles(path):
+        if "content" in tile:
+            parts.setdefault(level_of(tile), []).append(
+                io.load(path.parent / tile["content"]["uri"])
+            )
+    return parts
+
+
+# What is made
+
+
+def test_counts_are_as_asked_in_every_layout(made):
+    for layout, (folder, manifest, reports) in made.items():
+        assert [level.count for level in manifest.levels] == [600, 120, 24]
+        assert [report.achieved_count for report in reports] == [600, 120, 24]
+        assert reports[0].blocks.blocks > 2
+        assert set(files(folder)) == made_files(folder)
+        if layout is not Layout.PLY:
+            named = {name for level in manifest.levels for name in level.files}
+            assert all((folder / name).exists() for name in named)
+            index = {"tileset.json", "lod-meta.json"}
+            sizes = [(folder / name).stat().st_size for name in set(files(folder)) - index]
+            assert sum(level.bytes for level in manifest.levels) == sum(sizes)
+
+
+def test_all_tiles_of_a_level_are_the_level(made, plain):
+    """Bit for bit the splats of the plain level, none twice and none missing."""
+    parts = tile_parts(made[Layout.TILES][0] / "tileset.json")
+    for level, expected in enumerate(map(in_order, plain)):
+        assert all(1 <= len(part) <= CHUNK for part in parts[level])
+        whole = in_order(concatenate(parts[level]))
+        assert np.array_equal(whole.means, expected.means)
+        assert np.array_equal(whole.sh, expected.sh)
+
+
+def test_all_models_of_a_streamed_level_are_the_level(made, plain):
+    path = made[Layout.SOG][0] / "lod-meta.json"
+    assert json.loads(path.read_text())["counts"] == [600, 120, 24]
+    for level, expected in enumerate(plain):
+        back = read_level(path, level)
+        assert len(back) == len(expected)
+        for axis in range(3):  # quantised, and so in another order by coordinates
+            found, wanted = np.sort(back.means[:, axis]), np.sort(expected.means[:, axis])
+            assert np.abs(found - wanted).max() < 1e-3
+
+
+def test_tiles_refine_by_one_scale_for_the_whole_scene(made):
+    """Errors follow from the splats alone, whichever block a tile is of."""
+    path = made[Layout.TILES][0] / "tileset.json"
+    blocks, errors = set(), {0: [], 1: [], 2: []}
+    for tile, parent in tiles(path):
+        inner = tile.get("children", [])
+        if parent:
+            assert tile["geometricError"] <= parent["geometricError"]
+            low, high = corners(parent)
+            assert (corners(tile)[0] >= low - 1e-9).all()
+            assert (corners(tile)[1] <= high + 1e-9).all()
+        if "content" not in tile:
+            continue
+        level, block, _ = tile["content"]["uri"].split("_")
+        blocks.add(block)
+        part = io.load(path.parent / tile["content"]["uri"])
+        own = 4 * float(np.median(part.scales().max(axis=1))) if inner else 0
+        expected = max([own, *(child["geometricError"] for child in inner)])
+        assert tile["geometricError"] == pytest.approx(expected)
+        errors[int(level)].append(tile["geometricError"])
+        assert all(level_of(c) == int(level) - 1 for c in inner if "content" in c)
+    assert len(blocks) > 2
+    assert 0 == np.mean(errors[0]) < np.mean(errors[1]) < np.mean(errors[2])
+
+
+def test_the_streamed_tree_is_binary_and_names_every_row_once(made):
+    path = made[Layout.SOG][0] / "lod-meta.json"
+    meta = json.loads(path.read_text())
+    for node, above in nodes(meta["tree"]):
+        assert ("children" in node) != ("lods" in node)
+        assert len(node.get("children", [0, 0])) == 2
+        for bound in above:
+            assert (np.array(bound["min"]) <= node["bound"]["min"]).all()
+            assert (np.array(bound["max"]) >= node["bound"]["max"]).all()
+    spans = {}
+    for leaf in leaves(meta["tree"]):
+        assert 1 <= leaf["lods"]["0"]["count"] <= CHUNK
+        for level, place in leaf["lods"].items():
+            name = meta["filenames"][place["file"]]
+            assert name.startswith(f"{level}_")
+            spans.setdefault(name, []).append((place["offset"], place["count"]))
+    assert set(spans) == set(meta["filenames"])
+    for name, each in spans.items():
+        ends = [0, *itertools.accumulate(count for _, count in sorted(each))]
+        assert [offset for offset, _ in sorted(each)] == ends[:-1]
+        assert ends[-1] == io.inspect(path.parent / name).splats <= 4 * CHUNK
+
+
+@pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+def test_the_viewer_streams_it(made, tmp_path):
+    """The real viewer shows first what is coarsest, of every block, and then all of the finest."""
+    path = made[Layout.SOG][0] / "lod-meta.json"
+    pixels, asked = seen_by_the_viewer(path, tmp_path, 600)
+    names = json.loads(path.read_text())["filenames"]
+    assert {f"scene/{name}" for name in names if name.startswith("0_")} <= set(asked)
+    assert asked[1].startswith("scene/2_")
+    assert (pixels.max(axis=2) > 40).mean() > 0.05
+
+
+@pytest.mark.parametrize("layout", [Layout.SOG, Layout.TILES])
+@pytest.mark.parametrize("ratios", [(0.5, 0.005, 0.0001), (0.004, 0.0001), (1.0,)])
+def test_few_splats_and_all_of_them(scene, tmp_path, layout, ratios):
+    """Where blocks are left with less than they can be cut to, or with nothing at all."""
+    folder = tmp_path / "levels"
+    manifest, _ = write(scene, folder, layout, ratios=ratios)
+    wanted = [int(np.ceil(1200 * ratio)) for ratio in ratios]
+    assert [level.count for level in manifest.levels] == wanted
+    if layout is Layout.SOG:
+        found = [len(read_level(folder / "lod-meta.json", n)) for n in range(len(ratios))]
+    else:
+        path = folder / "tileset.json"
+        for tile, _ in tiles(path):
+            assert ("children" in tile) == (tile["geometricError"] > 0)
+        parts = tile_parts(path)
+        found = [sum(map(len, parts[level])) for level in range(len(ratios))]
+    assert found == wanted
+
+
+def test_a_coarse_splat_may_lie_where_the_finest_level_left_nothing(tmp_path):
+    """In seed 9 one of two splats is in the block of none of three."""
+    nanogs.save(random_splats(1200, degree=0, seed=9), tmp_path / "a.ply")
+    given = {"ratios": (0.0021, 0.0012)}
+    packed, _ = write(tmp_path / "a.ply", tmp_path / "p", Layout.TILES, spz=True, **given)
+    assert [level.count for level in packed.levels] == [3, 2]
+    write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, **given)
+    parts = tile_parts(tmp_path / "t" / "tileset.json")
+    assert [sum(map(len, parts[level])) for level in range(2)] == [3, 2]
+
+
+def test_a_coarser_tile_is_not_smaller_than_finer_ones():
+    """Merging has moved more into the cells than they held: the finer level's tile stays whole."""
+    cells = divide(np.arange(12.0).reshape(4, 3), 2)
+    counts = np.array([[1, 1], [2, 1]])
+    assert cut_of(cells, counts, 2, 0) == cut_of(cells, counts, 2, 1) == [0]
+    assert cells.cut(counts[1], 2, cells.all_leaves()) == [1, 2]
+
+
+def test_what_is_left_out_is_said_once_for_all_blocks(tmp_path):
+    label = {"label": np.arange(900, dtype=np.int32)}
+    splats = random_splats(900, extras=label)
+    splats.log_scales[:] = 6.5
+    nanogs.save(splats, tmp_path / "a.ply")
+    manifest, _ = write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, spz=True, ratios=[0.5])
+    assert sum("label" in note for note in manifest.notes) == 1
+    assert any(note.startswith("450 splats have log-scales") for note in manifest.notes)
+
+
+# Runs that are cut off, workers
+
+
+class CrashError(Exception):
+    """As if the machine had been switched off."""
+
+
+@pytest.mark.parametrize("layout", [Layout.SOG, Layout.TILES])
+def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
+    scene, tmp_path, made, layout, monkeypatch
+):
+    folder, done = tmp_path / "levels", []
+    move = blocks_folder.move_folder
+
+    def crash_at(function, *places):
+        """The function, which fails at its calls of these numbers."""
+        calls = itertools.count(1)
+
+        def call(*given, **options):
+            if next(calls) in places:
+                done.append("crash")
+                raise CrashError
+            return function(*given, **options)
+
+        return call
+
+    def named(*given, **options):
+        move(*given, **options)
+        if done.count("moved") < 1:
+            done.append("moved")
+            raise CrashError  # the folder has its name, and the job is not taken away
+
+    monkeypatch.setattr(scale_run, "do", crash_at(work.do, 1, 5, 20, 31, 46, 57))
+    monkeypatch.setattr(blocks_folder, "_copy", crash_at(blocks_folder._copy, 1, 5))
+    monkeypatch.setattr(blocks_folder, "move_folder", named)
+    for _ in range(20):
+        try:
+            write(scene, folder, layout, resume=True)
+            break
+        except CrashError:
+            assert (tmp_path / "levels.job" / MANIFEST).exists()
+            assert folder.exists() == ("moved" in done)
+    assert done.count("crash") == 8
+    assert "moved" in done
+    assert files(folder) == files(made[layout][0])
+    assert [path.name for path in tmp_path.iterdir()] == ["levels"]
+
+
+def test_a_job_of_another_layout_or_chunk_is_not_continued(scene, tmp_path):
+    def crash(stage, _done, _total):
+        if stage == "chunk":
+            raise CrashError
+
+    with pytest.raises(CrashError):
+        write(scene, tmp_path / "levels", Layout.SOG, progress=crash)
+    for options in ({"layout": Layout.TILES}, {"layout": Layout.SOG, "chunk": 61}):
+        with pytest.raises(OutputError, match="its chunks differ"):
+            write(scene, tmp_path / "levels", resume=True, **options)
+
+
+def test_nothing_of_others_is_replaced(scene, tmp_path):
+    folder = tmp_path / "levels"
+    write(scene, folder, Layout.TILES, ratios=[0.1])
+    with pytest.raises(OutputError, match="add -w"):
+        write(scene, folder, Layout.SOG)
+    write(scene, folder, Layout.SOG, overwrite=True)
+    assert not (folder / "tileset.json").exists()
+    (folder / "mine.txt").write_text("mine")
+    before = files(folder)
+    with pytest.raises(OutputError, match="mine"):
+        write(scene, folder, Layout.TILES, overwrite=True)
+    assert files(folder) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["levels"]
+
+
+def test_the_job_may_lie_on_another_file_system(scene, tmp_path, made):
+    other = Path("/dev/shm")
+    if not other.is_dir() or other.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("there is no other file system")
+    with tempfile.TemporaryDirectory(dir=other) as job:
+        write(scene, tmp_path / "levels", Layout.TILES, job=Path(job) / "job")
+        assert list(Path(job).iterdir()) == []
+    assert files(tmp_path / "levels") == files(made[Layout.TILES][0])
+    assert [path.name for path in tmp_path.iterdir()] == ["levels"]
+
+
+def test_names_of_files_lead_out_of_no_folder(tmp_path):
+    scratch = FolderScratch(tmp_path / "scratch")
+    scratch.prepare()
+    record = write_files(scratch, "chunk", [("../mine.txt", b"theirs")], {})
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "levels").mkdir()
+    with pytest.raises(FormatError, match="mine"):
+        blocks_folder._copy(SimpleNamespace(scratch=scratch), record, tmp_path / "levels")
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_workers_make_the_same_bytes(scene, tmp_path, made):
+    distributed = pytest.importorskip("distributed")
+    with distributed.Client(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None,
+        set_as_default=False,
+    ) as client:  # fmt: skip
+        write(scene, tmp_path / "levels", Layout.TILES, where=Where(1, client))
+    assert files(tmp_path / "levels") == files(made[Layout.TILES][0])
+
+
+# Memory
+
+
+def test_memory_bounds_blocks_and_files_of_chunks():
+    layout = Columns(3, False, (), "default", (), ())
+
+    def plan(room, chunks):
+        return plan_blocks(10**7, layout, ForestParameters(), (0.5,), room, None, chunks)
+
+    plain, small, large = (
+        plan(500_000_000, chunks)
+        for chunks in (None, Chunks(SOG, 2000, False), Chunks(SOG, 32_768, False))
+    )
+    assert large.block < small.block <= plain.block
+    assert max(large.memory, small.memory, plain.memory) <= 500_000_000
+    assert plain.seconds < large.seconds
+    assert plan(10**9, Chunks(TILES, 32_768, False)).block == plan(10**9, None).block
+    with pytest.raises(OptionError, match="a smaller --chunk"):
+        plan(300_000_000, Chunks(SOG, 32_768, False))
+    with pytest.raises(OptionError, match="a larger --chunk"):
+        plan(500_000_000, Chunks(TILES, 100, False))
+
+
+# The command
+
+
+def test_the_command(tmp_path):
+    scene = tmp_path / "scene.ply"
+    nanogs.save(random_splats(200_000, degree=0), scene)
+    path = tmp_path / "web" / "lod-meta.json"
+    options = ["--levels", "0.05,0.001", "--preset", "fast", "--chunk", "2000"]
+    options += ["--max-memory", "245MB"]
+    planned = json.loads(run("lod", scene, path, *options, "--dry-run", "--json").stdout)
+    assert planned["blocks"]["blocks"] > 1
+    assert planned["blocks"]["memory"] <= 245_000_000
+    plan = run("lod", scene, tmp_path / "web" / "tileset.json", *options, "--dry-run").stderr
+    assert "of at most" in plan
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scene.ply"]
+    result = run("lod", scene, path, *options, "--json", "--threads", "1")
+    assert result.returncode == 0, result.stderr
+    told = json.loads(result.stdout)
+    assert [level["count"] for level in told["levels"]] == [10_000, 200]
+    assert (told["output"], told["layout"]) == (str(path), "streamed sog")
+    assert told["reports"][0]["blocks"]["blocks"] > 1
+    assert path.exists()
+    assert {entry.name for entry in tmp_path.iterdir()} == {"scene.ply", "web"}
+
+
+# Borders
+
+
+def coverage(splats, size=160):
+    """(size, size): how opaque a wall is, seen from the front."""
+    from nanogs.render.camera import Camera
+    from nanogs.render.rasterize import prepare, render
+
+    pose = np.eye(4)
+    pose[2, 3] = 2.0
+    camera = Camera(size, size, float(size), float(size), size / 2, size / 2, pose)
+    white = np.full((len(splats), 1, 3), 0.5 / 0.28209479, np.float32)
+    shown = nanogs.Splats(
+        splats.means, splats.log_scales, splats.quats, splats.opacity_logits, white
+    )
+    return render(prepare(shown), camera).shown()[12:-12, 12:-12, 0]
+
+
+@pytest.mark.parametrize("rounds", [0, 2])
+def test_no_gap_opens_between_blocks(tmp_path, rounds):
+    """Neither at a level nor where blocks of two levels meet, as they do on the screen."""
+    original = wall()
+    nanogs.save(original, tmp_path / "wall.ply")
+    ratios, folder = (0.3, 0.05), tmp_path / "levels"
+    write(tmp_path / "wall.ply", folder, Layout.TILES, ratios=ratios, block=2600, rounds=rounds)
+    parts = {}
+    for path in folder.glob("*.glb"):
+        level, block, _ = path.stem.split("_")
+        parts.setdefault((int(level), int(block)), []).append(nanogs.load(path))
+    blocks = 1 + max(block for _, block in parts)
+    assert blocks >= 4
+    levels = [
+        coverage(concatenate([p for b in range(blocks) for p in parts[level, b]]))
+        for level in range(2)
+    ]
+    whole = [
+        coverage(small)
+        for small, _ in nanogs.levels(original, ratios, preset="fast", rounds=rounds)
+    ]
+    for own, other in zip(levels, whole, strict=True):
+        assert own.min() > other.min() - 0.05
+        assert np.quantile(own, 0.01) > np.quantile(other, 0.01) - 0.02
+    for fine in range(blocks):
+        mixed = [p for b in range(blocks) for p in parts[int(b != fine), b]]
+        shown = coverage(concatenate(mixed))
+        assert shown.min() > min(whole[0].min(), whole[1].min()) - 0.1
+        assert np.quantile(shown, 0.01) > np.quantile(whole[1], 0.01) - 0.03
