@@ -62,7 +62,7 @@ def test_sections_follow_each_other_and_empty_rows_are_skipped(load, mode):
 def test_blocks_agree(load, monkeypatch, mode):
     data = ksplat(section(50, mode, 2), mode=mode)
     whole = load(data)
-    monkeypatch.setattr("nanogs.io.ksplat.BLOCK_ROWS", 7)
+    monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 7)
     assert np.array_equal(load(data).means, whole.means)
     assert np.array_equal(load(data).sh, whole.sh)
 

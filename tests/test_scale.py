@@ -25,11 +25,20 @@ from nanogs.scale.frame import Frame
 from nanogs.scale.partition import partition
 from nanogs.scale.plan import held_bytes, plan_blocks
 from nanogs.scale.scratch import FolderScratch, open_scratch
-from nanogs.scale.settings import InputFile, Layout, Segment, Settings, settings_of
+from nanogs.scale.settings import (
+    VERSION,
+    Access,
+    InputFile,
+    Layout,
+    Segment,
+    Settings,
+    settings_of,
+)
 from nanogs.scale.settle import keep_every_group
 from nanogs.scale.spill import DIGEST
 from nanogs.scale.tables import Place, Table, read_record, verified, write_table
 from nanogs.simplify.presets import ForestParameters
+from torchfiles import File
 
 FAST = {"preset": "fast", "block": 400, "threads": 1}
 SETTLED = {**FAST, "rounds": 2}
@@ -62,7 +71,7 @@ def settings(block, segments, **changes):
     rows = sum(segments)
     bounds = np.cumsum([0, *segments])
     given = {
-        "inputs": (InputFile("scene.ply", 1, 1, rows, True),),
+        "inputs": (InputFile("scene.ply", 1, 1, rows, Access.ROWS),),
         "layout": Layout(0, False, (), "default", (), ()),
         "segments": tuple(Segment(0, int(a), int(b)) for a, b in pairwise(bounds)),
         "ratios": (0.3,),
@@ -182,7 +191,7 @@ def test_settings_survive_json():
     with pytest.raises(FormatError, match="version"):
         settings_of(job.to_dict() | {"version": 0})
     with pytest.raises(FormatError, match="damaged"):
-        settings_of({"version": 1, "layout": {}})
+        settings_of({"version": VERSION, "layout": {}})
 
 
 def test_blocks_are_as_large_as_memory_allows():
@@ -269,10 +278,17 @@ def test_models_for_different_renderers_are_no_scene(tmp_path):
         )
 
 
-def test_only_a_ply_is_read_in_parts(tmp_path):
-    nanogs.save(random_splats(900), tmp_path / "a.npz")
-    with pytest.raises(OptionError, match=r"only a binary \.ply is read in parts"):
-        nanogs.simplify_blocks(tmp_path / "a.npz", tmp_path / "b.ply", ratio=0.5, **FAST)
+def test_a_file_that_is_only_read_whole_must_be_small(tmp_path):
+    splats = random_splats(900)
+    trained = {name: getattr(splats, name) for name in ("means", "quats")}
+    trained |= {"scales": splats.log_scales, "opacities": splats.opacity_logits}
+    trained |= {"sh0": splats.sh[:, :1], "shN": splats.sh[:, 1:]}
+    (tmp_path / "a.pt").write_bytes(File({"splats": trained}).bytes())
+    small = tmp_path / "b.ply"
+    report = nanogs.simplify_blocks(tmp_path / "a.pt", small, ratio=0.5, **(FAST | {"block": 900}))
+    assert report.achieved_count == 450
+    with pytest.raises(OptionError, match="not read in parts"):
+        nanogs.simplify_blocks(tmp_path / "a.pt", tmp_path / "c.ply", ratio=0.5, **FAST)
 
 
 def test_other_formats_are_written_too(scene, tmp_path):

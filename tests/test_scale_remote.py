@@ -232,7 +232,7 @@ def test_a_worker_says_what_it_does_not_see(tmp_path):
         [source], (Goal(ratio=0.5),), block_parameters("fast", {}), None, 400, "drop"
     )
     text = json.dumps(settings.to_dict())
-    with pytest.raises(NanogsError, match=f"On the worker {host}: frame-0-00000 of the job"):
+    with pytest.raises(NanogsError, match=f"On the worker {host}: job-0-00000 of the job"):
         do_task(str(tmp_path / "scratch"), text, "segment", 0, 0, 1, __version__)
     assert not (tmp_path / "scratch").exists()
     with pytest.raises(OptionError, match="install the same version"):

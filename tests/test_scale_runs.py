@@ -161,6 +161,20 @@ def test_workers_make_the_same_bytes_and_may_be_lost(scene, tmp_path, client):
 
 
 @pytest.mark.filterwarnings("ignore")
+def test_workers_unpack_too(tmp_path, client):
+    path, plain = tmp_path / "a.spz", tmp_path / "plain.ply"
+    nanogs.save(random_splats(COUNT, degree=0), path)
+    nanogs.save(nanogs.load(path), plain)
+    here, there, told = tmp_path / "here.ply", tmp_path / "there.ply", []
+    nanogs.simplify_blocks(plain, here, ratio=0.1, **BLOCK)
+    nanogs.simplify_blocks(
+        path, there, ratio=0.1, client=client, progress=lambda *each: told.append(each), **BLOCK
+    )
+    assert ("unpack", 1, 1) in told
+    assert there.read_bytes() == here.read_bytes()
+
+
+@pytest.mark.filterwarnings("ignore")
 def test_a_task_that_fails_on_a_worker_is_told_here(scene, tmp_path, client):
     own = tmp_path / "own.ply"
     own.write_bytes(scene.read_bytes())

@@ -59,7 +59,7 @@ def test_negative_scale_is_noted(load):
 
 def test_blocks_agree(load, monkeypatch):
     data = b"".join(row(mean=(i, 0, 0)) for i in range(20))
-    monkeypatch.setattr("nanogs.io.splat.BLOCK_ROWS", 3)
+    monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 3)
     assert load(data).means[:, 0].tolist() == list(range(20))
 
 

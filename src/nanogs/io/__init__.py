@@ -10,6 +10,7 @@ from nanogs.errors import OptionError
 from nanogs.io import atomic, registry
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.folder import check_folder_writable
+from nanogs.io.format import Format
 from nanogs.io.info import FileInfo
 from nanogs.splats import Splats
 
@@ -171,7 +172,7 @@ def check_writable(
         atomic.check_writable(path, overwrite=overwrite)
 
 
-def _folder_of(path: Path, known: registry.Format) -> Path:
+def _folder_of(path: Path, known: Format) -> Path:
     """The folder that a file describes.
 
     Raises:

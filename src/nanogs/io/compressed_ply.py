@@ -15,7 +15,7 @@ from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes
-from nanogs.io.ply_rows import iter_blocks
+from nanogs.io.ply_rows import iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats
 
 CHUNK_ROWS = 256
@@ -44,10 +44,39 @@ def read(header: Header) -> Splats:
     rows = {e.name: np.empty(e.count, e.dtype()) for e in _kept(header)}
     for block in iter_blocks(header):
         rows[block.element.name][block.rows] = block.values
+    return _splats(header, rows, degree)
+
+
+class Chunks:
+    """A binary file to be read in parts, its header and size checked.
+
+    Raises:
+        FormatError: As for `read`.
+    """
+
+    def __init__(self, header: Header) -> None:
+        self._header, self._degree = header, _check(header)
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows, from the chunks that they are in; see `Rows`."""
+        first = start // CHUNK_ROWS
+        spans = dict.fromkeys(("vertex", "sh") if self._degree else ("vertex",), (start, stop))
+        spans["chunk"] = first, -(-stop // CHUNK_ROWS)
+        rows = {}
+        for name, (low, high) in spans.items():
+            element = _element(self._header, name)
+            rows[name] = np.empty(high - low, element.dtype())
+            for block in iter_span(self._header, element, low, high):
+                rows[name][block.rows] = block.values
+        return _splats(self._header, rows, self._degree, start - first * CHUNK_ROWS)
+
+
+def _splats(header: Header, rows: dict[str, Array], degree: int, skipped: int = 0) -> Splats:
+    """The model of some rows, of whose first chunk so many are left out."""
     comments = [*header.comments, *header.obj_info]
     vertex = rows["vertex"]
     return Splats(
-        **_decoded(rows, degree),
+        **_decoded(rows, degree, skipped),
         extras={
             name: vertex[name].copy()
             for name in _element(header, "vertex").names
@@ -126,7 +155,7 @@ def _error(header: Header, what: str) -> FormatError:
     return FormatError(f"{header.path} (compressed PLY): {what}; export the file again.")
 
 
-def _decoded(rows: dict[str, Array], degree: int) -> dict[str, Any]:
+def _decoded(rows: dict[str, Array], degree: int, skipped: int) -> dict[str, Any]:
     """The arrays of `Splats`, computed in float64 block by block and rounded once."""
     n = len(rows["vertex"])
     out: dict[str, Any] = {
@@ -139,7 +168,7 @@ def _decoded(rows: dict[str, Array], degree: int) -> dict[str, Any]:
     for start in range(0, n, BLOCK_ROWS):
         span = slice(start, min(start + BLOCK_ROWS, n))
         vertex = rows["vertex"][span]
-        chunk = rows["chunk"][np.arange(span.start, span.stop) // CHUNK_ROWS]
+        chunk = rows["chunk"][(skipped + np.arange(span.start, span.stop)) // CHUNK_ROWS]
         out["means"][span] = _between(chunk, "{}_{}", "xyz", _unit_11_10_11(vertex[PACKED[0]]))
         out["quats"][span] = _quats(vertex[PACKED[1]])
         out["log_scales"][span] = _between(

@@ -5,7 +5,7 @@ sentence about the model.
 """
 
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Self
 
 
@@ -71,3 +71,21 @@ def join_findings(parts: Iterable[Iterable[str]]) -> tuple[str, ...]:
                 text = Finding(text.template, value, text.merge)
             found[text.template] = text
     return tuple(found.values())
+
+
+def to_plain(sentence: str) -> str | dict[str, Any]:
+    """A sentence as JSON holds it; of a finding only one whose values are numbers to be added."""
+    if isinstance(sentence, Finding) and isinstance(sentence.value, int):
+        return {"template": sentence.template, "value": sentence.value}
+    return str(sentence)
+
+
+def of_plain(data: str | Mapping[str, Any]) -> str:
+    """A sentence from what `to_plain` made of it."""
+    return data if isinstance(data, str) else Finding(data["template"], int(data["value"]))
+
+
+def negative_scales(count: int) -> list[str]:
+    """A sentence if so many splats of a file have a negative scale, which has no logarithm."""
+    text = "{} splats have a negative scale, which became NaN."
+    return [Finding(text, count)] if count else []

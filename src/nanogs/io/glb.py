@@ -12,9 +12,10 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from nanogs._types import F64, Array
+from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.files import input_size, unreadable
+from nanogs.io.glb_rows import Accessor
 
 MAGIC = b"glTF"
 JSON_CHUNK, BODY_CHUNK = b"JSON", b"BIN\0"
@@ -130,46 +131,6 @@ def _shown(value: object) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Accessor:
-    """Rows of equal numbers in the file, its place checked against the file's size.
-
-    Attributes:
-        count: Rows.
-        components: Numbers in each.
-        kind: Their numpy type.
-        normalized: Whether integers stand for -1 to 1, or 0 to 1.
-        offset: Of the first row in the file, bytes.
-        stride: From one row to the next, bytes.
-    """
-
-    count: int
-    components: int
-    kind: str
-    normalized: bool
-    offset: int
-    stride: int
-
-    def values(self, body: Array) -> Array:
-        """(count, components) view of the file's bytes."""
-        width = np.dtype(self.kind).itemsize
-        return np.ndarray(
-            (self.count, self.components),
-            self.kind,
-            buffer=body,
-            offset=self.offset,
-            strides=(self.stride, width),
-        )
-
-    def decoded(self, stored: Array) -> F64:
-        """What the stored numbers stand for, float64."""
-        values = stored.astype(np.float64)
-        if self.normalized and stored.dtype.kind in "iu":
-            values /= np.iinfo(stored.dtype).max
-            np.maximum(values, -1, out=values)
-        return values
-
-
-@dataclass(frozen=True, slots=True)
 class Glb:
     """A file's JSON and where its buffer lies."""
 
@@ -200,7 +161,7 @@ class Glb:
         if count < 1 or stride < width or offset + (count - 1) * stride + width > end:
             raise part.error(f"with {count} rows does not fit into its buffer view")
         normalized = part.data.get("normalized") is True
-        return Accessor(count, components, kind, normalized, offset, stride)
+        return Accessor(count, components, kind, normalized, offset, stride, (start, end))
 
     def _span(self, view: Part) -> tuple[int, int]:
         """First byte of a buffer view in the file, and the one after its last."""

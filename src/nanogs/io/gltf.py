@@ -8,20 +8,24 @@ applied. The render mode and the comments of a PLY file, for which the extension
 travel in the primitive's `extras`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
-from nanogs._types import F64, Array
+from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.compressed_ply import logit
 from nanogs.io.files import BLOCK_ROWS, splat_bytes, unreadable
-from nanogs.io.glb import Accessor, Glb, Part, read_glb
+from nanogs.io.findings import Finding
+from nanogs.io.glb import Glb, Part, read_glb
+from nanogs.io.glb_rows import Accessor, Body
 from nanogs.io.gltf_scene import EXTENSION, Placed, Pose, placed_splats
 from nanogs.io.info import FileInfo
+from nanogs.io.parts import Rows
 from nanogs.splats import RenderMode, Splats
 
 MAX_DEGREE = 3
@@ -30,6 +34,7 @@ MODE_KEY, COMMENTS_KEY = "SplatRenderMode", "comments"
 _UNDERSTOOD = (EXTENSION, "KHR_mesh_quantization")
 _DERIVED = ("COLOR_0", "NORMAL")  # for viewers that know no splats
 _POINTS = 0
+_LOGARITHMS = "Scales are negative, so they were read as logarithms, as early drafts had."
 _TYPE_NAMES = {"i1": "char", "u1": "uchar", "<i2": "short", "<u2": "ushort", "<f4": "float"}
 
 
@@ -91,31 +96,63 @@ def read(path: Path) -> Splats:
             or refers to other files.
     """
     scene = _scene(path)
-    n = scene.count
-    out: dict[str, Any] = {
-        "means": np.empty((n, 3), np.float32),
-        "log_scales": np.empty((n, 3), np.float32),
-        "quats": np.empty((n, 4), np.float32),
-        "opacity_logits": np.empty(n, np.float32),
-        "sh": np.zeros((n, (scene.degree + 1) ** 2, 3), np.float32),
-    }
+    return _Rows(scene).read(0, scene.count)
+
+
+def rows(path: Path) -> Rows:
+    """The file to be read in parts.
+
+    Raises:
+        FormatError: As for `read`.
+    """
+    return _Rows(_scene(path))
+
+
+class _Rows:
+    """The splats of all primitives, one after the other."""
+
+    def __init__(self, scene: _Scene) -> None:
+        self._scene = scene
+        with _body(scene.glb.path) as body, np.errstate(invalid="ignore"):
+            self._logarithms = _hold_logarithms(scene.primitives, body)
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Rows`."""
+        scene, n = self._scene, stop - start
+        out: dict[str, Any] = {
+            "means": np.empty((n, 3), np.float32),
+            "log_scales": np.empty((n, 3), np.float32),
+            "quats": np.empty((n, 4), np.float32),
+            "opacity_logits": np.empty(n, np.float32),
+            "sh": np.zeros((n, (scene.degree + 1) ** 2, 3), np.float32),
+        }
+        first = 0
+        # Whatever bits there are: NaN, infinity, zero scales.
+        with _body(scene.glb.path) as body, np.errstate(all="ignore"):
+            for primitive in scene.primitives:
+                end = first + primitive.count
+                low, high = max(start, first), min(stop, end)
+                if low < high:
+                    part = {name: array[low - start : high - start] for name, array in out.items()}
+                    _decode(primitive, body, part, low - first, self._logarithms)
+                first = end
+        notes = list(scene.notes)
+        if self._logarithms:
+            notes.append(
+                "Scales are negative, so they were read as logarithms, as early drafts had."
+            )
+        if wrong := int(np.isnan(out["opacity_logits"]).sum()):
+            notes.append(Finding("{} opacities are not from 0 to 1 and became NaN.", wrong))
+        return Splats(**out, render_mode=scene.mode, comments=scene.comments, notes=notes)
+
+
+@contextmanager
+def _body(path: Path) -> Iterator[Body]:
     try:
-        body = np.memmap(path, np.uint8, "r")
+        with path.open("rb", buffering=0) as file:
+            yield Body(path, cast("BinaryIO", file))
     except OSError as error:
         raise unreadable(path, error) from error
-    with np.errstate(all="ignore"):  # whatever bits there are: NaN, infinity, zero scales
-        logarithms = _hold_logarithms(scene.primitives, body)
-        start = 0
-        for primitive in scene.primitives:
-            part = {name: array[start : start + primitive.count] for name, array in out.items()}
-            _decode(primitive, body, part, logarithms)
-            start += primitive.count
-    notes = list(scene.notes)
-    if logarithms:
-        notes.append("Scales are negative, so they were read as logarithms, as early drafts had.")
-    if wrong := int(np.isnan(out["opacity_logits"]).sum()):
-        notes.append(f"{wrong} opacities are not from 0 to 1 and became NaN.")
-    return Splats(**out, render_mode=scene.mode, comments=scene.comments, notes=notes)
 
 
 def inspect(path: Path) -> FileInfo:
@@ -235,25 +272,28 @@ def _is_line(text: object) -> bool:
     return isinstance(text, str) and "\n" not in text and not text.endswith("\r")
 
 
-def _hold_logarithms(primitives: Sequence[_Primitive], body: Array) -> bool:
+def _hold_logarithms(primitives: Sequence[_Primitive], body: Body) -> bool:
     """Whether some scale is below 0, which linear ones are not."""
     for primitive in primitives:
-        stored = primitive.accessors[attribute("SCALE")].values(body)
-        for start in range(0, len(stored), BLOCK_ROWS):
-            if (stored[start : start + BLOCK_ROWS] < 0).any():
+        scales = primitive.accessors[attribute("SCALE")]
+        for start in range(0, scales.count, BLOCK_ROWS):
+            if (scales.values(body, start, min(start + BLOCK_ROWS, scales.count)) < 0).any():
                 return True
     return False
 
 
-def _decode(primitive: _Primitive, body: Array, out: dict[str, Any], logarithms: bool) -> None:
-    """Fill the rows of one primitive, block by block."""
+def _decode(
+    primitive: _Primitive, body: Body, out: dict[str, Any], first: int, logarithms: bool
+) -> None:
+    """Fill arrays with rows of one primitive, from a first one on, block by block."""
     pose = None if primitive.pose.is_identity() else primitive.pose
-    columns = {name: a.values(body) for name, a in primitive.accessors.items()}
-    for start in range(0, primitive.count, BLOCK_ROWS):
-        span = slice(start, min(start + BLOCK_ROWS, primitive.count))
+    count = len(out["means"])
+    for start in range(0, count, BLOCK_ROWS):
+        span = slice(start, min(start + BLOCK_ROWS, count))
 
         def block(name: str, span: slice = span) -> F64:
-            return primitive.accessors[name].decoded(columns[name][span])
+            accessor = primitive.accessors[name]
+            return accessor.decoded(accessor.values(body, first + span.start, first + span.stop))
 
         means, quats = block("POSITION"), block(attribute("ROTATION"))[:, [3, 0, 1, 2]]
         scales = block(attribute("SCALE"))

@@ -14,7 +14,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +32,7 @@ from nanogs.splats import RenderMode, Splats
 
 _SUFFIX = ".npz"
 _REQUIRED = ("means", "log_scales", "quats", "opacity_logits", "sh")
-_MODE, _EXTRA = "render_mode", "extra:"
+MODE, _EXTRA = "render_mode", "extra:"
 _ARRAY = ".npy"
 _MAGIC = b"\x93NUMPY"
 _HEADER = re.compile(
@@ -54,7 +54,7 @@ _ZIP_ERRORS = (
 
 
 @dataclass(frozen=True, slots=True)
-class _Member:
+class Member:
     """One array of the archive, its header checked against its size."""
 
     info: zipfile.ZipInfo
@@ -65,6 +65,7 @@ class _Member:
 
     @property
     def data_bytes(self) -> int:
+        """Its size, the header aside."""
         return self.info.file_size - self.start
 
 
@@ -74,14 +75,29 @@ def read(path: Path) -> Splats:
     Raises:
         FormatError: The file cannot be read, is damaged, or its arrays are no model.
     """
-    with _opened(path) as archive:
-        members = _members(path, archive)
+    with opened(path) as archive:
+        members = members_of(path, archive)
         arrays: dict[str, Any] = {
-            name: _load(archive, member) for name, member in members.items() if _ours(name)
+            name: load_array(archive, member) for name, member in members.items() if ours(name)
         }
-    mode = arrays.pop(_MODE, np.array(RenderMode.DEFAULT.value))
+    return model_of(path, arrays, members)
+
+
+def model_of(path: Path, arrays: dict[str, Any], names: Iterable[str]) -> Splats:
+    """The model that arrays make.
+
+    Args:
+        path: The file, for the message.
+        arrays: Those that nanogs knows, by name.
+        names: Of all arrays of the file.
+
+    Raises:
+        FormatError: They make none.
+    """
+    arrays = dict(arrays)
+    mode = arrays.pop(MODE, np.array(RenderMode.DEFAULT.value))
     extras = {n.removeprefix(_EXTRA): arrays.pop(n) for n in [*arrays] if n.startswith(_EXTRA)}
-    unknown = [printable(name) for name in members if not _ours(name)]
+    unknown = [printable(name) for name in names if not ours(name)]
     notes = [f"Arrays nanogs does not know were left out: {', '.join(unknown)}."] if unknown else []
     try:
         return Splats(**arrays, extras=extras, render_mode=_mode(path, mode), notes=notes)
@@ -95,9 +111,9 @@ def inspect(path: Path) -> FileInfo:
     Raises:
         FormatError: As for `read`, except for what only the arrays show.
     """
-    with _opened(path) as archive:
-        members = _members(path, archive)
-        mode = _load(archive, members[_MODE]) if _MODE in members else None
+    with opened(path) as archive:
+        members = members_of(path, archive)
+        mode = load_array(archive, members[MODE]) if MODE in members else None
     means, sh = members["means"], members["sh"]
     coefficients = sh.shape[1] if len(sh.shape) == 3 else 0
     return FileInfo(
@@ -111,7 +127,7 @@ def inspect(path: Path) -> FileInfo:
         properties=tuple(
             (name.removeprefix(_EXTRA), TYPE_NAMES.get(m.dtype.str[1:], m.dtype.str))
             for name, m in members.items()
-            if _ours(name) and name != _MODE
+            if ours(name) and name != MODE
         ),
         extras=tuple(n.removeprefix(_EXTRA) for n in members if n.startswith(_EXTRA)),
         elements=(),
@@ -157,14 +173,15 @@ def losses(splats: Splats) -> tuple[str, ...]:
     return tuple(limits.left_out(splats, _SUFFIX, extras=False))
 
 
-def _ours(name: str) -> bool:
-    return name in (*_REQUIRED, _MODE) or name.startswith(_EXTRA)
+def ours(name: str) -> bool:
+    """Whether nanogs knows an array of that name."""
+    return name in (*_REQUIRED, MODE) or name.startswith(_EXTRA)
 
 
 def _arrays(splats: Splats) -> dict[str, Array]:
     """Every array of the file by name, in the order they are written."""
     arrays: dict[str, Array] = {name: getattr(splats, name) for name in _REQUIRED}
-    arrays[_MODE] = np.array(splats.render_mode.value)
+    arrays[MODE] = np.array(splats.render_mode.value)
     for name, column in splats.extras.items():
         if not _SIMPLE.fullmatch(column.dtype.str):
             raise OutputError(
@@ -196,8 +213,12 @@ def _header(array: Array, shape: tuple[int, ...]) -> bytes:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    """The archive, with everything that reading a damaged one may raise as a `FormatError`."""
+def opened(path: Path) -> Iterator[zipfile.ZipFile]:
+    """The archive, with everything that reading a damaged one may raise as a `FormatError`.
+
+    Raises:
+        FormatError: As said.
+    """
     input_size(path)
     try:
         with zipfile.ZipFile(path) as archive:
@@ -208,8 +229,12 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         raise unreadable(path, error) from error
 
 
-def _members(path: Path, archive: zipfile.ZipFile) -> dict[str, _Member]:
-    """The arrays of the archive by name, once their declared sizes make sense."""
+def members_of(path: Path, archive: zipfile.ZipFile) -> dict[str, Member]:
+    """The arrays of the archive by name, once their declared sizes make sense.
+
+    Raises:
+        FormatError: They do not, or an array that is needed is missing.
+    """
     infos = [info for info in archive.infolist() if info.filename.endswith(_ARRAY)]
     names = [info.filename.removesuffix(_ARRAY) for info in infos]
     if missing := [name for name in _REQUIRED if name not in names]:
@@ -226,13 +251,13 @@ def _members(path: Path, archive: zipfile.ZipFile) -> dict[str, _Member]:
     return members
 
 
-def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Member:
+def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Member:
     where = f"{path}: array {printable(info.filename)!r}"
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise FormatError(f"{where} is packed in a way NumPy never does; save it again.")
     with archive.open(info) as file:
         dtype, shape, fortran, start = _parse(where, file)
-    member = _Member(info, dtype, shape, fortran, start)
+    member = Member(info, dtype, shape, fortran, start)
     if member.data_bytes != math.prod(shape) * dtype.itemsize:
         raise FormatError(f"{where} has not the size its header states; save it again.")
     return member
@@ -255,8 +280,12 @@ def _parse(where: str, file: IO[bytes]) -> tuple[np.dtype[np.generic], tuple[int
     return dtype, shape, match[2] == "True", 8 + width + size
 
 
-def _load(archive: zipfile.ZipFile, member: _Member) -> Array:
-    """The array in native byte order; memory grows with what the file really holds."""
+def load_array(archive: zipfile.ZipFile, member: Member) -> Array:
+    """The array in native byte order; memory grows with what the file really holds.
+
+    Raises:
+        EOFError: It is cut short.
+    """
     out = bytearray()
     with archive.open(member.info) as file:
         file.read(member.start)

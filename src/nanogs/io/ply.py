@@ -1,23 +1,24 @@
 """Reading 3DGS `.ply` files: any encoding, any column order, by name."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nanogs._types import Array
 from nanogs.errors import FormatError
 from nanogs.io import columns, compressed_ply, render_tag
+from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.findings import Finding
 from nanogs.io.info import FileInfo
+from nanogs.io.parts import Column, ColumnReader, Packed, Rows
 from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes, printable, read_header
 from nanogs.io.ply_rows import Block, check_body, iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats
 
-if TYPE_CHECKING:
-    from nanogs._types import Array
-
 _WIDE = ("f8", "i4", "u4")  # types of a centre that float32 does not hold exactly
+_TOKEN = 120  # bytes that a number of text takes while it is read: as text, number and value
 
 
 def read(path: Path) -> Splats:
@@ -69,32 +70,67 @@ def stream(path: Path) -> Iterator[Splats]:
             yield vertex.splats(elements)
 
 
-def seekable(path: Path) -> bool:
-    """Whether `read_span` takes the file: a binary one that is not compressed.
+def rows(path: Path) -> Rows | None:
+    """The file to be read in parts, unless it is one of text.
 
     Raises:
         FormatError: As for `inspect`.
     """
     header = _checked(path)
-    return header.encoding != "ascii" and not compressed_ply.is_compressed(header)
+    if header.encoding == "ascii":
+        return None
+    return compressed_ply.Chunks(header) if compressed_ply.is_compressed(header) else _Body(header)
 
 
-def read_span(path: Path, start: int, stop: int) -> Splats:
-    """Some rows of a seekable file, nothing else of it read; further elements without their rows.
-
-    Args:
-        path: The file.
-        start: The first row.
-        stop: The row after the last, at most the file's count.
+def packed(path: Path) -> Packed | None:
+    """A file of text to be unpacked: its rows in binary; None for others.
 
     Raises:
-        FormatError: As for `read`.
+        FormatError: As for `inspect`.
     """
     header = _checked(path)
-    vertex = _Vertex(header, rows=stop - start)
-    for block in iter_span(header, vertex.element, start, stop):
-        vertex.put(block)
-    return vertex.splats([])
+    text = header.encoding == "ascii" and not compressed_ply.is_compressed(header)
+    return _Text(header) if text else None
+
+
+class _Text:
+    """The rows of a file of text."""
+
+    def __init__(self, header: Header) -> None:
+        self._header, self._vertex = header, _Vertex(header, rows=0)
+        element = self._vertex.element
+        self._row = element.dtype()
+        self.columns = {"vertex": Column("|u1", (element.count, self._row.itemsize))}
+        widest = max(len(each.properties) for each in header.elements)
+        self.memory = BLOCK_ROWS * widest * _TOKEN
+
+    def unpack(self, _notes: list[str]) -> Iterator[Array]:
+        """The one column; see `Packed`."""
+        for block in iter_blocks(self._header):
+            if block.element is self._vertex.element:
+                yield block.values.view(np.uint8).reshape(-1, self._row.itemsize)
+
+    def read(self, columns: ColumnReader, start: int, stop: int) -> Splats:
+        """Some rows; see `Packed`."""
+        vertex = _Vertex(self._header, rows=stop - start)
+        for at in range(start, stop, BLOCK_ROWS):
+            rows = columns("vertex", at, min(at + BLOCK_ROWS, stop)).view(self._row)[:, 0]
+            span = slice(at - start, at - start + len(rows))
+            vertex.put(Block(vertex.element, span, rows))
+        return vertex.splats([])
+
+
+@dataclass(frozen=True, slots=True)
+class _Body:
+    """The rows of a binary file."""
+
+    header: Header
+
+    def read(self, start: int, stop: int) -> Splats:
+        vertex = _Vertex(self.header, rows=stop - start)
+        for block in iter_span(self.header, vertex.element, start, stop):
+            vertex.put(block)
+        return vertex.splats([])
 
 
 def inspect(path: Path) -> FileInfo:

@@ -10,6 +10,7 @@ import numpy as np
 from nanogs._types import F64, Array
 from nanogs.errors import FormatError
 from nanogs.io.files import BLOCK_ROWS, unreadable
+from nanogs.io.parts import fill, row_blocks
 from nanogs.io.ply_header import Element, Header
 
 _MAX_TOKEN = 400  # characters; the longest double in plain decimals has about 330
@@ -70,16 +71,9 @@ def iter_span(header: Header, element: Element, start: int, stop: int) -> Iterat
             break
         offset += before.count * before.dtype("<").itemsize if before.count else 0
     dtype = element.dtype(header.order)
-    try:
-        with header.path.open("rb", buffering=0) as file:
-            file.seek(offset + start * dtype.itemsize)
-            buffer = np.empty(min(stop - start, BLOCK_ROWS), dtype)
-            for span in _spans(stop - start):
-                values = buffer[: span.stop - span.start]
-                _fill(header.path, file, values)
-                yield Block(element, span, values)
-    except OSError as error:
-        raise unreadable(header.path, error) from error
+    at = offset + start * dtype.itemsize
+    for span, values in row_blocks(header.path, dtype, at, stop - start):
+        yield Block(element, span, values)
 
 
 def _check_keepable(path: Path, element: Element) -> None:
@@ -144,16 +138,8 @@ def _binary_blocks(header: Header) -> Iterator[Block]:
             buffer = np.empty(min(element.count, BLOCK_ROWS), element.dtype(header.order))
             for span in _spans(element.count):
                 values = buffer[: span.stop - span.start]
-                _fill(header.path, file, values)
+                fill(header.path, file, values)
                 yield Block(element, span, values)
-
-
-def _fill(path: Path, file: BinaryIO, values: Array) -> None:
-    left = values.view(np.uint8).data
-    while left:
-        if not (count := file.readinto(left)):  # type: ignore[attr-defined]
-            raise FormatError(f"{path} became shorter while it was read; {_AGAIN}")
-        left = left[count:]
 
 
 def _ascii_blocks(header: Header) -> Iterator[Block]:

@@ -1,13 +1,11 @@
 """The formats nanogs knows, by the suffix of the file name."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any
 
 from nanogs.errors import FormatError, OptionError, did_you_mean
-from nanogs.frames import TRAINED
 from nanogs.io import (
     checkpoint,
     compressed_ply_write,
@@ -15,103 +13,27 @@ from nanogs.io import (
     gltf_write,
     ksplat,
     npz,
+    npz_packed,
     ply,
     ply_write,
     sog,
     sog_levels,
+    sog_packed,
     sog_write,
     splat,
     spz,
     spz_write,
     usda_write,
 )
-from nanogs.io.folder import Ours
-from nanogs.io.info import FileInfo
+from nanogs.io.format import Format, Sizer, WriteOption, Writer, unread
 from nanogs.splats import Splats
 
 LEVELS = "lod-meta.json"
-Writer = Callable[..., None]
-"""Writes a model to a file that is open for binary writing."""
-Sizer = Callable[[Splats, int], int]
-"""Bytes of the file of a model of so many splats that is like the given one in all else."""
-Losses = Callable[[Splats], tuple[str, ...]]
-"""What a file of the format cannot hold of a model, one sentence each, besides quantisation."""
-
-
-_UNSTATED = "not stated in the file; y down (rdf) by habit"
 _SPZ_FRAME = (
     "not stated in the file; y up (rub) by the specification, though many files have y down (rdf)"
 )
 _GLTF_FRAME = "y up (luf) in the file, turned to y down (rdf) when read"
 _USD_FRAME = "y up in the file, by a transform; the model's own y is taken to be down (rdf)"
-
-
-class FolderWriter(Protocol):
-    """Makes the folder of a model; it may replace one of nanogs' own if told so."""
-
-    def __call__(self, splats: Splats, path: Path, *, overwrite: bool) -> None:
-        """Write the model; see `io.save` for what it raises."""
-
-
-def _unread(path: Path) -> NoReturn:
-    raise FormatError(f"{path}: nanogs writes this format but does not read it; name another file.")
-
-
-def _nothing(_splats: Splats) -> tuple[str, ...]:
-    return ()
-
-
-def _steady(_splats: Splats) -> Sequence[int]:
-    return ()
-
-
-@dataclass(frozen=True, slots=True)
-class WriteOption:
-    """A choice in writing a format: what the writer calls it, and what it may be."""
-
-    keyword: str
-    values: tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Format:
-    """One format: what its files are called, and how they are read and written.
-
-    `file_bytes` tells the size of a file before it is written; never smaller for more splats.
-    `stream` yields the model in blocks of rows. `frame` says which way is up, and `axes` is the
-    name of the frame of a model that was read, or None where files differ; with `turns`, files are
-    in the format's own frame, to and from which reading and writing turn. `leaps` are counts, in
-    ascending order, of which a file takes far more than of one splat less. `options` are what
-    `save` takes for this format alone. Of a format whose model is a folder, described by the file
-    of the name `suffix` in it, `write_folder` makes that folder and `ours` says what in such a
-    folder nanogs made.
-    """
-
-    suffix: str
-    read: Callable[[Path], Splats]
-    inspect: Callable[[Path], FileInfo]
-    write: Writer | None = None
-    file_bytes: Sizer | None = None
-    losses: Losses = _nothing
-    stream: Callable[[Path], Iterator[Splats]] | None = None
-    read_level: Callable[[Path, int], Splats] | None = None
-    frame: str = _UNSTATED
-    axes: str | None = TRAINED
-    turns: bool = False
-    leaps: Callable[[Splats], Sequence[int]] = _steady
-    options: Mapping[str, WriteOption] = field(default_factory=dict)
-    write_folder: FolderWriter | None = None
-    ours: Ours | None = None
-
-    @property
-    def readable(self) -> bool:
-        """Whether nanogs reads it."""
-        return self.read is not _unread
-
-    @property
-    def writable(self) -> bool:
-        """Whether nanogs writes it, as a file or as a folder."""
-        return bool(self.write or self.write_folder)
 
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
@@ -124,21 +46,49 @@ FORMATS = (
         compressed_ply_write.file_bytes,
         compressed_ply_write.losses,
         ply.stream,
+        ply.rows,
+        ply.packed,
     ),
-    Format(".ply", ply.read, ply.inspect, ply_write.write, ply_write.file_bytes, stream=ply.stream),
-    Format(".splat", splat.read, splat.inspect, splat.write, splat.file_bytes, losses=splat.losses),
-    Format(".npz", npz.read, npz.inspect, npz.write, npz.file_bytes, losses=npz.losses),
+    Format(
+        ".ply",
+        ply.read,
+        ply.inspect,
+        ply_write.write,
+        ply_write.file_bytes,
+        stream=ply.stream,
+        rows=ply.rows,
+        packed=ply.packed,
+    ),
+    Format(
+        ".splat",
+        splat.read,
+        splat.inspect,
+        splat.write,
+        splat.file_bytes,
+        losses=splat.losses,
+        rows=splat.rows,
+    ),
+    Format(
+        ".npz",
+        npz.read,
+        npz.inspect,
+        npz.write,
+        npz.file_bytes,
+        losses=npz.losses,
+        packed=npz_packed.packed,
+    ),
     Format(
         ".spz",
         spz.read,
         spz.inspect,
         spz_write.write,
         losses=spz_write.losses,
+        packed=spz.packed,
         frame=_SPZ_FRAME,
         axes=None,
         options={"spz_version": WriteOption("version", (3, 4))},
     ),
-    Format(".ksplat", ksplat.read, ksplat.inspect),
+    Format(".ksplat", ksplat.read, ksplat.inspect, rows=ksplat.rows),
     Format(
         ".glb",
         gltf.read,
@@ -146,6 +96,7 @@ FORMATS = (
         gltf_write.write,
         gltf_write.file_bytes,
         gltf_write.losses,
+        rows=gltf.rows,
         frame=_GLTF_FRAME,
         turns=True,
     ),
@@ -155,12 +106,13 @@ FORMATS = (
         sog.inspect,
         sog_write.write,
         losses=sog_write.losses,
+        packed=sog_packed.packed,
         leaps=sog_write.leaps,
     ),
     Format(
         ".usda",
-        _unread,
-        _unread,
+        unread,
+        unread,
         usda_write.write,
         losses=usda_write.losses,
         frame=_USD_FRAME,
@@ -173,10 +125,19 @@ FORMATS = (
         sog.read,
         sog.inspect,
         losses=sog_write.losses,
+        packed=sog_packed.packed,
+        files=sog_packed.files,
         write_folder=sog_write.write_folder,
         ours=sog_write.ours,
     ),
-    Format(LEVELS, sog_levels.read, sog_levels.inspect, read_level=sog_levels.read_level),
+    Format(
+        LEVELS,
+        sog_levels.read,
+        sog_levels.inspect,
+        read_level=sog_levels.read_level,
+        packed=sog_packed.packed_level,
+        files=sog_packed.level_files,
+    ),
 )
 
 

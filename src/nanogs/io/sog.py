@@ -5,14 +5,14 @@ stands for; the tables come from float64 and are rounded once. As in the other 8
 0 and 255 become logits of ∓inf.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nanogs._types import U8, U16, Array
+from nanogs._types import F32, U8, U16, Array
 from nanogs.errors import FormatError
 from nanogs.io.container import Bundle, Container, Folder
 from nanogs.io.files import BLOCK_ROWS, check_expansion, input_size, splat_bytes, unreadable
@@ -30,6 +30,10 @@ _PROPERTIES = (
     ("sh0", "uchar"),
     ("opacity", "uchar"),
 )
+_CHANNELS = {
+    "means_l": 3, "means_u": 3, "quats": 4, "scales": 3, "sh0": 4, "shN_labels": 2,
+    "shN_centroids": 3,
+}  # fmt: skip
 _PALETTE_PROPERTY = (("shN_labels", "ushort"),)
 _DEGREE_OF_WIDTH = {PALETTE_COLUMNS * ((d + 1) ** 2 - 1): d for d in (1, 2, 3)}
 
@@ -133,24 +137,81 @@ def read_model(container: Container, name: str) -> Splats:
     Raises:
         FormatError: As for `read`.
     """
-    meta = load_meta(container, name)
-    degree = sh_degree(container, meta)
-    _checked_bytes(container, name, meta, degree)
-    sizes = _check_sizes(container, meta, degree)
-    n = meta.count
-    out: dict[str, Any] = {
-        "means": _means(container, meta),
-        "quats": _quats(_texture(container, meta, "quats")[:n]),
-        "log_scales": _lookup(meta.scales, _texture(container, meta, "scales")[:n, :3]),
-    }
-    colour = _texture(container, meta, "sh0")[:n]
-    out["opacity_logits"] = meta.logits[colour[:, 3]]
-    out["sh"] = np.empty((n, (degree + 1) ** 2, 3), np.float32)
-    out["sh"][:, 0] = _lookup(meta.sh0, colour[:, :3])
-    if degree:
-        slots = PALETTE_COLUMNS * sizes["shN_centroids"][1]
-        _fill_rest(container, meta, out["sh"], meta.palette or slots)
-    return Splats(**out, render_mode=meta.render_mode, notes=meta.notes)
+    model = Model(container, name)
+
+    def texture(texture: str) -> U8:
+        rows, channels = model.shape(texture)
+        return texels_of(container, model.meta, texture)[:rows, :channels]
+
+    return model.decoded(texture)
+
+
+class Model:
+    """A model whose description and textures have been checked, but none of them decoded.
+
+    Attributes:
+        meta: Its description.
+        degree: SH degree.
+        sizes: Width and height of each texture.
+    """
+
+    def __init__(self, container: Container, name: str) -> None:
+        self.meta = load_meta(container, name)
+        self.degree = sh_degree(container, self.meta)
+        _checked_bytes(container, name, self.meta, self.degree)
+        self.sizes = _check_sizes(container, self.meta, self.degree)
+        self._where = container.where(self.meta.files.get("shN_labels", name))
+        self._table: F32 | None = None
+
+    def _coordinates(self) -> F32:
+        if self._table is None:  # which takes longer than all else here
+            self._table = self.meta.coordinates()
+        return self._table
+
+    def shape(self, texture: str) -> tuple[int, int]:
+        """How many texels of a texture, and how many bytes of each, hold something."""
+        width, height = self.sizes[texture]
+        rows = width * height if texture == "shN_centroids" else self.meta.count
+        return rows, _CHANNELS[texture]
+
+    def decoded(self, texture: Callable[[str], U8]) -> Splats:
+        """The splats of some rows.
+
+        Args:
+            texture: These rows of a texture, or all of the palette; called once for each.
+
+        Raises:
+            FormatError: A row names an entry that the palette has not.
+        """
+        meta = self.meta
+        out: dict[str, Any] = {
+            "means": _lookup(self._coordinates(), _words(texture("means_l"), texture("means_u"))),
+            "quats": _quats(texture("quats")),
+            "log_scales": _lookup(meta.scales, texture("scales")),
+        }
+        colour = texture("sh0")
+        out["opacity_logits"] = meta.logits[colour[:, 3]]
+        out["sh"] = np.empty((len(colour), (self.degree + 1) ** 2, 3), np.float32)
+        out["sh"][:, 0] = _lookup(meta.sh0, colour[:, :3])
+        if self.degree:
+            self._fill_rest(texture, out["sh"])
+        return Splats(**out, render_mode=meta.render_mode, notes=meta.notes)
+
+    def _fill_rest(self, texture: Callable[[str], U8], sh: Array) -> None:
+        """Write the higher coefficients of the palette's entries that the labels name."""
+        n, coefficients = len(sh), sh.shape[1] - 1
+        palette = self.meta.palette or PALETTE_COLUMNS * self.sizes["shN_centroids"][1]
+        texels = texture("shN_labels")
+        labels = _words(texels[:, 0], texels[:, 1])
+        if labels.max(initial=0) >= palette:
+            raise _error(self._where, f"names entries beyond the palette's {palette}")
+        entries = texture("shN_centroids").reshape(-1, coefficients, 3)
+        if n < len(entries):  # those named are fewer than all
+            sh[:, 1:] = self.meta.sh_rest[entries[labels]]
+            return
+        centroids = self.meta.sh_rest[entries]
+        for start in range(0, n, BLOCK_ROWS):
+            sh[start : start + BLOCK_ROWS, 1:] = centroids[labels[start : start + BLOCK_ROWS]]
 
 
 def _check_sizes(container: Container, meta: Meta, degree: int) -> dict[str, tuple[int, int]]:
@@ -174,18 +235,14 @@ def _check_sizes(container: Container, meta: Meta, degree: int) -> dict[str, tup
     return sizes
 
 
-def _texture(container: Container, meta: Meta, texture: str) -> U8:
-    """(P, 4) bytes of a texture whose size has been checked."""
+def texels_of(container: Container, meta: Meta, texture: str) -> U8:
+    """(P, 4) bytes of a texture whose size has been checked.
+
+    Raises:
+        FormatError: It cannot be read or decoded.
+    """
     name = meta.files[texture]
     return decode(container.read(name, container.size(name)), container.where(name))
-
-
-def _means(container: Container, meta: Meta) -> Array:
-    """(N, 3): what the codes made of a low and a high byte stand for, axis by axis."""
-    low, high = (
-        _texture(container, meta, name)[: meta.count, :3] for name in ("means_l", "means_u")
-    )
-    return _lookup(meta.coordinates, _words(low, high))
 
 
 def _words(low: U8, high: U8) -> U16:
@@ -214,20 +271,6 @@ def _quats(texels: U8) -> Array:
             quats[rows] = np.insert(small[rows], index, left_out[rows], axis=1)
         out[start : start + BLOCK_ROWS] = quats
     return out
-
-
-def _fill_rest(container: Container, meta: Meta, sh: Array, palette: int) -> None:
-    """Write the higher coefficients of the palette's entries that the labels name."""
-    n, coefficients = len(sh), sh.shape[1] - 1
-    texels = _texture(container, meta, "shN_labels")[:n]
-    labels = _words(texels[:, 0], texels[:, 1])
-    if labels.max() >= palette:
-        name = meta.files["shN_labels"]
-        raise _error(container.where(name), f"names entries beyond the palette's {palette}")
-    palette_texels = _texture(container, meta, "shN_centroids")[:, :3]
-    centroids = meta.sh_rest[palette_texels].reshape(-1, coefficients, 3)
-    for start in range(0, n, BLOCK_ROWS):
-        sh[start : start + BLOCK_ROWS, 1:] = centroids[labels[start : start + BLOCK_ROWS]]
 
 
 def _error(where: str, what: str) -> FormatError:

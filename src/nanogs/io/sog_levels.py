@@ -6,7 +6,7 @@ in `lods`, by level, which `count` rows from `offset` on of which `file` stand f
 Each level is the whole scene: levels are read one at a time and never put together.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -99,7 +99,7 @@ def inspect(path: Path) -> FileInfo:
     infos = []
     for piece in read_manifest(path).levels[0]:
         info = sog.inspect(piece.path)
-        _check_rows(piece, info.splats)
+        check_rows(piece, info.splats)
         infos.append(replace(info, splats=piece.count))
     widest = max(infos, key=lambda info: info.sh_degree)
     return replace(
@@ -108,7 +108,7 @@ def inspect(path: Path) -> FileInfo:
         format="streamed sog",
         file_bytes=input_size(path) + sum(info.file_bytes for info in infos),
         splats=sum(info.splats for info in infos),
-        render_mode=_common_mode({info.render_mode for info in infos}),
+        render_mode=common_mode({info.render_mode for info in infos}),
     )
 
 
@@ -179,7 +179,12 @@ def _piece(path: Path, name: object, spans: list[tuple[int, int]]) -> Piece:
     return Piece(path.parent.joinpath(*parts[:-1]), parts[-1], tuple(ordered))
 
 
-def _check_rows(piece: Piece, available: int) -> None:
+def check_rows(piece: Piece, available: int) -> None:
+    """Compare the rows of a piece with those that its model has.
+
+    Raises:
+        FormatError: The model has fewer.
+    """
     if any(offset + count > available for offset, count in piece.spans):
         raise FormatError(
             f"{piece.path} has {available} splats, fewer than its lod-meta.json says; export or "
@@ -189,7 +194,7 @@ def _check_rows(piece: Piece, available: int) -> None:
 
 def _rows(piece: Piece) -> Splats:
     splats = sog.read(piece.path)
-    _check_rows(piece, len(splats))
+    check_rows(piece, len(splats))
     if piece.count == len(splats):
         return splats
     spans = [np.arange(offset, offset + count) for offset, count in piece.spans]
@@ -198,16 +203,21 @@ def _rows(piece: Piece) -> Splats:
 
 def _joined(models: list[Splats], notes: tuple[str, ...]) -> Splats:
     """The models one after the other, with zeros for coefficients that one lacks."""
+    said = joined_notes([model.notes for model in models], notes)
     if len(models) == 1:
-        return replace(models[0], notes=[*models[0].notes, *notes])
-    own = dict.fromkeys(note for model in models for note in model.notes)
+        return replace(models[0], notes=said)
     return replace(
         concatenate(models),
-        render_mode=_common_mode({model.render_mode for model in models}),
-        notes=[*own, *notes],
+        render_mode=common_mode({model.render_mode for model in models}),
+        notes=said,
     )
 
 
-def _common_mode(modes: set[RenderMode]) -> RenderMode:
-    """The render mode that all pieces state; a scene cannot be drawn in two ways at once."""
+def joined_notes(models: Sequence[Sequence[str]], notes: Sequence[str]) -> list[str]:
+    """What is said of the models and of the manifest, each once."""
+    return [*dict.fromkeys(note for model in models for note in model), *notes]
+
+
+def common_mode(modes: set[RenderMode]) -> RenderMode:
+    """The render mode that all models state; a scene cannot be drawn in two ways at once."""
     return modes.pop() if len(modes) == 1 else RenderMode.DEFAULT

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from nanogs._types import F32, F64
+from nanogs._types import F32, F64, I64
 from nanogs.io.compressed_ply import logit
 from nanogs.io.json_fields import integer, numbers, plain_name, refused, rows, table
 from nanogs.io.texture import MAX_SIDE
@@ -41,6 +41,7 @@ MODELS = {
     "2dgs": RenderMode.SURFEL,
 }
 MAX_COUNT = MAX_SIDE**2
+_LAST = (1 << 16) - 1  # of the codes of a coordinate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +53,8 @@ class Meta:
         count: Number of splats.
         files: Names by texture: means_l, means_u, quats, scales, sh0, and shN_centroids and
             shN_labels where the colour depends on the view.
-        coordinates: (65536, 3) float32, the coordinates that the 16-bit codes stand for.
+        bounds: Two of (3,) float64, logarithms of the coordinates that the first and the last
+            16-bit code stand for.
         scales: (256, 3) float32, the log-scales that the bytes stand for.
         sh0: (256, 3) float32, base colour coefficients.
         logits: (256,) float32, opacity logits.
@@ -66,7 +68,7 @@ class Meta:
     version: int
     count: int
     files: Mapping[str, str]
-    coordinates: F32
+    bounds: tuple[F64, F64]
     scales: F32
     sh0: F32
     logits: F32
@@ -75,6 +77,28 @@ class Meta:
     palette: int | None
     render_mode: RenderMode
     notes: tuple[str, ...]
+
+    def coordinates(self) -> F32:
+        """(65536, 3): what each code stands for on each axis, scene units."""
+        return _coordinates(*self.bounds, np.arange(_LAST + 1))
+
+
+def _coordinates(low: F64, high: F64, codes: I64) -> F32:
+    logarithm = low + (high - low) * (codes[:, None] / _LAST)
+    with np.errstate(over="ignore"):
+        values = np.sign(logarithm) * (np.exp(np.abs(logarithm)) - 1)
+        out: F32 = values.astype(np.float32)
+    return out
+
+
+def file_names(data: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    """Names of the files of a parsed `meta.json`, of which nothing else is looked at.
+
+    Raises:
+        FormatError: They are missing, or no plain names.
+    """
+    fields = _Fields(data, where, 2 if data.get("version") == 2 else 1)
+    return tuple(fields.files(rest=data.get("shN") is not None).values())
 
 
 def read_meta(data: Mapping[str, Any], where: str) -> Meta:
@@ -98,7 +122,7 @@ def read_meta(data: Mapping[str, Any], where: str) -> Meta:
         version=int(version),
         count=fields.count(),
         files=fields.files(rest),
-        coordinates=fields.coordinates(),
+        bounds=fields.bounds(),
         scales=fields.values("scales", 3),
         sh0=fields.values("sh0", 3),
         logits=fields.logits(),
@@ -155,16 +179,11 @@ class _Fields:
             out |= {texture: plain_name(file, at) for texture, file in zip(own, given, strict=True)}
         return out
 
-    def coordinates(self) -> F32:
-        """(65536, 3): what each code stands for on each axis."""
+    def bounds(self) -> tuple[F64, F64]:
         low, high = self._bounds("means", 3)
-        logarithm = low + (high - low) * (np.arange(1 << 16)[:, None] / 65535)
-        with np.errstate(over="ignore"):
-            values = np.sign(logarithm) * (np.exp(np.abs(logarithm)) - 1)
-            out: F32 = values.astype(np.float32)
-        if not np.isfinite(out).all():
+        if not np.isfinite(_coordinates(low, high, np.array([0, _LAST]))).all():
             raise refused(self._at("means"), "has bounds beyond single precision")
-        return out
+        return low, high
 
     def _bounds(self, name: str, length: int) -> tuple[F64, F64]:
         own = self._table(name)

@@ -4,6 +4,7 @@ Layout: https://github.com/antimatter15/splat - position and scale 3 x float32 e
 alpha 4 x uint8, rotation wxyz as 4 x uint8 with 128 for zero.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,8 +14,10 @@ from nanogs._types import F32, F64, U8, Array
 from nanogs.errors import FormatError
 from nanogs.io import limits
 from nanogs.io.compressed_ply import SH_C0, base_colour, logit
-from nanogs.io.files import BLOCK_ROWS, input_size, unreadable
+from nanogs.io.files import BLOCK_ROWS, input_size
+from nanogs.io.findings import negative_scales
 from nanogs.io.info import FileInfo
+from nanogs.io.parts import Rows, row_blocks
 from nanogs.splats import RenderMode, Splats
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
@@ -29,28 +32,40 @@ def read(path: Path) -> Splats:
     Raises:
         FormatError: The file cannot be read, or is not a whole number of rows.
     """
-    n = _count(path)
-    try:
-        rows = np.memmap(path, _ROW, "r", shape=(n,))
-    except OSError as error:
-        raise unreadable(path, error) from error
-    out: dict[str, Any] = {
-        "means": np.empty((n, 3), np.float32),
-        "log_scales": np.empty((n, 3), np.float32),
-        "quats": np.empty((n, 4), np.float32),
-        "opacity_logits": np.empty(n, np.float32),
-        "sh": np.empty((n, 1, 3), np.float32),
-    }
-    negative = 0
-    for start in range(0, n, BLOCK_ROWS):
-        negative += _decode(rows[start : start + BLOCK_ROWS], out, start)
-    notes = [f"{negative} splats have a negative scale, which became NaN."] if negative else []
-    return Splats(**out, notes=notes)
+    return _File(path).read(0, _count(path))
 
 
-def _decode(rows: Array, out: dict[str, Any], start: int) -> int:
+def rows(path: Path) -> Rows:
+    """The file to be read in parts.
+
+    Raises:
+        FormatError: As for `read`.
+    """
+    _count(path)
+    return _File(path)
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    path: Path
+
+    def read(self, start: int, stop: int) -> Splats:
+        n = stop - start
+        out: dict[str, Any] = {
+            "means": np.empty((n, 3), np.float32),
+            "log_scales": np.empty((n, 3), np.float32),
+            "quats": np.empty((n, 4), np.float32),
+            "opacity_logits": np.empty(n, np.float32),
+            "sh": np.empty((n, 1, 3), np.float32),
+        }
+        negative = 0
+        for span, block in row_blocks(self.path, _ROW, start * _ROW.itemsize, n):
+            negative += _decode(block, out, span)
+        return Splats(**out, notes=negative_scales(negative))
+
+
+def _decode(rows: Array, out: dict[str, Any], span: slice) -> int:
     """Decode one block; how many of its rows have a negative scale."""
-    span = slice(start, start + len(rows))
     out["means"][span] = rows["mean"]
     with np.errstate(divide="ignore", invalid="ignore"):
         out["log_scales"][span] = np.log(rows["scale"].astype(np.float64))

@@ -10,16 +10,19 @@ The specification has y up and z backwards, but files do not say so and most con
 do, axes as they are. Alpha 0 and 255 become -inf and +inf, as in every 8-bit format here.
 """
 
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nanogs._types import F32, F64, U8
+from nanogs._types import F32, F64, U8, Array
 from nanogs.io.compressed_ply import logit
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
-from nanogs.io.spz_header import ANTIALIASED, Header, read_body, read_header
+from nanogs.io.parts import Column, ColumnReader, Packed
+from nanogs.io.spz_body import body_pieces, read_body, window_bytes
+from nanogs.io.spz_header import ANTIALIASED, Header, read_header
 from nanogs.splats import RenderMode, Splats
 
 COLOUR_SCALE = 0.15
@@ -27,6 +30,7 @@ SCALE_STEPS, SCALE_LOW = 16, -10.0
 SH_STEPS = 128
 MAGNITUDE = 511  # of 9 bits; stands for sqrt(1/2), which no part but the largest exceeds
 
+_PIECES = 8 << 20  # bytes: packed and unpacked ones, and buffers
 _BYTES = np.arange(256)
 _ALPHAS = logit(_BYTES / 255).astype(np.float32)
 _COLOURS = ((_BYTES / 255 - 0.5) / COLOUR_SCALE).astype(np.float32)
@@ -42,7 +46,52 @@ def read(path: Path) -> Splats:
     """
     header = read_header(path)
     columns, notes = read_body(header)
-    n, coefficients = header.count, (header.degree + 1) ** 2
+    return _decoded(header, columns, notes)
+
+
+def packed(path: Path) -> Packed:
+    """The file to be unpacked.
+
+    Raises:
+        FormatError: As for `inspect`.
+    """
+    return _Body(read_header(path))
+
+
+class _Body:
+    """The columns of a file as they are stored, inflated."""
+
+    def __init__(self, header: Header) -> None:
+        self._header = header
+        self._widths = header.columns()
+        self.columns = {
+            name: Column("|u1", (header.count, width)) for name, width in self._widths.items()
+        }
+
+    @property
+    def memory(self) -> int:
+        """The decoder's window, and some pieces."""
+        return window_bytes(self._header) + _PIECES
+
+    def unpack(self, notes: list[str]) -> Iterator[Array]:
+        """All columns; see `Packed`."""
+        pieces = body_pieces(self._header, notes)
+        for width in self._widths.values():
+            left = self._header.count
+            while left:
+                piece = np.frombuffer(next(pieces), np.uint8).reshape(-1, width)
+                left -= len(piece)
+                yield piece
+        next(pieces, None)  # what follows the columns is looked at
+
+    def read(self, columns: ColumnReader, start: int, stop: int) -> Splats:
+        """Some rows; see `Packed`."""
+        stored = {name: columns(name, start, stop) for name in self._widths}
+        return _decoded(self._header, stored, [])
+
+
+def _decoded(header: Header, columns: Mapping[str, U8], notes: Sequence[str]) -> Splats:
+    n, coefficients = len(columns["alphas"]), (header.degree + 1) ** 2
     out: dict[str, Any] = {
         "means": np.empty((n, 3), np.float32),
         "log_scales": np.empty((n, 3), np.float32),

@@ -212,7 +212,9 @@ def start_tile(left: F32, x0: int, y0: int, width: int, height: int) -> None:
 
 @inline
 def _list_pieces(
-    rows: F64,
+    geometry: F64,
+    entries: I32,
+    first: int,
     count: int,
     x0: int,
     y0: int,
@@ -225,20 +227,21 @@ def _list_pieces(
     """The runs of 8 pixels of a tile that each of some splats reaches, splat by splat; how many.
 
     Listed first and blended later, since branches that depend on a splat cost as much as blending.
-    Those of a splat come in pairs. rows: (count, 8) and more, of geometry; (x0, y0): the tile's
-    corner; bases, squares, starts and pieces: out, see `span_rows`.
+    Those of a splat come in pairs. The splats are `count` of the entries, from place `first` on;
+    (x0, y0): the tile's corner; bases, squares, starts and pieces: out, see `span_rows`.
     """
     n = 0
     for j in range(count):
-        u, v = rows[j, 0] - x0 - 0.5, rows[j, 1] - y0 - 0.5
-        inv_w, slope, inv_yy, reach = rows[j, 2], rows[j, 3], rows[j, 4], rows[j, 5]
-        ey = rows[j, 7]
+        i = entries[first + j]
+        u, v = geometry[i, 0] - x0 - 0.5, geometry[i, 1] - y0 - 0.5
+        inv_w, slope, inv_yy = geometry[i, 2], geometry[i, 3], geometry[i, 4]
+        reach, ey = geometry[i, 5], geometry[i, 7]
         top = min(int(max(v - ey + 1.0, 0.0)), PIXELS)
         tall = v + ey >= top + PIXELS
-        for row in range(0 if tall else top, TILE if tall else top + 1, PIXELS):
+        for above in range(0 if tall else top, TILE if tall else top + 1, PIXELS):
             n = span_rows(
-                u, v, inv_w, slope, inv_yy, reach, row, open_rows, bases, squares, starts,
-                j * SPLAT + row, pieces, n, ROWS_OF,
+                u, v, inv_w, slope, inv_yy, reach, above, open_rows, bases, squares, starts,
+                j * SPLAT + above, pieces, n, ROWS_OF,
             )  # fmt: skip
         pieces[n] = j * SPLAT + TILE  # makes an even number
         n += n & 1
@@ -297,7 +300,6 @@ def _fetch(
     entries: I32,
     first: int,
     count: int,
-    rows: F64,
     values: F32,
     slopes: F32,
     opacities: F32,
@@ -305,8 +307,6 @@ def _fetch(
     """Copy some splats side by side: many reads of far memory then wait at the same time."""
     for j in range(count):
         i = entries[first + j]
-        for k in range(8):
-            rows[j, k] = geometry[i, k]
         slopes[j] = np.float32(geometry[i, 2])
         opacities[j] = np.float32(geometry[i, 6])
         for c in range(values.shape[1]):
@@ -392,7 +392,6 @@ def blend_tiles(
     planes = np.empty((channels, ROWS, TILE), np.float32)
     probed = np.empty((len(probes), ROWS, TILE), np.float32)
     open_rows = np.empty(TILE, np.int32)
-    rows = np.empty((BATCH, 8), np.float64)
     slopes, opacities = np.empty(BATCH, np.float32), np.empty(BATCH, np.float32)
     values = np.empty((BATCH, channels), np.float32)
     bases, squares = np.empty(SECOND, np.float32), np.empty(SECOND, np.float32)
@@ -416,11 +415,13 @@ def blend_tiles(
             if any_open(left, open_rows) == 0:
                 break
             count = min(BATCH, end - first)
-            _fetch(geometry, features, entries, first, count, rows, values, slopes, opacities)
+            _fetch(geometry, features, entries, first, count, values, slopes, opacities)
             for e in range(first + BATCH, min(first + 2 * BATCH, end)):
                 prefetch(geometry, entries[e])
                 prefetch(features, entries[e])
-            n = _list_pieces(rows, count, x0, y0, open_rows, bases, squares, begins, pieces)
+            n = _list_pieces(
+                geometry, entries, first, count, x0, y0, open_rows, bases, squares, begins, pieces
+            )
             _clear(sums)
             _blend_pieces(
                 n, pieces, bases, squares, begins, slopes, opacities, values, left, weights, planes

@@ -14,6 +14,7 @@ from nanogs.scale.columns import row_bytes
 from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks
 from nanogs.scale.settings import PATIENCE, Chunks, Settings
 from nanogs.scale.source import look_at, segments_of
+from nanogs.scale.unpack import cost_of
 from nanogs.simplify.job import NanPolicy
 from nanogs.simplify.presets import DEFAULT_PRESET, ForestParameters, parameters
 from nanogs.simplify.target import Goal, target_count
@@ -172,7 +173,7 @@ def plan_job(
         parameters=in_blocks(chosen),
         chunks=chunks,
     )
-    return settings, plan
+    return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
 
 
 def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None:

@@ -10,6 +10,7 @@ from nanogs._types import F64, U64
 from nanogs.errors import ModelError
 from nanogs.scale.settings import Settings
 from nanogs.scale.source import sample
+from nanogs.scale.unpack import Unpacked
 from nanogs.simplify.extent import dilation
 from nanogs.simplify.gaussians import scene_origin
 from nanogs.simplify.nodes import activate_nodes, thinnest_axis
@@ -56,13 +57,18 @@ def frame_of(data: Mapping[str, Any]) -> Frame:
     return Frame(**fixed)
 
 
-def survey(settings: Settings) -> Frame:
+def survey(settings: Settings, unpacked: Unpacked | None = None) -> Frame:
     """Look at some of the rows of all inputs.
 
+    Args:
+        settings: The job.
+        unpacked: The files that have been unpacked, if any.
+
     Raises:
+        FormatError: They cannot be read.
         ModelError: No splat among them is usable.
     """
-    some = sample(settings)
+    some = sample(settings, unpacked)
     if len(some) == 0:
         raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
     origin = scene_origin(some.means)

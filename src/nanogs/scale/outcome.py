@@ -3,6 +3,7 @@
 import time
 from dataclasses import asdict
 
+from nanogs.io.findings import join_findings, of_plain
 from nanogs.report import BlocksReport, SimplifyReport, StageClock, StopReason
 from nanogs.scale.columns import count_of
 from nanogs.scale.run import Done
@@ -34,7 +35,7 @@ def report_of(
     target = int(work.record(Task("budget", 0, level)).facts["target"])
     segments = work.segments()
     settled = work.of_blocks("settle", level) if settings.parameters.rounds else []
-    own_notes = [note for record in segments for note in record.facts["notes"]]
+    own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
     unrendered = [UNRENDERED] if preset != "fast" else []
     return SimplifyReport(
         preset=preset,

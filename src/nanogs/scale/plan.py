@@ -10,6 +10,7 @@ from nanogs.io.files import splat_bytes
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.encoding import encoding_of
 from nanogs.scale.settings import MOST_SEEN, Chunks, Layout
+from nanogs.scale.unpack import Cost
 from nanogs.simplify.memory import LIBRARIES, plan_memory
 from nanogs.simplify.presets import ForestParameters
 
@@ -45,6 +46,24 @@ class ScalePlan:
     scratch: int
     seconds: float
 
+    def unpacking(self, cost: Cost, max_memory: int | None) -> "ScalePlan":
+        """With what it takes to unpack the inputs first.
+
+        Args:
+            cost: Of that.
+            max_memory: Bytes that a process may take; not needed where blocks are given.
+
+        Raises:
+            OptionError: That is too little.
+        """
+        if max_memory is not None and cost.memory > _room(max_memory):
+            raise OptionError(
+                f"--max-memory must be at least {_least(cost.memory) / 1e6:,.0f} MB to unpack"
+                f" {cost.path}; raise it, or convert the file to .ply."
+            )
+        memory = max(self.memory, LIBRARIES + cost.memory if cost.memory else 0)
+        return replace(self, memory=memory, scratch=self.scratch + cost.scratch)
+
 
 def in_blocks(parameters: ForestParameters) -> ForestParameters:
     """The parameters that blocks are simplified with: nothing is rendered."""
@@ -77,10 +96,10 @@ def plan_blocks(
     row, each = row_bytes(layout), held_bytes(layout, parameters, max(shares))
     encoding = encoding_of(row, layout.sh_degree, chunks, splats, shares)
     if block is None:
-        room = _SHARE * (max_memory or 0) - LIBRARIES
+        room = _room(max_memory or 0)
         block = encoding.most(room, int(room / each))
         if block < _LEAST:
-            least = (LIBRARIES + max(_LEAST * each, encoding.held(_LEAST))) / _SHARE
+            least = _least(max(_LEAST * each, encoding.held(_LEAST)))
             raise OptionError(
                 f"--max-memory must be at least {least / 1e6:,.0f} MB for this model, of which"
                 f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries{encoding.remedy()}"
@@ -101,6 +120,16 @@ def plan_blocks(
         scratch=sorted_rows + tables,
         seconds=splats * (_SECONDS + _LEVEL_SECONDS * (len(shares) - 1)) + encoding.seconds,
     )
+
+
+def _room(max_memory: int) -> float:
+    """Bytes that are there for splats, of those that a process may take."""
+    return _SHARE * max_memory - LIBRARIES
+
+
+def _least(held: float) -> float:
+    """Bytes that a process must be allowed to take for so many of splats."""
+    return (LIBRARIES + held) / _SHARE
 
 
 def held_bytes(layout: Layout, parameters: ForestParameters, share: float) -> float:

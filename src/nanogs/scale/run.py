@@ -7,8 +7,8 @@ from typing import Protocol
 from nanogs.report import StageClock
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import Settings
-from nanogs.scale.tables import verified
-from nanogs.scale.work import Task, Work, do
+from nanogs.scale.tables import verified, write_table
+from nanogs.scale.work import MARK, UNPACK, Task, Work, do
 
 Progress = Callable[[str, int, int], None]
 """Called with a stage's name, how many of its tasks are done, and of how many; see `WAITING`."""
@@ -69,13 +69,14 @@ def run_tasks(
         NanogsError: A task could not be done.
     """
     work, kept = Work(scratch, settings, threads), 0
+    write_table(scratch, MARK.name, {}, {})
     for stage, level in _stages(settings):
         tasks = [Task(stage, number, level) for number in range(_count(work, stage))]
         with clock.time(stage):
             left = [task for task in tasks if not (resumed and _is_done(work, task))]
             kept += len(tasks) - len(left)
             progress(stage, len(tasks) - len(left), len(tasks))
-            # The frame is made here: workers find out by it whether they see the same files.
+            # The frame is made here, while workers of this machine start.
             doing = Here() if stage == "frame" else executor
             for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
                 work.record(task)  # kept: the report is made when the scratch is gone
@@ -84,6 +85,8 @@ def run_tasks(
 
 
 def _stages(settings: Settings) -> Iterator[tuple[str, int]]:
+    if settings.unpacked:
+        yield UNPACK, 0
     for stage in ("frame", "segment", "partition", "forest"):
         yield stage, 0
     for level in range(settings.levels):
@@ -101,6 +104,8 @@ def _stages(settings: Settings) -> Iterator[tuple[str, int]]:
 def _count(work: Work, stage: str) -> int:
     if stage in ("frame", "partition", "budget", "rest"):
         return 1
+    if stage == UNPACK:
+        return len(work.settings.unpacked)
     return len(work.settings.segments) if stage == "segment" else work.partition.blocks
 
 

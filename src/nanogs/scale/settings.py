@@ -1,7 +1,9 @@
 """What a job is about: all that decides the bytes of its result, as plain data."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from enum import StrEnum
 from typing import Any
 
 from nanogs.errors import FormatError
@@ -12,7 +14,15 @@ MOST_SEEN = 0.1
 PATIENCE = 300.0  # seconds that a run waits for workers where there is none, by default
 WAITING = "wait"  # told in place of a stage's name while there is none
 SOG, TILES = "streamed sog", "3d tiles"  # levels in chunks, as `lod.layout` names them
-VERSION = 1  # of the job folder; one of another version is not continued
+VERSION = 2  # of the job folder; one of another version is not continued
+
+
+class Access(StrEnum):
+    """How the rows of a file are come by."""
+
+    ROWS = "rows"  # any of them without the others
+    PACKED = "packed"  # once the columns are unpacked, which a file of one segment is not
+    WHOLE = "whole"  # all of them at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,17 +31,17 @@ class InputFile:
 
     Attributes:
         path: Absolute.
-        bytes: Its size.
-        modified: Nanoseconds since 1970.
+        bytes: Its size; with those of the files that it names, where it is a description.
+        modified: Nanoseconds since 1970; of the last of them.
         splats: Rows in it.
-        seekable: Whether some of its rows can be read without the others.
+        access: How they are read.
     """
 
     path: str
     bytes: int
     modified: int
     splats: int
-    seekable: bool
+    access: Access
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +129,16 @@ class Settings:
         return max(min(256, self.block // (32 * len(self.segments))), 1)
 
     @property
+    def unpacked(self) -> tuple[int, ...]:
+        """Numbers of the files that are unpacked: packed ones that are more than a segment."""
+        segments = Counter(segment.file for segment in self.segments)
+        return tuple(
+            number
+            for number, file in enumerate(self.inputs)
+            if file.access is Access.PACKED and segments[number] > 1
+        )
+
+    @property
     def levels(self) -> int:
         """How many results there are."""
         return len(self.ratios) or len(self.counts)
@@ -148,7 +168,9 @@ def settings_of(data: Mapping[str, Any]) -> Settings:
         layout = dict(data["layout"])
         layout["extras"] = tuple((str(name), str(kind)) for name, kind in layout["extras"])
         return Settings(
-            inputs=tuple(InputFile(**each) for each in data["inputs"]),
+            inputs=tuple(
+                InputFile(**{**each, "access": Access(each["access"])}) for each in data["inputs"]
+            ),
             layout=Layout(**{k: _frozen(v) for k, v in layout.items()}),
             segments=tuple(Segment(**each) for each in data["segments"]),
             ratios=tuple(map(float, data["ratios"])),

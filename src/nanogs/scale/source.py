@@ -1,16 +1,18 @@
 """Input files as parts of one scene, read a segment of rows at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from nanogs.errors import FormatError, ModelError, OptionError
-from nanogs.io import FileInfo, inspect, load, ply
-from nanogs.io.registry import find
-from nanogs.scale.settings import InputFile, Layout, Segment, Settings
+from nanogs.errors import ModelError, OptionError
+from nanogs.io import FileInfo, inspect, load
+from nanogs.scale.inputs import check_unchanged, input_file, open_packed, open_rows
+from nanogs.scale.settings import Access, InputFile, Layout, Segment, Settings
+from nanogs.scale.unpack import Unpacked
 from nanogs.splats import RenderMode, Splats, concatenate, padded
 
 _SPANS, _SPAN_ROWS = 256, 1024  # of the rows that stand for all
@@ -26,16 +28,7 @@ def look_at(paths: Sequence[Path]) -> tuple[tuple[InputFile, ...], Layout]:
     if not paths:
         raise OptionError("Give at least one file.")
     infos = [inspect(path) for path in paths]
-    return tuple(_input_file(info) for info in infos), _layout(infos)
-
-
-def _input_file(info: FileInfo) -> InputFile:
-    status = info.path.stat()
-    known = find(info.path)
-    is_ply = known is not None and known.read is ply.read
-    seekable = is_ply and ply.seekable(info.path)
-    where = str(info.path.resolve())
-    return InputFile(where, status.st_size, status.st_mtime_ns, info.splats, seekable)
+    return tuple(input_file(info) for info in infos), _layout(infos)
 
 
 def _layout(infos: Sequence[FileInfo]) -> Layout:
@@ -90,10 +83,11 @@ def segments_of(inputs: Sequence[InputFile], rows: int) -> tuple[Segment, ...]:
     """
     segments = []
     for number, file in enumerate(inputs):
-        if file.splats > rows and not file.seekable:
+        if file.splats > rows and file.access is Access.WHOLE:
             raise OptionError(
-                f"{file.path}: only a binary .ply is read in parts, and this file is too large to"
-                " be read whole within the memory given; convert it, or raise --max-memory."
+                f"{file.path}: files of this kind are not read in parts, and this one is too large"
+                " to be read whole within the memory given; convert it to .ply, or raise"
+                " --max-memory."
             )
         parts = -(-file.splats // rows)
         bounds = [file.splats * part // parts for part in range(parts + 1)]
@@ -101,15 +95,21 @@ def segments_of(inputs: Sequence[InputFile], rows: int) -> tuple[Segment, ...]:
     return tuple(segments)
 
 
-def read_segment(settings: Settings, segment: Segment) -> Splats:
+def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None = None) -> Splats:
     """The splats of a segment, usable ones only, with the columns of the job.
+
+    Args:
+        settings: The job.
+        segment: Which.
+        unpacked: The files that have been unpacked, if any.
 
     Raises:
         FormatError: The file cannot be read, or has changed since the job began.
         ModelError: A splat holds a NaN or an infinite value, and that is to be an error.
     """
     file = settings.inputs[segment.file]
-    splats = _read(file, segment.start, segment.stop)
+    with _opened(settings, segment.file, unpacked) as read:
+        splats = read(segment.start, segment.stop)
     finite = splats.finite()
     if not finite.all():
         if settings.nan == "error":
@@ -122,19 +122,41 @@ def read_segment(settings: Settings, segment: Segment) -> Splats:
     return _with_layout(splats, settings.layout)
 
 
-def sample(settings: Settings) -> Splats:
-    """Evenly spread stretches of the usable rows of all inputs, some 260,000 at most."""
+def sample(settings: Settings, unpacked: Unpacked | None = None) -> Splats:
+    """Evenly spread stretches of the usable rows of all inputs, some 260,000 at most.
+
+    Args:
+        settings: The job.
+        unpacked: The files that have been unpacked, if any.
+
+    Raises:
+        FormatError: As for `read_segment`.
+    """
     parts = []
     every = max(settings.splats // (_SPANS * _SPAN_ROWS), 1)
-    for file in settings.inputs:
-        if file.seekable:
-            starts = range(0, file.splats, _SPAN_ROWS * every)
-            spans = [(start, min(start + _SPAN_ROWS, file.splats)) for start in starts]
-            found = [_read(file, *span) for span in spans]
-        else:
-            found = [_read(file, 0, file.splats).take(slice(None, None, every))]
-        parts += [_with_layout(part.take(part.finite()), settings.layout) for part in found]
+    for number, file in enumerate(settings.inputs):
+        with _opened(settings, number, unpacked) as read:
+            for start in range(0, file.splats, _SPAN_ROWS * every):
+                part = read(start, min(start + _SPAN_ROWS, file.splats))
+                parts.append(_with_layout(part.take(part.finite()), settings.layout))
     return concatenate(parts)
+
+
+@contextmanager
+def _opened(
+    settings: Settings, number: int, unpacked: Unpacked | None
+) -> Iterator[Callable[[int, int], Splats]]:
+    """What reads rows of a file, which must be the same before and after."""
+    file = settings.inputs[number]
+    check_unchanged(file)
+    if unpacked is not None and number in unpacked.records:
+        with unpacked.opened(number, open_packed(file)) as read:
+            yield read
+    elif file.access is Access.ROWS:
+        yield open_rows(file).read
+    else:
+        yield load(file.path).span
+    check_unchanged(file)
 
 
 def load_joined(paths: Sequence[Path]) -> Splats:
@@ -147,21 +169,6 @@ def load_joined(paths: Sequence[Path]) -> Splats:
     parts = [_with_layout(load(path), layout) for path in paths]
     notes = dict.fromkeys([*layout.notes, *(note for part in parts for note in part.notes)])
     return replace(concatenate(parts), comments=layout.comments, notes=tuple(notes))
-
-
-def _read(file: InputFile, start: int, stop: int) -> Splats:
-    path = Path(file.path)
-    if not path.exists():
-        raise FormatError(
-            f"{path} is not there; the caller and all workers must see the inputs under one name."
-        )
-    status = path.stat()
-    if (status.st_size, status.st_mtime_ns) != (file.bytes, file.modified):
-        raise FormatError(f"{path} has changed since the job began; begin it anew.")
-    if file.seekable:
-        return ply.read_span(path, start, stop)
-    splats = load(path)
-    return splats if (start, stop) == (0, len(splats)) else splats.span(start, stop)
 
 
 def _with_layout(splats: Splats, layout: Layout) -> Splats:

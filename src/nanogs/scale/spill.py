@@ -5,17 +5,26 @@ A sorted segment holds the rows of any block in one piece, whatever blocks are c
 
 import numpy as np
 
+from nanogs.io.findings import to_plain
 from nanogs.scale.columns import CODES, sorted_columns
 from nanogs.scale.frame import Frame
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import Settings
 from nanogs.scale.source import read_segment
 from nanogs.scale.tables import Record, Sorted, write_table
+from nanogs.scale.unpack import Unpacked
 
 DIGEST = "digest"
 
 
-def spill(scratch: Scratch, name: str, settings: Settings, frame: Frame, number: int) -> Record:
+def spill(
+    scratch: Scratch,
+    name: str,
+    settings: Settings,
+    frame: Frame,
+    number: int,
+    unpacked: Unpacked | None = None,
+) -> Record:
     """Sort a segment and write it, with evenly spread ones of its codes apart.
 
     Args:
@@ -24,6 +33,7 @@ def spill(scratch: Scratch, name: str, settings: Settings, frame: Frame, number:
         settings: The job.
         frame: Of its scene.
         number: Of the segment.
+        unpacked: The files that have been unpacked, if any.
 
     Raises:
         FormatError: The input cannot be read, or has changed.
@@ -31,7 +41,7 @@ def spill(scratch: Scratch, name: str, settings: Settings, frame: Frame, number:
         OutputError: The table cannot be written.
     """
     segment = settings.segments[number]
-    splats = read_segment(settings, segment)
+    splats = read_segment(settings, segment, unpacked)
     codes = frame.codes(splats)
     order = np.argsort(codes, kind="stable")
     digest = codes[order[:: settings.every]]
@@ -39,6 +49,6 @@ def spill(scratch: Scratch, name: str, settings: Settings, frame: Frame, number:
     facts = {
         "splats": len(splats),
         "dropped": segment.stop - segment.start - len(splats),
-        "notes": [str(note) for note in splats.notes],
+        "notes": [to_plain(note) for note in splats.notes],
     }
     return write_table(scratch, name, columns, facts)

@@ -69,13 +69,25 @@ class Sorted:
     rows: I64
 
 
+@dataclass(frozen=True, slots=True)
+class Streamed:
+    """A column that comes in pieces of rows, so that it is never held whole."""
+
+    dtype: "np.dtype[Any]"
+    shape: tuple[int, ...]
+    pieces: Iterable[Array]
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+
 def write_table(
     scratch: Scratch,
     name: str,
-    columns: Mapping[str, Array | Sorted],
+    columns: Mapping[str, Array | Sorted | Streamed],
     facts: Mapping[str, Any],
 ) -> Record:
-    """Write columns and facts; the record comes last.
+    """Write columns and facts; the record comes last, and has the facts as they then are.
 
     Raises:
         OutputError: They cannot be written.
@@ -125,7 +137,7 @@ def _write_record(scratch: Scratch, record: Record) -> Record:
     return record
 
 
-def _parts(columns: Mapping[str, Array | Sorted]) -> Iterator[Array]:
+def _parts(columns: Mapping[str, Array | Sorted | Streamed]) -> Iterator[Array]:
     for column in columns.values():
         size = 0
         for part in _blocks(column):
@@ -134,7 +146,9 @@ def _parts(columns: Mapping[str, Array | Sorted]) -> Iterator[Array]:
         yield np.zeros(-size % ALIGN, np.uint8)
 
 
-def _blocks(column: Array | Sorted) -> Iterable[Array]:
+def _blocks(column: Array | Sorted | Streamed) -> Iterable[Array]:
+    if isinstance(column, Streamed):
+        return column.pieces
     if isinstance(column, Sorted):
         return (column.values[column.rows[block]] for block in blocks(len(column.rows)))
     return (column[block] for block in blocks(len(column)))

@@ -26,12 +26,14 @@ from nanogs.scale.settings import Layout, Settings
 from nanogs.scale.settle import GONE, GROUP, settled, view_of, write_settled
 from nanogs.scale.spill import spill
 from nanogs.scale.tables import Record, Table, read_record, write_table
+from nanogs.scale.unpack import Unpacked, unpack
 from nanogs.simplify.nodes import Nodes
 from nanogs.simplify.store import store_groups
 from nanogs.simplify.target import target_count
 from nanogs.splats import Splats
 from nanogs.threads import use_threads
 
+UNPACK = "unpack"
 FEWEST = 64  # splats of a block's part, on average
 
 
@@ -53,6 +55,9 @@ class Task:
     def name(self) -> str:
         """Of what it writes."""
         return f"{self.stage}-{self.level}-{self.number:05d}"
+
+
+MARK = Task("job")  # done by the caller: who does not see its record sees other files
 
 
 @dataclass(slots=True, eq=False)
@@ -98,6 +103,11 @@ class Work:
         """What is in each block."""
         return partition_of(self.record(Task("partition")).facts)
 
+    def unpacked(self) -> Unpacked:
+        """The input files that have been unpacked."""
+        files = enumerate(self.settings.unpacked)
+        return Unpacked(self.scratch, {file: self.record(Task(UNPACK, i)) for i, file in files})
+
     def segments(self) -> list[Record]:
         """The sorted segments."""
         return [self.record(Task("segment", i)) for i in range(len(self.settings.segments))]
@@ -133,13 +143,18 @@ def do(work: Work, task: Task) -> Record:
     return record
 
 
+def _unpack(work: Work, task: Task) -> Record:
+    settings = work.settings
+    return unpack(work.scratch, task.name, settings.inputs[settings.unpacked[task.number]])
+
+
 def _frame(work: Work, task: Task) -> Record:
-    facts = survey(work.settings).to_dict()
+    facts = survey(work.settings, work.unpacked()).to_dict()
     return write_table(work.scratch, task.name, {}, facts)
 
 
 def _segment(work: Work, task: Task) -> Record:
-    return spill(work.scratch, task.name, work.settings, work.frame, task.number)
+    return spill(work.scratch, task.name, work.settings, work.frame, task.number, work.unpacked())
 
 
 def _partition(work: Work, task: Task) -> Record:
@@ -273,6 +288,7 @@ def _groups(work: Work, task: Task) -> int:
 
 
 _STAGES: dict[str, Callable[[Work, Task], Record]] = {
+    UNPACK: _unpack,
     "frame": _frame,
     "segment": _segment,
     "partition": _partition,

@@ -19,7 +19,7 @@ from nanogs._version import __version__
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.scale.scratch import open_scratch
 from nanogs.scale.settings import settings_of
-from nanogs.scale.work import Task, Work, do
+from nanogs.scale.work import MARK, Task, Work, do
 from nanogs.threads import use_threads
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ def do_task(
     try:
         with _ONE, use_threads(threads) as used:
             work = Work(open_scratch(place), settings_of(json.loads(settings)), used)
-            work.record(Task("frame"))  # which the caller wrote: both see the same files
+            work.record(MARK)
             do(work, Task(stage, number, level))
     except NanogsError as error:
         raise type(error)(f"On the worker {host}: {error}") from None

@@ -1,0 +1,107 @@
+"""What nanogs knows of a format: its entry in the registry."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn, Protocol
+
+from nanogs.errors import FormatError
+from nanogs.frames import TRAINED
+from nanogs.io.folder import Ours
+from nanogs.io.info import FileInfo
+from nanogs.io.parts import Packed, Rows
+from nanogs.splats import Splats
+
+UNSTATED = "not stated in the file; y down (rdf) by habit"
+Writer = Callable[..., None]
+"""Writes a model to a file that is open for binary writing."""
+Sizer = Callable[[Splats, int], int]
+"""Bytes of the file of a model of so many splats that is like the given one in all else."""
+Losses = Callable[[Splats], tuple[str, ...]]
+"""What a file of the format cannot hold of a model, one sentence each, besides quantisation."""
+
+
+class FolderWriter(Protocol):
+    """Makes the folder of a model; it may replace one of nanogs' own if told so."""
+
+    def __call__(self, splats: Splats, path: Path, *, overwrite: bool) -> None:
+        """Write the model; see `io.save` for what it raises."""
+
+
+def unread(path: Path) -> NoReturn:
+    """In place of the reader of a format that is only written.
+
+    Raises:
+        FormatError: Always.
+    """
+    raise FormatError(f"{path}: nanogs writes this format but does not read it; name another file.")
+
+
+def _none(_path: Path) -> None:
+    return None
+
+
+def _alone(path: Path) -> Sequence[Path]:
+    return (path,)
+
+
+def _nothing(_splats: Splats) -> tuple[str, ...]:
+    return ()
+
+
+def _steady(_splats: Splats) -> Sequence[int]:
+    return ()
+
+
+@dataclass(frozen=True, slots=True)
+class WriteOption:
+    """A choice in writing a format: what the writer calls it, and what it may be."""
+
+    keyword: str
+    values: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One format: what its files are called, and how they are read and written.
+
+    `file_bytes` tells the size of a file before it is written; never smaller for more splats.
+    `stream` yields the model in blocks of rows. `rows` opens a file whose rows can be read in
+    parts, or gives None; `packed` opens one whose columns can be unpacked, or gives None. `files`
+    are all files of a model, given the one that is named. `frame` says which way is up, and `axes`
+    is the name of the frame of a model that was read, or None where files differ; with `turns`,
+    files are in the format's own frame, to and from which reading and writing turn. `leaps` are
+    counts, in ascending order, of which a file takes far more than of one splat less. `options` are
+    what `save` takes for this format alone. Of a format whose model is a folder, described by the
+    file of the name `suffix` in it, `write_folder` makes that folder and `ours` says what in such a
+    folder nanogs made.
+    """
+
+    suffix: str
+    read: Callable[[Path], Splats]
+    inspect: Callable[[Path], FileInfo]
+    write: Writer | None = None
+    file_bytes: Sizer | None = None
+    losses: Losses = _nothing
+    stream: Callable[[Path], Iterator[Splats]] | None = None
+    rows: Callable[[Path], Rows | None] = _none
+    packed: Callable[[Path], Packed | None] = _none
+    files: Callable[[Path], Sequence[Path]] = _alone
+    read_level: Callable[[Path, int], Splats] | None = None
+    frame: str = UNSTATED
+    axes: str | None = TRAINED
+    turns: bool = False
+    leaps: Callable[[Splats], Sequence[int]] = _steady
+    options: Mapping[str, WriteOption] = field(default_factory=dict)
+    write_folder: FolderWriter | None = None
+    ours: Ours | None = None
+
+    @property
+    def readable(self) -> bool:
+        """Whether nanogs reads it."""
+        return self.read is not unread
+
+    @property
+    def writable(self) -> bool:
+        """Whether nanogs writes it, as a file or as a folder."""
+        return bool(self.write or self.write_folder)
