@@ -28,6 +28,7 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
     splats = nanogs.load(path)
     with tempfile.TemporaryDirectory() as name:
         source, folder = Path(name) / "in.ply", FolderScratch(Path(name) / "scratch")
+        folder.prepare()
         nanogs.save(replace(splats, elements=()), source)
         chosen = block_parameters("fast", {"rounds": rounds})
         size = int(len(splats) / blocks * 1.08) + 1

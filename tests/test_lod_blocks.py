@@ -326,6 +326,7 @@ def test_the_job_may_lie_on_another_file_system(scene, tmp_path, made):
 
 def test_names_of_files_lead_out_of_no_folder(tmp_path):
     scratch = FolderScratch(tmp_path / "scratch")
+    scratch.prepare()
     record = write_files(scratch, "chunk", [("../mine.txt", b"theirs")], {})
     (tmp_path / "mine.txt").write_text("mine")
     (tmp_path / "levels").mkdir()

@@ -1,7 +1,7 @@
 """Models that do not fit into the memory given: what `nanogs simplify` does with them."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from nanogs.cli import options
-from nanogs.cli.console import err, key_value_table, show, stage_bar
+from nanogs.cli.console import err, key_value_table, show, stage_bar, warn
 from nanogs.cli.simplify_report import Plan
 from nanogs.cli.streams import DASH
 from nanogs.errors import OptionError
@@ -22,9 +22,12 @@ from nanogs.lod.layout import Output
 from nanogs.scale.api import DEFAULT_MEMORY, block_parameters, job_folder, plan_job
 from nanogs.scale.api import simplify_blocks as library_simplify_blocks
 from nanogs.scale.encoding import Encoding, encoding_of
-from nanogs.scale.folder import MANIFEST
+from nanogs.scale.folder import MANIFEST, refuse_finished
 from nanogs.scale.plan import ScalePlan
+from nanogs.scale.settings import WAITING
 from nanogs.simplify.memory import LIBRARIES
+
+Progress = Callable[[str, int, int], None]
 
 _PANEL = "Models larger than memory, and several machines"
 
@@ -73,6 +76,15 @@ Scheduler = Annotated[
         rich_help_panel=_PANEL,
     ),
 ]
+Patience = Annotated[
+    float,
+    typer.Option(
+        min=0,
+        help="Seconds to wait for workers where a scheduler has none.",
+        metavar="SECONDS",
+        rich_help_panel=_PANEL,
+    ),
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +113,29 @@ class Blocks:
         """The files that make up the model."""
         return self.joined or (pair.source,)
 
-    def is_begun(self, pair: Pair) -> bool:
-        """Whether there is a job to continue, which sees to its output itself."""
-        return has_begun(pair.target, self)
+    def is_begun(self, target: Path, *, overwrite: bool) -> bool:
+        """Whether there is a job to continue, which sees to its output itself.
+
+        Raises:
+            OutputError: There is none to continue, but an output.
+        """
+        folder = job_folder(target, self.job)
+        if self.resume and not overwrite:
+            refuse_finished(folder, target)
+        return self.resume and (folder / MANIFEST).exists()
+
+    def refuse_fitting(self, target: Path) -> None:
+        """Refuse to simplify in memory what was begun in blocks.
+
+        Raises:
+            OptionError: There is a job to continue.
+        """
+        folder = job_folder(target, self.job)
+        if self.resume and (folder / MANIFEST).exists():
+            raise OptionError(
+                f"{folder} holds a job in blocks, and this model fits into the memory given; resume"
+                " it with the --max-memory it was begun with, or remove the folder."
+            )
 
 
 def parse_blocks(
@@ -116,6 +148,7 @@ def parse_blocks(
     scratch: str | None,
     workers: int | None,
     scheduler: str | None,
+    patience: float,
 ) -> Blocks:
     """What was asked for, checked as far as it can be without the inputs.
 
@@ -133,7 +166,8 @@ def parse_blocks(
         raise OptionError("With --max-memory or --join models are files; name them in place of -.")
     if join and len(paths) < 2:
         raise OptionError("--join takes the parts of a scene and OUT; this is one path.")
-    rest = {"scratch": scratch, "workers": workers, "scheduler": scheduler}
+    rest: dict[str, Any] = {"scratch": scratch, "workers": workers, "scheduler": scheduler}
+    rest["patience"] = patience
     return Blocks(memory, tuple(paths[:-1]) if join else (), job, resume, rest)
 
 
@@ -198,18 +232,13 @@ def simplify_in_blocks(
         report = library_simplify_blocks(
             sources, pair.target, ratio=plan.goal.ratio, count=plan.goal.count,
             max_memory=blocks.max_memory or DEFAULT_MEMORY, job=blocks.job, resume=blocks.resume,
-            progress=progress, **blocks.given, **given,
+            progress=_telling(progress, quiet=quiet), **blocks.given, **given,
         )  # fmt: skip
     run = report.to_dict() | {"total_seconds": time.perf_counter() - start}
     run |= {"read_count": report.input_count, "filters": []}
     run |= {"input": ", ".join(map(str, sources)), "output": str(pair.target)}
     run["input_bytes"] = sum(bytes_on_disk(path) for path in sources)
     return run | {"output_bytes": bytes_on_disk(pair.target)}
-
-
-def has_begun(target: Path, blocks: Blocks) -> bool:
-    """Whether there is a job to continue that makes a file or folder."""
-    return blocks.resume and (job_folder(target, blocks.job) / MANIFEST).exists()
 
 
 def levels_encoding(
@@ -246,13 +275,28 @@ def levels_in_blocks(
     from nanogs.scale.job import Where
 
     start, rest = time.perf_counter(), blocks.given
-    where = Where(threads, None, rest["scheduler"], rest["workers"])
+    where = Where(threads, None, rest["scheduler"], rest["workers"], rest["patience"])
     with stage_bar(quiet=quiet) as progress:
         manifest, reports = write_levels_in_blocks(
             [source], output.folder, ratios, max_memory=blocks.max_memory, job=blocks.job,
-            scratch=rest["scratch"], resume=blocks.resume, where=where, progress=progress, **given,
+            scratch=rest["scratch"], resume=blocks.resume, where=where,
+            progress=_telling(progress, quiet=quiet), **given,
         )  # fmt: skip
     run = manifest.to_dict() | {"input": str(source), "output": str(output.path)}
     run |= {"layout": output.layout.value, "dropped_nonfinite": reports[0].dropped_nonfinite}
     run["reports"] = [report.to_dict() for report in reports]
     return run | {"total_seconds": time.perf_counter() - start}
+
+
+def _telling(progress: Progress, *, quiet: bool) -> Progress:
+    """A progress bar that also says, once in a while without any, that workers are waited for."""
+    told = False
+
+    def update(stage: str, done: int, total: int) -> None:
+        nonlocal told
+        if stage == WAITING and not told and not quiet:
+            warn("The cluster has no worker; waiting for one.")
+        told = stage == WAITING
+        progress(stage, done, total)
+
+    return update

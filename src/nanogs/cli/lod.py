@@ -29,6 +29,7 @@ from nanogs.lod.levels import check_ratios
 from nanogs.lod.write import write_levels
 from nanogs.report import StopReason
 from nanogs.scale.plan import ScalePlan
+from nanogs.scale.settings import PATIENCE
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters, renders
 from nanogs.simplify.target import Goal, target_count
@@ -85,6 +86,7 @@ def lod(
     scratch: scale.Scratch = None,
     workers: scale.Workers = None,
     scheduler: scale.Scheduler = None,
+    patience: scale.Patience = PATIENCE,
 ) -> None:
     """Make levels of detail from one build: a file each, or chunks for a viewer that streams.
 
@@ -106,10 +108,11 @@ def lod(
     direction = method.check_views(preset, chosen, views, cameras, up, judged=False)
     blocks = scale.parse_blocks(
         [source], max_memory, join=False, job=job, resume=resume, scratch=scratch,
-        workers=workers, scheduler=scheduler,
+        workers=workers, scheduler=scheduler, patience=patience,
     )  # fmt: skip
     info = inspect(source)
-    if not scale.has_begun(output.folder, blocks):  # a job sees to its output itself
+    # A job sees to its output itself.
+    if not blocks.is_begun(output.folder, overwrite=overwrite):
         check_folder_writable(output.folder, made_files, overwrite=overwrite)
     finest = target_count(info.splats, ratios[0], None)
     encoding = scale.levels_encoding(info, ratios, output, chunk, spz=spz)
@@ -131,6 +134,7 @@ def lod(
             quiet=quiet or json,
         )  # fmt: skip
     else:
+        blocks.refuse_fitting(output.folder)
         given["threads"] = threads
         run = _write(plan, output, ratios, overwrite, cameras, direction, given, quiet or json)
     if json:

@@ -26,6 +26,7 @@ from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, regi
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
 from nanogs.report import StageClock, StopReason
+from nanogs.scale.settings import PATIENCE
 from nanogs.scale.source import load_joined
 from nanogs.simplify.api import refuse_searches, target_of
 from nanogs.simplify.api import simplify as library_simplify
@@ -90,6 +91,7 @@ def simplify(
     scratch: scale.Scratch = None,
     workers: scale.Workers = None,
     scheduler: scale.Scheduler = None,
+    patience: scale.Patience = PATIENCE,
 ) -> None:
     """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
     overrides: dict[str, Any] = {
@@ -121,6 +123,7 @@ def simplify(
             scratch=scratch,
             workers=workers,
             scheduler=scheduler,
+            patience=patience,
         ),
         looks=views is not None or cameras != "auto" or up is not None,
     )
@@ -222,13 +225,16 @@ def _plan(pair: Pair, request: _Request, *, dry_run: bool) -> Plan:
     info, blocks = inspect(pair.source), request.blocks
     if blocks.joined:
         info = replace(info, splats=sum(inspect(path).splats for path in blocks.joined))
-    if not (dry_run and request.folder_later) and not blocks.is_begun(pair):
+    begun = blocks.is_begun(pair.target, overwrite=request.saving["overwrite"])
+    if not (dry_run and request.folder_later) and not begun:
         check_writable(pair.target, **request.saving)
     whole = Plan(info, goal, None, request.preset, request.chosen)
     if blocks.needed(whole):
         scale.refuse_whole_model_wishes(
             whole, filtered=bool(filters), looks=request.looks, turned=bool(frames)
         )
+    else:
+        blocks.refuse_fitting(pair.target)
     if goal.size is None and not (filters and dry_run):
         count = goal.target(info.splats, lambda _count: 0)
     elif dry_run:  # what a row takes and what filters leave is only known from the columns

@@ -24,7 +24,7 @@ from nanogs.lod.manifest import NAME as MANIFEST
 from nanogs.lod.ply_levels import level_name
 from nanogs.lod.tileset import Tile, Tree, describe
 from nanogs.scale.chunked import places_of, read_cells, tiles_of
-from nanogs.scale.folder import RESULT
+from nanogs.scale.folder import RESULT, refuse_finished
 from nanogs.scale.result import write_result
 from nanogs.scale.run import Done, Progress
 from nanogs.scale.tables import Record, Table
@@ -50,9 +50,16 @@ class LevelsFolder:
     describe: Callable[[Done, list[int], Path], None]
     overwrite: bool
 
-    def check(self) -> None:
+    def check(self, folder: Path, *, resume: bool) -> None:
         """As `Ending` says."""
+        if resume and not self.overwrite:
+            refuse_finished(folder, self.folder)
         check_folder_writable(self.folder, made_files, overwrite=self.overwrite)
+
+    def check_begun(self, folder: Path) -> None:
+        """As `Ending` says."""
+        if self._placed(folder / f"{_FOLDER}.json") is None:
+            check_folder_writable(self.folder, made_files, overwrite=self.overwrite)
 
     def finish(self, done: Done, folder: Path, progress: Progress) -> list[int]:
         """As `Ending` says."""

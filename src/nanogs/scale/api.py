@@ -12,7 +12,7 @@ from nanogs.formatting import bytes_text
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks
-from nanogs.scale.settings import Chunks, Settings
+from nanogs.scale.settings import PATIENCE, Chunks, Settings
 from nanogs.scale.source import look_at, segments_of
 from nanogs.scale.unpack import cost_of
 from nanogs.simplify.job import NanPolicy
@@ -43,6 +43,7 @@ def simplify_blocks(
     client: "Client | None" = None,
     scheduler: str | None = None,
     workers: int | None = None,
+    patience: float = PATIENCE,
     progress: Callable[[str, int, int], None] | None = None,
     spz_version: int | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
@@ -72,7 +73,9 @@ def simplify_blocks(
         client: A Dask client whose workers do the work.
         scheduler: Address of a Dask scheduler, in place of a client.
         workers: Processes to start on this machine, in place of a scheduler.
-        progress: Called with a stage's name, how many of its tasks are done, and of how many.
+        patience: Seconds to wait for workers where a cluster has none, before the run ends.
+        progress: Called with a stage's name, how many of its tasks are done, and of how many; with
+            "wait" for a stage while a cluster has no worker.
         spz_version: Of a .spz file.
         **overrides: Parameters of the preset to replace.
 
@@ -107,7 +110,7 @@ def simplify_blocks(
         refuse_full_disk(plan, folder, scratch)
     saving = {"spz_version": spz_version}
     made = BlockJob(settings, folder, scratch, Files((output,), saving, overwrite))
-    where = Where(threads, client, scheduler, workers)
+    where = Where(threads, client, scheduler, workers, patience)
     done, counts = made.run(where, clock, progress or _ignore, resume=resume)
     return report_of(preset, goal, done, counts[0], clock, start)
 

@@ -1,6 +1,7 @@
 """The splats of a block, put together from sorted segments."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -37,7 +38,7 @@ def read_block(
     Returns:
         The row after the last one filled.
     """
-    start = 0
+    start, found = 0, []
     for record, piece in zip(segments, partition.pieces(block), strict=True):
         stop = start + piece.stop - piece.start
         if rows is None:
@@ -47,9 +48,20 @@ def read_block(
             inside = rows[np.searchsorted(rows, start) : np.searchsorted(rows, stop)]
             wanted, count = inside - start + piece.start, len(inside)
         if count:
-            with Table(scratch, record) as table:
-                read_rows(table, columns, at, wanted)
+            found.append((record, at, wanted))
         start, at = stop, at + count
+
+    def fill(place: tuple[Record, int, I64 | slice]) -> None:
+        record, at, wanted = place
+        with Table(scratch, record) as table:
+            read_rows(table, columns, at, wanted)
+
+    if scratch.at_once == 1:
+        for each in found:
+            fill(each)
+    else:
+        with ThreadPoolExecutor(scratch.at_once) as pool:
+            list(pool.map(fill, found))
     return at
 
 

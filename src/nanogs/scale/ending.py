@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from nanogs.io import check_writable
-from nanogs.scale.folder import RESULT
+from nanogs.scale.folder import RESULT, refuse_finished
 from nanogs.scale.result import move_into_place, seal, sealed, write_result
 from nanogs.scale.run import Done, Progress
 
@@ -13,8 +13,19 @@ from nanogs.scale.run import Done, Progress
 class Ending(Protocol):
     """Makes the results of a job whose tasks are done."""
 
-    def check(self) -> None:
+    def check(self, folder: Path, *, resume: bool) -> None:
         """Look whether they can be written, before anything is begun.
+
+        Args:
+            folder: Of the job.
+            resume: Whether one was to be continued, which is not there.
+
+        Raises:
+            OutputError: They cannot.
+        """
+
+    def check_begun(self, folder: Path) -> None:
+        """Look whether those can be written that have not got their names yet.
 
         Raises:
             OutputError: They cannot.
@@ -45,10 +56,18 @@ class Files:
     saving: dict[str, Any]
     overwrite: bool
 
-    def check(self) -> None:
+    def check(self, folder: Path, *, resume: bool) -> None:
         """As `Ending` says."""
         for path in self.paths:
+            if resume and not self.overwrite:
+                refuse_finished(folder, path)
             check_writable(path, overwrite=self.overwrite, **self.saving)
+
+    def check_begun(self, folder: Path) -> None:
+        """As `Ending` says."""
+        for level, path in enumerate(self.paths):
+            if sealed(self._file(folder, level), path) is None:
+                check_writable(path, overwrite=self.overwrite, **self.saving)
 
     def finish(self, done: Done, folder: Path, progress: Progress) -> list[int]:
         """As `Ending` says."""
@@ -58,7 +77,7 @@ class Files:
         """Write a result and give it its name, unless a run before has; the splats in it."""
         target = int(done.work.of_job("budget", level).facts["target"])
         path = self.paths[level]
-        file = folder / f"{RESULT}{level}{''.join(path.suffixes[-2:])}"
+        file = self._file(folder, level)
         progress("write", level, len(self.paths))
         count = sealed(file, path)
         if count is None:
@@ -68,3 +87,7 @@ class Files:
                 seal(file, count)
             move_into_place(file, path, overwrite=self.overwrite)
         return count
+
+    def _file(self, folder: Path, level: int) -> Path:
+        """Where a result is until it gets its name."""
+        return folder / f"{RESULT}{level}{''.join(self.paths[level].suffixes[-2:])}"

@@ -42,6 +42,8 @@ def locked(folder: Path) -> Iterator[None]:
                 with suppress(OSError):
                     for path in folder.glob(f"{RESULT}*"):
                         shutil.rmtree(path) if path.is_dir() else path.unlink()
+                    if (folder / SCRATCH).exists():
+                        (folder / SCRATCH).rmdir()
                     (folder / LOCK).unlink()
                     folder.rmdir()
 
@@ -105,6 +107,20 @@ def read_manifest(folder: Path) -> tuple[Settings, str] | None:
             f"{folder / MANIFEST} cannot be read ({error}); remove the folder and begin anew."
         ) from None
     return settings_of(settings), scratch
+
+
+def refuse_finished(folder: Path, output: Path) -> None:
+    """Say that there is nothing to resume, where an output stands without a job folder.
+
+    Raises:
+        OutputError: It is so.
+    """
+    empty = output.is_dir() and not any(output.iterdir())
+    if output.exists() and not empty and not (folder / MANIFEST).exists():
+        raise OutputError(
+            f"{output} exists and {folder} holds no job: one that ended well leaves nothing to"
+            " resume; add -w to make it anew."
+        )
 
 
 def forget(folder: Path) -> None:

@@ -30,6 +30,11 @@ def check_unchanged(file: InputFile) -> None:
     Raises:
         FormatError: It has changed, or is gone.
     """
+    if not Path(file.path).exists():
+        raise FormatError(
+            f"{file.path} is not there; the caller and all workers must see the inputs under one"
+            " name."
+        )
     try:
         same = _identity(Path(file.path)) == (file.bytes, file.modified)
     except (OSError, FormatError):

@@ -1,19 +1,22 @@
 """A job on disk: begun or continued under its lock, brought to an end, and taken away."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nanogs.errors import OutputError
 from nanogs.report import StageClock
-from nanogs.scale.cluster import Workers, connected, threads_each
+from nanogs.scale.cluster import connected, starting, threads_each
 from nanogs.scale.ending import Ending
 from nanogs.scale.folder import SCRATCH, forget, locked, read_manifest, write_manifest
 from nanogs.scale.run import Done, Executor, Here, Progress, run_tasks
-from nanogs.scale.scratch import Scratch, open_scratch
-from nanogs.scale.settings import Settings, differences
+from nanogs.scale.scratch import Scratch, is_url, open_scratch
+from nanogs.scale.settings import PATIENCE, WAITING, Settings, differences
+from nanogs.scale.workers import Workers
 from nanogs.threads import use_threads
 
 if TYPE_CHECKING:
@@ -29,30 +32,44 @@ class Where:
         client: A Dask client, or None.
         scheduler: Address of a Dask scheduler, or None.
         workers: Processes to start on this machine, or None.
+        patience: Seconds to wait for workers where all are gone.
     """
 
     threads: int | None = None
     client: "Client | None" = None
     scheduler: str | None = None
     workers: int | None = None
+    patience: float = PATIENCE
 
     @contextmanager
-    def executor(self) -> Iterator[Executor]:
+    def executor(self, progress: Progress) -> Iterator[Executor]:
         """What does the tasks.
+
+        Args:
+            progress: Told where there is no worker.
 
         Raises:
             OptionError: The workers cannot be had.
         """
-        if self.client is None and self.scheduler is None and self.workers is None:
-            yield Here()
-            return
-        threads = self.threads
-        if self.workers is not None and threads is None:
-            threads = threads_each(self.workers)
-        given = nullcontext(self.client) if self.client else connected(self.scheduler, self.workers)
-        with given as client:
-            assert client is not None  # noqa: S101 - one of three was given
-            yield Workers(client, threads)
+        with ExitStack() as stack:
+            threads = self.threads
+            connect: Callable[[], Client] | None = None
+            if self.client is not None:
+                connect = partial(_same, self.client)
+            elif self.scheduler is not None:
+                connect = partial(_same, stack.enter_context(connected(self.scheduler)))
+            elif self.workers is not None:
+                threads = threads or threads_each(self.workers)
+                connect = stack.enter_context(starting(self.workers))
+            if connect is None:
+                yield Here()
+            else:
+                waiting = partial(progress, WAITING, 0, 1)
+                yield Workers(connect, threads, self.patience, waiting)
+
+
+def _same(client: "Client") -> "Client":
+    return client
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,11 +106,15 @@ class BlockJob:
             NanogsError: The job is another one, cannot be done, or is in use.
         """
         with locked(self.folder):
-            resumed = self._begin(resume=resume)
-            with where.executor() as executor, use_threads(where.threads) as threads:
-                scratch = self._open()
+            place = self._found(resume=resume)
+            resumed = place is not None
+            with where.executor(progress) as executor, use_threads(where.threads) as threads:
+                scratch = open_scratch(place or self._new_place())
+                scratch.prepare()
                 if resumed:
                     scratch.tidy()
+                else:  # last of all, so that nothing is left of what could not be begun
+                    write_manifest(self.folder, self.settings, scratch.place)
                 done = run_tasks(
                     scratch, self.settings, executor, threads, clock, progress, resumed=resumed
                 )
@@ -102,13 +123,16 @@ class BlockJob:
             self._remove(scratch)
         return done, counts
 
-    def _begin(self, *, resume: bool) -> bool:
-        """Whether a run before has begun the job; writes the manifest of a new one."""
+    def _found(self, *, resume: bool) -> str | None:
+        """The scratch of the job that a run before has begun, or None for a new one.
+
+        Raises:
+            NanogsError: There is one that is not to be continued, or a new one would end in vain.
+        """
         found = read_manifest(self.folder)
         if found is None:
-            self.ending.check()
-            write_manifest(self.folder, self.settings, self._place())
-            return False
+            self.ending.check(self.folder, resume=resume)
+            return None
         if not resume:
             raise OutputError(
                 f"{self.folder} holds a job that was not finished; --resume continues it, or"
@@ -116,19 +140,27 @@ class BlockJob:
             )
         before, place = found
         other = differences(before, self.settings)
-        if other or place != self._place():
+        if other or _above(place) != self._above():
             what = ", ".join(other) or "scratch"
             raise OutputError(
                 f"{self.folder} holds another job (its {what} differ); resume it with the same"
                 " inputs and options, or remove the folder."
             )
-        return True
+        self.ending.check_begun(self.folder)
+        return place
 
-    def _place(self) -> str:
-        return self.scratch or str((self.folder / SCRATCH).resolve())
+    def _above(self) -> str:
+        """The folder or URL in which the job's own folder of intermediate files is."""
+        if self.scratch is None:
+            return str(self.folder.resolve())
+        if is_url(self.scratch):
+            return self.scratch.rstrip("/")
+        return str(Path(self.scratch).absolute())
 
-    def _open(self) -> Scratch:
-        return open_scratch(self._place())
+    def _new_place(self) -> str:
+        """One of its own for each job: what others keep beside it is not taken for the job's."""
+        name = SCRATCH if self.scratch is None else f"nanogs-{secrets.token_hex(8)}"
+        return f"{self._above()}/{name}"
 
     def _remove(self, scratch: Scratch) -> None:
         """Take away everything; the notes of results go last, with which they are known again."""
@@ -136,3 +168,7 @@ class BlockJob:
         for left in self.folder.glob(".nanogs-*.tmp"):
             left.unlink(missing_ok=True)
         forget(self.folder)
+
+
+def _above(place: str) -> str:
+    return place.rpartition("/")[0] if is_url(place) else str(Path(place).parent)

@@ -7,11 +7,11 @@ from typing import Protocol
 from nanogs.report import StageClock
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import Settings
-from nanogs.scale.tables import verified
-from nanogs.scale.work import UNPACK, Task, Work, do
+from nanogs.scale.tables import verified, write_table
+from nanogs.scale.work import MARK, UNPACK, Task, Work, do
 
 Progress = Callable[[str, int, int], None]
-"""Called with a stage's name, how many of its tasks are done, and of how many."""
+"""Called with a stage's name, how many of its tasks are done, and of how many; see `WAITING`."""
 
 
 class Executor(Protocol):
@@ -57,7 +57,7 @@ def run_tasks(
     """Do every task of a job that is not done yet.
 
     Args:
-        scratch: Its files.
+        scratch: Its files; prepared.
         settings: What it is about.
         executor: Where tasks are done.
         threads: Threads of this process.
@@ -69,13 +69,16 @@ def run_tasks(
         NanogsError: A task could not be done.
     """
     work, kept = Work(scratch, settings, threads), 0
+    write_table(scratch, MARK.name, {}, {})
     for stage, level in _stages(settings):
         tasks = [Task(stage, number, level) for number in range(_count(work, stage))]
         with clock.time(stage):
             left = [task for task in tasks if not (resumed and _is_done(work, task))]
             kept += len(tasks) - len(left)
             progress(stage, len(tasks) - len(left), len(tasks))
-            for done, task in enumerate(executor.run(work, left), len(tasks) - len(left) + 1):
+            # The frame is made here, while workers of this machine start.
+            doing = Here() if stage == "frame" else executor
+            for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
                 work.record(task)  # kept: the report is made when the scratch is gone
                 progress(stage, done, len(tasks))
     return Done(work, kept)

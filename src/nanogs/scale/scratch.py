@@ -1,4 +1,4 @@
-"""Where a job keeps its intermediate files: a folder, or what fsspec reaches by a URL.
+"""Where a job keeps its intermediate files: a folder, or a URL (`remote`).
 
 Files appear whole or not at all. They are not forced to the disk: after a power cut, a resumed job
 finds by their checksums which of them never arrived.
@@ -9,15 +9,14 @@ import hashlib
 import secrets
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol, cast
+from typing import BinaryIO, Protocol, cast
 
 import numpy as np
 
 from nanogs._types import Array
-from nanogs.errors import OptionError, OutputError
 from nanogs.io.atomic import output_error
 
-_SUFFIXES = (".bin", ".json", ".tmp")
+SUFFIXES = (".bin", ".json", ".tmp")
 _CHUNK = 1 << 22
 
 
@@ -28,6 +27,17 @@ class Scratch(Protocol):
     def place(self) -> str:
         """The folder or URL, as `open_scratch` takes it."""
 
+    @property
+    def at_once(self) -> int:
+        """How many files are read at a time: far ones let each of them wait."""
+
+    def prepare(self) -> None:
+        """Make the folder. Only the caller does: a worker that does not see it must not make one.
+
+        Raises:
+            OutputError: Nothing can be written there.
+        """
+
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
         """Write a file, whole or not at all; its bytes and their SHA-256.
 
@@ -35,15 +45,19 @@ class Scratch(Protocol):
             OutputError: It cannot be written.
         """
 
-    def open(self, name: str) -> BinaryIO:
+    def open(self, name: str, size: int | None = None) -> BinaryIO:
         """A file to read and seek in.
+
+        Args:
+            name: Of the file.
+            size: Its bytes, where they are known.
 
         Raises:
             OSError: It is not there.
         """
 
     def remove(self) -> None:
-        """Take away all files that `write` made, and the folder if nothing else is in it."""
+        """Take away all files that `write` made, and the folder, and the one around it if empty."""
 
     def tidy(self) -> None:
         """Take away what killed writers left."""
@@ -60,13 +74,24 @@ class FolderScratch:
         """The folder or URL."""
         return str(self.folder)
 
+    @property
+    def at_once(self) -> int:
+        """As `Scratch` says."""
+        return 1
+
+    def prepare(self) -> None:
+        """As `Scratch` says."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise output_error(self.folder, error) from error
+
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
         """As `Scratch` says."""
         temporary = self.folder / f"{name}.{secrets.token_hex(4)}.tmp"
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
             with temporary.open("xb", buffering=0) as file:
-                written = _write_hashed(cast("BinaryIO", file), parts)
+                written = write_hashed(cast("BinaryIO", file), parts)
             temporary.replace(self.folder / name)
         except OSError as error:
             raise output_error(self.folder / name, error) from error
@@ -75,16 +100,17 @@ class FolderScratch:
                 temporary.unlink(missing_ok=True)
         return written
 
-    def open(self, name: str) -> BinaryIO:
+    def open(self, name: str, size: int | None = None) -> BinaryIO:  # noqa: ARG002
         """As `Scratch` says."""
         return cast("BinaryIO", (self.folder / name).open("rb", buffering=0))
 
     def remove(self) -> None:
         """As `Scratch` says."""
-        for path in self._files(_SUFFIXES):
+        for path in self._files(SUFFIXES):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # unless something else is in it
             self.folder.rmdir()
+            self.folder.parent.rmdir()
 
     def tidy(self) -> None:
         """As `Scratch` says."""
@@ -96,65 +122,22 @@ class FolderScratch:
             yield from [path for path in self.folder.iterdir() if path.suffix in suffixes]
 
 
-class UrlScratch:
-    """A folder by URL, such as s3://bucket/job, through fsspec; uploads are whole or nothing."""
-
-    def __init__(self, url: str) -> None:
-        try:
-            import fsspec
-        except ImportError:
-            raise OptionError(
-                f"{url} needs fsspec and its part for this kind of URL; install nanogs[cluster]."
-            ) from None
-        self.url = url.rstrip("/")
-        try:
-            found = fsspec.core.url_to_fs(self.url)
-        except (ImportError, ValueError) as error:
-            raise OptionError(
-                f"{url} cannot be reached ({error}); install what it needs."
-            ) from None
-        self.files: Any = found[0]
-        self.root: str = found[1]
-
-    @property
-    def place(self) -> str:
-        """The folder or URL."""
-        return self.url
-
-    def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
-        """As `Scratch` says."""
-        try:
-            self.files.makedirs(self.root, exist_ok=True)
-            with self.files.open(f"{self.root}/{name}", "wb") as file:
-                return _write_hashed(file, parts)
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise OutputError(f"{self.url}/{name} cannot be written ({reason}).") from error
-
-    def open(self, name: str) -> BinaryIO:
-        """As `Scratch` says."""
-        return cast("BinaryIO", self.files.open(f"{self.root}/{name}", "rb"))
-
-    def remove(self) -> None:
-        """As `Scratch` says."""
-        if self.files.exists(self.root):
-            for path in self.files.ls(self.root, detail=False):
-                if str(path).endswith(_SUFFIXES):
-                    self.files.rm_file(path)
-            with contextlib.suppress(OSError, NotImplementedError):
-                self.files.rmdir(self.root)
-
-    def tidy(self) -> None:
-        """Nothing is left: an upload that is not closed never appears."""
-
-
 def open_scratch(place: str) -> Scratch:
     """The files at a folder or URL.
 
     Raises:
         OptionError: What reaches that kind of URL is not installed.
     """
-    return UrlScratch(place) if "://" in place else FolderScratch(Path(place))
+    if not is_url(place):
+        return FolderScratch(Path(place))
+    from nanogs.scale.remote import UrlScratch
+
+    return UrlScratch(place)
+
+
+def is_url(place: str) -> bool:
+    """Whether a place is one that fsspec reaches."""
+    return "://" in place
 
 
 def hash_file(file: BinaryIO) -> tuple[int, str]:
@@ -166,7 +149,8 @@ def hash_file(file: BinaryIO) -> tuple[int, str]:
     return count, digest.hexdigest()
 
 
-def _write_hashed(file: BinaryIO, parts: Iterable[Array]) -> tuple[int, str]:
+def write_hashed(file: BinaryIO, parts: Iterable[Array]) -> tuple[int, str]:
+    """Write parts one after the other; their bytes, and the SHA-256 of these."""
     digest, count = hashlib.sha256(), 0
     for part in parts:
         data = part.reshape(-1).view(np.uint8).data

@@ -193,7 +193,7 @@ class Table:
 
     def __init__(self, scratch: Scratch, record: Record) -> None:
         self.record = record
-        self._file = scratch.open(f"{record.name}.bin")
+        self._file = scratch.open(f"{record.name}.bin", record.bytes)
 
     def __enter__(self) -> Self:
         return self

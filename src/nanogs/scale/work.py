@@ -21,7 +21,7 @@ from nanogs.scale.frame import Frame, frame_of, survey
 from nanogs.scale.halo import find_halo
 from nanogs.scale.partition import Partition, partition, partition_of
 from nanogs.scale.parts import write_rest
-from nanogs.scale.scratch import Scratch, open_scratch
+from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import Layout, Settings
 from nanogs.scale.settle import GONE, GROUP, settled, view_of, write_settled
 from nanogs.scale.spill import spill
@@ -55,6 +55,9 @@ class Task:
     def name(self) -> str:
         """Of what it writes."""
         return f"{self.stage}-{self.level}-{self.number:05d}"
+
+
+MARK = Task("job")  # done by the caller: who does not see its record sees other files
 
 
 @dataclass(slots=True, eq=False)
@@ -138,17 +141,6 @@ def do(work: Work, task: Task) -> Record:
         record = _STAGES[task.stage](work, task)
     work.known[task.name] = record
     return record
-
-
-def do_elsewhere(place: str, settings: Settings, task: Task, threads: int | None) -> str:
-    """Do a task where nothing is shared with the caller but the scratch.
-
-    Returns:
-        The name of what it wrote.
-    """
-    with use_threads(threads) as used:
-        work = Work(open_scratch(place), settings, used)
-    return do(work, task).name
 
 
 def _unpack(work: Work, task: Task) -> Record:
