@@ -15,7 +15,8 @@ import pytest
 import nanogs
 from nanogs.datasets.synthetic import make_scene
 from nanogs.kernels.forest import log_determinants, merge_increments
-from nanogs.kernels.raster import blend_tiles, list_tiles
+from nanogs.kernels.listing import list_tiles
+from nanogs.kernels.raster import blend_tiles
 from nanogs.metrics import ssim
 from nanogs.refit import targets
 from nanogs.render import rasterize
@@ -229,13 +230,13 @@ def test_list_tiles(timed, scene):
 
 def test_blend(timed, scene):
     view = rasterize.project(scene["prepared"], scene["camera"])
-    features = np.ascontiguousarray(view.features[:, :3])
     image, left = np.empty((512, 512, 3), np.float32), np.empty((512, 512), np.float32)
     behind, probes = np.zeros(4, np.float32), np.empty((0, 512, 512), np.float32)
     partial = np.empty((len(view.entries), 0), np.float32)
     timed(
         lambda: blend_tiles(
-            view.geometry, features, view.starts, view.entries, behind, image, left, probes, partial
+            view.geometry, view.features, view.starts, view.entries, behind, image, left,
+            probes, partial,
         ),
         view.entries, image,
     )  # fmt: skip

@@ -35,7 +35,7 @@ def test_what_is_left_to_the_first_process_is_rendering():
     )
     left = set(run.stdout.split())
     assert "raster" in left
-    assert left <= {"raster", "project", "harmonics"}
+    assert left <= {"raster", "listing", "project", "harmonics"}
 
 
 def test_it_is_started_once_and_only_where_there_is_a_processor_for_it(monkeypatch):

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import twins
 from builders import gaussians_of, random_splats, row
+from nanogs.errors import ModelError
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.kernels.forest import (
     log_determinants,
@@ -373,6 +374,13 @@ def test_matching_in_rounds_changes_nothing(monkeypatch, stretch):
         assert list(map(tuple, plan.pairs.tolist())) == twins.greedy(pairs, costs.tolist(), 390)
         assert (np.diff(plan.costs) >= 0).all()
     assert max(left) < 200  # most are taken in rounds
+
+
+def test_more_pairs_than_there_are_numbers_for_are_refused(monkeypatch):
+    monkeypatch.setattr(stage_four, "MOST_PAIRS", 2)
+    pairs = np.array([[0, 1], [0, 2], [1, 2]], np.int32)
+    with pytest.raises(ModelError, match="3 pairs, and 2 can be matched"):
+        match(pairs, np.zeros(3, np.float32), 3, 1)
 
 
 def test_a_chain_of_ascending_costs_takes_no_round_for_each_pair(monkeypatch):

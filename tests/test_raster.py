@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nanogs.errors import OptionError
-from nanogs.kernels import harmonics, raster
+from nanogs.kernels import harmonics, listing, raster
 from nanogs.kernels import project as project_kernels
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import SURFEL_NOTE, prepare, probe, project, render
@@ -378,18 +378,35 @@ def test_tile_lists_hold_the_tiles_that_each_splat_meets_nearest_first(size):
     tiles_x, paths = math.ceil(width / raster.TILE), set()
     for index in view.order.tolist():
         left, top, across, down = project_kernels.unpack_box(int(view.boxes[index]))
-        lowest = raster._lowest(view.geometry[index])
-        whole = across == 1 or down == 1 or max(across, down) <= raster.SMALL
-        paths.add((whole, across > raster.WIDEST, down > raster.HIGHEST))
+        lowest = listing._lowest(view.geometry[index])
+        whole = across == 1 or down == 1 or max(across, down) <= listing.SMALL
+        paths.add((whole, across > listing.WIDEST, down > listing.HIGHEST))
         for ty in range(top, top + down):
             first, end = left, left + across
             if not whole:
-                first, end = raster._tile_span(view.geometry[index], lowest, ty, width, height)
+                first, end = listing._tile_span(
+                    view.geometry[index], lowest, left, across, ty, width, height
+                )
             for tx in range(first, end):
                 wanted[ty * tiles_x + tx].append(index)
     assert len(paths) > 1
     found = [view.entries[a:b].tolist() for a, b in pairwise(view.starts)]
     assert found == wanted
+
+
+@pytest.mark.parametrize("scale", [1e6, 1e12, 1e18, 1e22])
+@pytest.mark.parametrize("turn", [0.0, 5e-23, 1e-9, 0.3])
+def test_splats_of_any_size_draw_nothing_outside_of_the_image(scale, turn):
+    scales = np.array([[scale, 1e-3, 1e-3], [1, scale, scale], [0.1, 0.1, 0.1]])
+    splats = make_splats(
+        3,
+        means=np.array([[0, 0, 5], [1, 2, 3], [0, 0, 4]], np.float32),
+        log_scales=np.log(scales).astype(np.float32),
+        quats=np.array([[1, 0, 0, turn], [1, turn, 0, 0], [1, 0, 0, 0]], np.float32),
+    )
+    image = render(splats, make_camera(256, 256, 200.0), contributions=True)
+    assert np.isfinite(image.color).all()
+    assert np.isfinite(image.contributions).all()
 
 
 seeds = st.integers(0, 2**16)

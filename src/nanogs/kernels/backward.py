@@ -147,9 +147,10 @@ def _pull_splat(
     inv_w, slope, inv_yy, reach = geometry[i, 2], geometry[i, 3], geometry[i, 4], geometry[i, 5]
     opacity = np.float32(geometry[i, 6])
     ey, width, inv_h = math.sqrt(reach / inv_yy), 1.0 / inv_w, math.sqrt(inv_yy)
-    top = math.ceil(max(v - ey, 0.0))
-    bottom = math.floor(min(v + ey, TILE - 1.0))
-    for r in range(top, bottom + 1):
+    low, high = max(v - ey, 0.0), min(v + ey, TILE - 1.0)
+    if not low <= high:  # before rounding: too large a number makes no integer
+        return
+    for r in range(math.ceil(low), math.floor(high) + 1):
         dy = r - v
         q = dy * dy * inv_yy
         half = math.sqrt(max(0.0, reach - q)) * width

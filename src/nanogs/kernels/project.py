@@ -119,7 +119,7 @@ def unpack_box(box: int) -> tuple[int, int, int, int]:
 
 
 def reaches_of(opacities: F32) -> F32:
-    """(N,) float32, 2 ln(255 opacity) + SLACK, at 0 where alpha never is 1/255."""
+    """(N,) float32, 2 ln(255 opacity) + SLACK; that of 1/255 where the opacity is less."""
     seen = np.maximum(opacities, np.float32(MIN_ALPHA)).astype(np.float64)
     return (2.0 * np.log(255.0 * seen) + SLACK).astype(np.float32)
 
@@ -164,7 +164,7 @@ def project_splats(
         factors: (N, 3, 3), R diag(s), scene units.
         opacities: (N,) in [0, 1].
         reaches: (N,) see `reaches_of`; of no use for MIP models.
-        keep: (N,) false for rows that are not to be drawn.
+        keep: (N,) false for rows that are not to be drawn, those of opacity below 1/255 among them.
         sh: (N, K, 3) with K >= (degree + 1)².
         rotation: (3, 3), world to camera.
         position: (3,) the camera's centre, scene units.

@@ -1,4 +1,4 @@
-"""Kernels of the rasteriser: list projected splats by tile, blend.
+"""Kernels of the rasteriser that blend the splats of each tile; `listing` tells which they are.
 
 Source: Kerbl, Kopanas, Leimkühler, Drettakis, "3D Gaussian Splatting", 2023 [K]. What a row of
 `geometry` holds is said in `nanogs.kernels.project`.
@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64, U32, U64
+from nanogs._types import F32, F64, I32, I64, U32
 from nanogs.kernels.pixels import add_products, add_scaled, blend_pair, blend_pair_three
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
-from nanogs.kernels.project import HIDDEN, unpack_box
+from nanogs.kernels.project import HIDDEN
 from nanogs.kernels.spans import (
     BATCH,
     PIXELS,
@@ -26,179 +26,6 @@ from nanogs.kernels.spans import (
 )
 
 FAR = np.float32(1e30)  # so far from a splat that it gives no light
-CHUNKS = 16  # runs of the depth order listed independently; fixed, so that threads do not matter
-SMALL = 2  # tiles along a side of a box that is listed whole: what lies beside it draws nothing
-HIGHEST, WIDEST = 4, 254  # tiles of the largest box whose spans are remembered
-WHOLE, UNKNOWN = np.uint64(0), np.uint64(0xFFFFFFFFFFFFFFFF)
-
-
-@inline
-def _tile_span(row: F64, lowest: float, ty: int, width: int, height: int) -> tuple[int, int]:
-    """Tiles [first, end) of tile row ty that hold a pixel centre inside a splat's ellipse.
-
-    row: of geometry; lowest: the height above the centre at which it is leftmost, in pixels.
-    """
-    u, v, sigma = row[0], row[1], 1.0 / row[2]
-    slope, inv_yy, reach = row[3], row[4], row[5]
-    y0 = ty * TILE + 0.5 - v
-    y1 = min(ty * TILE + TILE, height) - 0.5 - v
-    left_y = min(max(lowest, y0), y1)
-    right_y = min(max(-lowest, y0), y1)
-    left = slope * left_y - math.sqrt(max(0.0, reach - left_y * left_y * inv_yy)) * sigma
-    right = slope * right_y + math.sqrt(max(0.0, reach - right_y * right_y * inv_yy)) * sigma
-    first = math.ceil(max(u + left - 0.5, 0.0))
-    last = math.floor(min(u + right - 0.5, width - 1.0))
-    if last < first:
-        return 0, 0
-    return first // TILE, last // TILE + 1
-
-
-@inline
-def _lowest(row: F64) -> float:
-    """The height above the centre at which a splat is leftmost, in pixels."""
-    drift = row[3] * row[2]
-    height: float = -row[7] * drift / math.sqrt(drift * drift + row[4])
-    return height
-
-
-@kernel
-def depth_keys(features: F32, boxes: I64, keys: U64) -> int:
-    """Sort keys of the splats that are drawn: depth above, index below; returns their number.
-
-    features: (N, 4), the last one the depth, above 0, whose bits sort as its values do; boxes: (N,)
-    from `project_splats`; keys: (N,) out.
-    """
-    bits = features.view(np.uint32)
-    count = 0
-    for i in range(len(boxes)):
-        if boxes[i] != HIDDEN:
-            keys[count] = np.uint64(bits[i, 3]) << np.uint64(32) | np.uint64(i)
-            count += 1
-    return count
-
-
-@parallel_kernel("counts", least=1)
-def span_tiles(
-    start: int,
-    stop: int,
-    geometry: F64,
-    boxes: I64,
-    order: I64,
-    width: int,
-    height: int,
-    spans: U64,
-    counts: I64,
-) -> None:
-    """Find the tiles that the splats of each run of the depth order meet, and count them.
-
-    Args:
-        start: First run of the range.
-        stop: The run after its last.
-        geometry: (N, 8) rows of projected splats.
-        boxes: (M,) the tiles around each, in this order.
-        order: (M,) indices of the drawn splats, nearest first.
-        width: Image width in pixels.
-        height: Image height in pixels.
-        spans: (M,) out, for each place of the order the first tile and the end in up to four rows
-            of the box, in bytes counted from its left; 0 for a box that is met whole, and
-            `UNKNOWN` for one that does not fit.
-        counts: (runs, T) out, for each run of the order and tile.
-    """
-    tiles_x = (width + TILE - 1) // TILE
-    size = (len(order) + len(counts) - 1) // len(counts)
-    for run in range(start, stop):
-        counts[run] = 0
-        for m in range(run * size, min((run + 1) * size, len(order))):
-            index = order[m]
-            left, top, across, down = unpack_box(boxes[m])
-            whole = across == 1 or down == 1 or (across <= SMALL and down <= SMALL)
-            spans[m] = WHOLE if whole else UNKNOWN
-            fits = not whole and across <= WIDEST and down <= HIGHEST
-            lowest = 0.0 if whole else _lowest(geometry[index])
-            found = 0
-            for k in range(down):
-                first, end = left, left + across
-                if not whole:
-                    first, end = _tile_span(geometry[index], lowest, top + k, width, height)
-                    if first < end and fits:
-                        found |= ((first - left) | (end - left) << 8) << (16 * k)
-                for tile in range((top + k) * tiles_x + first, (top + k) * tiles_x + end):
-                    counts[run, tile] += 1
-            if fits and found != 0:
-                spans[m] = np.uint64(found)
-
-
-@parallel_kernel("cursors", least=1)
-def list_runs(
-    start: int,
-    stop: int,
-    geometry: F64,
-    boxes: I64,
-    order: I64,
-    width: int,
-    height: int,
-    spans: U64,
-    cursors: I64,
-    entries: I32,
-) -> None:
-    """Write the splats of each run of the depth order into the lists of the tiles that they meet.
-
-    Args:
-        start: First run of the range.
-        stop: The run after its last.
-        geometry: (N, 8) rows of projected splats.
-        boxes: (M,) the tiles around each, in this order.
-        order: (M,) indices of the drawn splats, nearest first.
-        width: Image width in pixels.
-        height: Image height in pixels.
-        spans: (M,) from `span_tiles`.
-        cursors: (runs, T) where each run begins in each tile's list, moved to its end.
-        entries: (E,) out.
-    """
-    tiles_x = (width + TILE - 1) // TILE
-    size = (len(order) + len(cursors) - 1) // len(cursors)
-    for run in range(start, stop):
-        for m in range(run * size, min((run + 1) * size, len(order))):
-            index, span = order[m], spans[m]
-            left, top, across, down = unpack_box(boxes[m])
-            lowest = _lowest(geometry[index]) if span == UNKNOWN else 0.0
-            for k in range(down):
-                first, end = left, left + across
-                if span == UNKNOWN:
-                    first, end = _tile_span(geometry[index], lowest, top + k, width, height)
-                elif span != WHOLE:
-                    both = int(span >> np.uint64(16 * k)) & 0xFFFF
-                    first, end = left + (both & 0xFF), left + (both >> 8)
-                for tile in range((top + k) * tiles_x + first, (top + k) * tiles_x + end):
-                    entries[cursors[run, tile]] = index
-                    cursors[run, tile] += 1
-
-
-def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -> tuple[I64, I32]:
-    """List, for every tile, the splats that meet it, nearest first.
-
-    Args:
-        geometry: (N, 8) rows of projected splats.
-        boxes: (N,) the tiles around each, from `project_splats`.
-        order: (M,) indices of the drawn splats, nearest first.
-        width: Image width in pixels.
-        height: Image height in pixels.
-
-    Returns:
-        starts (T + 1,) and entries (starts[T],): tile t (row by row) holds the splats
-        entries[starts[t]:starts[t + 1]].
-    """
-    tiles = (-(-width // TILE)) * (-(-height // TILE))
-    counts = np.empty((CHUNKS, tiles), np.int64)
-    boxes = boxes[order]  # at once: reads of far memory then wait at the same time
-    spans = np.empty(len(order), np.uint64)
-    span_tiles(geometry, boxes, order, width, height, spans, counts)
-    ends = np.cumsum(counts.T).reshape(tiles, CHUNKS)
-    starts = np.append(ends[:, 0] - counts[0], ends[-1, -1])
-    cursors = np.ascontiguousarray((ends - counts.T).T)
-    entries = np.empty(starts[-1], np.int32)
-    list_runs(geometry, boxes, order, width, height, spans, cursors, entries)
-    return starts, entries
 
 
 @inline
@@ -236,12 +63,13 @@ def _list_pieces(
         u, v = geometry[i, 0] - x0 - 0.5, geometry[i, 1] - y0 - 0.5
         inv_w, slope, inv_yy = geometry[i, 2], geometry[i, 3], geometry[i, 4]
         reach, ey = geometry[i, 5], geometry[i, 7]
-        top = min(int(max(v - ey + 1.0, 0.0)), PIXELS)
-        tall = v + ey >= top + PIXELS
-        for above in range(0 if tall else top, TILE if tall else top + 1, PIXELS):
+        above = v - ey + 1.0  # compared first: too large a number makes no integer
+        top = int(above) if 0.0 < above < PIXELS else PIXELS if above >= PIXELS else 0
+        tall = top < PIXELS and v + ey >= top + PIXELS
+        for row in range(0 if tall else top, TILE if tall else top + 1, PIXELS):
             n = span_rows(
-                u, v, inv_w, slope, inv_yy, reach, above, open_rows, bases, squares, starts,
-                j * SPLAT + above, pieces, n, ROWS_OF,
+                u, v, inv_w, slope, inv_yy, reach, row, open_rows, bases, squares, starts,
+                j * SPLAT + row, pieces, n, ROWS_OF,
             )  # fmt: skip
         pieces[n] = j * SPLAT + TILE  # makes an even number
         n += n & 1

@@ -53,6 +53,9 @@ def span_rows(
 
     Returns:
         How many there are now.
+
+    The caller sets, once, what is never written here: `starts` from SECOND on to PIXELS, and the
+    numbers of the spare row, 16, of each splat to a start of 0 and a square that gives no light.
     """
     dy = first + np.arange(PIXELS) - v
     q = dy * dy * inv_yy

@@ -13,8 +13,8 @@ import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.errors import OptionError
+from nanogs.kernels import listing, raster
 from nanogs.kernels import project as projection
-from nanogs.kernels import raster
 from nanogs.kernels.radix import radix_sort
 from nanogs.render.camera import Camera
 from nanogs.splats import RenderMode, Splats
@@ -235,7 +235,7 @@ def project(
         boxes,
     )
     order = _depth_order(features, boxes)
-    starts, entries = raster.list_tiles(geometry, boxes, order, camera.width, camera.height)
+    starts, entries = listing.list_tiles(geometry, boxes, order, camera.width, camera.height)
     return Projection(geometry, boxes, features, order, starts, entries)
 
 
@@ -262,6 +262,7 @@ def blend(
     if probes is None:
         probes = np.empty((0, camera.height, camera.width), np.float32)
     probes = np.ascontiguousarray(probes)  # another layout would be another kernel to compile
+    assert features.shape[1] >= len(background)  # noqa: S101 - kernels do not look
     image = np.empty((camera.height, camera.width, len(background)), np.float32)
     left = np.empty(image.shape[:2], np.float32)
     partial = np.empty((len(view.entries), len(probes)), np.float32)
@@ -294,7 +295,7 @@ def _rows_of_a_line(n: int) -> F64:
 def _depth_order(features: F32, boxes: I64) -> I64:
     """Indices of the drawn splats, nearest first, ties by index."""
     keys = np.empty(len(boxes), np.uint64)
-    keys = keys[: raster.depth_keys(features, boxes, keys)]
+    keys = keys[: listing.depth_keys(features, boxes, keys)]
     other = np.empty_like(keys)
     keys = other if radix_sort(keys, other) else keys
     return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)

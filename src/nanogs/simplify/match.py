@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, I32, I64, U64, Bool
+from nanogs.errors import ModelError
 from nanogs.kernels.pairs import (
     collect_free,
     greedy_matching,
@@ -21,6 +22,7 @@ from nanogs.simplify.blocks import BLOCK_PAIRS, blocks
 BATCH = 0.5  # pairs for each row
 SMALLEST_BATCH = 1 << 16
 STRETCH = 1 << 16  # rows that one thread goes through; fixed, so that threads do not matter
+MOST_PAIRS = (1 << 31) - 1
 FEW = 0.01  # share of the rows that is no longer worth a round
 
 
@@ -55,12 +57,23 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
         costs: (E,) float32; a pair whose cost is NaN is no candidate.
         rows: Number of rows the pairs index.
         limit: Most pairs to take.
+
+    Raises:
+        ModelError: There are more pairs than their numbers have bits for.
     """
+    if len(pairs) > MOST_PAIRS:
+        raise ModelError(
+            f"The graph has {len(pairs):,} pairs, and {MOST_PAIRS:,} can be matched at once; ask"
+            " for fewer neighbours with --k, or for blocks with --max-memory."
+        )
     firsts, seconds = pairs.T
     taken = np.zeros(rows, dtype=bool)
     joined = _agree(firsts, seconds, costs, taken)
     left, without_cost = _match_sorted(firsts, seconds, costs, taken)
-    chosen = _cheapest_first(np.sort(np.concatenate((joined, left))), costs)[:limit]
+    chosen = np.concatenate((joined, left))
+    del joined, left
+    chosen.sort()
+    chosen = _cheapest_first(chosen, costs)[:limit]
     matched = np.stack((firsts[chosen], seconds[chosen]), axis=1)
     return MergePlan(matched, costs[chosen], without_cost)
 
@@ -90,10 +103,11 @@ def _agree(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> I64:
 def _crossing(firsts: I32, seconds: I32) -> I32:
     """Rows of the pairs whose rows are in two stretches."""
     found = [
-        np.flatnonzero(firsts[block] // STRETCH != seconds[block] // STRETCH) + block.start
+        np.flatnonzero(firsts[block] // STRETCH != seconds[block] // STRETCH).astype(np.int32)
+        + np.int32(block.start)
         for block in blocks(len(firsts), BLOCK_PAIRS)
     ]
-    return np.concatenate([*found, np.empty(0, np.int64)]).astype(np.int32)
+    return np.concatenate([*found, np.empty(0, np.int32)])
 
 
 def _match_sorted(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> tuple[I64, int]:

@@ -75,11 +75,11 @@ def graph_bytes(k: int) -> float:
 
 
 def match_bytes(k: int) -> float:
-    """Bytes a splat of pairs, costs, a batch of keys, flags and what is chosen.
+    """Bytes a splat of pairs, costs, flags, and what is chosen while it is put in order.
 
-    Rounds before the first batch take no more: the cheapest pair of each row and what was joined.
+    Rounds and batches take no more: the cheapest pair of each row, or some keys.
     """
-    return pairs_of(k) * (2 * _I4 + _F4) + 0.5 * 2 * _I8 + 1 + 0.5 * _I8
+    return pairs_of(k) * (2 * _I4 + _F4) + 1 + 0.5 * (_I8 + 2 * _I4 + 2 * _I8)
 
 
 def pairs_of(k: int) -> float:

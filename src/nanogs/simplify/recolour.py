@@ -85,8 +85,7 @@ def _moved(small: Splats, merged: Bool, pulls: F64, curvatures: F64, prior: floa
 
 def _planes(shown: Projection, view: OriginalView) -> F32:
     """(4, H, W): what the colours of the pixels lack, and their alpha."""
-    colours = np.ascontiguousarray(shown.features[:, :3])
-    image, left, _ = blend(shown, view.camera, colours, np.zeros(3, np.float32))
+    image, left, _ = blend(shown, view.camera, shown.features, np.zeros(3, np.float32))
     alpha = 1 - left
     # Over white, what the alpha lacks is lacking less.
     lack = view.image - np.minimum(image, 1.0) - WHITE * (view.alpha - alpha)[..., None]
