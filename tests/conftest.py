@@ -31,6 +31,16 @@ def peer_path(name: str) -> Path:
 
 
 @pytest.fixture(scope="module")
+def scene(splats, tmp_path_factory):
+    """A file of the splats of a module's own fixture."""
+    import nanogs
+
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(splats, path)
+    return path
+
+
+@pytest.fixture(scope="module")
 def small_views():
     """Presets that render and fit do so with few and small views."""
     # Here and not above: this brings Numba, which the tests of reading and writing do without.

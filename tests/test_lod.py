@@ -29,13 +29,6 @@ def splats():
     return random_splats(400, degree=1)
 
 
-@pytest.fixture(scope="module")
-def scene(splats, tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "scene.ply"
-    nanogs.save(splats, path)
-    return path
-
-
 def names(folder):
     return sorted(path.name for path in folder.iterdir())
 

@@ -45,13 +45,6 @@ def splats():
     return random_splats(1200, degree=1)
 
 
-@pytest.fixture(scope="module")
-def scene(splats, tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "scene.ply"
-    nanogs.save(splats, path)
-    return path
-
-
 def write(scene, folder, layout, *, ratios=RATIOS, where=None, progress=None, **options):
     given = {"preset": "fast", "rounds": 1, "block": BLOCK, "max_memory": None}
     if layout is not Layout.PLY:

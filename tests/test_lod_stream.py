@@ -43,13 +43,6 @@ def splats():
 
 
 @pytest.fixture(scope="module")
-def scene(splats, tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "scene.ply"
-    nanogs.save(splats, path)
-    return path
-
-
-@pytest.fixture(scope="module")
 def path(scene, tmp_path_factory):
     """The `lod-meta.json` that the command makes of the scene."""
     path = tmp_path_factory.mktemp("out") / "levels" / "lod-meta.json"

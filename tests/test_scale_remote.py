@@ -37,11 +37,8 @@ GIVEN = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1}
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    """A file of a scene."""
-    path = tmp_path_factory.mktemp("scene") / "scene.ply"
-    nanogs.save(random_splats(COUNT, degree=0), path)
-    return path
+def splats():
+    return random_splats(COUNT, degree=0)
 
 
 @pytest.fixture(scope="module")

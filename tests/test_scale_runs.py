@@ -32,11 +32,8 @@ BLOCK = {"preset": "fast", "rounds": 1, "block": 35_000, "threads": 1}
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    """A file of a scene."""
-    path = tmp_path_factory.mktemp("scene") / "scene.ply"
-    nanogs.save(random_splats(COUNT, degree=0), path)
-    return path
+def splats():
+    return random_splats(COUNT, degree=0)
 
 
 @pytest.fixture(scope="module")
