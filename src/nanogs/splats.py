@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -193,6 +194,18 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
             name: np.concatenate([part.extras[name] for part in parts]) for name in first.extras
         },
     )
+
+
+def empty_arrays(count: int, degree: int) -> dict[str, Any]:
+    """The arrays of `Splats` by name, of so many rows and that SH degree; junk, to be filled."""
+    shapes: dict[str, tuple[int, ...]] = {
+        "means": (3,),
+        "log_scales": (3,),
+        "quats": (4,),
+        "opacity_logits": (),
+        "sh": ((degree + 1) ** 2, 3),
+    }
+    return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
 
 
 def padded(sh: F32, coefficients: int) -> F32:

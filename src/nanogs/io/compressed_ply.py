@@ -16,7 +16,7 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes
 from nanogs.io.ply_rows import iter_blocks, iter_span
-from nanogs.splats import ExtraElement, Splats
+from nanogs.splats import ExtraElement, Splats, empty_arrays
 
 CHUNK_ROWS = 256
 SH_C0 = 0.28209479177387814
@@ -158,13 +158,7 @@ def _error(header: Header, what: str) -> FormatError:
 def _decoded(rows: dict[str, Array], degree: int, skipped: int) -> dict[str, Any]:
     """The arrays of `Splats`, computed in float64 block by block and rounded once."""
     n = len(rows["vertex"])
-    out: dict[str, Any] = {
-        "means": np.empty((n, 3), np.float32),
-        "log_scales": np.empty((n, 3), np.float32),
-        "quats": np.empty((n, 4), np.float32),
-        "opacity_logits": np.empty(n, np.float32),
-        "sh": np.empty((n, (degree + 1) ** 2, 3), np.float32),
-    }
+    out = empty_arrays(n, degree)
     for start in range(0, n, BLOCK_ROWS):
         span = slice(start, min(start + BLOCK_ROWS, n))
         vertex = rows["vertex"][span]

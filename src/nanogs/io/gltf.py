@@ -26,7 +26,7 @@ from nanogs.io.glb_rows import Accessor, Body
 from nanogs.io.gltf_scene import EXTENSION, Placed, Pose, placed_splats
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Rows
-from nanogs.splats import RenderMode, Splats
+from nanogs.splats import RenderMode, Splats, empty_arrays
 
 MAX_DEGREE = 3
 COLOUR_SPACE = "srgb_rec709_display"
@@ -119,13 +119,8 @@ class _Rows:
     def read(self, start: int, stop: int) -> Splats:
         """Some rows; see `Rows`."""
         scene, n = self._scene, stop - start
-        out: dict[str, Any] = {
-            "means": np.empty((n, 3), np.float32),
-            "log_scales": np.empty((n, 3), np.float32),
-            "quats": np.empty((n, 4), np.float32),
-            "opacity_logits": np.empty(n, np.float32),
-            "sh": np.zeros((n, (scene.degree + 1) ** 2, 3), np.float32),
-        }
+        out = empty_arrays(n, scene.degree)
+        out["sh"][:] = 0
         first = 0
         # Whatever bits there are: NaN, infinity, zero scales.
         with _body(scene.glb.path) as body, np.errstate(all="ignore"):

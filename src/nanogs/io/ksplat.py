@@ -23,7 +23,7 @@ from nanogs.io.findings import negative_scales
 from nanogs.io.info import FileInfo
 from nanogs.io.ksplat_header import AGAIN, TYPE_NAMES, Headers, Section, columns, read_headers
 from nanogs.io.parts import Rows, row_blocks
-from nanogs.splats import RenderMode, Splats
+from nanogs.splats import RenderMode, Splats, empty_arrays
 
 _CENTRE = np.dtype([("centre", "<f4", 3)])
 _SCALE_RANGE = 32767  # steps of a centre on either side of the bucket's, where none are given
@@ -79,13 +79,7 @@ class _Sections:
 
     def read(self, start: int, stop: int) -> Splats:
         file, n = self.headers, stop - start
-        out: dict[str, Any] = {
-            "means": np.empty((n, 3), np.float32),
-            "log_scales": np.empty((n, 3), np.float32),
-            "quats": np.empty((n, 4), np.float32),
-            "opacity_logits": np.empty(n, np.float32),
-            "sh": np.empty((n, (file.degree + 1) ** 2, 3), np.float32),
-        }
+        out = empty_arrays(n, file.degree)
         at = negative = first = 0
         with np.errstate(all="ignore"):  # whatever bits there are: NaN, infinity, zero scales
             for section in file.sections:

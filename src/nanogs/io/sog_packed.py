@@ -7,7 +7,6 @@ its finest level are unpacked, model after model.
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.sog import Model, opened, texels_of
 from nanogs.io.sog_levels import Piece, check_rows, common_mode, joined_notes, read_manifest
 from nanogs.io.sog_meta import MAX_META_BYTES, file_names
-from nanogs.splats import RenderMode, Splats, padded
+from nanogs.splats import RenderMode, Splats, empty_arrays, padded
 
 _PALETTE = "shN_centroids"
 _TEXEL = 25  # bytes that decoding holds for each, measured: copies of Pillow and ours
@@ -142,13 +141,7 @@ class _Level:
     def read(self, columns: ColumnReader, start: int, stop: int) -> Splats:
         """Some rows, whichever models they are in; see `Packed`."""
         n, coefficients = stop - start, (self._degree + 1) ** 2
-        out: dict[str, Any] = {
-            "means": np.empty((n, 3), np.float32),
-            "log_scales": np.empty((n, 3), np.float32),
-            "quats": np.empty((n, 4), np.float32),
-            "opacity_logits": np.empty(n, np.float32),
-            "sh": np.empty((n, coefficients, 3), np.float32),
-        }
+        out = empty_arrays(n, self._degree)
         for number, (piece, (first, end)) in enumerate(
             zip(self._pieces, pairwise(self._ends), strict=True)
         ):

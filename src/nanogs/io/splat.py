@@ -18,7 +18,7 @@ from nanogs.io.files import BLOCK_ROWS, input_size
 from nanogs.io.findings import negative_scales
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Rows, row_blocks
-from nanogs.splats import RenderMode, Splats
+from nanogs.splats import RenderMode, Splats, empty_arrays
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _SUFFIX = ".splat"
@@ -51,13 +51,7 @@ class _File:
 
     def read(self, start: int, stop: int) -> Splats:
         n = stop - start
-        out: dict[str, Any] = {
-            "means": np.empty((n, 3), np.float32),
-            "log_scales": np.empty((n, 3), np.float32),
-            "quats": np.empty((n, 4), np.float32),
-            "opacity_logits": np.empty(n, np.float32),
-            "sh": np.empty((n, 1, 3), np.float32),
-        }
+        out = empty_arrays(n, 0)
         negative = 0
         for span, block in row_blocks(self.path, _ROW, start * _ROW.itemsize, n):
             negative += _decode(block, out, span)

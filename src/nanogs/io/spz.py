@@ -12,7 +12,6 @@ do, axes as they are. Alpha 0 and 255 become -inf and +inf, as in every 8-bit fo
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.spz_body import body_pieces, read_body, window_bytes
 from nanogs.io.spz_header import ANTIALIASED, Header, read_header
-from nanogs.splats import RenderMode, Splats
+from nanogs.splats import RenderMode, Splats, empty_arrays
 
 COLOUR_SCALE = 0.15
 SCALE_STEPS, SCALE_LOW = 16, -10.0
@@ -92,13 +91,8 @@ class _Body:
 
 def _decoded(header: Header, columns: Mapping[str, U8], notes: Sequence[str]) -> Splats:
     n, coefficients = len(columns["alphas"]), (header.degree + 1) ** 2
-    out: dict[str, Any] = {
-        "means": np.empty((n, 3), np.float32),
-        "log_scales": np.empty((n, 3), np.float32),
-        "quats": np.empty((n, 4), np.float32),
-        "opacity_logits": _ALPHAS[columns["alphas"][:, 0]],
-        "sh": np.empty((n, coefficients, 3), np.float32),
-    }
+    out = empty_arrays(n, header.degree)
+    out["opacity_logits"] = _ALPHAS[columns["alphas"][:, 0]]
     for start in range(0, n, BLOCK_ROWS):
         span = slice(start, min(start + BLOCK_ROWS, n))
         block = {name: column[span] for name, column in columns.items()}

@@ -12,6 +12,7 @@ from nanogs.formatting import bytes_text
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks
+from nanogs.scale.scratch import is_url
 from nanogs.scale.settings import PATIENCE, Chunks, Settings
 from nanogs.scale.source import look_at, segments_of
 from nanogs.scale.unpack import cost_of
@@ -188,7 +189,7 @@ def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None
         OutputError: There is too little room.
     """
     place = folder.absolute() if scratch is None else Path(scratch).absolute()
-    if scratch is not None and "://" in scratch:
+    if scratch is not None and is_url(scratch):
         return
     while not place.exists() and place != place.parent:
         place = place.parent
