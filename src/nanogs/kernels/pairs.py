@@ -172,12 +172,12 @@ def offer_crossing(
 
 @parallel_kernel("bests")
 def join_pairs(
-    start: int, stop: int, firsts: I32, seconds: I32, bests: U64, taken: Bool, joined: I32
+    start: int, stop: int, firsts: I32, seconds: I32, bests: U64, taken: Bool, joined: U64
 ) -> None:
     """Take the pairs that are the cheapest of both their rows.
 
-    firsts, seconds, bests: from `offer_pairs`; taken: (N,), changed; joined: (N,) the pair that
-    each smaller row is in, changed.
+    firsts, seconds, bests: from `offer_pairs`; taken: (N,), changed; joined: (N,) the key of the
+    pair that each smaller row is in, changed.
     """
     for i in range(start, stop):
         if bests[i] != NONE:
@@ -185,7 +185,7 @@ def join_pairs(
             j = seconds[edge]
             if firsts[edge] == i and bests[j] == bests[i]:
                 taken[i] = taken[j] = True
-                joined[i] = edge
+                joined[i] = bests[i]
 
 
 @kernel
@@ -226,12 +226,12 @@ def collect_free(
 
 @kernel
 def greedy_matching(
-    firsts: I32, seconds: I32, keys: U64, taken: Bool, chosen: I64, count: int
+    firsts: I32, seconds: I32, keys: U64, taken: Bool, chosen: U64, count: int
 ) -> int:  # fmt: skip
     """Walk the pairs in order and choose those whose ends are both free, until there is no room.
 
     firsts, seconds: (E,); keys: from `collect_free`, sorted; taken: (N,), changed; chosen: (limit,)
-    rows of pairs, filled from place `count`. Returns how many there are.
+    keys of pairs, filled from place `count`. Returns how many there are.
     """
     for key in keys:
         if count == len(chosen):
@@ -241,6 +241,6 @@ def greedy_matching(
         if not taken[i] and not taken[j]:
             taken[i] = True
             taken[j] = True
-            chosen[count] = edge
+            chosen[count] = key
             count += 1
     return count

@@ -7,6 +7,7 @@ import numpy as np
 from nanogs._types import F32, I32, I64, U64, Bool
 from nanogs.errors import ModelError
 from nanogs.kernels.pairs import (
+    NONE,
     collect_free,
     greedy_matching,
     join_pairs,
@@ -70,16 +71,16 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     taken = np.zeros(rows, dtype=bool)
     joined = _agree(firsts, seconds, costs, taken)
     left, without_cost = _match_sorted(firsts, seconds, costs, taken)
-    chosen = np.concatenate((joined, left))
+    keys = np.concatenate((joined, left))
     del joined, left
-    chosen.sort()
-    chosen = _cheapest_first(chosen, costs)[:limit]
+    keys.sort()
+    chosen = (keys[:limit] & np.uint64(0xFFFFFFFF)).astype(np.int64)
     matched = np.stack((firsts[chosen], seconds[chosen]), axis=1)
     return MergePlan(matched, costs[chosen], without_cost)
 
 
-def _agree(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> I64:
-    """Rows of the pairs that are the cheapest of both their rows, then of those left, and so on.
+def _agree(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> U64:
+    """Keys of the pairs that are the cheapest of both their rows, then of those left, and so on.
 
     It ends when a round takes few: in a chain of ascending costs each round would take one.
     """
@@ -90,14 +91,16 @@ def _agree(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> I64:
     bounds = np.searchsorted(firsts, starts.astype(np.int32))
     crossing = _crossing(firsts, seconds)
     bests: U64 = np.empty(rows, dtype=np.uint64)
-    joined: I32 = np.full(rows, -1, dtype=np.int32)
+    joined: U64 = np.full(rows, NONE, dtype=np.uint64)
     before, now = -rows, 0
     while now - before > FEW * rows:
         offer_pairs(firsts, seconds, costs, taken, bounds, STRETCH, bests)
         offer_crossing(firsts, seconds, costs, taken, crossing, bests)
         join_pairs(firsts, seconds, bests, taken, joined)
         before, now = now, int(np.count_nonzero(taken))
-    return joined[joined >= 0].astype(np.int64)
+    del bests
+    keys: U64 = joined[joined != NONE]
+    return keys
 
 
 def _crossing(firsts: I32, seconds: I32) -> I32:
@@ -110,9 +113,9 @@ def _crossing(firsts: I32, seconds: I32) -> I32:
     return np.concatenate([*found, np.empty(0, np.int32)])
 
 
-def _match_sorted(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> tuple[I64, int]:
-    """Rows of the pairs that are taken of what is free, and how many pairs have no cost."""
-    chosen: I64 = np.empty((len(taken) - np.count_nonzero(taken)) // 2, dtype=np.int64)
+def _match_sorted(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> tuple[U64, int]:
+    """Keys of the pairs that are taken of what is free, and how many pairs have no cost."""
+    chosen: U64 = np.empty((len(taken) - np.count_nonzero(taken)) // 2, dtype=np.uint64)
     room = max(int(BATCH * len(taken)), SMALLEST_BATCH)
     count = 0
     while True:
@@ -124,18 +127,6 @@ def _match_sorted(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> tuple[I
         keys = _sorted_keys(firsts, seconds, costs, taken, end, int(counts[:end].sum()))
         count = greedy_matching(firsts, seconds, keys, taken, chosen, count)
         del keys
-
-
-def _cheapest_first(chosen: I64, costs: F32) -> I64:
-    """Ascending rows of pairs, put in the order of (cost, pair)."""
-    bits = costs[chosen].view(np.uint32)
-    sign = np.uint32(1 << 31)
-    # As `_sortable` has it; of the zeros, that below 0 has the bits that the other one gets.
-    bits = np.where(bits > sign, ~bits, bits | sign)
-    keys = bits.astype(np.uint64) << np.uint64(32) | chosen.astype(np.uint64)
-    other = np.empty_like(keys)
-    keys = other if radix_sort(keys, other) else keys
-    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
 
 
 def _end_of_batch(counts: I64, room: int) -> int:

@@ -75,11 +75,11 @@ def graph_bytes(k: int) -> float:
 
 
 def match_bytes(k: int) -> float:
-    """Bytes a splat of pairs, costs, flags, and what is chosen while it is put in order.
+    """Bytes a splat of pairs, costs, flags, the cheapest pair of each row, and which were joined.
 
-    Rounds and batches take no more: the cheapest pair of each row, or some keys.
+    What follows takes no more: batches of keys, and those of the matching in their order.
     """
-    return pairs_of(k) * (2 * _I4 + _F4) + 1 + 0.5 * (_I8 + 2 * _I4 + 2 * _I8)
+    return pairs_of(k) * (2 * _I4 + _F4) + 1 + 2 * _I8
 
 
 def pairs_of(k: int) -> float:
