@@ -31,7 +31,7 @@ from nanogs.scale.tables import write_files
 from nanogs.simplify.presets import ForestParameters
 from nanogs.splats import concatenate
 from test_cli import run
-from test_lod_stream import files, leaves, nodes, seen_by_the_viewer
+from test_lod_stream import assert_binary, files, leaves, seen_by_the_viewer
 from test_scale_runs import wall
 from test_tiles import corners, level_of, tiles
 
@@ -152,12 +152,7 @@ def test_tiles_refine_by_one_scale_for_the_whole_scene(made):
 def test_the_streamed_tree_is_binary_and_names_every_row_once(made):
     path = made[Layout.SOG][0] / "lod-meta.json"
     meta = json.loads(path.read_text())
-    for node, above in nodes(meta["tree"]):
-        assert ("children" in node) != ("lods" in node)
-        assert len(node.get("children", [0, 0])) == 2
-        for bound in above:
-            assert (np.array(bound["min"]) <= node["bound"]["min"]).all()
-            assert (np.array(bound["max"]) >= node["bound"]["max"]).all()
+    assert_binary(meta["tree"])
     spans = {}
     for leaf in leaves(meta["tree"]):
         assert 1 <= leaf["lods"]["0"]["count"] <= CHUNK

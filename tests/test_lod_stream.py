@@ -67,6 +67,16 @@ def nodes(tree):
         waiting += [(child, [*above, node["bound"]]) for child in node.get("children", [])]
 
 
+def assert_binary(tree):
+    """Two children or none, each within all boxes above it."""
+    for node, above in nodes(tree):
+        assert ("children" in node) != ("lods" in node)
+        assert len(node.get("children", [0, 0])) == 2
+        for bound in above:
+            assert (np.array(bound["min"]) <= node["bound"]["min"]).all()
+            assert (np.array(bound["max"]) >= node["bound"]["max"]).all()
+
+
 def leaves(tree):
     return [node for node, _ in nodes(tree) if "lods" in node]
 
@@ -193,12 +203,7 @@ def test_runs_cover_every_file_and_chunks_are_bounded(path):
 
 def test_the_tree_is_binary_and_its_boxes_enclose_the_splats(path):
     meta = json.loads(path.read_text())
-    for node, above in nodes(meta["tree"]):
-        assert ("children" in node) != ("lods" in node)
-        assert len(node.get("children", [0, 0])) == 2
-        for bound in above:
-            assert (np.array(bound["min"]) <= node["bound"]["min"]).all()
-            assert (np.array(bound["max"]) >= node["bound"]["max"]).all()
+    assert_binary(meta["tree"])
     for leaf in leaves(meta["tree"]):
         for place in leaf["lods"].values():
             rows = np.arange(place["offset"], place["offset"] + place["count"])
