@@ -149,6 +149,18 @@ def test_the_reference_of_commands_names_all(hooks, commands):
             assert option[0] != "-" or f"`{option}`" in text
 
 
+@pytest.mark.parametrize("page", sorted((DOCS / "reference").glob("*.md")), ids=lambda p: p.name)
+def test_the_reference_names_what_there_is(page):
+    """`make docs` reads names from the source, and fails on one that is not there."""
+    for name in re.findall(r"^::: (\S+)$", page.read_text(), re.MULTILINE):
+        owner, _, last = name.rpartition(".")
+        if owner and importlib.util.find_spec(owner).submodule_search_locations is None:
+            found = getattr(importlib.import_module(owner), last)
+            assert found.__module__ == owner, f"{name} is defined elsewhere"
+        elif importlib.util.find_spec(name) is None:
+            assert hasattr(importlib.import_module(owner), last), name
+
+
 def test_the_readme_lists_every_format(hooks):
     table = hooks["formats"].readme_table(ROOT / "README.md")
     for known in registry.formats():
