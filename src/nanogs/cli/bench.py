@@ -10,20 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-)
 
 from nanogs.cli import options
-from nanogs.cli.console import err, print_json, warn
 from nanogs.errors import OptionError
 
-if TYPE_CHECKING:  # these bring Numba, which `--help` does without
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
     from nanogs.bench.output import ResultFolder
     from nanogs.bench.rows import BenchRow
     from nanogs.bench.scenes import BenchScene
@@ -169,6 +162,7 @@ def _show(
     """Measure, and write the rows or the tables to stdout."""
     from nanogs.bench.preamble import preamble
     from nanogs.bench.tables import markdown
+    from nanogs.cli.console import print_json
 
     above = preamble(settings, shlex.join(["nanogs", *sys.argv[1:]]))
     rows = _run(scenes, settings, out, overwrite, above, quiet)
@@ -207,8 +201,8 @@ def _run(
 class _Observer:
     """What the library calls while it measures."""
 
-    progress: Progress
-    task: TaskID
+    progress: "Progress"
+    task: "TaskID"
     quiet: bool
 
     def stage(self, what: str) -> None:
@@ -218,6 +212,8 @@ class _Observer:
         if folder:
             folder.add(row)
         if row.reason and not self.quiet:
+            from nanogs.cli.console import warn
+
             warn(f"{row.scene}, {row.method} at {row.ratio:g}: {row.status}: {row.reason}")
         self.progress.advance(self.task)
 
@@ -225,6 +221,16 @@ class _Observer:
 @contextmanager
 def _progress(total: int, quiet: bool) -> Iterator[_Observer]:
     """A bar over the rows, on a terminal only."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+
+    from nanogs.cli.console import err
+
     columns = (
         BarColumn(),
         MofNCompleteColumn(),

@@ -4,16 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
-from rich.text import Text
 
 from nanogs.cli import options
-from nanogs.cli.console import err, out, print_json, show, spinner, warn
 from nanogs.formatting import bytes_text, number_text
-from nanogs.io.atomic import check_writable
 from nanogs.view.bundle import is_built
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from nanogs.compare.comparison import Comparison
 
 
@@ -65,6 +63,11 @@ def compare(
     quiet: options.Quiet = False,
 ) -> None:
     """Score models against the original, on views that no method has used."""
+    # What only a run needs is imported here, and not for `--help`.
+    from nanogs.cli.console import err, out, print_json, show, warn
+    from nanogs.cli.progress import spinner
+    from nanogs.io.atomic import check_writable
+
     width, height = options.parse_size(size)
     color = options.parse_background(background)
     direction = options.parse_direction(up)
@@ -99,7 +102,10 @@ def compare(
         err.print(f"report: {report} ({size})", markup=False, soft_wrap=True)
 
 
-def _table(comparison: "Comparison") -> Table:
+def _table(comparison: "Comparison") -> "Table":
+    from rich.table import Table
+    from rich.text import Text
+
     against = comparison.reference_splats
     extras = sorted({name for model in comparison.models for name in model.extras})
     table = Table("model", box=None, pad_edge=False)

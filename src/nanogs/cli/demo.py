@@ -5,9 +5,6 @@ from typing import Annotated
 
 import typer
 
-from nanogs.cli.console import err
-from nanogs.io import check_writable, save
-
 
 def demo(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
@@ -19,7 +16,9 @@ def demo(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
 ) -> None:
     """Write a made-up scene to try things on."""
+    from nanogs.cli.console import err
     from nanogs.datasets.synthetic import make_scene
+    from nanogs.io import check_writable, save
 
     check_writable(target, overwrite=overwrite)
     save(make_scene(count, seed=seed), target, overwrite=overwrite)

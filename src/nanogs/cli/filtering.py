@@ -1,35 +1,10 @@
-"""Options that leave out splats before anything else, and how what they took is said."""
+"""What the options that leave out splats ask for, and how what they took is said."""
 
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from nanogs import filters
 from nanogs.cli.console import warn
 from nanogs.errors import OptionError
-
-_PANEL = "Filters (before anything else, in this order)"
-
-Crop = Annotated[
-    list[str] | None,
-    typer.Option(
-        help="Keep what lies in box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, scene units of IN;"
-        " several times: in all of them.",
-        rich_help_panel=_PANEL,
-    ),
-]
-MinOpacity = Annotated[
-    float | None,
-    typer.Option(help="Leave out splats with an alpha below this.", rich_help_panel=_PANEL),
-]
-DropFloaters = Annotated[
-    bool,
-    typer.Option(
-        "--drop-floaters",
-        help="Leave out splats far from all others but a few.",
-        rich_help_panel=_PANEL,
-    ),
-]
 
 
 def parse_filters(

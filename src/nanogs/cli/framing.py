@@ -1,25 +1,12 @@
 """`--frame`: the frame a model is in, and the one it is to be written in."""
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from nanogs.errors import OptionError
 from nanogs.frames import TRAINED, checked_frame
 from nanogs.io import registry
 from nanogs.io.collect import Pair
 
-FrameOption = Annotated[
-    str | None,
-    typer.Option(
-        "--frame",
-        help="Frame of OUT, by where x, y and z point: rdf (right, down, forward: 3DGS), rub"
-        " (right, up, back: OpenGL, SPZ); with that of IN before it where IN is in another than"
-        " its format's, like rub:rdf.",
-        metavar="[IN:]OUT",
-    ),
-]
 Frames = tuple[str, str]
 """From and to."""
 

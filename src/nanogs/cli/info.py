@@ -2,21 +2,18 @@
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from nanogs.cli import options
-from nanogs.cli.console import key_value_table, out, print_json, show, warn
 from nanogs.formatting import bytes_text
-from nanogs.info import ModelInfo, Spread, describe
-from nanogs.splats import RenderMode
 
-_MODES = {
-    RenderMode.DEFAULT: "default",
-    RenderMode.MIP: "mip (antialiased)",
-    RenderMode.SURFEL: "2dgs (flat splats)",
-}
+if TYPE_CHECKING:
+    from nanogs.info import ModelInfo, Spread
+
+# By the name of the render mode.
+_MODES = {"default": "default", "mip": "mip (antialiased)", "2dgs": "2dgs (flat splats)"}
 
 
 def info(
@@ -24,6 +21,10 @@ def info(
     json: options.Json = False,
 ) -> None:
     """Say what a model holds, and what each other format would lose of it."""
+    # What only a run needs is imported here, and not for `--help`.
+    from nanogs.cli.console import key_value_table, out, print_json, show, warn
+    from nanogs.info import describe
+
     model = describe(source)
     if json:
         print_json(model.to_dict())
@@ -33,7 +34,7 @@ def info(
     show(out, key_value_table(_rows(model)))
 
 
-def _rows(model: ModelInfo) -> dict[str, str]:
+def _rows(model: "ModelInfo") -> dict[str, str]:
     file = model.file
     kinds = Counter(kind for _, kind in file.properties)
     rows = {
@@ -62,7 +63,7 @@ def _rows(model: ModelInfo) -> dict[str, str]:
     return rows | {f"as {name}": "\n".join(text) for name, text in model.losses.items() if text}
 
 
-def _spread(spread: Spread | None) -> str:
+def _spread(spread: "Spread | None") -> str:
     if spread is None:
         return "none"
     return (

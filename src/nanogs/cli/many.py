@@ -4,44 +4,14 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
-from nanogs.cli import options
 from nanogs.cli.console import fail, print_json
 from nanogs.cli.streams import DASH, Streams, names
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io.collect import Pair, collect, pair_up
-
-_PANEL = "Several files"
-
-Paths = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="IN... OUT",
-        help="Model to read and file to write, - for stdin and stdout; with --out-dir all are"
-        " models, folders of them or patterns.",
-    ),
-]
-OutDir = Annotated[
-    Path | None,
-    typer.Option(
-        help="Folder for the results; made if missing.",
-        metavar="FOLDER",
-        rich_help_panel=_PANEL,
-    ),
-]
-FormatOption = Annotated[
-    str | None,
-    typer.Option(
-        "--format",
-        help="Format of the results, e.g. sog.",
-        show_default="each file's own",
-        autocompletion=options.complete_format,
-        rich_help_panel=_PANEL,
-    ),
-]
 
 
 def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> list[Pair]:

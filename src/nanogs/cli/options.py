@@ -1,7 +1,6 @@
 """Options that several commands share, and the parsing of their values."""
 
 import re
-from fractions import Fraction
 from pathlib import Path
 from typing import Annotated
 
@@ -84,6 +83,8 @@ def parse_bytes(text: str) -> int:
     Raises:
         OptionError: It is no such size.
     """
+    from fractions import Fraction
+
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text.strip().lower())
     if match is None or match[2] not in _UNITS:
         raise OptionError(

@@ -3,12 +3,13 @@
 from dataclasses import asdict
 
 from nanogs.cli import options
-from nanogs.cli.console import key_value_table, out, print_json, show
 from nanogs.simplify.presets import DEFAULT_PRESET, PRESETS, SUMMARIES
 
 
 def presets(json: options.Json = False) -> None:
     """List the presets of `simplify` and `lod`, and their parameters."""
+    from nanogs.cli.console import key_value_table, out, print_json, show
+
     if json:
         print_json(
             {name: {"summary": SUMMARIES[name], **asdict(own)} for name, own in PRESETS.items()}

@@ -5,16 +5,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 from nanogs.cli import options
-from nanogs.cli.console import err, print_json, show, stage_bar, warn, with_file_seconds
-from nanogs.formatting import number_text
-from nanogs.io import check_writable, load, losses, save
-from nanogs.refit.api import refit as library_refit
 from nanogs.refit.parameters import RefitParameters
-from nanogs.report import StageClock
-from nanogs.simplify.cameras import fit_cameras
 
 _DEFAULTS = RefitParameters()
 
@@ -44,6 +37,10 @@ def refit(
     quiet: options.Quiet = False,
 ) -> None:
     """Fit a small model to renders of the original: no photographs, no training data."""
+    # What only a run needs is imported here, and not for `--help`.
+    from nanogs.cli.console import print_json, warn
+    from nanogs.io import check_writable
+
     chosen = RefitParameters(views=views, size=size, rounds=rounds)
     chosen.check()
     direction = options.parse_direction(up)
@@ -72,6 +69,13 @@ def _refit_files(
     quiet: bool,
 ) -> dict[str, Any]:
     """Read, fit and write; the report with the files' names and the seconds of I/O."""
+    from nanogs.cli.console import with_file_seconds
+    from nanogs.cli.progress import stage_bar
+    from nanogs.io import load, losses, save
+    from nanogs.refit.api import refit as library_refit
+    from nanogs.report import StageClock
+    from nanogs.simplify.cameras import fit_cameras
+
     start, clock = time.perf_counter(), StageClock()
     with stage_bar(quiet=quiet) as progress:
         with clock.time("read"):
@@ -94,6 +98,11 @@ def _refit_files(
 
 
 def _print_report(run: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    from nanogs.cli.console import err, show
+    from nanogs.formatting import number_text
+
     table = Table("round", "PSNR", "", "seconds", box=None, pad_edge=False)
     for number, entry in enumerate(run["rounds"], 1):
         kept = "" if entry["accepted"] else "taken back"

@@ -6,8 +6,6 @@ from typing import Annotated
 import typer
 
 from nanogs.cli import options
-from nanogs.cli.console import err, print_json, spinner, warn
-from nanogs.io import load
 
 
 def render(
@@ -30,6 +28,11 @@ def render(
     quiet: options.Quiet = False,
 ) -> None:
     """Render a model to PNG files."""
+    # What only a run needs is imported here, and not for `--help`.
+    from nanogs.cli.console import err, print_json, warn
+    from nanogs.cli.progress import spinner
+    from nanogs.io import load
+
     width, height = options.parse_size(size)
     # Straight alpha is taken from a rendering over black.
     color = options.parse_background("black" if transparent else background)

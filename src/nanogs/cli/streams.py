@@ -11,39 +11,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
 
-import typer
-
-from nanogs.cli import options
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.collect import Pair
 from nanogs.io.sniff import sniff
 
 DASH = Path("-")
-_PANEL = "Pipes (IN or OUT is -)"
-
-From = Annotated[
-    str | None,
-    typer.Option(
-        "--from",
-        help="Format of stdin, e.g. splat.",
-        show_default="by its first bytes",
-        autocompletion=options.complete_format,
-        rich_help_panel=_PANEL,
-    ),
-]
-To = Annotated[
-    str | None,
-    typer.Option(
-        "--to",
-        help="Format of stdout, e.g. spz.",
-        show_default="that of IN",
-        autocompletion=options.complete_format,
-        rich_help_panel=_PANEL,
-    ),
-]
 
 
 @dataclass(frozen=True, slots=True)

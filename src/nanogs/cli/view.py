@@ -2,7 +2,6 @@
 
 import os
 import sys
-import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,9 +10,7 @@ from typing import Annotated
 import typer
 
 from nanogs.cli import options
-from nanogs.cli.console import err, out, print_json, spinner, warn
 from nanogs.formatting import bytes_text, number_text
-from nanogs.io.atomic import check_writable
 
 
 def view(
@@ -48,13 +45,19 @@ def view(
     quiet: options.Quiet = False,
 ) -> None:
     """Write a page that shows one or two models in 3D, offline; mouse, touch and keys move them."""
+    # What only a run needs is imported here, and not for `--help`.
+    import webbrowser
+
+    from nanogs.cli.console import err, print_json, warn
+    from nanogs.cli.progress import spinner
+    from nanogs.io.atomic import check_writable
+    from nanogs.view.bundle import check_built
+    from nanogs.view.run import page_path, view_files
+
     width, height = options.parse_size(size)
     color = options.parse_background(background)
     direction = options.parse_direction(up)
     inputs = [options.parse_named(text) for text in (model, against) if text is not None]
-    from nanogs.view.bundle import check_built
-    from nanogs.view.run import page_path, view_files
-
     check_built()
     page = output or page_path([path for _, path in inputs])
     check_writable(page, overwrite=overwrite)
@@ -92,6 +95,8 @@ def _threads(asked: int | None, measured: bool) -> Iterator[None]:
 
 def _has_screen() -> bool:
     """Whether someone sits at a terminal whose browser would have a window."""
+    from nanogs.cli.console import err, out
+
     graphical = sys.platform in ("win32", "darwin") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
     )

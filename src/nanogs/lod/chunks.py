@@ -15,7 +15,6 @@ from nanogs.io.json_fields import is_plain
 from nanogs.lod.cells import Cells
 from nanogs.splats import Splats
 
-CHUNK = 1 << 15  # splats of the finest level in a cell, at most
 GENERATOR = "nanogs"
 
 

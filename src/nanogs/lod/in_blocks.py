@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs._version import __version__
+from nanogs.defaults import CHUNK
 from nanogs.io.findings import join_findings
-from nanogs.lod.chunks import CHUNK
 from nanogs.lod.layout import Layout, check_options
 from nanogs.lod.levels import check_ratios
 from nanogs.lod.manifest import (
@@ -20,7 +20,8 @@ from nanogs.lod.manifest import (
 )
 from nanogs.lod.ply_levels import PlyLevels, level_name
 from nanogs.report import SimplifyReport, StageClock
-from nanogs.scale.api import block_parameters, job_folder, plan_job, refuse_full_disk
+from nanogs.scale.api import block_parameters, plan_job, refuse_full_disk
+from nanogs.scale.folder import job_folder
 from nanogs.scale.plan import ScalePlan
 from nanogs.scale.settings import Chunks, Settings
 from nanogs.simplify.job import NanPolicy

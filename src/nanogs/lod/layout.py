@@ -8,9 +8,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
 
+from nanogs.defaults import CHUNK
 from nanogs.errors import OptionError
 from nanogs.lod import manifest, streamed_sog, tiles
-from nanogs.lod.chunks import CHUNK, Written, check_chunk
+from nanogs.lod.chunks import Written, check_chunk
 from nanogs.lod.manifest import Manifest
 from nanogs.lod.ply_levels import PlyLevels
 from nanogs.splats import Splats

@@ -7,13 +7,15 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nanogs.defaults import DEFAULT_MEMORY, PATIENCE
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
+from nanogs.scale.folder import job_folder
 from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks
 from nanogs.scale.scratch import is_url
-from nanogs.scale.settings import PATIENCE, Chunks, Settings
+from nanogs.scale.settings import Chunks, Settings
 from nanogs.scale.source import look_at, segments_of
 from nanogs.scale.unpack import cost_of
 from nanogs.simplify.job import NanPolicy
@@ -22,8 +24,6 @@ from nanogs.simplify.target import Goal, target_count
 
 if TYPE_CHECKING:
     from distributed import Client
-
-DEFAULT_MEMORY = 4_000_000_000
 
 
 def simplify_blocks(
@@ -114,11 +114,6 @@ def simplify_blocks(
     where = Where(threads, client, scheduler, workers, patience)
     done, counts = made.run(where, clock, progress or _ignore, resume=resume)
     return report_of(preset, goal, done, counts[0], clock, start)
-
-
-def job_folder(output: Path, job: str | PathLike[str] | None) -> Path:
-    """The job folder: the one named, or that beside the output."""
-    return output.with_name(f"{output.name}.job") if job is None else Path(job)
 
 
 def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters:

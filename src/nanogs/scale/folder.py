@@ -8,6 +8,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from os import PathLike
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,6 +17,11 @@ from nanogs.io.atomic import atomic_write, output_error
 from nanogs.scale.settings import Settings, settings_of
 
 MANIFEST, LOCK, SCRATCH, RESULT = "job.json", "lock", "scratch", "result-"
+
+
+def job_folder(output: Path, job: str | PathLike[str] | None) -> Path:
+    """The job folder: the one named, or that beside the output."""
+    return output.with_name(f"{output.name}.job") if job is None else Path(job)
 
 
 @contextmanager

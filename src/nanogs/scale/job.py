@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nanogs.defaults import PATIENCE
 from nanogs.errors import OutputError
 from nanogs.report import StageClock
 from nanogs.scale.cluster import connected, starting, threads_each
@@ -15,7 +16,7 @@ from nanogs.scale.ending import Ending
 from nanogs.scale.folder import SCRATCH, forget, locked, read_manifest, write_manifest
 from nanogs.scale.run import Done, Executor, Here, Progress, run_tasks
 from nanogs.scale.scratch import Scratch, is_url, open_scratch
-from nanogs.scale.settings import PATIENCE, WAITING, Settings, differences
+from nanogs.scale.settings import WAITING, Settings, differences
 from nanogs.scale.workers import Workers
 from nanogs.threads import use_threads
 

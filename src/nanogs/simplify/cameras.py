@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING
 
 from nanogs.errors import OptionError
 from nanogs.simplify.presets import ForestParameters, Parameters, renders
-from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.render.camera import Camera
+    from nanogs.splats import Splats
 
 
 def fit_cameras(
-    splats: Splats, source: str, up: Sequence[float] | None, count: int, size: int
+    splats: "Splats", source: str, up: Sequence[float] | None, count: int, size: int
 ) -> "list[Camera] | None":
     """Cameras to learn from, from a file or of a kind; None where nothing was asked for.
 
@@ -34,7 +34,7 @@ def fit_cameras(
 
 
 def requested_cameras(
-    splats: Splats, source: str, up: Sequence[float] | None, chosen: Parameters
+    splats: "Splats", source: str, up: Sequence[float] | None, chosen: Parameters
 ) -> "list[Camera] | None":
     """Cameras for a preset; None where it chooses its own or renders none.
 

@@ -1,0 +1,91 @@
+"""What `nanogs convert` does with a file, and what it says of it."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from nanogs.cli.console import err, warn, with_file_seconds
+from nanogs.cli.filtering import report_filters
+from nanogs.cli.framing import Frames
+from nanogs.cli.progress import spinner
+from nanogs.filters import Filter, apply
+from nanogs.formatting import bytes_text
+from nanogs.frames import change_frame
+from nanogs.io import bytes_on_disk, inspect, load, losses, registry, save
+from nanogs.io.collect import Pair
+from nanogs.report import StageClock
+from nanogs.splats import RenderMode, Splats
+
+_PATIENCE = 2.0  # seconds without a sign of life
+
+
+def print_report(run: dict[str, Any]) -> None:
+    """Show on stderr what became of a file, and what was lost."""
+    report_filters(run)
+    for note in (*run["notes"], *run["losses"]):
+        warn(note)
+    sizes = f"{bytes_text(run['input_bytes'])} became {bytes_text(run['output_bytes'])}"
+    what = f"{run['splats']:,} splats of SH degree {run['sh_degree']}"
+    err.print(f"{run['output']}: {what}; {sizes}", markup=False, soft_wrap=True)
+
+
+def convert_file(
+    pair: Pair,
+    filters: Sequence[Filter],
+    sh_degree: int | None,
+    frames: Frames | None,
+    *,
+    level: int,
+    saving: dict[str, Any],
+    quiet: bool,
+) -> dict[str, Any]:
+    """Read and write; the report."""
+    source, target = pair.source, pair.target
+    start, clock = time.perf_counter(), StageClock()
+    with spinner(quiet=quiet, after=_PATIENCE) as progress:
+        progress(f"reading {source.name}")
+        with clock.time("read"):
+            splats = load(source, level=level)
+        read_bytes = inspect(source).file_bytes  # now, as the output may take the input's place
+        splats, took = apply(splats, filters)
+        if sh_degree is not None:
+            splats = splats.with_sh_degree(sh_degree)
+        if frames:
+            splats = change_frame(splats, *frames)
+        progress(f"writing {target.name}")
+        with clock.time("write"):
+            save(splats, target, **saving)
+    run = {
+        "input": str(source),
+        "output": str(target),
+        "filters": [asdict(report) for report in took],
+        "frames": frames,
+        "input_bytes": read_bytes,
+        "output_bytes": bytes_on_disk(target),
+        **_written(target, splats),
+        "notes": list(splats.notes),
+        "losses": list(losses(splats, target)),
+        "seconds": {},
+    }
+    return with_file_seconds(run, clock, start)
+
+
+def _written(target: Path, splats: Splats) -> dict[str, Any]:
+    """What the file holds, as it says itself where it can be read."""
+    known = registry.find(target)
+    if known is None or not known.readable:
+        return {
+            "format": target.suffix.lstrip("."),
+            "splats": len(splats),
+            "sh_degree": splats.sh_degree,
+            "render_mode": RenderMode.DEFAULT.value,
+        }
+    info = inspect(target)
+    return {
+        "format": info.format,
+        "splats": info.splats,
+        "sh_degree": info.sh_degree,
+        "render_mode": info.render_mode.value,
+    }

@@ -1,0 +1,128 @@
+"""Models that do not fit into the memory given: what `nanogs simplify` and `lod` do with them."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from nanogs.cli.console import err, key_value_table, show, warn
+from nanogs.cli.progress import stage_bar
+from nanogs.cli.simplify_report import Plan
+from nanogs.cli.too_large import Blocks
+from nanogs.defaults import DEFAULT_MEMORY
+from nanogs.formatting import bytes_text
+from nanogs.io import FileInfo, bytes_on_disk
+from nanogs.io.collect import Pair
+from nanogs.io.files import splat_bytes
+from nanogs.lod.in_blocks import chunks_of, plan_levels, write_levels_in_blocks
+from nanogs.lod.layout import Output
+from nanogs.scale.api import block_parameters, plan_job
+from nanogs.scale.api import simplify_blocks as library_simplify_blocks
+from nanogs.scale.encoding import Encoding, encoding_of
+from nanogs.scale.plan import ScalePlan
+from nanogs.scale.settings import WAITING
+
+Progress = Callable[[str, int, int], None]
+
+
+def plan_of(pair: Pair, plan: Plan, blocks: Blocks, nan: Any) -> ScalePlan:  # noqa: ANN401
+    """How the model would be divided.
+
+    Raises:
+        NanogsError: It cannot be.
+    """
+    chosen = block_parameters(plan.preset, asdict(plan.parameters))
+    return plan_job(
+        blocks.sources(pair), (plan.goal,), chosen, blocks.max_memory, None, nan
+    )[1]  # fmt: skip
+
+
+def plan_rows(plan: ScalePlan) -> None:
+    """Show on stderr how a model would be divided."""
+    rows = {
+        "blocks": f"about {plan.blocks:,}, of at most {plan.block:,} splats",
+        "memory": f"{bytes_text(plan.memory)} for each process",
+        "scratch": f"{bytes_text(plan.scratch)} on the disk, the result among it",
+        "time": f"about {plan.seconds:,.0f} s of one processor",
+    }
+    show(err, key_value_table(rows))
+
+
+def simplify_in_blocks(
+    pair: Pair, plan: Plan, blocks: Blocks, given: dict[str, Any], *, quiet: bool
+) -> dict[str, Any]:
+    """Simplify a model that does not fit; its report with the files' names."""
+    start, sources = time.perf_counter(), blocks.sources(pair)
+    with stage_bar(quiet=quiet) as progress:
+        report = library_simplify_blocks(
+            sources, pair.target, ratio=plan.goal.ratio, count=plan.goal.count,
+            max_memory=blocks.max_memory or DEFAULT_MEMORY, job=blocks.job, resume=blocks.resume,
+            progress=_telling(progress, quiet=quiet), **blocks.given, **given,
+        )  # fmt: skip
+    run = report.to_dict() | {"total_seconds": time.perf_counter() - start}
+    run |= {"read_count": report.input_count, "filters": []}
+    run |= {"input": ", ".join(map(str, sources)), "output": str(pair.target)}
+    run["input_bytes"] = sum(bytes_on_disk(path) for path in sources)
+    return run | {"output_bytes": bytes_on_disk(pair.target)}
+
+
+def levels_encoding(
+    info: FileInfo, ratios: Sequence[float], output: Output, chunk: int | None, *, spz: bool
+) -> Encoding:
+    """What the chunks of the levels of a model take; nothing for plain files."""
+    row = splat_bytes(info.sh_degree) + info.extra_bytes()
+    chunks = chunks_of(output.layout, chunk, spz=spz)
+    return encoding_of(row, info.sh_degree, chunks, info.splats, ratios)
+
+
+def levels_plan(
+    source: Path, ratios: Sequence[float], blocks: Blocks, given: dict[str, Any]
+) -> ScalePlan:
+    """How a model would be divided of which levels are to be made.
+
+    Raises:
+        NanogsError: It cannot be.
+    """
+    return plan_levels([source], ratios, max_memory=blocks.max_memory, **given)[1]
+
+
+def levels_in_blocks(
+    source: Path,
+    output: Output,
+    ratios: Sequence[float],
+    blocks: Blocks,
+    threads: int | None,
+    given: dict[str, Any],
+    *,
+    quiet: bool,
+) -> dict[str, Any]:
+    """Make levels of a model that does not fit; the manifest with the reports."""
+    from nanogs.scale.job import Where
+
+    start, rest = time.perf_counter(), blocks.given
+    where = Where(threads, None, rest["scheduler"], rest["workers"], rest["patience"])
+    with stage_bar(quiet=quiet) as progress:
+        manifest, reports = write_levels_in_blocks(
+            [source], output.folder, ratios, max_memory=blocks.max_memory, job=blocks.job,
+            scratch=rest["scratch"], resume=blocks.resume, where=where,
+            progress=_telling(progress, quiet=quiet), **given,
+        )  # fmt: skip
+    run = manifest.to_dict() | {"input": str(source), "output": str(output.path)}
+    run |= {"layout": output.layout.value, "dropped_nonfinite": reports[0].dropped_nonfinite}
+    run["reports"] = [report.to_dict() for report in reports]
+    return run | {"total_seconds": time.perf_counter() - start}
+
+
+def _telling(progress: Progress, *, quiet: bool) -> Progress:
+    """A progress bar that also says, once in a while without any, that workers are waited for."""
+    told = False
+
+    def update(stage: str, done: int, total: int) -> None:
+        nonlocal told
+        if stage == WAITING and not told and not quiet:
+            warn("The cluster has no worker; waiting for one.")
+        told = stage == WAITING
+        progress(stage, done, total)
+
+    return update

@@ -1,0 +1,116 @@
+"""What `nanogs lod` does with a model that fits into memory, and how its levels are shown."""
+
+import time
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from nanogs.ahead import compile_ahead
+from nanogs.cli.console import err, print_json, show
+from nanogs.cli.progress import count_down
+from nanogs.cli.simplify_report import (
+    Plan,
+    describe_plan,
+    print_divided,
+    show_plan,
+    warn_of_input,
+)
+from nanogs.formatting import bytes_text, number_text
+from nanogs.io import load
+from nanogs.kernels.compiling import when_compiling
+from nanogs.lod.layout import Output
+from nanogs.lod.write import write_levels
+from nanogs.simplify.cameras import requested_cameras
+from nanogs.simplify.presets import renders
+from nanogs.simplify.target import target_count
+
+if TYPE_CHECKING:
+    from nanogs.scale.plan import ScalePlan
+
+
+def write_whole(
+    plan: Plan,
+    output: Output,
+    ratios: tuple[float, ...],
+    overwrite: bool,
+    cameras: str,
+    up: tuple[float, float, float] | None,
+    given: dict[str, Any],
+    quiet: bool,
+) -> dict[str, Any]:
+    """Read, and make every level; the manifest with the files' names and the reports."""
+    start, info = time.perf_counter(), plan.info
+    if renders(plan.parameters):
+        when_compiling(compile_ahead)
+    with count_down(info.splats, 1, quiet=quiet) as progress:
+        progress("read", info.splats)
+        splats = load(info.path)
+        manifest, reports = write_levels(
+            splats,
+            output.folder,
+            ratios,
+            source=info.path.name,
+            overwrite=overwrite,
+            cameras=requested_cameras(splats, cameras, up, plan.parameters),
+            progress=progress,
+            **given,
+        )
+    run = manifest.to_dict() | {"input": str(info.path), "output": str(output.path)}
+    run["layout"] = output.layout.value
+    run["dropped_nonfinite"] = reports[0].dropped_nonfinite
+    run["reports"] = [report.to_dict() for report in reports]
+    return run | {"total_seconds": time.perf_counter() - start}
+
+
+def print_levels_plan(
+    plan: Plan,
+    output: Output,
+    ratios: tuple[float, ...],
+    divided: "ScalePlan | None",
+    *,
+    json: bool,
+) -> None:
+    """Show what would be made."""
+    counts = [target_count(plan.info.splats, ratio, None) for ratio in ratios]
+    asked = [{"ratio": r, "count": c} for r, c in zip(ratios, counts, strict=True)]
+    text = f"{output.path}: levels of {', '.join(f'{c:,}' for c in counts)} splats"
+    told = {"levels": asked, "layout": output.layout.value}
+    if divided is None:
+        show_plan(plan, told, text, json=json)
+    elif json:
+        print_json(describe_plan(plan, told) | {"blocks": asdict(divided)})
+    else:
+        from nanogs.cli.in_blocks import plan_rows
+
+        print_divided(plan, text)
+        plan_rows(divided)
+
+
+def print_levels(run: dict[str, Any]) -> None:
+    """Show on stderr the levels that were made."""
+    warn_of_input(run)
+    table = Table("level", box=None, pad_edge=False)
+    for heading in ("asked", "splats", "file", "PSNR", "SSIM", "seconds"):
+        table.add_column(heading, justify="right")
+    for number, level in enumerate(run["levels"]):
+        table.add_row(
+            _name(number, level),
+            f"{level['ratio']:g}",
+            f"{level['count']:,}",
+            bytes_text(level["bytes"]),
+            number_text(level["psnr"]),
+            number_text(level["ssim"], 4),
+            f"{level['seconds']:.2f}",
+        )
+    show(err, table)
+    text = f"{run['output']}: {len(run['levels'])} levels, {run['total_seconds']:.2f} s"
+    err.print(text, markup=False, soft_wrap=True)
+
+
+def _name(number: int, level: dict[str, Any]) -> str:
+    """A level's file, or its number and that of its files."""
+    if "file" in level:
+        return str(level["file"])
+    files = len(level["files"])
+    return f"{number}, {files} {'file' if files == 1 else 'files'}"

@@ -1,0 +1,183 @@
+"""What `nanogs simplify` does with each file: plan it, and simplify it."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from nanogs.ahead import compile_ahead
+from nanogs.cli.console import with_file_seconds
+from nanogs.cli.framing import Frames, frames_of
+from nanogs.cli.progress import count_down
+from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_wish
+from nanogs.cli.too_large import Blocks, refuse_whole_model_wishes
+from nanogs.errors import OptionError
+from nanogs.filters import Filter, FilterReport, apply
+from nanogs.frames import change_frame
+from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, registry, save
+from nanogs.io.collect import Pair
+from nanogs.kernels.compiling import when_compiling
+from nanogs.report import StageClock
+from nanogs.simplify.api import refuse_searches, target_of
+from nanogs.simplify.api import simplify as library_simplify
+from nanogs.simplify.cameras import requested_cameras
+from nanogs.simplify.job import usable_rows
+from nanogs.simplify.presets import Parameters, renders
+from nanogs.simplify.target import Goal
+from nanogs.splats import Splats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What is asked for every file.
+
+    Attributes:
+        goal: The wish.
+        preset: Name of the preset.
+        chosen: Parameters of the method.
+        filters: To apply first.
+        saving: What `save` takes.
+        frames: From and to where the result is turned, as given, or None.
+        cameras: As `requested_cameras` takes it.
+        up: Up direction of automatic views, or None.
+        given: What the library's `simplify` takes beside.
+        quiet: Whether no progress is shown.
+        json: Whether a plan is said as JSON alone.
+        folder_later: Whether the folder of the results is still to be made.
+        blocks: How a model is treated that does not fit into memory.
+        looks: Whether views are asked for.
+    """
+
+    goal: Goal
+    preset: str
+    chosen: Parameters
+    filters: Sequence[Filter]
+    saving: dict[str, Any]
+    frames: Frames | None
+    cameras: str
+    up: tuple[float, float, float] | None
+    given: dict[str, Any]
+    quiet: bool
+    json: bool
+    folder_later: bool
+    blocks: Blocks
+    looks: bool
+
+
+def plan_one(request: Request, pair: Pair) -> dict[str, Any]:
+    """Say what would be done with a file; the plan.
+
+    Raises:
+        NanogsError: It cannot be done.
+    """
+    plan, divided = _plan(pair, request, dry_run=True), None
+    if request.blocks.needed(plan):
+        from nanogs.cli.in_blocks import plan_of, plan_rows
+
+        divided = plan_of(pair, plan, request.blocks, request.given["nan"])
+        if not request.json:
+            print_wish(plan)
+            plan_rows(divided)
+    elif not request.json:
+        print_plan(plan)
+    return plan_json(plan) | {"blocks": asdict(divided) if divided else None}
+
+
+def run_one(request: Request, pair: Pair) -> dict[str, Any]:
+    """Simplify a file; the report.
+
+    Raises:
+        NanogsError: It cannot be done.
+    """
+    plan = _plan(pair, request, dry_run=False)
+    if request.blocks.needed(plan):
+        from nanogs.cli.in_blocks import simplify_in_blocks
+
+        given = request.given | request.saving
+        return simplify_in_blocks(pair, plan, request.blocks, given, quiet=request.quiet)
+    return _simplify_file(plan, pair, request)
+
+
+def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
+    """Check the files and the goal; the count that it comes to, where that is known yet."""
+    goal, filters = request.goal, request.filters
+    refuse_searches(goal, request.preset, pair.target)
+    frames = frames_of(pair, request.frames)
+    if frames and goal.size is not None and not registry.has_known_size(pair.target):
+        raise OptionError(
+            f"--frame changes the size of a {pair.target.suffix} file that --size has found; turn"
+            " it with `nanogs convert` before."
+        )
+    info, blocks = inspect(pair.source), request.blocks
+    if blocks.joined:
+        info = replace(info, splats=sum(inspect(path).splats for path in blocks.joined))
+    begun = blocks.is_begun(pair.target, overwrite=request.saving["overwrite"])
+    if not (dry_run and request.folder_later) and not begun:
+        check_writable(pair.target, **request.saving)
+    whole = Plan(info, goal, None, request.preset, request.chosen)
+    if blocks.needed(whole):
+        refuse_whole_model_wishes(
+            whole, filtered=bool(filters), looks=request.looks, turned=bool(frames)
+        )
+    else:
+        blocks.refuse_fitting(pair.target)
+    if goal.size is None and not (filters and dry_run):
+        count = goal.target(info.splats, lambda _count: 0)
+    elif dry_run:  # what a row takes and what filters leave is only known from the columns
+        splats, _ = apply(load(pair.source), filters)
+        info = replace(info, splats=len(splats))
+        usable = usable_rows(splats, request.given["nan"])
+        count = target_of(goal, splats, len(usable), pair.target)
+    else:
+        count = None
+    return Plan(info, goal, count, request.preset, request.chosen)
+
+
+def _simplify_file(plan: Plan, pair: Pair, request: Request) -> dict[str, Any]:
+    """Read, simplify and write; the report with the files' names and the seconds of I/O."""
+    start, clock, goal = time.perf_counter(), StageClock(), plan.goal
+    source, target, saving = pair.source, pair.target, request.saving
+    known = registry.find(target)
+    if renders(plan.parameters):
+        when_compiling(compile_ahead)
+    with count_down(plan.info.splats, plan.count or 1, quiet=request.quiet) as progress:
+        progress("read", plan.info.splats)
+        with clock.time("read"):
+            joined = request.blocks.joined
+            splats = _load_joined(joined) if joined else load(source)
+        took: Sequence[FilterReport] = ()
+        if request.filters:
+            progress("filter", len(splats))
+            with clock.time("filter"):
+                splats, took = apply(splats, request.filters)
+        small, report = library_simplify(
+            splats,
+            ratio=goal.ratio,
+            count=goal.count,
+            size=goal.size,
+            psnr=goal.psnr,
+            format=known.suffix if known else target.suffix,
+            format_options={"spz_version": saving["spz_version"]},
+            cameras=requested_cameras(splats, request.cameras, request.up, request.chosen),
+            progress=progress,
+            **request.given,
+        )
+        if frames := frames_of(pair, request.frames):
+            small = change_frame(small, *frames)
+        progress("write", len(small))
+        with clock.time("write"):
+            save(small, target, **saving)
+    run = with_file_seconds(report.to_dict(), clock, start)
+    run["notes"] = [*run["notes"], *losses(small, target)]
+    run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in took]}
+    run["frames"] = frames
+    run |= {"input": str(source), "output": str(target)}
+    run |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(target)}
+    return run
+
+
+def _load_joined(parts: Sequence[Path]) -> Splats:
+    from nanogs.scale.source import load_joined
+
+    return load_joined(parts)

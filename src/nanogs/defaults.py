@@ -1,0 +1,5 @@
+"""Defaults that the help of the command states, where naming them imports nothing else."""
+
+CHUNK = 1 << 15  # splats of the finest level in a chunk, at most
+DEFAULT_MEMORY = 4_000_000_000  # bytes that a process may take of a job in blocks
+PATIENCE = 300.0  # seconds that a run waits for workers where there is none
