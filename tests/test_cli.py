@@ -227,23 +227,49 @@ def test_the_summary_says_what_fitting_the_colours_gained():
     assert recolour_text(None) == ""
 
 
-def test_help_and_info_never_import_numba(scene):
+def modules_after(*arguments):
+    """The modules that a command has imported when it ends."""
     code = (
         "import sys; from nanogs.cli import main\n"
         "try: main()\n"
-        "finally: assert 'numba' not in sys.modules"
+        "finally: print(*sys.modules, file=sys.stderr)"
     )
-    for arguments in (
-        ["--help"],
-        ["simplify", "--help"],
-        ["lod", "-h"],
-        ["--version"],
-        ["info", str(scene)],
-    ):
-        result = subprocess.run(
-            [sys.executable, "-c", code, *arguments], capture_output=True, text=True
-        )
-        assert result.returncode == 0, result.stderr
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return set(result.stderr.split())
+
+
+def test_info_never_imports_numba(scene):
+    assert "numba" not in modules_after("info", scene)
+
+
+COMMANDS = "simplify lod refit convert info presets render compare view bench demo".split()
+
+
+@pytest.mark.parametrize("arguments", ["--help", "--version", *(f"{c} -h" for c in COMMANDS)])
+def test_help_imports_nothing_that_only_a_run_needs(arguments):
+    imported = modules_after(*arguments.split())
+    heavy = "numpy numba scipy PIL jinja2 rich.progress nanogs.splats nanogs.io nanogs.report"
+    assert not imported & set(heavy.split())
+    assert {"typer", "nanogs.cli.app"} <= imported
+
+
+def test_completion_imports_neither_numpy_nor_what_draws_help(scene):
+    words = {"COMP_WORDS": "nanogs simplify a b --preset ", "COMP_CWORD": "5"}
+    code = (
+        "import sys; from nanogs.cli import main\n"
+        "try: main()\n"
+        "finally: assert not {'numpy', 'rich'} & set(sys.modules), set(sys.modules)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "_NANOGS_COMPLETE": "complete_bash", **words},
+    )
+    assert result.returncode == 0, result.stderr
+    assert "default" in result.stdout.split()
 
 
 def test_the_api_is_what_it_says():
@@ -251,6 +277,33 @@ def test_the_api_is_what_it_says():
         "import nanogs.simplify.presets, nanogs\n"
         "for name in ('load', 'save', 'simplify', 'levels', 'Splats', 'SimplifyReport'):\n"
         "    assert callable(getattr(nanogs, name)), name\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        "import nanogs.simplify.api, nanogs.refit.api",
+        "import nanogs.refit.parameters, nanogs.simplify.pipeline",
+        "from nanogs import simplify, refit; from nanogs.simplify.presets import parameters",
+        "import nanogs; nanogs.simplify, nanogs.refit; import nanogs.refit.rounds",
+        "from nanogs import *",
+    ],
+)
+def test_functions_keep_the_names_of_their_packages_whatever_is_imported(before):
+    code = (
+        f"{before}\n"
+        "import nanogs, types\n"
+        "for name in nanogs.__all__: assert getattr(nanogs, name) is not None\n"
+        "assert isinstance(nanogs.simplify, types.FunctionType), nanogs.simplify\n"
+        "assert isinstance(nanogs.refit, types.FunctionType), nanogs.refit\n"
+        "assert nanogs.simplify.__name__ == 'simplify' and nanogs.refit.__name__ == 'refit'\n"
+        "assert not hasattr(nanogs, 'simplfy')\n"
+        "assert {*nanogs.__all__, 'io', 'frames'} <= set(dir(nanogs))\n"
+        "assert nanogs.io.losses and nanogs.frames.change_frame and nanogs.errors.OptionError\n"
+        "assert nanogs.filters.crop_box and nanogs.NanogsError is nanogs.errors.NanogsError\n"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr

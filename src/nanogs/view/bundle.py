@@ -1,17 +1,18 @@
 """The viewer's program, which the build of the package bundles (viewer/bundle.py)."""
 
-import base64
-import gzip
-from importlib.resources import files
+from typing import TYPE_CHECKING
 
 from nanogs.errors import OptionError
 
-_PACKAGE, _PROGRAM, _LICENCES = "nanogs.view", "viewer.js", "LICENSES.txt"
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+_PROGRAM, _LICENCES = "viewer.js", "LICENSES.txt"
 
 
 def is_built() -> bool:
     """Whether this installation has the viewer."""
-    return files(_PACKAGE).joinpath(_PROGRAM).is_file()
+    return _file(_PROGRAM).is_file()
 
 
 def check_built() -> None:
@@ -33,11 +34,20 @@ def program() -> str:
     Raises:
         OptionError: It was not built.
     """
+    import base64
+    import gzip
+
     check_built()
-    plain = files(_PACKAGE).joinpath(_PROGRAM).read_bytes()
+    plain = _file(_PROGRAM).read_bytes()
     return base64.b64encode(gzip.compress(plain, 9, mtime=0)).decode("ascii")
 
 
 def licences() -> str:
     """Licences of what the program holds."""
-    return files(_PACKAGE).joinpath(_LICENCES).read_text(encoding="utf-8")
+    return _file(_LICENCES).read_text(encoding="utf-8")
+
+
+def _file(name: str) -> "Traversable":
+    from importlib.resources import files  # here, as `compare --help` asks nothing of it
+
+    return files("nanogs.view").joinpath(name)
