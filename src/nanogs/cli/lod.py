@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from nanogs.cli import blocks, method, options
+from nanogs.cli.importing import uncollected
 from nanogs.defaults import CHUNK, PATIENCE
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters
 
@@ -70,15 +71,16 @@ def lod(
     OUT/tileset.json 3D Tiles 1.1.
     """
     # What only a run needs is imported here, and not for `--help`.
-    from nanogs.cli import in_blocks, too_large
-    from nanogs.cli.console import print_json
-    from nanogs.cli.lod_run import print_levels, print_levels_plan, write_whole
-    from nanogs.cli.simplify_report import Plan
-    from nanogs.io import inspect
-    from nanogs.io.folder import check_folder_writable
-    from nanogs.lod.layout import check_options, made_files, output_of
-    from nanogs.lod.levels import check_ratios
-    from nanogs.simplify.target import Goal, target_count
+    with uncollected():
+        from nanogs.cli import in_blocks, too_large
+        from nanogs.cli.console import print_json
+        from nanogs.cli.lod_run import print_levels, print_levels_plan, write_whole
+        from nanogs.cli.simplify_report import Plan
+        from nanogs.io import inspect
+        from nanogs.io.folder import check_folder_writable
+        from nanogs.lod.layout import check_options, made_files, output_of
+        from nanogs.lod.levels import check_ratios
+        from nanogs.simplify.target import Goal, target_count
 
     overrides: dict[str, Any] = {
         "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,

@@ -8,6 +8,7 @@ from rich.table import Table
 
 from nanogs.ahead import compile_ahead
 from nanogs.cli.console import err, print_json, show
+from nanogs.cli.importing import uncollected
 from nanogs.cli.progress import count_down
 from nanogs.cli.simplify_report import (
     Plan,
@@ -22,6 +23,7 @@ from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.layout import Output
 from nanogs.lod.write import write_levels
 from nanogs.simplify.cameras import requested_cameras
+from nanogs.simplify.job import import_stages
 from nanogs.simplify.presets import renders
 from nanogs.simplify.target import target_count
 
@@ -41,6 +43,8 @@ def write_whole(
 ) -> dict[str, Any]:
     """Read, and make every level; the manifest with the files' names and the reports."""
     start, info = time.perf_counter(), plan.info
+    with uncollected():
+        import_stages(plan.parameters)
     if renders(plan.parameters):
         when_compiling(compile_ahead)
     with count_down(info.splats, 1, quiet=quiet) as progress:

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from nanogs.cli import blocks, file_options, method, options
+from nanogs.cli.importing import uncollected
 from nanogs.defaults import PATIENCE
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters
 
@@ -69,10 +70,11 @@ def simplify(
 ) -> None:
     """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
     # What only a run needs is imported here, and not for `--help`.
-    from nanogs.cli import filtering, framing, many, streams, too_large
-    from nanogs.cli.simplify_report import print_report
-    from nanogs.cli.simplify_run import Request, plan_one, run_one
-    from nanogs.simplify.target import Goal
+    with uncollected():
+        from nanogs.cli import filtering, framing, many, streams, too_large
+        from nanogs.cli.simplify_report import print_report
+        from nanogs.cli.simplify_run import Request, plan_one, run_one
+        from nanogs.simplify.target import Goal
 
     overrides: dict[str, Any] = {
         "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,

@@ -1,7 +1,7 @@
 """How `nanogs simplify` shows its plan and its report."""
 
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
@@ -10,10 +10,12 @@ from nanogs.cli.filtering import report_filters
 from nanogs.formatting import bytes_text
 from nanogs.io import FileInfo
 from nanogs.report import StopReason
-from nanogs.scale.encoding import NO_CHUNKS, PLACED, Encoding
 from nanogs.simplify.memory import LIBRARIES, MemoryPlan, plan_memory
 from nanogs.simplify.presets import Parameters
 from nanogs.simplify.target import Goal
+
+if TYPE_CHECKING:
+    from nanogs.scale.encoding import Encoding
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +28,7 @@ class Plan:
         count: What that comes to, or None where it is not known beforehand.
         preset: Name of the preset.
         parameters: Of the method.
-        encoding: What chunks take, for levels that lie in them.
+        encoding: What chunks take, for levels that may lie in them.
     """
 
     info: FileInfo
@@ -34,7 +36,7 @@ class Plan:
     count: int | None
     preset: str
     parameters: Parameters
-    encoding: Encoding = NO_CHUNKS
+    encoding: "Encoding | None" = None
 
     def memory(self) -> MemoryPlan:
         """What it takes; an unknown count takes what the whole model would."""
@@ -44,8 +46,10 @@ class Plan:
             info.splats, info.sh_degree, info.extra_bytes(), self.parameters, most,
             judged=self.goal.psnr is not None,
         )  # fmt: skip
-        if not self.encoding.each:
+        if not (self.encoding and self.encoding.each):
             return plan
+        from nanogs.scale.encoding import PLACED
+
         # Between two levels, what a cut needs is kept, and each is encoded before the next.
         row = plan.input_columns // info.splats + PLACED
         held = int(plan.stages.get("cut", plan.input_columns) + most * row + self.encoding.file)

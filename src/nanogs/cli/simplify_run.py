@@ -9,6 +9,7 @@ from typing import Any
 from nanogs.ahead import compile_ahead
 from nanogs.cli.console import with_file_seconds
 from nanogs.cli.framing import Frames, frames_of
+from nanogs.cli.importing import uncollected
 from nanogs.cli.progress import count_down
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_wish
 from nanogs.cli.too_large import Blocks, refuse_whole_model_wishes
@@ -22,7 +23,7 @@ from nanogs.report import StageClock
 from nanogs.simplify.api import refuse_searches, target_of
 from nanogs.simplify.api import simplify as library_simplify
 from nanogs.simplify.cameras import requested_cameras
-from nanogs.simplify.job import usable_rows
+from nanogs.simplify.job import import_stages, usable_rows
 from nanogs.simplify.presets import Parameters, renders
 from nanogs.simplify.target import Goal
 from nanogs.splats import Splats
@@ -139,6 +140,8 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request) -> dict[str, Any]:
     start, clock, goal = time.perf_counter(), StageClock(), plan.goal
     source, target, saving = pair.source, pair.target, request.saving
     known = registry.find(target)
+    with uncollected():
+        import_stages(plan.parameters)
     if renders(plan.parameters):
         when_compiling(compile_ahead)
     with count_down(plan.info.splats, plan.count or 1, quiet=request.quiet) as progress:

@@ -7,12 +7,13 @@ that they also run with `NUMBA_DISABLE_JIT=1`.
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Concatenate, ParamSpec, TypeVar, cast
+from functools import cache
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
-import numba
 from numba.core import event
 
 from nanogs import spread
+from nanogs.kernels.cached import cached
 from nanogs.kernels.compiling import tell
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -22,7 +23,6 @@ Ranged = Callable[Concatenate[int, int, P], None]
 FASTMATH = {"nsz", "arcp", "contract", "reassoc"}
 # Numba wraps a function for callers in C: there are none, and it is quicker to compile without.
 CALLED: dict[str, Any] = {
-    "cache": True,
     "nogil": True,
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
@@ -32,12 +32,12 @@ INLINE = CALLED | {"forceinline": True}
 
 def kernel(function: Kernel) -> Kernel:
     """Compile a serial kernel, cached on disk."""
-    return cast("Kernel", numba.njit(function, fastmath=FASTMATH, **CALLED))
+    return cached(function, fastmath=FASTMATH, **CALLED)
 
 
 def exact_kernel(function: Kernel) -> Kernel:
     """Compile a serial kernel whose floating-point operations are those written, as in IEEE."""
-    return cast("Kernel", numba.njit(function, **CALLED))
+    return cached(function, **CALLED)
 
 
 def parallel_kernel(
@@ -74,14 +74,15 @@ def exact_parallel_kernel(
 
 def inline(function: Kernel) -> Kernel:
     """Compile a small function that LLVM is to inline into the kernels that call it."""
-    return cast("Kernel", numba.njit(function, fastmath=FASTMATH, **INLINE))
+    return cached(function, fastmath=FASTMATH, **INLINE)
 
 
 def exact_inline(function: Kernel) -> Kernel:
     """Compile a small function to be inlined, without any liberty: for the exact kernels."""
-    return cast("Kernel", numba.njit(function, **INLINE))
+    return cached(function, **INLINE)
 
 
+@cache
 def _spare_linear_algebra() -> None:
     """Load Numba's array functions without SciPy's linear algebra, which takes as long as they do.
 
@@ -98,15 +99,13 @@ def _spare_linear_algebra() -> None:
             linalg.ensure_blas = ask
 
 
-_spare_linear_algebra()
-
-
 class _Listener(event.Listener):
     """Passes on that something is compiled; what the cache holds makes no such event."""
 
     def on_start(self, event: event.Event) -> None:
         del event
         tell()
+        _spare_linear_algebra()
 
     def on_end(self, event: event.Event) -> None:
         del event

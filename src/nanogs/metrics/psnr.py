@@ -30,7 +30,8 @@ def psnr(a: Array, b: Array, data_range: float = 1.0) -> float:
     if not (data_range > 0 and math.isfinite(data_range)):
         raise OptionError(f"data_range must be above 0, not {data_range}.")
     first, second = image_pair(a, b)
-    error = float(np.mean((first - second) ** 2))
+    first -= second  # copies, both of them
+    error = float(np.mean(np.square(first, out=first)))
     if error == 0:
         return math.inf
     return 20 * math.log10(data_range) - 10 * math.log10(error)

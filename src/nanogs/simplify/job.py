@@ -144,6 +144,14 @@ def prepare_job(
     return Job(splats, usable_rows(splats, nan), preset, chosen, cameras, observe)
 
 
+def import_stages(chosen: Parameters) -> None:
+    """Import now, and Numba with it, what a method is going to need."""
+    if isinstance(chosen, PaperParameters):
+        import nanogs.simplify.published
+    else:
+        import nanogs.simplify.forest_pipeline  # noqa: F401
+
+
 def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
     """(M,) int32: rows that are finite, ascending.
 
