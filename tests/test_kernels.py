@@ -753,3 +753,34 @@ print(numba.njit(lambda a: a @ a)(2 * np.eye(2)).tolist())
 def test_scipys_linear_algebra_is_loaded_by_those_who_use_it_alone():
     run = subprocess.run([sys.executable, "-c", SPARED], capture_output=True, text=True, check=True)
     assert run.stdout.split("\n")[:2] == ["False", "[[4.0, 0.0], [0.0, 4.0]]"]
+
+
+LOADED = """
+import sys
+import numba, numpy as np
+import nanogs
+from nanogs.kernels.forest import subtree_sums
+
+rng = np.random.default_rng(1)
+columns = [rng.normal(size=(300, *shape)).astype("f4") for shape in ((3,), (3,), (4,), (), (1, 3))]
+splats = nanogs.Splats(*columns)
+first = nanogs.simplify(splats, ratio=0.1, preset="fast")[0]
+print(*{"numba.np.arraymath", "numba.typed.typedlist"} & set(sys.modules))
+
+@numba.njit
+def of_three_splats(children, increments):  # compiled now, it calls a kernel that was not
+    sums = np.zeros(5)
+    subtree_sums(children, increments, sums)
+    return sums[3:]
+
+print(of_three_splats(np.array([[0, 1], [3, 2]], "i4"), np.array([2.0, 0.5])).tolist())
+again = nanogs.simplify(splats, ratio=0.1, preset="fast")[0]
+print(all((getattr(first, n) == getattr(again, n)).all() for n in ("means", "quats", "sh")))
+"""
+
+
+def test_kernels_on_disk_are_loaded_without_what_numba_needs_to_compile():
+    for _ in ("the first may have to compile", "the second finds all on disk"):
+        run = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True)
+        assert run.returncode == 0, run.stderr
+    assert run.stdout.split("\n")[:3] == ["", "[2.0, 2.5]", "True"]
