@@ -8,9 +8,9 @@ import math
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U64
+from nanogs.kernels.blocks import TILE
 from nanogs.kernels.policy import exact_inline, kernel, parallel_kernel
 from nanogs.kernels.project import HIDDEN, unpack_box
-from nanogs.kernels.spans import TILE
 
 CHUNKS = 16  # runs of the depth order listed independently; fixed, so that threads do not matter
 SMALL = 2  # tiles along a side of a box that is listed whole: what lies beside it draws nothing
