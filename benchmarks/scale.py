@@ -5,6 +5,7 @@ python benchmarks/scale.py run city.ply --max-memory 2GB --ratio 0.1
 python benchmarks/scale.py lod city.ply tileset.json --max-memory 2GB
 python benchmarks/scale.py kill scene.ply --times 100
 python benchmarks/scale.py seam scene.ply ... --blocks 4
+python benchmarks/scale.py chance scene.ply ... --ratios 0.01
 """
 
 import argparse
@@ -199,6 +200,15 @@ def seam(args: argparse.Namespace) -> None:
             print(path.name, ratio, compare(path, ratio, args.blocks, args.rounds), flush=True)
 
 
+def chance(args: argparse.Namespace) -> None:
+    """What chance does to the method in memory, to compare blocks with."""
+    from seams import chance
+
+    for path in args.scenes:
+        for ratio in args.ratios:
+            print(path.name, ratio, chance(path, ratio, args.rounds, args.times), flush=True)
+
+
 def main() -> None:
     """Do what the first argument says."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -243,6 +253,12 @@ def main() -> None:
     one.add_argument("--blocks", type=int, default=4)
     one.add_argument("--rounds", type=int, default=3)
     one.set_defaults(do=seam)
+    one = commands.add_parser("chance")
+    one.add_argument("scenes", type=Path, nargs="+")
+    one.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.01])
+    one.add_argument("--rounds", type=int, default=3)
+    one.add_argument("--times", type=int, default=8)
+    one.set_defaults(do=chance)
     args = parser.parse_args()
     args.do(args)
 

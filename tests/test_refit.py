@@ -14,7 +14,7 @@ from nanogs import RefitParameters, refit
 from nanogs.compare.scoring import reference_views, score
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import load
-from nanogs.kernels import backward, chain
+from nanogs.kernels import backward, chain, pulls
 from nanogs.refit.descent import Descent
 from nanogs.refit.report import RefitStop
 from nanogs.refit.state import activate, start
@@ -53,11 +53,11 @@ def pulls_of(splats, camera, residual, precision):
     features[view.order, :3] = view.features[view.order, :3] - np.float32(0.5)
     features[:, 3] = 0.7
     image = blend_twin(splats, camera, features).astype(np.float32)
-    partial = np.empty((len(view.entries), backward.SUMS), np.float32)
+    partial = np.empty((len(view.entries), pulls.SUMS), np.float32)
     backward.pull_tiles(
         view.geometry, features, view.starts, view.entries, image, residual, precision, partial
     )
-    totals = np.empty((len(splats), backward.SUMS))
+    totals = np.empty((len(splats), pulls.SUMS))
     backward.gather_entries(view.entries, partial, totals)
     return features.astype(np.float64), totals
 

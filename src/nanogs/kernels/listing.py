@@ -8,13 +8,14 @@ import math
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U64
+from nanogs.kernels.blocks import TILE, prefetch
 from nanogs.kernels.policy import exact_inline, kernel, parallel_kernel
 from nanogs.kernels.project import HIDDEN, unpack_box
-from nanogs.kernels.spans import TILE
 
 CHUNKS = 16  # runs of the depth order listed independently; fixed, so that threads do not matter
 SMALL = 2  # tiles along a side of a box that is listed whole: what lies beside it draws nothing
 HIGHEST, WIDEST = 4, 254  # tiles of the largest box whose spans are remembered
+AHEAD = 16  # places of the order whose rows are asked for before they are read
 WHOLE, UNKNOWN = np.uint64(0), np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
@@ -102,6 +103,7 @@ def span_tiles(
         counts[run] = 0
         for m in range(run * size, min((run + 1) * size, len(order))):
             index = order[m]
+            prefetch(geometry, order[min(m + AHEAD, len(order) - 1)])
             left, top, across, down = unpack_box(boxes[m])
             whole = across == 1 or down == 1 or (across <= SMALL and down <= SMALL)
             spans[m] = WHOLE if whole else UNKNOWN

@@ -23,9 +23,9 @@ import math
 import numpy as np
 
 from nanogs._types import F32, F64, I64, Bool, F
+from nanogs.kernels.blocks import TILE
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.spans import TILE
 
 DILATION = 0.3  # pixels², added to both variances on screen ([K]'s rasteriser)
 GUARD = 1.3  # x/z and y/z in the Jacobian stay within this many half fields of view

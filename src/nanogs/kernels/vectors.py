@@ -1,8 +1,8 @@
 """Vectors in LLVM's own types, for what Numba's loops do not reach; portable.
 
 Numba runs LLVM without the vectoriser of straight-line code, and its loops over as many elements as
-a vector has are unrolled before the loop vectoriser sees them. So `lanes.py`, `pixels.py` and
-`spans.py` write their operations twice: as plain Python, which says what they do and runs with
+a vector has are unrolled before the loop vectoriser sees them. So `lanes.py`, `blocks.py` and
+`pulls.py` write their operations twice: as plain Python, which says what they do and runs with
 `NUMBA_DISABLE_JIT=1`, and with these: the compiler cuts the vectors into the registers that the
 machine has.
 """
@@ -16,7 +16,7 @@ from llvmlite import ir
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
-INDEX = ir.IntType(64)
+INDEX, WORD = ir.IntType(64), ir.IntType(32)
 FAST = ("contract", "nsz", "arcp", "reassoc")
 
 
@@ -32,7 +32,7 @@ def doubles(count: int) -> Any:
 
 def words(count: int) -> Any:
     """The type of so many int32."""
-    return ir.VectorType(ir.IntType(32), count)
+    return ir.VectorType(WORD, count)
 
 
 def index(value: int) -> Any:
@@ -56,7 +56,7 @@ def counting(kind: Any) -> Any:
 def splat(builder: Any, value: Any, kind: Any) -> Any:
     """A vector of one value."""
     empty = ir.Constant(kind, ir.Undefined)
-    first = builder.insert_element(empty, value, ir.Constant(ir.IntType(32), 0))
+    first = builder.insert_element(empty, value, ir.Constant(WORD, 0))
     return builder.shuffle_vector(first, empty, fill(words(kind.count), 0))
 
 
@@ -122,6 +122,20 @@ def greater(builder: Any, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
 
+def magnitude(builder: Any, value: Any) -> Any:
+    """|value|."""
+    kind = words(value.type.count)
+    positive = builder.and_(builder.bitcast(value, kind), fill(kind, 0x7FFFFFFF))
+    return builder.bitcast(positive, value.type)
+
+
+def with_products(builder: Any, total: Any, *factors: tuple[Any, Any]) -> Any:
+    """The total plus the products."""
+    for a, b in factors:
+        total = add(builder, total, mul(builder, a, b))
+    return total
+
+
 def declared(builder: Any, name: str, kind: Any) -> Any:
     """One of LLVM's own functions."""
     return cgutils.get_or_insert_function(builder.module, kind, name)  # type: ignore[no-untyped-call]
@@ -138,6 +152,83 @@ def call(builder: Any, name: str, value: Any) -> Any:
 def bits(builder: Any, mask: Any) -> Any:
     """The truth of each lane as a bit of an int64, the first the lowest."""
     return builder.zext(builder.bitcast(mask, ir.IntType(mask.type.count)), INDEX)
+
+
+class Table:
+    """A contiguous array of float32, read and written in rows that are vectors."""
+
+    def __init__(self, context: Any, builder: Any, kind: Any, array: Any, row: Any) -> None:
+        self.builder = builder
+        self.array = context.make_array(kind)(context, builder, array)
+        self.kind = row
+
+    def at(self, *indices: Any) -> Any:
+        """The address of a number."""
+        offset = indices[0]
+        for axis, one in enumerate(indices[1:], 1):
+            stride = self.builder.extract_value(self.array.shape, axis)
+            offset = self.builder.add(self.builder.mul(offset, stride), one)
+        return self.builder.gep(self.array.data, [offset])
+
+    def spread(self, *indices: Any) -> Any:
+        """A vector of one number."""
+        return splat(self.builder, self.builder.load(self.at(*indices)), self.kind)
+
+    def _row(self, *indices: Any) -> Any:
+        return self.builder.bitcast(self.at(*indices, index(0)), self.kind.as_pointer())
+
+    def load(self, *indices: Any) -> Any:
+        """A row."""
+        return self.builder.load(self._row(*indices), align=4)
+
+    def store(self, value: Any, *indices: Any) -> None:
+        """Write a row."""
+        self.builder.store(value, self._row(*indices), align=4)
+
+
+def each_bit(builder: Any, mark: Any, values: list[Any], body: Callable[..., list[Any]]) -> Any:
+    """Carry values through the body for each set bit of an int32, the lowest first.
+
+    The body takes the bit's place and the values, and returns these anew. In registers: a loop of
+    Numba's `cgutils` carries its values through memory.
+    """
+    before = builder.block
+    loop, after = (builder.append_basic_block(name) for name in ("each", "after"))
+    zero, one = ir.Constant(WORD, 0), ir.Constant(WORD, 1)
+    builder.cbranch(builder.icmp_unsigned("!=", mark, zero), loop, after)
+    builder.position_at_end(loop)
+    rest = builder.phi(WORD)
+    carried = [builder.phi(value.type) for value in values]
+    place = builder.cttz(rest, ir.Constant(ir.IntType(1), 1))
+    found = body(builder.zext(place, INDEX), *carried)
+    next_rest = builder.and_(rest, builder.sub(rest, one))
+    end = builder.block
+    builder.cbranch(builder.icmp_unsigned("!=", next_rest, zero), loop, after)
+    for phi, first, later in zip(
+        [rest, *carried], [mark, *values], [next_rest, *found], strict=True
+    ):
+        phi.add_incoming(first, before)
+        phi.add_incoming(later, end)
+    builder.position_at_end(after)
+    results = []
+    for first, later in zip(values, found, strict=True):
+        result = builder.phi(first.type)
+        result.add_incoming(first, before)
+        result.add_incoming(later, end)
+        results.append(result)
+    return results
+
+
+def sums(builder: Any, vectors: list[Any]) -> Any:
+    """A vector of the sums of as many vectors as it has lanes."""
+    count = len(vectors)
+    while len(vectors) > 1:
+        halves = []
+        for a, b in zip(vectors[::2], vectors[1::2], strict=True):
+            even, odd = (shuffled(builder, a, b, range(k, 2 * count, 2)) for k in (0, 1))
+            halves.append(add(builder, even, odd))
+        vectors = halves
+    return vectors[0]
 
 
 def compiled(plain: Callable[..., Any]) -> Callable[[Any], Any]:

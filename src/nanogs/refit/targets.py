@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, F64, U16
-from nanogs.kernels import backward
+from nanogs.kernels import backward, pulls
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import PreparedSplats, Projection, blend, project, render
 
@@ -81,10 +81,10 @@ def pull(model: PreparedSplats, target: Target) -> Pull:
     """Render a view and sum up how it pulls at each splat."""
     view, features, image = _blend(model, target.camera)
     residual, precision, error = _weigh(target, image)
-    partial = np.empty((len(view.entries), backward.SUMS), np.float32)
+    partial = np.empty((len(view.entries), pulls.SUMS), np.float32)
     backward.pull_tiles(
         view.geometry, features, view.starts, view.entries, image, residual, precision, partial
     )
-    totals = np.empty((len(model), backward.SUMS), np.float64)
+    totals = np.empty((len(model), pulls.SUMS), np.float64)
     backward.gather_entries(view.entries, partial, totals)
     return Pull(view, totals, error)
