@@ -43,4 +43,4 @@ class _Cache:
         try:
             return self._disk.load_overload(sig, target_context)
         finally:
-            del target_context.refresh
+            vars(target_context).pop("refresh", None)
