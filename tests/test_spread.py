@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nanogs.spread import Spread
+from nanogs.spread import Spread, each
 from nanogs.threads import use_threads
 
 
@@ -79,7 +79,7 @@ def test_it_keeps_what_the_kernel_says_of_itself():
 FORK = """
 import os
 import numpy as np
-from nanogs.spread import Spread
+from nanogs.spread import Spread, each
 
 def add_one(start, stop, values):
     values[start:stop] += 1
@@ -98,3 +98,29 @@ assert (values == 1).all()
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing forks here")
 def test_a_forked_process_starts_threads_of_its_own():
     subprocess.run([sys.executable, "-W", "ignore", "-c", FORK], check=True, timeout=60)
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
+def test_parts_are_taken_once_by_all_threads():
+    met = threading.Barrier(2, timeout=20)
+    seen = []
+
+    def work(part):
+        seen.append((part, threading.get_ident()))
+        if part < 2:
+            met.wait()
+
+    with use_threads(2):
+        each(range(50), work)
+    assert sorted(part for part, _ in seen) == list(range(50))
+    assert len({thread for _, thread in seen}) == 2
+
+
+@pytest.mark.parametrize("threads", [1, numba.config.NUMBA_NUM_THREADS])
+def test_a_part_that_fails_reaches_the_caller(threads):
+    def fail(part):
+        if part == 7:
+            raise ZeroDivisionError
+
+    with use_threads(threads), pytest.raises(ZeroDivisionError):
+        each(range(20), fail)

@@ -145,14 +145,16 @@ class Splats:
 
     def take(self, rows: I64 | I32 | Bool | slice) -> "Splats":
         """The given rows (indices, a mask or a slice), every column and tag with them."""
+        columns = (self.means, self.log_scales, self.quats, self.opacity_logits, self.sh)
+        means, log_scales, quats, opacity_logits, sh = (pick(column, rows) for column in columns)
         return replace(
             self,
-            means=self.means[rows],
-            log_scales=self.log_scales[rows],
-            quats=self.quats[rows],
-            opacity_logits=self.opacity_logits[rows],
-            sh=self.sh[rows],
-            extras={name: column[rows] for name, column in self.extras.items()},
+            means=means,
+            log_scales=log_scales,
+            quats=quats,
+            opacity_logits=opacity_logits,
+            sh=sh,
+            extras={name: pick(column, rows) for name, column in self.extras.items()},
         )
 
     def span(self, start: int, stop: int) -> "Splats":
@@ -173,6 +175,13 @@ class Splats:
         if degree >= self.sh_degree:
             return self
         return replace(self, sh=np.ascontiguousarray(self.sh[:, : (degree + 1) ** 2]))
+
+
+def pick(column: Array, rows: I64 | I32 | Bool | slice) -> Array:
+    """The given rows of an array: indices, a mask or a slice."""
+    if isinstance(rows, slice) or rows.dtype == bool:
+        return column[rows]
+    return column.take(rows, axis=0)  # in a fifth of the time that an index takes
 
 
 def concatenate(parts: Sequence[Splats]) -> Splats:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-BLOCK = 1 << 16
+BLOCK = 1 << 14  # few, since each thread keeps what it once freed
 BLOCK_PAIRS = 1 << 19  # more, since threads wait for each other after every block
 
 

@@ -33,7 +33,7 @@ from nanogs.simplify.recolour import recolour
 from nanogs.simplify.store import store_groups
 from nanogs.simplify.tree import Forest, grow_forest
 from nanogs.simplify.visibility import OriginalViews, judge, look, visible_weights
-from nanogs.splats import Splats
+from nanogs.splats import Splats, pick
 
 REFIT = RefitParameters(views=32, steps=16)  # half of what `nanogs refit` takes
 
@@ -88,9 +88,11 @@ def build_forest(
                 notes = (f"Nothing was measured: {error}",)
     progress("activate", len(rows))
     with clock.time("activate"):
-        origin = scene_origin(splats.means[rows])
-        means = splats.means[rows] - origin
-        alphas = splats.opacities()[rows]
+        centres = pick(splats.means, rows)
+        origin = scene_origin(centres)
+        means = centres - origin
+        del centres
+        alphas = pick(splats.opacities(), rows)
         pixel = dilation(means, alphas, splats.render_mode, parameters.pixels)
         rows = rows[morton_order(means)]
         del means, alphas

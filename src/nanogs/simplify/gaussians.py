@@ -4,11 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.kernels.mixed import mean_features
 from nanogs.simplify.blocks import blocks
 from nanogs.simplify.order import morton_order
-from nanogs.splats import Splats, alphas, unit
+from nanogs.splats import Splats, alphas, pick, unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,16 +48,16 @@ class Gaussians:
     def take(self, rows: I64 | I32 | Bool) -> "Gaussians":
         """The given rows, by index or mask."""
         return Gaussians(
-            self.means[rows],
-            self.scales[rows],
-            self.quats[rows],
-            self.opacities[rows],
+            pick(self.means, rows),
+            pick(self.scales, rows),
+            pick(self.quats, rows),
+            pick(self.opacities, rows),
             self.features,
-            self.rows[rows],
-            self.sources[rows],
-            self.merged[rows],
-            self.seconds[rows] if len(self.seconds) else self.seconds,
-            self.shares[rows] if len(self.shares) else self.shares,
+            pick(self.rows, rows),
+            pick(self.sources, rows),
+            pick(self.merged, rows),
+            pick(self.seconds, rows) if len(self.seconds) else self.seconds,
+            pick(self.shares, rows) if len(self.shares) else self.shares,
         )
 
     def colours(self) -> F32:
@@ -98,7 +99,7 @@ def activate(splats: Splats, rows: I64 | I32, origin: F64) -> Gaussians:
         rows: (M,) rows of it, all finite.
         origin: (3,) taken off the centres, scene units.
     """
-    rows = rows[morton_order(splats.means[rows] - origin)].astype(np.int32)
+    rows = rows[morton_order(pick(splats.means, rows) - origin)].astype(np.int32)
     result = Gaussians(
         means=np.empty((len(rows), 3)),
         scales=np.empty((len(rows), 3), np.float32),
@@ -109,12 +110,15 @@ def activate(splats: Splats, rows: I64 | I32, origin: F64) -> Gaussians:
         sources=rows,
         merged=np.zeros(len(rows), dtype=bool),
     )
-    for block in blocks(len(rows)):
+
+    def fill(block: slice) -> None:
         some = rows[block]
-        result.means[block] = splats.means[some] - origin
-        result.scales[block] = np.exp(splats.log_scales[some])
-        result.quats[block] = unit(splats.quats[some])
-        result.opacities[block] = alphas(splats.opacity_logits[some])
+        result.means[block] = pick(splats.means, some) - origin
+        result.scales[block] = np.exp(pick(splats.log_scales, some))
+        result.quats[block] = unit(pick(splats.quats, some))
+        result.opacities[block] = alphas(pick(splats.opacity_logits, some))
+
+    spread.each(blocks(len(rows)), fill)
     return result
 
 

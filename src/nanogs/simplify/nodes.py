@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, F64, I32, I64, Bool
 from nanogs.kernels.nodes import (
     covariances_of,
@@ -16,7 +17,7 @@ from nanogs.kernels.nodes import (
     heaviest_members,
 )
 from nanogs.simplify.blocks import blocks
-from nanogs.splats import Splats, alphas, unit
+from nanogs.splats import Splats, alphas, pick, unit
 
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
 
@@ -87,23 +88,36 @@ def activate_nodes(
         The nodes; their rows are those of the input.
     """
     rows = rows.astype(np.int32, copy=False)
+    means, covariances = _shapes(splats, rows, origin, pixel, thinnest)
+    coverages = np.empty(len(rows))
+
+    def cover(block: slice) -> None:
+        opacities = alphas(pick(splats.opacity_logits, rows[block]))
+        coverages[block] = opacities * footprints(covariances[block], pixel)
+
+    spread.each(blocks(len(rows)), cover)
+    features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
+    return Nodes(normalised(coverages), coverages, means, covariances, features, rows)
+
+
+def _shapes(
+    splats: Splats, rows: I32, origin: F64, pixel: float, thinnest: float | None
+) -> tuple[F64, F64]:
+    """The means and covariances of `activate_nodes`."""
     means, covariances = np.empty((len(rows), 3)), np.empty((len(rows), 6))
     scales = np.empty((len(rows), 3), np.float32)
     quats = np.empty((len(rows), 4), np.float32)
-    for block in blocks(len(rows)):
+
+    def activate(block: slice) -> None:
         some = rows[block]
-        means[block] = splats.means[some] - origin
-        scales[block] = np.exp(splats.log_scales[some])
-        quats[block] = unit(splats.quats[some])
+        means[block] = pick(splats.means, some) - origin
+        scales[block] = np.exp(pick(splats.log_scales, some))
+        quats[block] = unit(pick(splats.quats, some))
+
+    spread.each(blocks(len(rows)), activate)
     least = thinnest_axis(scales, means, pixel) if thinnest is None else thinnest
     covariances_of(scales, quats, FLATTEST, least, covariances)
-    del scales, quats
-    coverages = np.empty(len(rows))
-    for block in blocks(len(rows)):
-        opacities = alphas(splats.opacity_logits[rows[block]])
-        coverages[block] = opacities * footprints(covariances[block], pixel)
-    features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
-    return Nodes(normalised(coverages), coverages, means, covariances, features, rows)
+    return means, covariances
 
 
 def without_coverages(nodes: Nodes) -> Nodes:
