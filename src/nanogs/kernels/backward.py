@@ -19,10 +19,10 @@ quadratic with these blocks lies above the true one (the separable surrogates of
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, U16
-from nanogs.kernels.blocks import BATCH, LANES, SHAPE, SIDE, TILE, mark_blocks, open_blocks
+from nanogs.kernels.blocks import BATCH, LANES, SHAPE, TILE, mark_blocks, open_blocks
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.pulls import CHANNELS, SUMS, pull_blocks
-from nanogs.kernels.raster import fetch, start_tile
+from nanogs.kernels.raster import fetch, place_in_tile, start_tile
 
 
 @inline
@@ -31,7 +31,7 @@ def _load_tile(image: F32, x0: int, y0: int, planes: F32) -> None:
     height, width = image.shape[0], image.shape[1]
     for y in range(TILE):
         for x in range(TILE):
-            block, lane = y // SIDE * SIDE + x // SIDE, y % SIDE * SIDE + x % SIDE
+            block, lane = place_in_tile(x, y)
             inside = y0 + y < height and x0 + x < width
             for c in range(CHANNELS):
                 planes[c, block, lane] = image[y0 + y, x0 + x, c] if inside else np.float32(0.0)
@@ -128,7 +128,7 @@ def pull_tiles(
         _load_tile(residual, x0, y0, wanted)
         for y in range(min(TILE, height - y0)):
             for x in range(min(TILE, width - x0)):
-                block, lane = y // SIDE * SIDE + x // SIDE, y % SIDE * SIDE + x % SIDE
+                block, lane = place_in_tile(x, y)
                 trust[block, lane] = precision[y0 + y, x0 + x]
         for first in range(starts[tile], end, BATCH):
             light = open_blocks(left)

@@ -31,12 +31,18 @@ LOG_255 = math.log(255.0)
 
 
 @inline
+def place_in_tile(x: int, y: int) -> tuple[int, int]:
+    """Which block of a tile a pixel of it lies in, and which of the block's pixels it is."""
+    return y // SIDE * SIDE + x // SIDE, y % SIDE * SIDE + x % SIDE
+
+
+@inline
 def start_tile(left: F32, x0: int, y0: int, width: int, height: int) -> None:
     """Set the transmittances of a tile's blocks: 1 on the image, full outside."""
-    for block in range(LANES):
-        x, y = x0 + block % SIDE * SIDE, y0 + block // SIDE * SIDE
-        for lane in range(LANES):
-            inside = y + lane // SIDE < height and x + lane % SIDE < width
+    for y in range(TILE):
+        for x in range(TILE):
+            block, lane = place_in_tile(x, y)
+            inside = y0 + y < height and x0 + x < width
             left[block, lane] = np.float32(1.0) if inside else np.float32(-1.0)
 
 
@@ -86,7 +92,7 @@ def _write_tile(
     height, width, channels = image.shape
     for y in range(min(TILE, height - y0)):
         for x in range(min(TILE, width - x0)):
-            block, lane = y // SIDE * SIDE + x // SIDE, y % SIDE * SIDE + x % SIDE
+            block, lane = place_in_tile(x, y)
             light = abs(left[block, lane])
             transmittance[y0 + y, x0 + x] = light
             for c in range(channels):
@@ -100,7 +106,7 @@ def _read_tile(probes: F32, x0: int, y0: int, planes: F32) -> None:
     for p in range(len(probes)):
         for y in range(min(TILE, probes.shape[1] - y0)):
             for x in range(min(TILE, probes.shape[2] - x0)):
-                block, lane = y // SIDE * SIDE + x // SIDE, y % SIDE * SIDE + x % SIDE
+                block, lane = place_in_tile(x, y)
                 planes[p, block, lane] = probes[p, y0 + y, x0 + x]
 
 
