@@ -153,8 +153,9 @@ def scaling(counts: list[int], options: argparse.Namespace) -> None:
         peak = int(median(peak for _, peak in turns))
         memory = f"{bytes_text(peak)} | {peak / column_bytes(scene(count)):.2f}"
         print(f"| {count:,} | {seconds:.2f} | {1e6 * seconds / count:.2f} | {memory} |")
-    slope = np.polyfit(np.log(counts), np.log(middle), 1)[0]
-    print(f"\nSlope on log-log: {slope:.2f}")
+    if len(counts) > 1:
+        slope = np.polyfit(np.log(counts), np.log(middle), 1)[0]
+        print(f"\nSlope on log-log: {slope:.2f}")
 
 
 def column_bytes(model: Path) -> int:

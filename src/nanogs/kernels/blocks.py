@@ -30,7 +30,6 @@ BATCH = 32  # splats that are looked at together, one bit of a number for each
 START, ACROSS, ALONG, HEIGHT, RISE, FAINT = range(6)
 SHAPE = 8
 
-MIN_ALPHA = 1.0 / 255.0
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
 FAINTEST = float(np.log(255.0) / 16.0)  # the s of alpha 1/255

@@ -47,12 +47,6 @@ def fill(kind: Any, value: float) -> Any:
     return ir.Constant(kind, [value] * kind.count)
 
 
-def counting(kind: Any) -> Any:
-    """The vector 0, 1, 2, ..."""
-    whole = isinstance(kind.element, ir.IntType)
-    return ir.Constant(kind, [lane if whole else float(lane) for lane in range(kind.count)])
-
-
 def splat(builder: Any, value: Any, kind: Any) -> Any:
     """A vector of one value."""
     empty = ir.Constant(kind, ir.Undefined)
@@ -139,14 +133,6 @@ def with_products(builder: Any, total: Any, *factors: tuple[Any, Any]) -> Any:
 def declared(builder: Any, name: str, kind: Any) -> Any:
     """One of LLVM's own functions."""
     return cgutils.get_or_insert_function(builder.module, kind, name)  # type: ignore[no-untyped-call]
-
-
-def call(builder: Any, name: str, value: Any) -> Any:
-    """LLVM's sqrt, ceil or floor of a vector."""
-    kind = value.type
-    short = "f32" if kind.element == ir.FloatType() else "f64"
-    name = f"llvm.{name}.v{kind.count}{short}"
-    return builder.call(declared(builder, name, ir.FunctionType(kind, [kind])), [value])
 
 
 def bits(builder: Any, mask: Any) -> Any:
