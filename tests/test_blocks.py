@@ -55,7 +55,7 @@ def pull_compiled(mark, j, shapes, values, left, behind, wanted, trust, partial,
 
 def shape_of(u, v, inv_w, slope, inv_yy, opacity):
     """Of a splat at (u, v) from the tile's first pixel, what `raster.fetch` writes of it."""
-    across, rise = inv_w / 32**0.5, (inv_yy / 32) ** 0.5
+    across, rise = inv_w / blocks.UNIT, inv_yy**0.5 / blocks.UNIT
     u, v = u - blocks.MIDDLE, v - blocks.MIDDLE
     start, faint = -across * (u - slope * v), -np.log(opacity) / 16
     return np.float32([start, across, -across * slope, -rise * v, rise, faint, np.nan, np.nan])

@@ -13,6 +13,7 @@ six numbers are the splat's shape in the tile.
 """
 # ruff: noqa: ANN401, ARG001 - Numba asks for these signatures, and llvmlite has no types
 
+import math
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,8 @@ SHAPE = 8
 
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
-FAINTEST = float(np.log(255.0) / 16.0)  # the s of alpha 1/255
+UNIT = math.sqrt(32.0)  # p and q of `nanogs.kernels.project` over those whose squares make s
+FAINTEST = math.log(255.0) / 16.0  # the s of alpha 1/255
 MARGIN = 1e-4  # of s when blocks are told apart, so that rounding never loses a pixel
 
 # exp(-16 s) = P(s)^16 for s in [0, 3/8]: least squares over P(0) = 1, relative error below 2e-6.

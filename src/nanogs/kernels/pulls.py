@@ -1,7 +1,6 @@
 """How a block of 4 x 4 pixels pulls at a splat; see `backward.py`, `blocks.py` and `vectors.py`."""
 # ruff: noqa: ANN401, ARG001 - Numba asks for these signatures, and llvmlite has no types
 
-import math
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from nanogs.kernels import vectors as vec
 from nanogs.kernels.blocks import (
     LANES,
     REALS,
+    UNIT,
     alpha_of,
     light_through,
     pixels_of,
@@ -22,7 +22,6 @@ from nanogs.kernels.vectors import compiled
 
 CHANNELS = 4
 SATURATED = 98.9  # T alpha over what is left of T: beyond it alpha is held at 0.99
-UNIT = math.sqrt(32.0)  # p and q are in units of this in a splat's shape
 PULLS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]  # powers of p and q
 BENDS = [(a, b) for a in range(5) for b in range(5 - a)]
 SUMS = 4 + len(PULLS) + len(BENDS)

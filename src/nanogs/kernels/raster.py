@@ -22,11 +22,11 @@ from nanogs.kernels.blocks import (
     SIDE,
     START,
     TILE,
+    UNIT,
 )
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 from nanogs.kernels.project import HIDDEN, SLACK
 
-UNIT = math.sqrt(1.0 / 32.0)  # lengths whose squares add to the exponent over 16
 LOG_255 = math.log(255.0)
 
 
@@ -73,7 +73,7 @@ def fetch(
     """
     u, v = geometry[i, 0] - (x0 + 0.5 * TILE), geometry[i, 1] - (y0 + 0.5 * TILE)
     inv_w, slope, inv_yy, reach = geometry[i, 2], geometry[i, 3], geometry[i, 4], geometry[i, 5]
-    across, rise = UNIT * inv_w, UNIT * math.sqrt(inv_yy)
+    across, rise = inv_w / UNIT, math.sqrt(inv_yy) / UNIT
     shapes[j, ACROSS] = across
     shapes[j, ALONG] = -across * slope
     shapes[j, START] = -across * (u - slope * v)
