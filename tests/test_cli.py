@@ -212,8 +212,12 @@ def test_the_summary_names_the_candidate_that_was_chosen():
     """And not the one that measured best, where its growth was not better by enough."""
     entry = {"balance": 0.5, "reassigned": True, "growth": 1.1, "psnr": 30.0, "ssim": 0.9}
     chosen = entry | {"quality": 75.0, "chosen": True}
-    text = choice_text([chosen, entry | {"growth": 1.3, "quality": 75.25, "chosen": False}])
-    assert text.startswith("balance 0.5, reassigned, growth 1.1 of 2 tried (-0.25 dB against")
+    other = entry | {"growth": 1.3, "quality": 75.25, "chosen": False}
+    text = choice_text([chosen, other])
+    start = "balance 0.5, reassigned, growth 1.1 of 2 tried"
+    assert text.startswith(f"{start} (growth 1.3 gains 0.25 dB, too little): 30.00 dB")
+    text = choice_text([chosen, other | {"quality": 74.5}])
+    assert text.startswith(f"{start} (+0.50 dB against the next): 30.00 dB")
     assert choice_text([]) == ""
 
 

@@ -1,6 +1,7 @@
 """How `nanogs simplify` shows its plan and its report."""
 
 from dataclasses import asdict, dataclass, replace
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
@@ -223,14 +224,21 @@ def _blocks_text(blocks: dict[str, Any] | None) -> str:
     return f"{blocks['blocks']:,} of at most {blocks['largest']:,} splats{resumed}"
 
 
+def _lead_text(chosen: dict[str, Any], next_one: dict[str, Any]) -> str:
+    lead = chosen["quality"] - next_one["quality"]
+    if lead >= 0:
+        return f" ({lead:+.2f} dB against the next)"
+    return f" (growth {next_one['growth']:g} gains {-lead:.2f} dB, too little)"
+
+
 def choice_text(candidates: list[dict[str, Any]]) -> str:
     """What was chosen by measurement, and by how much over the best of the others."""
     if not candidates:
         return ""
     chosen = next(entry for entry in candidates if entry["chosen"])
-    others = [entry["quality"] for entry in candidates if entry is not chosen]
+    others = [entry for entry in candidates if entry is not chosen]
     moved = ", reassigned" if chosen["reassigned"] else ""
-    lead = f" ({chosen['quality'] - max(others):+.2f} dB against the next)" if others else ""
+    lead = _lead_text(chosen, max(others, key=itemgetter("quality"))) if others else ""
     what = f"balance {chosen['balance']:g}{moved}, growth {chosen['growth']:g}"
     shown = f"{chosen['psnr']:.2f} dB, SSIM {chosen['ssim']:.3f} on the views it was chosen by"
     return f"{what} of {len(candidates)} tried{lead}: {shown}"
