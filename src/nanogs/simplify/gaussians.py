@@ -4,12 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nanogs import spread
 from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.kernels.mixed import mean_features
+from nanogs.simplify.activation import activated
 from nanogs.simplify.blocks import blocks
 from nanogs.simplify.order import morton_order
-from nanogs.splats import Splats, alphas, pick, unit
+from nanogs.splats import Splats, alphas, pick
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,26 +100,17 @@ def activate(splats: Splats, rows: I64 | I32, origin: F64) -> Gaussians:
         origin: (3,) taken off the centres, scene units.
     """
     rows = rows[morton_order(pick(splats.means, rows) - origin)].astype(np.int32)
-    result = Gaussians(
-        means=np.empty((len(rows), 3)),
-        scales=np.empty((len(rows), 3), np.float32),
-        quats=np.empty((len(rows), 4), np.float32),
-        opacities=np.empty(len(rows)),
+    means, scales, quats = activated(splats, rows, origin)
+    return Gaussians(
+        means=means,
+        scales=scales,
+        quats=quats,
+        opacities=alphas(pick(splats.opacity_logits, rows)),
         features=np.ascontiguousarray(splats.sh).reshape(len(splats), -1),
         rows=rows,
         sources=rows,
         merged=np.zeros(len(rows), dtype=bool),
     )
-
-    def fill(block: slice) -> None:
-        some = rows[block]
-        result.means[block] = pick(splats.means, some) - origin
-        result.scales[block] = np.exp(pick(splats.log_scales, some))
-        result.quats[block] = unit(pick(splats.quats, some))
-        result.opacities[block] = alphas(pick(splats.opacity_logits, some))
-
-    spread.each(blocks(len(rows)), fill)
-    return result
 
 
 def store(gaussians: Gaussians, splats: Splats, origin: F64) -> Splats:

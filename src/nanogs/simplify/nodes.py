@@ -16,8 +16,9 @@ from nanogs.kernels.nodes import (
     group_members,
     heaviest_members,
 )
+from nanogs.simplify.activation import activated
 from nanogs.simplify.blocks import blocks
-from nanogs.splats import Splats, alphas, pick, unit
+from nanogs.splats import Splats, alphas, pick
 
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
 
@@ -104,17 +105,8 @@ def _shapes(
     splats: Splats, rows: I32, origin: F64, pixel: float, thinnest: float | None
 ) -> tuple[F64, F64]:
     """The means and covariances of `activate_nodes`."""
-    means, covariances = np.empty((len(rows), 3)), np.empty((len(rows), 6))
-    scales = np.empty((len(rows), 3), np.float32)
-    quats = np.empty((len(rows), 4), np.float32)
-
-    def activate(block: slice) -> None:
-        some = rows[block]
-        means[block] = pick(splats.means, some) - origin
-        scales[block] = np.exp(pick(splats.log_scales, some))
-        quats[block] = unit(pick(splats.quats, some))
-
-    spread.each(blocks(len(rows)), activate)
+    covariances = np.empty((len(rows), 6))  # before what is freed again, which leaves no gap then
+    means, scales, quats = activated(splats, rows, origin)
     least = thinnest_axis(scales, means, pixel) if thinnest is None else thinnest
     covariances_of(scales, quats, FLATTEST, least, covariances)
     return means, covariances
