@@ -161,10 +161,10 @@ def test_the_reference_names_what_there_is(page):
             assert hasattr(importlib.import_module(owner), last), name
 
 
-def test_the_readme_lists_every_format(hooks):
-    table = hooks["formats"].readme_table(ROOT / "README.md")
+def test_the_page_of_formats_lists_every_one():
+    rows = [row for row in (DOCS / "formats.md").read_text().splitlines() if row[:1] == "|"]
     for known in registry.formats():
-        assert known.suffix in table
+        assert any(known.suffix in row for row in rows), known.suffix
 
 
 @pytest.mark.parametrize(

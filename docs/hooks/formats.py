@@ -19,12 +19,6 @@ PROBE = 5000  # splats
 SHARE = 99  # per cent of the values whose error a table states
 
 
-def readme_table(readme: Path) -> str:
-    """The table below the heading `## Formats`, which is there and nowhere else."""
-    part = readme.read_text(encoding="utf-8").split("\n## Formats\n")[1].split("\n## ")[0]
-    return "\n".join(line for line in part.splitlines() if line.startswith("|"))
-
-
 @dataclass(frozen=True, slots=True)
 class Kept:
     """What a format that is written holds of a model, beside numbers of less precision.

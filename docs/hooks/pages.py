@@ -18,7 +18,6 @@ ROOT = Path(__file__).resolve().parents[2]
 MARKER = re.compile(r"^<!-- made: (.+) -->$", re.MULTILINE)
 
 TEXTS: Mapping[str, Callable[[], str]] = {
-    "the README's table of formats": lambda: formats.readme_table(ROOT / "README.md"),
     "what formats keep": formats.kept_table,
     "how precise formats are": formats.precision_table,
     "which way is up": formats.frame_table,
