@@ -49,6 +49,8 @@ def write(scene, folder, layout, *, ratios=RATIOS, where=None, progress=None, **
     given = {"preset": "fast", "rounds": 1, "block": BLOCK, "max_memory": None}
     if layout is not Layout.PLY:
         given["chunk"] = CHUNK
+    if layout is Layout.TILES:
+        given["plain"] = True
     return write_levels_in_blocks(
         [scene], folder, ratios, layout=layout, where=where or Where(1),
         progress=progress or (lambda *_: None), **(given | options),
@@ -201,7 +203,7 @@ def test_a_coarse_splat_may_lie_where_the_finest_level_left_nothing(tmp_path):
     """In seed 9 one of two splats is in the block of none of three."""
     nanogs.save(random_splats(1200, degree=0, seed=9), tmp_path / "a.ply")
     given = {"ratios": (0.0021, 0.0012)}
-    packed, _ = write(tmp_path / "a.ply", tmp_path / "p", Layout.TILES, spz=True, **given)
+    packed, _ = write(tmp_path / "a.ply", tmp_path / "p", Layout.TILES, plain=False, **given)
     assert [level.count for level in packed.levels] == [3, 2]
     write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, **given)
     parts = tile_parts(tmp_path / "t" / "tileset.json")
@@ -221,7 +223,7 @@ def test_what_is_left_out_is_said_once_for_all_blocks(tmp_path):
     splats = random_splats(900, extras=label)
     splats.log_scales[:] = 6.5
     nanogs.save(splats, tmp_path / "a.ply")
-    manifest, _ = write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, spz=True, ratios=[0.5])
+    manifest, _ = write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, plain=False, ratios=[0.5])
     assert sum("label" in note for note in manifest.notes) == 1
     assert any(note.startswith("450 splats have log-scales") for note in manifest.notes)
 

@@ -360,7 +360,7 @@ def test_json_report_and_plan(scene, tmp_path):
         ("out/meta.json", [], ["lod-meta.json or tileset.json"]),
         ("out", ["--chunk", "100"], ["chunks", ".ply"]),
         ("out/lod-meta.json", ["--chunk", "0"], ["at least 1", "0"]),
-        ("out/lod-meta.json", ["--spz"], ["3D Tiles"]),
+        ("out/lod-meta.json", ["--plain"], ["3D Tiles"]),
         ("missing/out/lod-meta.json", [], ["missing"]),
     ],
 )

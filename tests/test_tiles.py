@@ -39,7 +39,7 @@ def made(request, splats, tmp_path_factory):
     nanogs.save(splats, folder / "scene.ply")
     path = folder / "levels" / "tileset.json"
     options = ["--levels", "0.5,0.1,0.02", "--preset", "fast", "--chunk", CHUNK, "-q"]
-    options += ["--spz"] if request.param == "spz" else []
+    options += ["--plain"] if request.param == "plain" else []
     result = run("lod", folder / "scene.ply", path, *options)
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
     return path, request.param
@@ -224,7 +224,7 @@ def test_a_cell_that_a_level_leaves_empty_has_no_content_but_is_refined(tmp_path
     means = rng.normal(0, 0.1, (40, 3)).astype(np.float32)
     means[20:, 0] += 10
     fine = replace(random_splats(40), means=means)
-    out = Tiles(tmp_path, 20)
+    out = Tiles(tmp_path, 20, plain=True)
     out.add(fine)
     out.add(fine.take(np.r_[np.arange(20), np.arange(5)]))
     out.add(fine.take(np.arange(10)))
@@ -239,13 +239,13 @@ def test_a_cell_that_a_level_leaves_empty_has_no_content_but_is_refined(tmp_path
     assert len(io.load(tmp_path / "1_0.glb")) == 25  # more than asked for, but of one finer cell
 
 
-@pytest.mark.parametrize("spz", [False, True])
-def test_same_bytes_for_any_number_of_threads(splats, tmp_path, spz):
+@pytest.mark.parametrize("plain", [False, True])
+def test_same_bytes_for_any_number_of_threads(splats, tmp_path, plain):
     digests = []
     for threads in (1, 2):
         try:
             with use_threads(threads):
-                write(splats, tmp_path / str(threads), chunk=CHUNK, threads=threads, spz=spz)
+                write(splats, tmp_path / str(threads), chunk=CHUNK, threads=threads, plain=plain)
         except OptionError:
             pytest.skip("this machine has one thread")
         files = sorted((tmp_path / str(threads)).iterdir())
@@ -279,21 +279,21 @@ def test_a_changed_tileset_leads_to_no_file_elsewhere(tmp_path):
     assert made_files(tmp_path) is None
 
 
-@pytest.mark.parametrize("spz", [False, True])
-def test_what_is_left_out_is_said(tmp_path, spz):
+@pytest.mark.parametrize("plain", [False, True])
+def test_what_is_left_out_is_said(tmp_path, plain):
     label = {"label": np.arange(60, dtype=np.int32)}
     splats = replace(
         random_splats(60, degree=4, extras=label), comments=["mine"], render_mode=RenderMode.SURFEL
     )
     splats.log_scales[:] = 6.5
-    manifest, _ = write(splats, tmp_path / "t", ratios=[0.5, 0.1], spz=spz)
+    manifest, _ = write(splats, tmp_path / "t", ratios=[0.5, 0.1], plain=plain)
     notes = " ".join(manifest.notes)
-    if spz:
+    if not plain:
         assert "  30 splats have log-scales" in "  ".join(manifest.notes)
         assert "  Level 1: 6 splats have log-scales" in "  ".join(manifest.notes)
     for word in ("label", "comment", "degree 3"):
         assert word in notes
-    assert ("log-scales" in notes) == ("render mode" in notes) == spz
+    assert ("log-scales" in notes) == ("render mode" in notes) == (not plain)
 
 
 def test_packed_contents_name_the_attributes_of_the_draft(made):
@@ -337,7 +337,7 @@ def test_the_khronos_validator_finds_no_fault(made):
 
 def test_real_scene(tmp_path):
     model = io.load(scene_path("biker.compressed.ply"))
-    manifest, reports = write(model, tmp_path / "biker", ratios=[0.5, 0.1, 0.01])
+    manifest, reports = write(model, tmp_path / "biker", ratios=[0.5, 0.1, 0.01], plain=True)
     counts = dict.fromkeys(range(3), 0)
     for tile, _ in tiles(tmp_path / "biker" / "tileset.json"):
         info = io.inspect(tmp_path / "biker" / tile["content"]["uri"])

@@ -36,8 +36,13 @@ def lod(
             show_default=str(CHUNK),
         ),
     ] = None,
-    spz: Annotated[
-        bool, typer.Option("--spz", help="3D Tiles with contents packed as CesiumJS draws them.")
+    plain: Annotated[
+        bool,
+        typer.Option(
+            "--plain",
+            help="3D Tiles with every number as it is, not packed as SPZ; CesiumJS 1.145 does not"
+            " draw these.",
+        ),
     ] = False,
     threads: options.Threads = None,
     json: options.Json = False,
@@ -92,7 +97,7 @@ def lod(
     ratios = options.parse_ratios(levels)
     check_ratios(ratios)
     output = output_of(target)
-    check_options(output.layout, chunk, spz=spz)
+    check_options(output.layout, chunk, plain=plain)
     direction = method.check_views(preset, chosen, views, cameras, up, judged=False)
     asked = too_large.parse_blocks(
         [source], max_memory, join=False, job=job, resume=resume, scratch=scratch,
@@ -103,10 +108,10 @@ def lod(
     if not asked.is_begun(output.folder, overwrite=overwrite):
         check_folder_writable(output.folder, made_files, overwrite=overwrite)
     finest = target_count(info.splats, ratios[0], None)
-    encoding = in_blocks.levels_encoding(info, ratios, output, chunk, spz=spz)
+    encoding = in_blocks.levels_encoding(info, ratios, output, chunk, plain=plain)
     plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen, encoding)
     given = {name: value for name, value in overrides.items() if value is not None}
-    given |= {"preset": preset, "nan": nan.value, "chunk": chunk, "spz": spz}
+    given |= {"preset": preset, "nan": nan.value, "chunk": chunk, "plain": plain}
     given["layout"] = output.layout
     divided = asked.needed(plan)
     if divided:

@@ -145,7 +145,7 @@ def _fill_tiles(work: Work, making: Path, progress: Progress) -> None:
     for block, record in enumerate(work.of_blocks("cells")):
         if found := read_cells(work.scratch, record):
             trees.append(Tree(found[0], [level[block] for level in levels]))
-    text = describe(trees, tiles.form_of(spz=work.settings.chunked.spz).extensions)
+    text = describe(trees, tiles.form_of(plain=not work.settings.chunked.spz).extensions)
     (making / tiles.NAME).write_text(text, encoding="utf-8")
 
 

@@ -38,7 +38,7 @@ def plan_levels(
     *,
     layout: Layout = Layout.PLY,
     chunk: int | None = None,
-    spz: bool = False,
+    plain: bool = False,
     preset: str,
     max_memory: int | None,
     block: int | None = None,
@@ -52,7 +52,7 @@ def plan_levels(
         ratios: See there.
         layout: See there.
         chunk: See there.
-        spz: See there.
+        plain: See there.
         preset: See there.
         max_memory: See there.
         block: See there.
@@ -63,17 +63,18 @@ def plan_levels(
         NanogsError: An input cannot be read, options make no sense, or the memory is too little.
     """
     check_ratios(ratios)
-    check_options(layout, chunk, spz=spz)
+    check_options(layout, chunk, plain=plain)
     goals = [Goal(ratio=ratio) for ratio in ratios]
     chosen = block_parameters(preset, overrides)
     return plan_job(
-        inputs, goals, chosen, max_memory, block, nan, chunks_of(layout, chunk, spz=spz)
+        inputs, goals, chosen, max_memory, block, nan, chunks_of(layout, chunk, plain=plain)
     )
 
 
-def chunks_of(layout: Layout, chunk: int | None, *, spz: bool) -> Chunks | None:
+def chunks_of(layout: Layout, chunk: int | None, *, plain: bool) -> Chunks | None:
     """The chunks of a layout; None where levels are plain files."""
-    return None if layout is Layout.PLY else Chunks(layout.value, chunk or CHUNK, spz)
+    packed = layout is Layout.TILES and not plain
+    return None if layout is Layout.PLY else Chunks(layout.value, chunk or CHUNK, packed)
 
 
 def write_levels_in_blocks(
@@ -83,7 +84,7 @@ def write_levels_in_blocks(
     *,
     layout: Layout = Layout.PLY,
     chunk: int | None = None,
-    spz: bool = False,
+    plain: bool = False,
     preset: str,
     max_memory: int | None,
     block: int | None = None,
@@ -104,8 +105,8 @@ def write_levels_in_blocks(
         ratios: As `levels` takes them.
         layout: `.ply` files, streamed SOG, or 3D Tiles; in chunks, each block has a tree of its
             own, and what describes the folder joins them.
-        chunk: As `write_levels` takes it, and so is `spz`.
-        spz: See there.
+        chunk: As `write_levels` takes it, and so is `plain`.
+        plain: See there.
         preset: `default` or `fast`.
         max_memory: As `simplify_blocks` takes it, and so are `block`, `job`, `scratch`, `resume`,
             `nan` and the overrides.
@@ -129,7 +130,7 @@ def write_levels_in_blocks(
     from nanogs.scale.job import BlockJob
 
     settings, plan = plan_levels(
-        inputs, ratios, layout=layout, chunk=chunk, spz=spz, preset=preset,
+        inputs, ratios, layout=layout, chunk=chunk, plain=plain, preset=preset,
         max_memory=max_memory, block=block, nan=nan, **overrides,
     )  # fmt: skip
     told = _Telling(inputs[0].name, preset, tuple(ratios), StageClock(), time.perf_counter())

@@ -76,12 +76,12 @@ class LevelWriter(Protocol):
         """What the files leave out of a model, one sentence each."""
 
 
-def check_options(layout: Layout, chunk: int | None, *, spz: bool) -> None:
+def check_options(layout: Layout, chunk: int | None, *, plain: bool) -> None:
     """Refuse what makes no sense for a layout.
 
     Raises:
-        OptionError: The size of chunks is below 1 or given for a layout without chunks, or SPZ is
-            asked for outside of 3D Tiles.
+        OptionError: The size of chunks is below 1 or given for a layout without chunks, or plain
+            contents are asked for outside of 3D Tiles.
     """
     if chunk is not None and layout is Layout.PLY:
         raise OptionError(
@@ -90,28 +90,28 @@ def check_options(layout: Layout, chunk: int | None, *, spz: bool) -> None:
         )
     if chunk is not None:
         check_chunk(chunk)
-    if spz and layout is not Layout.TILES:
-        raise OptionError("Contents are packed as SPZ in 3D Tiles only; write a tileset.json.")
+    if plain and layout is not Layout.TILES:
+        raise OptionError("Contents are plain or packed in 3D Tiles only; write a tileset.json.")
 
 
-def writer(layout: Layout, folder: Path, chunk: int | None, *, spz: bool) -> LevelWriter:
+def writer(layout: Layout, folder: Path, chunk: int | None, *, plain: bool) -> LevelWriter:
     """What writes a layout into a folder that exists and is empty.
 
     Args:
         layout: How the levels are to lie.
         folder: Where to.
         chunk: Most splats of a chunk of the finest level; `CHUNK` by default.
-        spz: Whether the contents of 3D Tiles are packed.
+        plain: Whether the contents of 3D Tiles are not packed.
 
     Raises:
         OptionError: As for `check_options`.
     """
-    check_options(layout, chunk, spz=spz)
+    check_options(layout, chunk, plain=plain)
     most = CHUNK if chunk is None else chunk
     if layout is Layout.SOG:
         return streamed_sog.StreamedSog(folder, most)
     if layout is Layout.TILES:
-        return tiles.Tiles(folder, most, spz=spz)
+        return tiles.Tiles(folder, most, plain=plain)
     return PlyLevels(folder)
 
 

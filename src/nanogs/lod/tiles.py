@@ -6,7 +6,7 @@ tileset's frame is that of 3D Tiles, z up; a viewer turns glTF's y there, and `g
 y of the model, which points down, to glTF's. Nothing is known of the scene's place on Earth, so the
 root's transform is the identity; whoever knows the place writes it there.
 
-Contents are uncompressed, or packed as SPZ, which is all that CesiumJS draws; see `gltf_spz`.
+Contents are packed as SPZ, which is all that CesiumJS 1.145 draws (see `gltf_spz`), or plain.
 """
 
 import io
@@ -51,12 +51,12 @@ class Form:
 
 
 @cache
-def form_of(*, spz: bool) -> Form:
+def form_of(*, plain: bool) -> Form:
     """How contents are made, packed as SPZ or not."""
     from nanogs.io import gltf_spz, gltf_write  # here, as `--help` does without
     from nanogs.io.gltf_scene import EXTENSION
 
-    if not spz:
+    if plain:
         return Form(gltf_write.write, _plain_losses, {"extensionsUsed": [EXTENSION]})
     packed = [EXTENSION, gltf_spz.PACKED]
     extensions = {"extensionsUsed": packed, "extensionsRequired": packed}
@@ -91,15 +91,15 @@ def encode(
 class Tiles:
     """A folder that is being filled, level by level."""
 
-    def __init__(self, folder: Path, chunk: int, *, spz: bool = False) -> None:
+    def __init__(self, folder: Path, chunk: int, *, plain: bool = False) -> None:
         """Begin.
 
         Args:
             folder: Where to; it exists and is empty.
             chunk: Most splats of a tile, 1 or more.
-            spz: Whether contents are packed.
+            plain: Whether contents are not packed.
         """
-        self._folder, self._chunk, self._form = folder, chunk, form_of(spz=spz)
+        self._folder, self._chunk, self._form = folder, chunk, form_of(plain=plain)
         self._cells: Cells | None = None
         self._levels: list[dict[int, Tile]] = []  # tiles by their node, in the order of the walk
 

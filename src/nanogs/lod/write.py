@@ -23,7 +23,7 @@ def write_levels(
     source: str,
     layout: Layout = Layout.PLY,
     chunk: int | None = None,
-    spz: bool = False,
+    plain: bool = False,
     overwrite: bool = False,
     progress: Callable[[str, int], None] | None = None,
     **options: Any,  # noqa: ANN401 - as `levels` takes them
@@ -38,7 +38,8 @@ def write_levels(
         layout: `.ply` files, streamed SOG, or 3D Tiles.
         chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
             default.
-        spz: Pack the contents of 3D Tiles as SPZ.
+        plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
+            them.
         overwrite: Replace the folder if it holds nothing but earlier levels.
         progress: Called before each stage with its name and the number of splats left.
         **options: As `levels` takes them.
@@ -54,10 +55,10 @@ def write_levels(
     entries: list[Level | ChunkedLevel] = []
     reports: list[SimplifyReport] = []
     left_out: list[str] = []
-    check_options(layout, chunk, spz=spz)
+    check_options(layout, chunk, plain=plain)
     made = levels(splats, ratios, progress=progress, **options)
     with atomic_folder(folder, made_files, overwrite=overwrite) as temporary:
-        out = writer(layout, temporary, chunk, spz=spz)
+        out = writer(layout, temporary, chunk, plain=plain)
         for ratio in ratios:
             start = time.perf_counter()
             report, written, losses = _write_next(made, out, progress)

@@ -115,7 +115,7 @@ def _tiles(
     prefix: str,
     described: list[Any],
 ) -> Iterator[tuple[str, bytes]]:
-    form = tiles.form_of(spz=chunks.spz)
+    form = tiles.form_of(plain=not chunks.spz)
     for node, tile, data in tiles.encode(level, cells, nodes, form, prefix):
         box = _numbers(tile.box) if tile.box else None
         described.append([node, tile.content, box, tile.width])
@@ -153,7 +153,7 @@ def losses_of(record: Record) -> list[str]:
 def _losses(chunks: Chunks, splats: Splats) -> Sequence[str]:
     if chunks.layout == SOG:
         return sog_write.losses(splats)
-    return tiles.form_of(spz=chunks.spz).losses(splats)
+    return tiles.form_of(plain=not chunks.spz).losses(splats)
 
 
 def _kept(losses: Sequence[str]) -> list[list[Any]]:

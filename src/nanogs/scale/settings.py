@@ -80,7 +80,7 @@ class Chunks:
     Attributes:
         layout: `SOG` or `TILES`.
         most: Splats of the finest level in a chunk, at most.
-        spz: Whether the contents of 3D Tiles are packed.
+        spz: Whether they are packed as SPZ: contents of 3D Tiles alone.
     """
 
     layout: str
