@@ -1,15 +1,18 @@
-"""Kernels on disk, loaded without what only a compiler needs.
+"""Kernels on disk: kept while no kernel's source changes, and loaded without a compiler's tools.
 
-Numba gathers all that it can compile before it so much as looks for a kernel on disk, and that
-takes it longer than to load all of ours; it gathers it again before it compiles.
+Numba keys what it keeps by the file of the function that is called. Kernels inline helpers of other
+files, so here the key covers the sources of them all.
 """
 
+import hashlib
 from collections.abc import Callable
-from functools import cached_property
+from contextlib import suppress
+from functools import cache, cached_property
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core.caching import FunctionCache
+from numba.core import caching, config
 from numba.core.runtime.nrt import rtsys
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -23,6 +26,58 @@ def cached(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba'
     return cast("Kernel", compiled)
 
 
+@cache
+def sources_digest(folder: Path = Path(__file__).parent) -> str:
+    """SHA-256 of all Python files of a folder, with their names; here of all kernels."""
+    digest = hashlib.sha256()
+    for source in sorted(folder.glob("*.py")):
+        content = source.read_bytes()
+        digest.update(f"{source.name} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()
+
+
+class _AsItIs:
+    """Makes a locator find its folder where it cannot be written to: to load from it."""
+
+    def ensure_cache_path(self) -> None:
+        """Ask for nothing."""
+
+
+class _OwnFolder(_AsItIs, caching.UserProvidedCacheLocator):
+    """The folder NUMBA_CACHE_DIR, as it is."""
+
+
+class _InTree(_AsItIs, caching.InTreeCacheLocator):
+    """The folder `__pycache__` beside the sources, as it is."""
+
+
+class _Place(caching.CompileResultCacheImpl):
+    """Where a kernel is kept: where Numba would, or, if it can write nowhere, where it may read."""
+
+    _locator_classes = [*caching.CacheImpl._locator_classes, _OwnFolder, _InTree]  # noqa: RUF012, SLF001
+
+
+class _Disk(caching.FunctionCache):
+    """Numba's cache of one function, stale once any kernel's source has changed."""
+
+    _impl_class = _Place
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        self._cache_file._source_stamp = sources_digest()  # noqa: SLF001
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:  # noqa: ANN401
+        """As Numba's; what is compiled with checks of bounds is kept beside what is not."""
+        key = super()._index_key(sig, codegen)  # type: ignore[no-untyped-call]
+        return (*key, bool(config.BOUNDSCHECK))  # type: ignore[attr-defined]
+
+    def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401
+        """Keep a kernel; where that is impossible, the next process compiles it again."""
+        with suppress(OSError):
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+
+
 class _Cache:
     """A kernel's place on disk, found when the kernel is first called: many never are."""
 
@@ -31,7 +86,7 @@ class _Cache:
 
     @cached_property
     def _disk(self) -> Any:  # noqa: ANN401
-        return FunctionCache(self._function)  # type: ignore[no-untyped-call]
+        return _Disk(self._function)
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return getattr(self._disk, name)
