@@ -2,11 +2,13 @@
 
 import errno
 import os
+import pickle
 import stat
 
 import pytest
 
-from nanogs.errors import OutputError
+from nanogs.cli.wording import wording
+from nanogs.errors import ExistsError, OutputError
 from nanogs.io.atomic import atomic_write, check_writable
 
 
@@ -55,10 +57,14 @@ def test_exception_leaves_the_old_file_and_no_temporary(target, error):
 
 
 @pytest.mark.parametrize("check", [put, check_writable])
-def test_existing_target_names_the_flag(target, check):
+def test_existing_target_names_the_argument_and_the_command_its_flag(target, check):
     target.write_bytes(b"old")
-    with pytest.raises(OutputError, match=r"out\.ply exists already; add -w"):
+    with pytest.raises(ExistsError) as caught:
         check(target)
+    assert str(caught.value) == f"{target} exists already; pass overwrite=True to replace it."
+    assert wording(caught.value) == f"{target} exists already; add -w to replace it."
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert str(again) == str(caught.value)
     assert target.read_bytes() == b"old"
 
 

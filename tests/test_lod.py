@@ -141,7 +141,7 @@ def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
 def test_an_older_folder_is_replaced_with_its_flag_only(splats, tmp_path):
     folder = tmp_path / "levels"
     write_levels(splats, folder, RATIOS, source="a.ply", preset="fast")
-    with pytest.raises(OutputError, match="add -w"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         write_levels(splats, folder, [0.1], source="a.ply", preset="fast")
     assert names(folder) == LEVELS
     write_levels(splats, folder, [0.1], source="a.ply", preset="fast", overwrite=True)

@@ -291,7 +291,7 @@ def test_a_job_of_another_layout_or_chunk_is_not_continued(scene, tmp_path):
 def test_nothing_of_others_is_replaced(scene, tmp_path):
     folder = tmp_path / "levels"
     write(scene, folder, Layout.TILES, ratios=[0.1])
-    with pytest.raises(OutputError, match="add -w"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         write(scene, folder, Layout.SOG)
     write(scene, folder, Layout.SOG, overwrite=True)
     assert not (folder / "tileset.json").exists()

@@ -258,7 +258,7 @@ def test_other_layouts_take_each_others_place(splats, tmp_path):
         )  # fmt: skip
         assert (folder / file).exists()
         assert set(files(folder)) == made_files(folder)
-    with pytest.raises(OutputError, match="add -w"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         write(splats, folder)
     assert [entry.name for entry in tmp_path.iterdir()] == ["levels"]
 

@@ -373,7 +373,7 @@ def test_resume_says_what_it_finds(scene, tmp_path, expected):
     assert finished.format(folder) in ended(started(scene, out, "--resume"), code=2)
     with pytest.raises(OutputError, match="nothing to resume"):
         nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)
-    with pytest.raises(OutputError, match="exists already; add -w"):
+    with pytest.raises(OutputError, match="exists already; pass overwrite=True"):
         nanogs.simplify_blocks(scene, out, **GIVEN)
     assert out.read_bytes() == expected
     nanogs.simplify_blocks(scene, out, resume=True, overwrite=True, **GIVEN)  # anew
@@ -385,7 +385,7 @@ def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expec
         nanogs.simplify_blocks(scene, out, progress=crash_at("forest", 1), **GIVEN)
     out.write_text("mine")
     before = records(out)
-    with pytest.raises(OutputError, match="exists already; add -w"):
+    with pytest.raises(OutputError, match="exists already; pass overwrite=True"):
         nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)
     assert (out.read_text(), records(out)) == ("mine", before)
     with pytest.raises(OutputError, match="--resume continues it"):  # -w alone does not

@@ -164,7 +164,7 @@ def test_folder(tmp_path):
     model, path = random_model(100), tmp_path / "m"
     sog_write.write_folder(model, path)
     assert_same(io.load(path / "meta.json"), saved(tmp_path, model))
-    with pytest.raises(OutputError, match="add -w"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         sog_write.write_folder(model, path)
     sog_write.write_folder(replace(model, sh=model.sh[:, :1]), path, overwrite=True)
     assert max(entry.name for entry in path.iterdir()) == "sh0.webp"
@@ -184,7 +184,7 @@ def test_save_makes_a_folder(tmp_path):
     assert_same(io.load(tmp_path / "m" / "meta.json"), saved(tmp_path, model))
     assert io.losses(model, tmp_path / "m" / "meta.json") == io.losses(model, "a.sog")
     for refused in (io.check_writable, lambda path: io.save(model, path)):
-        with pytest.raises(OutputError, match="add -w"):
+        with pytest.raises(OutputError, match="overwrite=True"):
             refused(tmp_path / "m" / "meta.json")
         with pytest.raises(OutputError, match="did not make"):
             refused(tmp_path / "meta.json")  # beside a.sog

@@ -255,7 +255,7 @@ def test_same_bytes_for_any_number_of_threads(splats, tmp_path, plain):
 
 def test_a_tileset_is_replaced_but_nothing_else(splats, tmp_path):
     write(splats, tmp_path / "t", chunk=CHUNK)
-    with pytest.raises(OutputError, match="add -w"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         write(splats, tmp_path / "t")
     write(splats, tmp_path / "t", overwrite=True)
     assert len(list((tmp_path / "t").iterdir())) == 4

@@ -28,6 +28,28 @@ class OutputError(NanogsError):
     """The output cannot be written: it exists, its folder is missing, or the disk is full."""
 
 
+class ExistsError(OutputError):
+    """The output exists, and nobody has said that it may be replaced.
+
+    Python and the command allow it in different words, so the sentence is put together late.
+
+    Args:
+        fact: What is the case, without a full stop: "a.ply exists already".
+        deed: What may be allowed.
+    """
+
+    def __init__(self, fact: str, deed: str = "replace it") -> None:
+        super().__init__(fact, deed)
+
+    def __str__(self) -> str:
+        return self.sentence("pass overwrite=True")
+
+    def sentence(self, remedy: str) -> str:
+        """The message with what allows it, such as "add -w"."""
+        fact, deed = self.args
+        return f"{fact}; {remedy} to {deed}."
+
+
 def did_you_mean(word: str, choices: Iterable[str]) -> str:
     """` (did you mean 'x'?)` for the choice most like a word, to follow it; empty without one."""
     known = {choice.lower(): choice for choice in choices}

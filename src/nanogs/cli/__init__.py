@@ -21,12 +21,13 @@ def _run() -> int:
         import typer
 
         from nanogs.cli.app import app
+        from nanogs.cli.wording import wording
         from nanogs.errors import NanogsError
 
     try:
         code = app(prog_name="nanogs", standalone_mode=False)
     except NanogsError as error:
-        return _refuse(str(error))
+        return _refuse(wording(error))
     except BrokenPipeError:
         return 1
     except typer.Abort:

@@ -10,6 +10,7 @@ import typer
 
 from nanogs.cli.console import fail, print_json
 from nanogs.cli.streams import DASH, Streams, names
+from nanogs.cli.wording import wording
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io.collect import Pair, collect, pair_up
 
@@ -97,9 +98,9 @@ def _run_several(
         try:
             runs.append(run_one(pair))
         except NanogsError as error:
-            named = str(error) if str(pair.source) in str(error) else f"{pair.source}: {error}"
-            fail(named)
-            failed.append({"input": str(pair.source), "error": str(error)})
+            said = wording(error)
+            fail(said if str(pair.source) in said else f"{pair.source}: {said}")
+            failed.append({"input": str(pair.source), "error": said})
             continue
         if show:
             show(runs[-1])

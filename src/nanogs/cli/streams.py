@@ -65,7 +65,9 @@ class Streams:
                 real = self._stand_ins(pair, Path(folder))
                 yield real
             except NanogsError as error:  # which names a folder the user has never seen
-                raise type(error)(str(error).replace(f"{folder}{os.sep}", "")) from error
+                inside = f"{folder}{os.sep}"
+                error.args = tuple(str(part).replace(inside, "") for part in error.args)
+                raise
             if pair.target == DASH and real.target.exists():
                 with real.target.open("rb") as file:
                     shutil.copyfileobj(file, sys.stdout.buffer)

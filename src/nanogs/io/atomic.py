@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from nanogs.errors import OutputError
+from nanogs.errors import ExistsError, OutputError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
@@ -82,7 +82,7 @@ def _check_target(path: Path, target: Path, *, overwrite: bool) -> None:
     if not target.is_file():
         raise OutputError(f"{path} is no regular file; choose another output.")
     if not overwrite:
-        raise OutputError(f"{path} exists already; add -w to overwrite it.")
+        raise ExistsError(f"{path} exists already")
     if not os.access(target, os.W_OK):
         raise OutputError(f"{path} is read-only; change its permissions or the output.")
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
-from nanogs.errors import OutputError
+from nanogs.errors import ExistsError, OutputError
 from nanogs.io.atomic import output_error
 
 Ours = Callable[[Path], frozenset[str] | None]
@@ -112,7 +112,7 @@ def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> N
     if known is None:
         raise OutputError(f"{path} holds files that nanogs did not make; choose another folder.")
     if not overwrite:
-        raise OutputError(f"{path} exists already; add -w to replace it.")
+        raise ExistsError(f"{path} exists already")
     if foreign := sorted(set(_contents(target)) - known):
         raise OutputError(
             f"{path} also holds {foreign[0]!r}, which nanogs did not make; move it away or choose "

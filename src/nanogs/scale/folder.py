@@ -12,7 +12,7 @@ from os import PathLike
 from pathlib import Path
 from typing import BinaryIO
 
-from nanogs.errors import FormatError, OutputError
+from nanogs.errors import ExistsError, FormatError, OutputError
 from nanogs.io.atomic import atomic_write, output_error
 from nanogs.scale.settings import Settings, settings_of
 
@@ -123,9 +123,10 @@ def refuse_finished(folder: Path, output: Path) -> None:
     """
     empty = output.is_dir() and not any(output.iterdir())
     if output.exists() and not empty and not (folder / MANIFEST).exists():
-        raise OutputError(
+        raise ExistsError(
             f"{output} exists and {folder} holds no job: one that ended well leaves nothing to"
-            " resume; add -w to make it anew."
+            " resume",
+            "make it anew",
         )
 
 
