@@ -16,12 +16,12 @@ $(STAMP): pyproject.toml hatch_build.py $(wildcard viewer/*.* viewer/src/*)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	touch $(STAMP)
 
-demo: $(STAMP) ## make a scene of 200,000 splats, simplify it to 10 %, and show all in demo/report.html
+demo: $(STAMP) ## simplify a real scene to 10 % in two ways, and show all in demo/report.html
 	mkdir -p demo
 	$(BIN)/nanogs demo demo/scene.ply -w
-	$(BIN)/nanogs simplify demo/scene.ply demo/small.ply --ratio 0.1 -w
-	$(BIN)/nanogs simplify demo/scene.ply demo/best.ply --ratio 0.1 --preset best -w
-	$(BIN)/nanogs compare demo/scene.ply demo/small.ply demo/best.ply --report demo/report.html -w
+	$(BIN)/nanogs simplify demo/scene.ply demo/small.sog --ratio 0.1 -w
+	$(BIN)/nanogs simplify demo/scene.ply demo/best.sog --ratio 0.1 --preset best -w
+	$(BIN)/nanogs compare demo/scene.ply demo/small.sog demo/best.sog --report demo/report.html -w
 
 test: $(STAMP) ## run the tests
 	$(BIN)/python -m pytest -n 2

@@ -203,9 +203,23 @@ def test_info_counts_infinite_opacities(tmp_path):
     assert (report["opaque"], report["transparent"], report["nonfinite"]) == (3, 1, 0)
 
 
-def test_demo_makes_a_scene(tmp_path):
+def test_demo_makes_a_scene_up(tmp_path):
     assert run("demo", tmp_path / "demo.ply", "-n", "2000").returncode == 0
     assert len(nanogs.load(tmp_path / "demo.ply")) == 2000
+
+
+def test_demo_writes_the_plant_and_names_its_author(tmp_path):
+    result = run("demo", tmp_path / "plant.ply")
+    assert result.returncode == 0
+    assert "Marcel Padilla, CC-BY-4.0" in result.stderr
+    assert len(nanogs.load(tmp_path / "plant.ply")) == 113_648
+
+
+def test_the_seed_of_a_scene_that_is_not_made_up_is_refused(tmp_path):
+    result = run("demo", tmp_path / "plant.ply", "--seed", "1")
+    assert result.returncode == 2
+    assert "--count" in result.stderr
+    assert not (tmp_path / "plant.ply").exists()
 
 
 def test_the_summary_names_the_candidate_that_was_chosen():

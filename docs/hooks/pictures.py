@@ -1,4 +1,4 @@
-"""The pictures and numbers of the tutorial: the demo scene, simplified at a small size."""
+"""The pictures and numbers of the tutorial: the demo scene, simplified."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,16 +11,15 @@ import nanogs
 from nanogs._types import F32, U8
 from nanogs.compare.comparison import Comparison, NamedModel, compare_models
 from nanogs.compare.pictures import error_map
-from nanogs.datasets.synthetic import make_scene
+from nanogs.datasets.plant import load_plant
 from nanogs.render.camera import Camera
 from nanogs.render.images import to_bytes
 from nanogs.render.rasterize import render
 from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
 
-SPLATS = 30_000
 RATIOS = (0.25, 0.1, 0.03)
-WIDTH, HEIGHT, VIEWS = 480, 320, 4
+WIDTH, HEIGHT, VIEWS = 480, 480, 4
 SHOWN = 1  # of the views
 
 NAMES = ("original.png", "tenth.png", "random.png", "difference.png", "curve.png")
@@ -42,7 +41,7 @@ class Tutorial:
 @cache
 def make() -> Tutorial:
     """Simplify, render and compare; the same bytes every time on one machine."""
-    original = NamedModel("original", make_scene(SPLATS))
+    original = NamedModel("original", load_plant())
     levels = [
         NamedModel(f"{ratio:.0%}", small)
         for ratio, (small, _) in zip(RATIOS, nanogs.levels(original.splats, RATIOS), strict=True)
@@ -84,7 +83,7 @@ def _curve(comparison: Comparison) -> bytes:
     """PSNR over the share of splats kept."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH / 80, HEIGHT / 80), layout="constrained")
+    figure = Figure(figsize=(6, 4), layout="constrained")
     axes = figure.add_subplot()
     levels = comparison.models[: len(RATIOS)]
     axes.plot([100 * ratio for ratio in RATIOS], [level.psnr for level in levels], "o-")

@@ -5,22 +5,37 @@ from typing import Annotated
 
 import typer
 
+from nanogs.cli import options
+
 
 def demo(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
-    count: Annotated[int, typer.Option("--count", "-n", min=1, help="Number of splats.")] = 200_000,
-    seed: Annotated[int, typer.Option(min=0, help="Another seed, another scene.")] = 0,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", "-w", help="Replace OUT if it exists.")
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+    count: Annotated[
+        int | None,
+        typer.Option("--count", "-n", min=1, help="Make up a scene of so many splats instead."),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Of a made-up scene: another seed, another scene.")
+    ] = 0,
+    overwrite: options.Overwrite = False,
+    quiet: options.Quiet = False,
 ) -> None:
-    """Write a made-up scene to try things on."""
+    """Write a real scene to try things on: a potted plant of 113,648 splats."""
     from nanogs.cli.console import err
-    from nanogs.datasets.synthetic import make_scene
+    from nanogs.errors import OptionError
     from nanogs.io import check_writable, save
 
+    if seed and count is None:
+        raise OptionError("--seed is for made-up scenes; give their --count too.")
     check_writable(target, overwrite=overwrite)
-    save(make_scene(count, seed=seed), target, overwrite=overwrite)
+    if count is None:
+        from nanogs.datasets.plant import CREDIT, load_plant
+
+        scene, about = load_plant(), CREDIT
+    else:
+        from nanogs.datasets.synthetic import make_scene
+
+        scene, about = make_scene(count, seed=seed), "made up"
+    save(scene, target, overwrite=overwrite)
     if not quiet:
-        err.print(f"{target}: {count:,} splats", markup=False, soft_wrap=True)
+        err.print(f"{target}: {len(scene):,} splats, {about}", markup=False, soft_wrap=True)

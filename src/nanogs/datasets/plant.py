@@ -1,0 +1,15 @@
+"""A real scene to try things on: a potted plant, captured and trained by Marcel Padilla."""
+
+from importlib.resources import as_file, files
+
+from nanogs.io import load
+from nanogs.splats import Splats
+
+CREDIT = "a potted plant by Marcel Padilla, CC-BY-4.0, https://github.com/marcelpadilla/splats"
+"""Whoever passes the scene on, changed or not, has to name its author and licence."""
+
+
+def load_plant() -> Splats:
+    """Load the plant that comes with the package: 113,648 splats of SH degree 0, y down."""
+    with as_file(files("nanogs.datasets") / "plant.sog") as path:
+        return load(path)
