@@ -15,6 +15,7 @@ from nanogs.cli.options import parse_background, parse_direction, parse_size
 from nanogs.compare.comparison import NamedModel, compare_models
 from nanogs.compare.page import rate_distortion_plot
 from nanogs.compare.pictures import error_map
+from nanogs.compare.protocol import Protocol
 from nanogs.compare.run import compare_files
 from nanogs.errors import ModelError, OptionError
 from nanogs.render.camera import Camera
@@ -188,6 +189,21 @@ def test_compare_as_json_and_as_a_table(files):
     assert table.returncode == 0
     assert "PSNR" in table.stdout
     assert "half" in table.stdout
+    assert "means over 2 held-out views of 64 pixels" in table.stderr
+    assert "held-out" not in run(*arguments, "-q").stderr
+
+
+def test_every_comparison_names_its_protocol():
+    splats = random_splats(300)
+    models = [NamedModel("s", splats)]
+    given, _ = compare_models(NamedModel("r", splats), models, [camera()])
+    assert given.protocol == Protocol(1, (48, 48), "given", None)
+    assert given.judged(0).text == "∞ dB on 1 given view of 48 pixels"
+    assert Protocol().text == "8 held-out views of 512 pixels"
+    wide = Protocol(3, (64, 48), "inside", "test", (1.0, 1.0, 1.0))
+    assert wide.text == "3 held-out views of 64 x 48 pixels over white"
+    photographs = Protocol(14, (800, 800), "photographs", "train", (1.0, 0.0, 0.0))
+    assert photographs.text == "14 train photographs of 800 pixels over #ff0000"
 
 
 def test_compare_refuses(files, tmp_path):

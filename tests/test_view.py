@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 import nanogs
 from builders import random_splats
 from nanogs.cli.app import app
+from nanogs.compare.protocol import Judged, Protocol
 from nanogs.compare.run import compare_files
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import spz
@@ -231,8 +232,9 @@ def test_a_name_is_text_and_never_markup():
 
 def test_facts():
     assert facts_of(1000, 2_500_000) == ("1,000 splats", "2.5 MB")
-    small = facts_of(100, None, reference=1000, psnr=31.254)
-    assert small == ("100 splats (10.00\N{NO-BREAK SPACE}%)", "\N{EN DASH}", "PSNR 31.25 dB")
+    small = facts_of(100, None, reference=1000, judged=Judged(31.254, 0.9, Protocol()))
+    shares = ("100 splats (10.00\N{NO-BREAK SPACE}%)", "\N{EN DASH}")
+    assert small == (*shares, "PSNR 31.25 dB", "on 8 held-out views of 512 pixels")
     assert facts_of(1000, 1, reference=1000)[0] == "1,000 splats"
 
 
@@ -287,8 +289,8 @@ def test_two_models_as_json(files, tmp_path):
     assert report["output_bytes"] == page_file.stat().st_size
     assert [model["name"] for model in report["models"]] == ["scene.ply", "tenth"]
     assert [model["splats"] for model in report["models"]] == [400, 100]
-    assert report["views"] == 2
-    line = f'"PSNR {report["psnr"]:.2f} dB"'
+    assert report["judged"]["protocol"]["views"] == 2
+    line = f'"PSNR {report["judged"]["psnr"]:.2f} dB", "on 2 held-out views of 64 pixels"'
     assert line in page_file.read_text(encoding="utf-8")
 
 
@@ -298,10 +300,9 @@ def test_the_second_model_is_measured_as_by_compare(files, tmp_path):
     small = {"views": 2, "width": 48, "height": 48}
     report = view_files(inputs, tmp_path / "a.html", **small)
     comparison = compare_files(inputs[0], inputs[1:], **small)
-    assert report.psnr == comparison.models[0].psnr
-    assert report.ssim == comparison.models[0].ssim
+    assert report.judged == comparison.judged(0)
     unmeasured = view_files(inputs, tmp_path / "b.html", psnr=False)
-    assert (unmeasured.psnr, unmeasured.views) == (None, 0)
+    assert unmeasured.judged is None
     assert "PSNR" not in without_licences((tmp_path / "b.html").read_text(encoding="utf-8"))
 
 

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from nanogs.compare.protocol import Judged
 from nanogs.refit.report import RefitReport
 
 
@@ -170,6 +171,8 @@ class SimplifyReport:
         size_probes: The counts written to find one that fits, in order; none where the size of a
             file is known beforehand.
         blocks: How the model was divided, or None where it was held whole.
+        judged: The result held against the input as `nanogs compare` does it, on views that nothing
+            was learnt from; None where that was not measured.
     """
 
     preset: str
@@ -198,6 +201,7 @@ class SimplifyReport:
     achieved_size: int | None = None
     size_probes: tuple[SizeProbeReport, ...] = ()
     blocks: BlocksReport | None = None
+    judged: Judged | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""

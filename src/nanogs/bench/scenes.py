@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Literal, overload
 from nanogs.bench.published import DATASETS, image_folder
 from nanogs.bench.rows import Against
 from nanogs.bench.settings import BenchSettings
+from nanogs.compare.protocol import BLACK, WHITE, Background
 from nanogs.errors import FormatError, OptionError
 from nanogs.render.camera import Camera
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:  # these bring Numba
-    from nanogs.compare.scoring import Background, ReferenceView
+    from nanogs.compare.scoring import ReferenceView
     from nanogs.datasets.dataset import Dataset
     from nanogs.datasets.frame import Frame
 
-BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 TRAINED_MODEL = "{folder}/{scene}/point_cloud/iteration_30000/point_cloud.ply"
 
 
@@ -120,7 +120,7 @@ class SceneViews:
 
     views: "Sequence[ReferenceView]"
     fit_cameras: tuple[Camera, ...]
-    background: "Background"
+    background: Background
     against: Against
     notes: tuple[str, ...] = ()
 
@@ -197,7 +197,7 @@ class PhotoViews(Sequence["ReferenceView"]):
     """Photographs as views, each read when it is asked for: hundreds would fill the memory."""
 
     def __init__(
-        self, dataset: "Dataset", frames: "Sequence[Frame]", background: "Background"
+        self, dataset: "Dataset", frames: "Sequence[Frame]", background: Background
     ) -> None:
         self._dataset = dataset
         self._frames = tuple(frames)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from nanogs.cli import options
+from nanogs.compare.protocol import PIXELS, VIEWS
 from nanogs.formatting import bytes_text, number_text
 from nanogs.view.bundle import is_built
 
@@ -49,8 +50,8 @@ def compare(
     split: Annotated[
         str, typer.Option(help="Photographs to use: test or train.", rich_help_panel=options.VIEWS)
     ] = "test",
-    views: options.Views = 8,
-    size: options.Size = "512",
+    views: options.Views = VIEWS,
+    size: options.Size = str(PIXELS),
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     background: options.BackgroundOption = "black",
@@ -97,6 +98,9 @@ def compare(
         for note in model.notes:
             warn(f"{model.name}: {note}")
     show(out, _table(comparison))
+    if not quiet:
+        text = f"PSNR in dB; means over {comparison.protocol.text}"
+        err.print(text, markup=False, soft_wrap=True)
     if report and not quiet:
         size = bytes_text(report.stat().st_size)
         err.print(f"report: {report} ({size})", markup=False, soft_wrap=True)

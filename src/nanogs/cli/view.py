@@ -10,7 +10,8 @@ from typing import Annotated
 import typer
 
 from nanogs.cli import options
-from nanogs.formatting import bytes_text, number_text
+from nanogs.compare.protocol import PIXELS, VIEWS
+from nanogs.formatting import bytes_text
 
 
 def view(
@@ -34,8 +35,8 @@ def view(
             "--open/--no-open", help="Open the page in a browser.", show_default="on a terminal"
         ),
     ] = None,
-    views: options.Views = 8,
-    size: options.Size = "512",
+    views: options.Views = VIEWS,
+    size: options.Size = str(PIXELS),
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     background: options.BackgroundOption = "black",
@@ -73,7 +74,7 @@ def view(
             for note in shown.notes:
                 warn(f"{shown.name}: {note}")
     if not (json or quiet):
-        measured = "" if report.psnr is None else f"; PSNR {number_text(report.psnr)} dB"
+        measured = "" if report.judged is None else f"; {report.judged.text}"
         text = f"{page}: {bytes_text(report.output_bytes)}{measured}"
         err.print(text, markup=False, soft_wrap=True)
     wanted = open_page if open_page is not None else not json and _has_screen()

@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from nanogs.compare.pictures import data_uri, error_map
+from nanogs.compare.protocol import BLACK, Background, Judged, Kind, Protocol
 from nanogs.compare.scoring import (
-    Background,
     ModelScore,
     ReferenceView,
     ViewScore,
@@ -41,9 +41,7 @@ class Comparison:
     Attributes:
         reference: What the scores are against: a model's name, or the photographs' folder.
         reference_splats: Splats of the reference model, or None for photographs.
-        width: Width of the first view, pixels.
-        height: Height of the first view, pixels.
-        background: RGB in [0, 1].
+        protocol: How it was measured.
         views: Names of the views that were scored.
         skipped_views: Names of views in which the reference is not seen; in no mean.
         models: Scores, in the order given.
@@ -52,9 +50,7 @@ class Comparison:
 
     reference: str
     reference_splats: int | None
-    width: int
-    height: int
-    background: Background
+    protocol: Protocol
     views: tuple[str, ...]
     skipped_views: tuple[str, ...]
     models: tuple[ModelScore, ...]
@@ -63,6 +59,11 @@ class Comparison:
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
         return asdict(self)
+
+    def judged(self, place: int) -> Judged:
+        """The means of one of the models, with how they were measured."""
+        model = self.models[place]
+        return Judged(model.psnr, model.ssim, self.protocol)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +88,8 @@ def compare_models(
     models: Sequence[NamedModel],
     cameras: Sequence[Camera],
     *,
-    background: Background = (0.0, 0.0, 0.0),
+    kind: Kind = "given",
+    background: Background = BLACK,
     extras: Sequence[str] = (),
     pictures: bool = False,
     progress: Callable[[str], None] | None = None,
@@ -98,6 +100,7 @@ def compare_models(
         reference: The reference.
         models: At least one.
         cameras: The views.
+        kind: Where they are from; all but "given" say that they are automatic test views.
         background: RGB in [0, 1] behind the splats.
         extras: Further metrics, names in `scoring.EXTRA_METRICS`.
         pictures: Also make the pictures for a page; otherwise the sheets are empty.
@@ -120,8 +123,9 @@ def compare_models(
     scores, sheets = score_models(
         models, views, background, extras=extras, pictures=pictures, progress=tell
     )
+    protocol = protocol_of(views, kind, None if kind == "given" else "test", background)
     return _comparison(
-        reference.name, len(reference.splats), views, skipped, background, scores, notes
+        reference.name, len(reference.splats), views, skipped, protocol, scores, notes
     ), sheets
 
 
@@ -130,6 +134,7 @@ def compare_with_photographs(
     models: Sequence[NamedModel],
     views: Sequence[ReferenceView],
     *,
+    split: str,
     background: Background,
     extras: Sequence[str] = (),
     pictures: bool = False,
@@ -141,6 +146,7 @@ def compare_with_photographs(
         source: Where the photographs are from, for the reader.
         models: At least one.
         views: Cameras and photographs.
+        split: Which of the data set's they are, "test" or "train".
         background: RGB in [0, 1] behind the splats and the photographs' transparent parts.
         extras: Further metrics, names in `scoring.EXTRA_METRICS`.
         pictures: Also make the pictures for a page.
@@ -154,7 +160,16 @@ def compare_with_photographs(
     scores, sheets = score_models(
         models, views, background, extras=extras, pictures=pictures, progress=progress
     )
-    return _comparison(source, None, views, [], background, scores, []), sheets
+    protocol = protocol_of(views, "photographs", split, background)
+    return _comparison(source, None, views, [], protocol, scores, []), sheets
+
+
+def protocol_of(
+    views: Sequence[ReferenceView], kind: Kind, split: str | None, background: Background
+) -> Protocol:
+    """What numbers on these views are to name; the arguments are `Protocol`'s."""
+    first = views[0].camera
+    return Protocol(len(views), (first.width, first.height), kind, split, background)
 
 
 def score_models(
@@ -210,16 +225,14 @@ def _comparison(
     reference_splats: int | None,
     views: Sequence[ReferenceView],
     skipped: Sequence[str],
-    background: Background,
+    protocol: Protocol,
     scores: Sequence[ModelScore],
     notes: Sequence[str],
 ) -> Comparison:
     return Comparison(
         reference=reference,
         reference_splats=reference_splats,
-        width=views[0].camera.width,
-        height=views[0].camera.height,
-        background=background,
+        protocol=protocol,
         views=tuple(view.camera.name for view in views),
         skipped_views=tuple(skipped),
         models=tuple(scores),

@@ -11,7 +11,8 @@ from nanogs.compare.comparison import (
     compare_with_photographs,
 )
 from nanogs.compare.page import render_page
-from nanogs.compare.scoring import Background, ReferenceView
+from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
+from nanogs.compare.scoring import ReferenceView
 from nanogs.errors import OptionError
 from nanogs.io import inspect, load
 from nanogs.io.atomic import atomic_write
@@ -27,11 +28,11 @@ def compare_files(
     tests: Sequence[tuple[str, Path]],
     *,
     cameras: str = "auto",
-    views: int = 8,
-    width: int = 512,
-    height: int = 512,
+    views: int = VIEWS,
+    width: int = PIXELS,
+    height: int = PIXELS,
     up: Sequence[float] | None = None,
-    background: Background = (0.0, 0.0, 0.0),
+    background: Background = BLACK,
     extras: Sequence[str] = (),
     photos: Path | None = None,
     images: str | None = None,
@@ -81,11 +82,14 @@ def compare_files(
         chosen = cameras_for(
             models[0].splats, cameras, count=views, width=width, height=height, up=up
         )
-        comparison, sheets = compare_models(models[0], models[1:], chosen, **options)
+        kind: Kind = AUTOMATIC.get(cameras, "given")
+        comparison, sheets = compare_models(models[0], models[1:], chosen, kind=kind, **options)
     else:
         frames = photographs(photos, images, split, background)
         chosen = [frame.camera for frame in frames]
-        comparison, sheets = compare_with_photographs(str(photos), models, frames, **options)
+        comparison, sheets = compare_with_photographs(
+            str(photos), models, frames, split=split, **options
+        )
     if report:
         viewer = None
         if interactive:
@@ -102,9 +106,9 @@ def compare_files(
 
 def _shown(models: Sequence[NamedModel], comparison: Comparison, start: Opening) -> list[Shown]:
     """The models as the page's viewer has them, with their scores."""
-    scores = (
-        comparison.models if len(comparison.models) == len(models) else (None, *comparison.models)
-    )
+    judged: list[Judged | None] = [comparison.judged(i) for i in range(len(comparison.models))]
+    if len(judged) < len(models):  # the original is what the others are held against
+        judged = [None, *judged]
     original = models[0].splats
     return [
         Shown(
@@ -113,11 +117,11 @@ def _shown(models: Sequence[NamedModel], comparison: Comparison, start: Opening)
                 len(model.splats),
                 model.file_bytes,
                 reference=None if place == 0 else len(original),
-                psnr=None if score is None else score.psnr,
+                judged=score,
             ),
             pack(model.splats, start),
         )
-        for place, (model, score) in enumerate(zip(models, scores, strict=True))
+        for place, (model, score) in enumerate(zip(models, judged, strict=True))
     ]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32
+from nanogs.compare.protocol import Background
 from nanogs.errors import ModelError, OptionError
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
 from nanogs.render.camera import Camera
@@ -14,7 +15,6 @@ from nanogs.render.rasterize import PreparedSplats, Rendering, render
 
 EXTRA_METRICS: Mapping[str, Callable[[F32, F32], float]] = {"flip": flip, "lpips": lpips}
 
-Background = tuple[float, float, float]
 OnView = Callable[["ReferenceView", "Rendering", "ViewScore"], None]
 
 

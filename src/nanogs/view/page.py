@@ -7,6 +7,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from nanogs._version import __version__
+from nanogs.compare.protocol import Background, Judged
 from nanogs.errors import ModelError
 from nanogs.formatting import bytes_text, number_text
 from nanogs.render.opening import Opening
@@ -15,8 +16,6 @@ from nanogs.view.pack import Packed, in_page
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-
-Background = tuple[float, float, float]
 
 MOST_TEXT = 500_000_000  # characters of base64: a browser's string ends at 536,870,888
 # What the viewer does within the page, and nothing else: no request can leave it.
@@ -46,7 +45,7 @@ def facts_of(
     file_bytes: int | None,
     *,
     reference: int | None = None,
-    psnr: float | None = None,
+    judged: Judged | None = None,
 ) -> tuple[str, ...]:
     """What a page says of a model.
 
@@ -54,12 +53,14 @@ def facts_of(
         splats: Number of splats.
         file_bytes: Size of its file.
         reference: Splats of the first model of the page, for any other.
-        psnr: Of the model against the first, dB.
+        judged: The model against the first.
     """
     share = ""
     if reference and splats < reference:
         share = f" ({number_text(100 * splats / reference)}\N{NO-BREAK SPACE}%)"
-    quality = () if psnr is None else (f"PSNR {number_text(psnr)} dB",)
+    quality: tuple[str, ...] = ()
+    if judged is not None:
+        quality = (f"PSNR {number_text(judged.psnr)} dB", f"on {judged.protocol.text}")
     return (f"{splats:,} splats{share}", bytes_text(file_bytes), *quality)
 
 

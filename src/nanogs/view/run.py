@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.io import load
 from nanogs.io.atomic import atomic_write
 from nanogs.io.registry import find
@@ -15,7 +16,7 @@ from nanogs.report import StageClock
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
 from nanogs.view.pack import Packed, pack
-from nanogs.view.page import Background, Shown, facts_of, render_page
+from nanogs.view.page import Shown, facts_of, render_page
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,19 +50,15 @@ class ViewReport:
         output: The page.
         output_bytes: Its size.
         models: One or two.
-        psnr: Of the second model against the first, mean over the views, dB; None for one model, or
-            where it was not asked for.
-        ssim: The same for SSIM.
-        views: Number of views that were compared.
+        judged: The second model against the first, as `compare` measures it; None for one model,
+            or where it was not asked for.
         seconds: Time by stage.
     """
 
     output: str
     output_bytes: int
     models: tuple[ViewedModel, ...]
-    psnr: float | None
-    ssim: float | None
-    views: int
+    judged: Judged | None
     seconds: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
@@ -69,23 +66,16 @@ class ViewReport:
         return asdict(self)
 
 
-@dataclass(frozen=True, slots=True)
-class _Score:
-    psnr: float | None = None
-    ssim: float | None = None
-    views: int = 0
-
-
 def view_files(
     inputs: Sequence[tuple[str, Path]],
     page: Path,
     *,
     cameras: str = "auto",
-    views: int = 8,
-    width: int = 512,
-    height: int = 512,
+    views: int = VIEWS,
+    width: int = PIXELS,
+    height: int = PIXELS,
     up: Sequence[float] | None = None,
-    background: Background = (0.0, 0.0, 0.0),
+    background: Background = BLACK,
     psnr: bool = True,
     overwrite: bool = False,
     progress: Callable[[str], None] | None = None,
@@ -124,10 +114,11 @@ def view_files(
         if measured or cameras not in AUTOMATIC:
             found = cameras_for(models[0], cameras, count=views, width=width, height=height, up=up)
         start = opening_for(models[0], AUTOMATIC.get(cameras) or found[0], up)
-    score = _Score()
+    judged = None
     if measured:
+        kind: Kind = AUTOMATIC.get(cameras, "given")
         with clock.time("measure"):
-            score = _measure(inputs, models, found, background, tell)
+            judged = _measure(inputs, models, found, kind, background, tell)
     with clock.time("pack"):
         packed = []
         for (name, _path), splats in zip(inputs, models, strict=True):
@@ -135,16 +126,14 @@ def view_files(
             packed.append(pack(splats, start))
     tell(f"write {page.name}")
     with clock.time("write"):
-        text = render_page(_shown(inputs, models, packed, score), start, background)
+        text = render_page(_shown(inputs, models, packed, judged), start, background)
         with atomic_write(page, overwrite=overwrite) as file:
             file.write(text.encode("utf-8"))
     return ViewReport(
         output=str(page),
         output_bytes=page.stat().st_size,
         models=tuple(map(_viewed, inputs, models, packed)),
-        psnr=score.psnr,
-        ssim=score.ssim,
-        views=score.views,
+        judged=judged,
         seconds=dict(clock.seconds),
     )
 
@@ -165,9 +154,10 @@ def _measure(
     inputs: Sequence[tuple[str, Path]],
     models: Sequence[Splats],
     cameras: Sequence[Camera],
+    kind: Kind,
     background: Background,
     tell: Callable[[str], None],
-) -> _Score:
+) -> Judged:
     from nanogs.compare.comparison import NamedModel, compare_models
 
     reference, other = (
@@ -177,23 +167,23 @@ def _measure(
         reference,
         [other],
         cameras,
+        kind=kind,
         background=background,
         progress=lambda name: tell(f"render {name}"),
     )
-    result = comparison.models[0]
-    return _Score(result.psnr, result.ssim, len(comparison.views))
+    return comparison.judged(0)
 
 
 def _shown(
     inputs: Sequence[tuple[str, Path]],
     models: Sequence[Splats],
     packed: Sequence[Packed],
-    score: _Score,
+    judged: Judged | None,
 ) -> list[Shown]:
     shown = []
     for place, ((name, path), splats, data) in enumerate(zip(inputs, models, packed, strict=True)):
-        reference, psnr = (len(models[0]), score.psnr) if place else (None, None)
-        facts = facts_of(len(splats), path.stat().st_size, reference=reference, psnr=psnr)
+        reference, score = (len(models[0]), judged) if place else (None, None)
+        facts = facts_of(len(splats), path.stat().st_size, reference=reference, judged=score)
         shown.append(Shown(name, facts, data))
     return shown
 
