@@ -45,6 +45,11 @@ def test_every_error_about_a_name_suggests_one(tmp_path):
         io.save(model, tmp_path / "a.spzz")
     with pytest.raises(FormatError, match=r"did you mean '\.splat'"):
         io.load(tmp_path / "a.splats")
+    with pytest.raises(FormatError, match=r"did you mean 'lod-meta\.json'"):
+        io.load(tmp_path / "lod-mets.json")
+    for name in ("transforms.json", "scene.json"):  # like no name in particular
+        with pytest.raises(FormatError, match=r"unknown suffix; nanogs reads"):
+            io.load(tmp_path / name)
     with pytest.raises(OptionError, match="did you mean 'spz_version'"):
         io.save(model, tmp_path / "a.spz", spz_versoin=4)
     # A format that is read but not written was meant as it stands.

@@ -153,6 +153,13 @@ def test_names_that_would_share_a_file_are_refused():
         file_names([camera("a/b"), camera("a?b")])
 
 
+def test_the_suffix_of_a_photograph_is_no_part_of_a_files_name():
+    """But where it is all that tells two cameras apart."""
+    assert file_names([camera("images/v0.png"), camera("v1.JPG")]) == ["images_v0", "v1"]
+    assert file_names([camera("a.png"), camera("a.jpg")]) == ["a.png", "a.jpg"]
+    assert file_names([camera("v1.5")]) == ["v1.5"]
+
+
 def test_a_transparent_image_over_any_background_is_the_rendering_over_it():
     splats = random_splats(200)
     over_black = render(splats, camera())

@@ -50,8 +50,14 @@ class ExistsError(OutputError):
         return f"{fact}; {remedy} to {deed}."
 
 
-def did_you_mean(word: str, choices: Iterable[str]) -> str:
-    """` (did you mean 'x'?)` for the choice most like a word, to follow it; empty without one."""
+def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.6) -> str:
+    """` (did you mean 'x'?)` for the choice most like a word, to follow it; empty without one.
+
+    Args:
+        word: What was given.
+        choices: What there is.
+        cutoff: How alike they must be, 0 to 1.
+    """
     known = {choice.lower(): choice for choice in choices}
-    close = difflib.get_close_matches(word.lower(), known, n=1, cutoff=0.6)
+    close = difflib.get_close_matches(word.lower(), known, n=1, cutoff=cutoff)
     return f" (did you mean {known[close[0]]!r}?)" if close else ""

@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.collect import Pair
+from nanogs.io.files import TOLD_BY, refuse_stand_in
 from nanogs.io.sniff import sniff
 
 DASH = Path("-")
@@ -96,6 +97,8 @@ class Streams:
             raise OptionError("stdin is empty; pipe a model into it.")
         suffix = _suffix(self.read_as) if self.read_as else sniff(raw)
         if suffix is None:
+            with raw.open("rb") as file:
+                refuse_stand_in(Path("stdin"), file.read(TOLD_BY))
             raise OptionError(
                 "The first bytes of stdin are of no format that says so; name it, as in"
                 " --from splat."

@@ -12,6 +12,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import FormatError
+from nanogs.io.files import TOLD_BY, refuse_stand_in
 from nanogs.render.camera import Camera
 
 RIGID_TOLERANCE = 1e-3  # largest entry of |RᵀR - I| taken for rounding
@@ -24,16 +25,19 @@ def read_text(path: Path) -> str:
     """Read a UTF-8 file.
 
     Raises:
-        FormatError: The file is missing, unreadable or not UTF-8.
+        FormatError: The file is missing, unreadable or not UTF-8, or something else lies in its
+            place; see `refuse_stand_in`.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise FormatError(
             f"{path}: cannot be read ({error.strerror or error}); check the path"
         ) from error
     except ValueError as error:
         raise FormatError(f"{path}: is not UTF-8 text; export the cameras again") from error
+    refuse_stand_in(path, text[:TOLD_BY].encode())
+    return text
 
 
 def read_json(path: Path) -> Any:  # noqa: ANN401 - callers check the shape

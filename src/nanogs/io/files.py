@@ -14,13 +14,17 @@ _SMALL_MODEL = 128 << 20
 # What others may take for each byte of theirs. Centres and colours do not pack well: real files
 # have 10 to 50 bytes a splat, whose 56 to 344 in memory are 3 to 30 times that.
 _MAX_EXPANSION = 64
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+_WEB_PAGE = (b"<!doctype", b"<html", b"<head", b"<body", b"<?xml")
+TOLD_BY = 256  # bytes that tell them
 
 
 def input_size(path: Path) -> int:
     """Size of an input file in bytes.
 
     Raises:
-        FormatError: There is no such file, it is no regular file, or it is empty.
+        FormatError: There is no such file, it is no regular file, it is empty, or something else
+            lies in its place; see `refuse_stand_in`.
     """
     try:
         status = path.stat()
@@ -34,7 +38,28 @@ def input_size(path: Path) -> int:
         raise FormatError(f"{path} is no regular file; copy the model to a file first.")
     if status.st_size == 0:
         raise FormatError(f"{path} is empty (0 bytes); export or download it again.")
+    try:
+        with path.open("rb") as file:
+            refuse_stand_in(path, file.read(TOLD_BY))
+    except OSError as error:
+        raise unreadable(path, error) from error
     return status.st_size
+
+
+def refuse_stand_in(path: Path, start: bytes) -> None:
+    """Refuse what downloads leave in a file's place: a Git LFS pointer, or a web page.
+
+    Args:
+        path: The file, for the message.
+        start: Its first bytes.
+
+    Raises:
+        FormatError: It is one of these.
+    """
+    if start.startswith(_LFS_POINTER):
+        raise FormatError(f"{path} is a Git LFS pointer, not the file itself: run git lfs pull.")
+    if start.removeprefix(b"\xef\xbb\xbf").lstrip().lower().startswith(_WEB_PAGE):
+        raise FormatError(f"{path} is a web page, not a model; download the file that it links to.")
 
 
 def splat_bytes(degree: int) -> int:

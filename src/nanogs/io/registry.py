@@ -1,6 +1,6 @@
 """The formats nanogs knows, by the suffix of the file name."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,9 +35,16 @@ def reader(path: Path) -> Format:
     known = find(path)
     if known is None:
         suffixes = [known.suffix for known in formats() if known.readable]
-        meant = did_you_mean(path.suffix, suffixes)
+        meant = _meant(path, suffixes)
         raise FormatError(f"{path}: unknown suffix{meant}; nanogs reads {', '.join(suffixes)}.")
     return known
+
+
+def _meant(path: Path, suffixes: Sequence[str]) -> str:
+    """What a file's name may have been meant to be, to follow it; empty where nothing is close."""
+    if path.suffix.lower() == ".json":  # somewhat like every name that ends so, and like .sog
+        return did_you_mean(path.name, [s for s in suffixes if s.endswith(".json")], cutoff=0.85)
+    return did_you_mean(path.suffix, suffixes)
 
 
 def writer(path: Path, options: Mapping[str, Any] | None = None) -> Writer:
@@ -136,7 +143,7 @@ def writable(path: Path) -> Format:
         raise OptionError(f"{path} describes levels of detail; make them with `nanogs lod`.")
     if known is None or not known.writable:
         suffixes = [known.suffix for known in formats() if known.writable]
-        meant = did_you_mean(path.suffix, suffixes) if known is None else ""
+        meant = _meant(path, suffixes) if known is None else ""
         raise OptionError(
             f"{path}: nanogs does not write this format{meant}; it writes {', '.join(suffixes)}."
         )

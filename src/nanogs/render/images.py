@@ -13,6 +13,8 @@ from nanogs.render.camera import Camera
 from nanogs.render.rasterize import Rendering, prepare, render
 from nanogs.splats import Splats
 
+_PHOTO = re.compile(r"\.(png|jpe?g|webp)$", re.IGNORECASE)
+
 
 def render_images(
     splats: Splats,
@@ -71,12 +73,17 @@ def render_images(
 def file_names(cameras: Sequence[Camera]) -> list[str]:
     """File names of the cameras, without suffix: what is not a letter, digit, - or . becomes _.
 
+    Cameras are often named after photographs, whose suffix is left out where the rest tells them
+    apart.
+
     Raises:
         OptionError: Two cameras would share a file.
     """
+    whole = [camera.name for camera in cameras]
+    stems = [_PHOTO.sub("", name) for name in whole]
     names = [
-        re.sub(r"[^\w.-]+", "_", camera.name).strip("._") or f"view_{index:03d}"
-        for index, camera in enumerate(cameras)
+        re.sub(r"[^\w.-]+", "_", name).strip("._") or f"view_{index:03d}"
+        for index, name in enumerate(stems if len(set(stems)) == len(set(whole)) else whole)
     ]
     for index, name in enumerate(names):
         if name in names[:index]:

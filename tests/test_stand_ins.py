@@ -1,0 +1,50 @@
+"""What downloads leave in a file's place is called by its name, whatever format was asked for."""
+
+import pytest
+
+from builders import random_splats
+from nanogs import io
+from nanogs.datasets.dataset import cameras_from_file
+from nanogs.errors import FormatError
+from nanogs.io.registry import formats
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a21\nsize 12345\n"
+PAGES = (
+    b"<!DOCTYPE html><html>",
+    b"\xef\xbb\xbf\n  <html lang='en'>",
+    b"<?xml version='1.0'?><Error>",
+)
+READABLE = [known.suffix for known in formats() if known.readable]
+
+
+@pytest.mark.parametrize("use", [io.load, io.inspect])
+@pytest.mark.parametrize("suffix", READABLE)
+def test_a_git_lfs_pointer_says_how_to_get_the_file(tmp_path, suffix, use):
+    path = tmp_path / (suffix if suffix.endswith("json") else f"a{suffix}")
+    path.write_bytes(POINTER)
+    with pytest.raises(FormatError, match="is a Git LFS pointer, not the file itself: run git lfs"):
+        use(path)
+
+
+@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("suffix", READABLE)
+def test_a_web_page_is_no_model(tmp_path, suffix, page):
+    path = tmp_path / (suffix if suffix.endswith("json") else f"a{suffix}")
+    path.write_bytes(page)
+    with pytest.raises(FormatError, match="is a web page, not a model"):
+        io.load(path)
+
+
+@pytest.mark.parametrize("name", ["transforms.json", "cameras.json"])
+def test_camera_files_too(tmp_path, name):
+    (tmp_path / name).write_bytes(POINTER)
+    with pytest.raises(FormatError, match="Git LFS pointer"):
+        cameras_from_file(tmp_path / name)
+
+
+def test_a_file_of_a_folder_too(tmp_path):
+    """A scene that was cloned without Git LFS has its text, but not its pictures."""
+    io.save(random_splats(9), tmp_path / "scene" / "meta.json")
+    (tmp_path / "scene" / "sh0.webp").write_bytes(POINTER)
+    with pytest.raises(FormatError, match=r"sh0\.webp is a Git LFS pointer"):
+        io.load(tmp_path / "scene" / "meta.json")
