@@ -104,7 +104,7 @@ def test_unknown_placeholders_are_refused():
         ({"methods": ("random",), "externals": {"random": "a"}}, "two of the method"),
         ({"externals": {ORIGINAL: "a"}}, "two of the method"),
         ({"views": 0}, "views"),
-        ({"size": 2}, "size"),
+        ({"size": 2}, "16 pixels"),
     ],
 )
 def test_settings_that_mean_nothing_are_refused(options, words):
@@ -358,7 +358,7 @@ def test_without_gsplat_there_is_no_figure(monkeypatch):
 
 def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
     out = tmp_path / "out"
-    options = ("--ratios", "0.1", "--methods", "paper,random", "--size", "64", "--views", "2")
+    options = ("--ratios", "0.1", "--methods", "paper,random", "--pixels", "64", "--views", "2")
     missing = f"them={tmp_path}/{{scene}}_{{ratio}}.ply"
     result = run("bench", model, *options, "--external", missing, "--out", out)
     assert result.returncode == 0, result.stderr
@@ -390,7 +390,7 @@ def test_the_up_direction_of_views_may_be_given(model):
 
 @pytest.mark.parametrize(
     ("option", "says"),
-    [(("--size", "64x32"), "square"), (("--size", "8"), "16"), (("--up", "0,0,0"), "0,0,0")],
+    [(("--pixels", "64x32"), "square"), (("--pixels", "8"), "16"), (("--up", "0,0,0"), "0,0,0")],
 )
 def test_views_that_cannot_be_are_refused(model, option, says):
     result = run("bench", model, *option)
@@ -399,7 +399,7 @@ def test_views_that_cannot_be_are_refused(model, option, says):
 
 
 def test_json_is_the_rows_and_nothing_else(model):
-    options = ("--ratios", "0.1", "--methods", "opacity", "--size", "32", "--views", "1")
+    options = ("--ratios", "0.1", "--methods", "opacity", "--pixels", "32", "--views", "1")
     result = run("bench", f"--scene=ball={model}", *options, "--json")
     assert result.returncode == 0, result.stderr
     assert result.stderr == ""

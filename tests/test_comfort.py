@@ -117,7 +117,7 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
         (("simplify", "a", "b", "--raito", "1"), "no option --raito (did you mean '--ratio'?)"),
         (("simplify", "a", "b", "--zzz"), "no option --zzz; `nanogs simplify --help` lists them"),
         (("simplfy", "a"), "no command simplfy (did you mean 'simplify'?); `nanogs --help`"),
-        (("convert", "a", "b", "--sh-degree", "x"), "'--sh-degree'"),
+        (("convert", "a", "b", "--sh-degree", "x"), "--sh-degree takes a whole number, not 'x'"),
         (("simplify", "a", "b", "--nan", "x"), "'--nan': 'x' is not one of 'drop', 'error'"),
         (("simplify", "a", "b", "--preset"), "'--preset' requires an argument"),
         (("info",), "Missing argument 'IN'; see `nanogs info --help`"),

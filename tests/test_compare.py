@@ -11,7 +11,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
-from nanogs.cli.options import parse_background, parse_direction, parse_size
+from nanogs.cli.options import parse_background, parse_direction, parse_pixels
 from nanogs.compare.comparison import NamedModel, compare_models
 from nanogs.compare.page import rate_distortion_plot
 from nanogs.compare.pictures import error_map
@@ -126,13 +126,13 @@ def test_plot_has_a_line_for_each_name_and_leaves_infinity_out():
 
 @pytest.mark.parametrize(("text", "size"), [("512", (512, 512)), ("1280x720", (1280, 720))])
 def test_sizes(text, size):
-    assert parse_size(text) == size
+    assert parse_pixels(text) == size
 
 
 @pytest.mark.parametrize("text", ["", "0", "12x", "x12", "-5", "99999", "1.5", "a"])
 def test_bad_sizes(text):
     with pytest.raises(OptionError):
-        parse_size(text)
+        parse_pixels(text)
 
 
 def test_backgrounds_and_directions():
@@ -173,21 +173,23 @@ def test_a_transparent_image_over_any_background_is_the_rendering_over_it():
 def test_render_writes_pictures(files, tmp_path):
     from PIL import Image
 
-    result = run("render", files / "scene.ply", tmp_path / "out", "--views", "3", "--size", "64x48",
-                 "--depth", "--json")  # fmt: skip
+    arguments = ("render", files / "scene.ply", tmp_path / "out", "--views", "3")
+    result = run(*arguments, "--pixels", "64x48", "--depth", "--json")
     assert result.returncode == 0, result.stderr
     written = json.loads(result.stdout)["images"]
     assert len(written) == 6
     picture = Image.open(written[0])
     assert picture.size == (64, 48)
     assert np.asarray(picture).max() > 0
-    again = run("render", files / "scene.ply", tmp_path / "out", "--views", "3", "--size", "64x48")
+    again = run(
+        "render", files / "scene.ply", tmp_path / "out", "--views", "3", "--pixels", "64x48"
+    )
     assert_refused(again, "-w")
 
 
 def test_compare_as_json_and_as_a_table(files):
     models = (files / "scene.ply", files / "small_0.1.ply", f"half={files}/small_0.5.ply")
-    arguments = ("compare", *models, "--views", "2", "--size", "64")
+    arguments = ("compare", *models, "--views", "2", "--pixels", "64")
     report = json.loads(run(*arguments, "--json").stdout)
     assert [model["name"] for model in report["models"]] == ["small_0.1.ply", "half"]
     assert report["models"][0]["psnr"] < report["models"][1]["psnr"]
@@ -217,7 +219,7 @@ def test_compare_refuses(files, tmp_path):
     scene, small = files / "scene.ply", files / "small_0.1.ply"
     assert_refused(run("compare", scene, tmp_path / "no.ply"), "no.ply")
     assert_refused(run("compare", scene, small, "--cameras", "orbitt"), "orbitt")
-    assert_refused(run("compare", scene, small, "--size", "big"), "big")
+    assert_refused(run("compare", scene, small, "--pixels", "big"), "big")
     assert_refused(run("compare", scene, small, "--metrics", "vmaf"), "vmaf")
     (tmp_path / "page.html").write_text("mine")
     assert_refused(run("compare", scene, small, "--report", tmp_path / "page.html"), "-w")

@@ -24,7 +24,7 @@ def files(tmp_path_factory):
 def test_command_fits_and_reports(files, tmp_path):
     out = tmp_path / "out.ply"
     given = [files / "original.ply", files / "small.ply", out]
-    quick = ["--views", "4", "--size", "128", "--rounds", "2"]
+    quick = ["--views", "4", "--pixels", "128", "--rounds", "2"]
     result = run("refit", *given, *quick, "--json")
     assert (result.returncode, result.stderr) == (0, "")
     report = json.loads(result.stdout)
@@ -40,7 +40,7 @@ def test_command_fits_and_reports(files, tmp_path):
 @pytest.mark.parametrize(
     ("small", "arguments", "said"),
     [
-        ("small.ply", ["--size", "3"], "size must be"),
+        ("small.ply", ["--pixels", "3"], "16 to 8192 pixels"),
         ("small.ply", ["--cameras", "nowhere"], "no camera file"),
         ("small.ply", ["--up", "0,0,0"], "direction"),
         ("empty.ply", [], "no rows"),

@@ -281,7 +281,7 @@ def test_two_models_as_json(files, tmp_path):
     require_bundle()
     page_file = tmp_path / "page.html"
     inputs = (files / "scene.ply", "--against", f"tenth={files}/small.compressed.ply")
-    views = ("--views", "2", "--size", "64")
+    views = ("--views", "2", "--pixels", "64")
     result = run("view", *inputs, *views, "-o", page_file, "--json")
     assert result.returncode == 0, result.stderr
     assert result.stderr == ""
@@ -311,7 +311,7 @@ def test_reports_of_compare_have_an_interactive_part(files, tmp_path, monkeypatc
     require_bundle()
     report = tmp_path / "report.html"
     arguments = ["compare", files / "scene.ply", files / "small.compressed.ply", "--views", "1"]
-    arguments = [*map(str, arguments), "--size", "32", "--report", str(report), "-w"]
+    arguments = [*map(str, arguments), "--pixels", "32", "--report", str(report), "-w"]
 
     def written(*more):
         result = CliRunner().invoke(app, [*arguments, *more])

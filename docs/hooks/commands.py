@@ -5,6 +5,7 @@ from typing import Any
 from typer.main import get_command
 
 from nanogs.cli.app import app
+from nanogs.cli.examples import EXAMPLES
 
 
 def tree() -> dict[str, Any]:
@@ -24,6 +25,7 @@ def _section(name: str, command: Any) -> str:  # noqa: ANN401 - click's, from wi
     options = [param for param in command.params if param.param_type_name == "option"]
     usage = " ".join(["nanogs", name, *(_shown(argument) for argument in arguments), "[OPTIONS]"])
     parts = [f"## nanogs {name}", command.help or "", f"```text\n{usage}\n```"]
+    parts.append("\n".join(["```console", *(f"$ {line}" for line in EXAMPLES[name]), "```"]))
     if arguments:
         rows = [f"| `{_shown(param)}` | {_cell(param.help)} |" for param in arguments]
         parts.append("\n".join(["| argument | |", "|---|---|", *rows]))

@@ -53,7 +53,7 @@ class BenchSettings:
             if value < 1:
                 raise OptionError(f"{name} must be at least 1, not {value}.")
         if self.size < 16:
-            raise OptionError(f"size must be at least 16 pixels, not {self.size}.")
+            raise OptionError(f"The size of a view must be at least 16 pixels, not {self.size}.")
         if not self.ratios or not (self.methods or self.externals):
             raise OptionError("Give at least one ratio and one method.")
         refuse_twins("ratio", [f"{ratio:g}" for ratio in self.ratios])

@@ -9,6 +9,8 @@ from nanogs.cli.bench import bench
 from nanogs.cli.compare import compare
 from nanogs.cli.convert import convert
 from nanogs.cli.demo import demo
+from nanogs.cli.examples import EXAMPLES
+from nanogs.cli.help import Command, Group, examples_text
 from nanogs.cli.info import info
 from nanogs.cli.lod import lod
 from nanogs.cli.presets import presets
@@ -19,6 +21,7 @@ from nanogs.cli.view import view
 
 app = typer.Typer(
     help="Make 3D Gaussian splatting models smaller: no training, no photographs, no GPU.",
+    cls=Group,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -41,14 +44,8 @@ def _nanogs(
     pass
 
 
-app.command()(simplify)
-app.command()(lod)
-app.command()(refit)
-app.command()(convert)
-app.command()(info)
-app.command()(presets)
-app.command()(render)
-app.command()(compare)
-app.command()(view)
-app.command()(bench)
-app.command()(demo)
+for _command in (
+    simplify, lod, refit, convert, info, presets, render, compare, view, bench, demo,
+):  # fmt: skip
+    _examples = examples_text(EXAMPLES[_command.__name__])
+    app.command(cls=Command, epilog=_examples)(_command)

@@ -32,7 +32,7 @@ class Kind(StrEnum):
 
 
 Models = Annotated[
-    list[Path] | None, typer.Argument(metavar="[MODEL]...", help="Models to measure on.")
+    list[Path] | None, typer.Argument(metavar="[MODEL...]", help="Models to measure on.")
 ]
 Scenes = Annotated[
     list[str] | None,
@@ -88,7 +88,7 @@ def bench(
     dataset: Datasets = None,
     model_pattern: Pattern = None,
     ratios: Annotated[
-        str, typer.Option(help="Compaction ratios, with commas between.")
+        str, typer.Option(help="Compaction ratios, with commas between.", metavar="RATIOS")
     ] = "0.1,0.01,0.001",
     methods: Methods = None,
     external: Externals = None,
@@ -99,7 +99,7 @@ def bench(
         str, typer.Option(help="Further metrics: lpips, flip; with commas between.")
     ] = "",
     views: options.Views = 8,
-    size: options.Size = "512",
+    pixels: options.Pixels = "512",
     cameras: Cameras = Kind.auto,
     up: options.Up = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of what methods draw.")] = 0,
@@ -113,11 +113,11 @@ def bench(
     from nanogs.bench.settings import BenchSettings
 
     settings = BenchSettings(
-        ratios=tuple(_number(text) for text in _list(ratios)),
+        ratios=tuple(options.parse_ratio(text) for text in _list(ratios)),
         methods=_methods(methods, ablations),
         externals=dict(_external(text) for text in external or []),
         views=views,
-        size=_square(size),
+        size=_square(pixels),
         camera_kind=cameras.value,
         metrics=tuple(_list(metrics)),
         seed=seed,
@@ -246,15 +246,8 @@ def _list(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise OptionError(f"A ratio is a number such as 0.1, not {text!r}.") from None
-
-
 def _square(text: str) -> int:
-    width, height = options.parse_size(text)
+    width, height = options.parse_pixels(text)
     if width != height:
         raise OptionError(f"The views to measure on are square: give one number, not {text!r}.")
     return width

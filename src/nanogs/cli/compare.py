@@ -51,7 +51,7 @@ def compare(
         str, typer.Option(help="Photographs to use: test or train.", rich_help_panel=options.VIEWS)
     ] = "test",
     views: options.Views = VIEWS,
-    size: options.Size = str(PIXELS),
+    pixels: options.Pixels = str(PIXELS),
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     background: options.BackgroundOption = "black",
@@ -69,7 +69,7 @@ def compare(
     from nanogs.cli.progress import spinner
     from nanogs.io.atomic import check_writable
 
-    width, height = options.parse_size(size)
+    width, height = options.parse_pixels(pixels)
     color = options.parse_background(background)
     direction = options.parse_direction(up)
     extras = [name.strip() for name in metrics.split(",") if name.strip()]

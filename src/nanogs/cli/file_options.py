@@ -36,6 +36,7 @@ FormatOption = Annotated[
         "--format",
         help="Format of the results, e.g. sog.",
         show_default="each file's own",
+        metavar="FORMAT",
         autocompletion=options.complete_format,
         rich_help_panel=_SEVERAL,
     ),
@@ -46,6 +47,7 @@ From = Annotated[
         "--from",
         help="Format of stdin, e.g. splat.",
         show_default="by its first bytes",
+        metavar="FORMAT",
         autocompletion=options.complete_format,
         rich_help_panel=_PIPES,
     ),
@@ -56,6 +58,7 @@ To = Annotated[
         "--to",
         help="Format of stdout, e.g. spz.",
         show_default="that of IN",
+        metavar="FORMAT",
         autocompletion=options.complete_format,
         rich_help_panel=_PIPES,
     ),
@@ -73,6 +76,7 @@ FrameOption = Annotated[
 Crop = Annotated[
     list[str] | None,
     typer.Option(
+        metavar="REGION",
         help="Keep what lies in box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, scene units of IN;"
         " several times: in all of them.",
         rich_help_panel=_FILTERS,

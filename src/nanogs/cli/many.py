@@ -27,10 +27,14 @@ def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> l
         return pair_up(collect(paths), out_dir, suffix)
     if suffix is not None:
         raise OptionError("--format goes with --out-dir; without it the suffix of OUT decides.")
+    if len(paths) == 1:
+        raise OptionError(
+            f"OUT is missing: name the file to write after {paths[0]}, or give --out-dir FOLDER."
+        )
     if len(paths) != 2:
         raise OptionError(
             f"Give IN and OUT, or several inputs and --out-dir FOLDER; these are {len(paths)}"
-            f" path{'s' if len(paths) > 1 else ''} without it."
+            " paths without it."
         )
     return [Pair(*paths)]
 

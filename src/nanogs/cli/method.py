@@ -29,6 +29,7 @@ Preset = Annotated[
     str,
     typer.Option(
         help=f"The method.\n\n{_summaries()}",
+        metavar="NAME",
         autocompletion=lambda: list(SUMMARIES.items()),
     ),
 ]

@@ -4,9 +4,17 @@ What typer raises for them is not exported by it, and has changed its module; so
 it can do.
 """
 
+import re
 from typing import Any
 
 from nanogs.errors import did_you_mean
+
+# What typer and click say of a value, and what the option takes instead.
+_TAKES = (
+    ("integer", "a whole number"),
+    ("number|float", "a number"),
+    ("greater than or equal|not in the range", "a larger number"),
+)
 
 
 def is_usage(error: Exception) -> bool:
@@ -27,6 +35,8 @@ def sentence(error: Any) -> str:  # noqa: ANN401 - typer's own
     command = f"{context.command_path} --help" if context else "nanogs --help"
     if option := _unknown_option(error):
         return f"There is no option {option}{_meant(option, context)}; `{command}` lists them."
+    if value := _bad_value(error):
+        return f"{value}; see `{command}`."
     message = " ".join(error.format_message().replace("Value error, ", "").split())
     if message.startswith("No such command"):
         return f"{_unknown_command(message, context)}; `{command}` lists them."
@@ -48,3 +58,22 @@ def _unknown_command(message: str, context: Any) -> str:  # noqa: ANN401
     typed = message.split("'")[1] if message.count("'") > 1 else ""
     known = getattr(context.command, "commands", {}) if context else {}
     return f"There is no command {typed}{did_you_mean(typed, known)}"
+
+
+def _bad_value(error: Any) -> str:  # noqa: ANN401
+    """What an option takes and what it was given; empty where that is not what is wrong."""
+    param, message = getattr(error, "param", None), str(getattr(error, "message", ""))
+    takes = next((word for sign, word in _TAKES if re.search(sign, message)), "")
+    if param is None or not takes:
+        return ""
+    number = re.search(r"(?:equal to|x>=) ?(-?[\d.]+)", message)
+    least = f"{number[1].rstrip('.')} or more" if number else takes
+    return f"{max(param.opts, key=len)} takes {least}, not {_given(error, message)}"
+
+
+def _given(error: Any, message: str) -> str:  # noqa: ANN401
+    """The value as it was typed."""
+    if hasattr(error.__cause__, "errors"):
+        return repr(error.__cause__.errors()[0]["input"])
+    word = re.match(r"'?([^' ]*)'? is not", message)
+    return repr(word[1]) if word else "what was given"

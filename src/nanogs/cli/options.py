@@ -2,11 +2,15 @@
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from nanogs.errors import OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from fractions import Fraction
 
 
 def complete_format(start: str) -> list[str]:
@@ -22,15 +26,20 @@ VIEWS = "Views (automatic, or from a file)"
 Views = Annotated[
     int, typer.Option("--views", min=1, help="Number of automatic views.", rich_help_panel=VIEWS)
 ]
-Size = Annotated[
+Pixels = Annotated[
     str,
-    typer.Option(help="Pixels of an automatic view: 512 or 1280x720.", rich_help_panel=VIEWS),
+    typer.Option(
+        help="Width and height of an automatic view: 512 or 1280x720.",
+        metavar="W[xH]",
+        rich_help_panel=VIEWS,
+    ),
 ]
 Cameras = Annotated[
     str,
     typer.Option(
         help="auto, orbit (around an object), inside (a room or landscape), or a file or folder: "
         "transforms.json, cameras.json, COLMAP.",
+        metavar="CAMERAS",
         rich_help_panel=VIEWS,
     ),
 ]
@@ -38,11 +47,15 @@ Up = Annotated[
     str | None,
     typer.Option(
         help="Up direction of automatic views: x,y,z; by default away from the ground, or 0,-1,0.",
+        metavar="X,Y,Z",
         rich_help_panel=VIEWS,
     ),
 ]
 BackgroundOption = Annotated[
-    str, typer.Option("--background", help="black, white, or #rrggbb.", rich_help_panel=VIEWS)
+    str,
+    typer.Option(
+        "--background", help="black, white, or #rrggbb.", metavar="COLOUR", rich_help_panel=VIEWS
+    ),
 ]
 SpzVersion = Annotated[
     int | None,
@@ -57,7 +70,7 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but erro
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show_default="all")]
 
 
-def parse_size(text: str) -> tuple[int, int]:
+def parse_pixels(text: str) -> tuple[int, int]:
     """Width and height in pixels from `512` or `1280x720`.
 
     Raises:
@@ -68,43 +81,95 @@ def parse_size(text: str) -> tuple[int, int]:
         width, height = int(match[1]), int(match[2] or match[1])
         if min(width, height) >= 1 and max(width, height) <= 16384:
             return width, height
-    raise OptionError(f"The size must be like 512 or 1280x720, up to 16384, not {text!r}.")
+    raise OptionError(f"--pixels must be like 512 or 1280x720, up to 16384, not {text!r}.")
 
 
+_MULTIPLES = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9}
 _UNITS = {
-    "": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9,
-    "kib": 2**10, "mib": 2**20, "gib": 2**30,
+    **_MULTIPLES,
+    "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "kib": 2**10, "mib": 2**20, "gib": 2**30,
 }  # fmt: skip
+_LEAST_MEMORY = 10**6  # bytes: what is less was meant in another unit
 
 
 def parse_bytes(text: str) -> int:
-    """Bytes from `20MB`, `1.5 GiB` or `4096`; kB, MB, GB count in thousands, KiB and so on in 1024.
+    """Bytes from `20MB`, `20M`, `1.5 GiB` or `4096`; k, M and G count in thousands, Ki in 1024.
 
     Raises:
         OptionError: It is no such size.
     """
-    from fractions import Fraction
-
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text.strip().lower())
-    if match is None or match[2] not in _UNITS:
+    value = _multiple(text, _UNITS)
+    if value is None:
         raise OptionError(
             f"The size must be like 20MB, with B, kB, MB, GB, KiB, MiB or GiB, not {text!r}."
         )
-    return int(Fraction(match[1]) * _UNITS[match[2]])
+    return int(value)
+
+
+def parse_memory(text: str) -> int:
+    """Bytes of memory, as `parse_bytes` has it.
+
+    Raises:
+        OptionError: It is no such size, or below a megabyte.
+    """
+    size = parse_bytes(text)
+    if size < _LEAST_MEMORY:
+        raise OptionError(
+            f"--max-memory {text} is {size:,} B, too little for any model; name the unit too, as in"
+            " --max-memory 4GB."
+        )
+    return size
+
+
+def parse_ratio(text: str) -> float:
+    """A ratio from `0.1` or `10%`.
+
+    Raises:
+        OptionError: It is neither.
+    """
+    from fractions import Fraction
+
+    number = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d{1,3})?"
+    match = re.fullmatch(rf"({number})\s*(%?)", text.strip().lower())
+    if match is None:
+        raise OptionError(f"A ratio is like 0.1 or 10%, not {text!r}.")
+    return float(Fraction(match[1]) / (100 if match[2] else 1))
 
 
 def parse_ratios(text: str) -> tuple[float, ...]:
-    """Ratios from `0.5,0.25,0.1`.
+    """Ratios from `0.5,0.25,0.1` or `50%,25%,10%`.
 
     Raises:
-        OptionError: One of them is no number.
+        OptionError: One of them is no ratio.
     """
     try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
+        return tuple(parse_ratio(part) for part in text.split(","))
+    except OptionError:
         raise OptionError(
             f"Levels are ratios with commas between, like 0.5,0.1, not {text!r}."
         ) from None
+
+
+def parse_count(text: str | int) -> int:
+    """A number of splats from `100000`, `100k` or `1.5M`; k, M and G count in thousands.
+
+    Raises:
+        OptionError: It is no such number, or no whole one.
+    """
+    value = _multiple(str(text), _MULTIPLES)
+    if value is None or value.denominator != 1:
+        raise OptionError(f"A count is a whole number like 100000, 100k or 1.5M, not {text!r}.")
+    return int(value)
+
+
+def _multiple(text: str, units: "Mapping[str, int]") -> "Fraction | None":
+    """A number times its unit; None for other text."""
+    from fractions import Fraction
+
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text.strip().lower())
+    if match is None or match[2] not in units:
+        return None
+    return Fraction(match[1]) * units[match[2]]
 
 
 def parse_background(text: str) -> tuple[float, float, float]:

@@ -19,7 +19,7 @@ def refit(
     ],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
     views: options.Views = _DEFAULTS.views,
-    size: Annotated[
+    pixels: Annotated[
         int,
         typer.Option(
             help="Pixels along the longer side of a view; larger cameras are reduced to it.",
@@ -41,7 +41,7 @@ def refit(
     from nanogs.cli.console import print_json, warn
     from nanogs.io import check_writable
 
-    chosen = RefitParameters(views=views, size=size, rounds=rounds)
+    chosen = RefitParameters(views=views, size=pixels, rounds=rounds)
     chosen.check()
     direction = options.parse_direction(up)
     check_writable(target, overwrite=overwrite)

@@ -12,7 +12,7 @@ def render(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the PNG files.")],
     views: options.Views = 8,
-    size: options.Size = "1280x720",
+    pixels: options.Pixels = "1280x720",
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     background: options.BackgroundOption = "black",
@@ -33,7 +33,7 @@ def render(
     from nanogs.cli.progress import spinner
     from nanogs.io import load
 
-    width, height = options.parse_size(size)
+    width, height = options.parse_pixels(pixels)
     # Straight alpha is taken from a rendering over black.
     color = options.parse_background("black" if transparent else background)
     direction = options.parse_direction(up)

@@ -14,18 +14,37 @@ from nanogs.simplify.presets import DEFAULT_PRESET, parameters
 def simplify(
     paths: file_options.Paths,
     ratio: Annotated[
-        float | None, typer.Option("--ratio", "-r", help="Share of the splats to keep, e.g. 0.1.")
+        float | None,
+        typer.Option(
+            "--ratio",
+            "-r",
+            parser=options.parse_ratio,
+            metavar="RATIO",
+            help="Share of the splats to keep, e.g. 0.1 or 10%.",
+        ),
     ] = None,
     count: Annotated[
-        int | None, typer.Option("--count", "-n", help="Number of splats to keep.")
+        int | None,
+        typer.Option(
+            "--count",
+            "-n",
+            parser=options.parse_count,
+            metavar="COUNT",
+            help="Number of splats to keep, e.g. 50000, 100k or 1.5M.",
+        ),
     ] = None,
     size: Annotated[
         str | None,
-        typer.Option(help="Largest size of OUT, e.g. 20MB or 20MiB: as many splats as fit."),
+        typer.Option(
+            help="Largest size of OUT, e.g. 20MB or 20MiB: as many splats as fit.", metavar="SIZE"
+        ),
     ] = None,
     psnr: Annotated[
         float | None,
-        typer.Option(help="dB to reach on views of the original, e.g. 35: the fewest that do."),
+        typer.Option(
+            help="dB to reach on views of the original, e.g. 35: the fewest that do.",
+            metavar="DB",
+        ),
     ] = None,
     preset: method.Preset = DEFAULT_PRESET,
     nan: method.NanOption = method.Nan.drop,
@@ -82,6 +101,8 @@ def simplify(
         "lambda_geo": lambda_geo, "merge_cap": merge_cap,
     }  # fmt: skip
     # Whatever can be refused is refused here, before minutes of computing.
+    parts = [paths[0], paths[-1]] if join else paths
+    pairs = many.plan_pairs(parts, out_dir, out_format)
     given = {name: value for name, value in overrides.items() if value is not None}
     chosen = parameters(preset, overrides)
     request = Request(
@@ -110,8 +131,6 @@ def simplify(
         ),
         looks=views is not None or cameras != "auto" or up is not None,
     )
-    parts = [paths[0], paths[-1]] if join else paths
-    pairs = many.plan_pairs(parts, out_dir, out_format)
     pipes = streams.Streams(read_as, write_as)
     if dry_run:
         many.run_all(

@@ -93,7 +93,7 @@ def parse_blocks(
     """
     far = workers is not None or scheduler is not None
     given = bool(job) or resume or scratch is not None or far
-    memory = None if max_memory is None else options.parse_bytes(max_memory)
+    memory = None if max_memory is None else options.parse_memory(max_memory)
     if memory is None and given:
         memory = DEFAULT_MEMORY
     if workers is not None and scheduler is not None:

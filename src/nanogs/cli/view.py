@@ -36,7 +36,7 @@ def view(
         ),
     ] = None,
     views: options.Views = VIEWS,
-    size: options.Size = str(PIXELS),
+    pixels: options.Pixels = str(PIXELS),
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     background: options.BackgroundOption = "black",
@@ -55,7 +55,7 @@ def view(
     from nanogs.view.bundle import check_built
     from nanogs.view.run import page_path, view_files
 
-    width, height = options.parse_size(size)
+    width, height = options.parse_pixels(pixels)
     color = options.parse_background(background)
     direction = options.parse_direction(up)
     inputs = [options.parse_named(text) for text in (model, against) if text is not None]

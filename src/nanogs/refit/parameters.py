@@ -55,7 +55,7 @@ class RefitParameters:
             if getattr(self, name) < 1:
                 raise OptionError(f"{name} must be 1 or more, not {getattr(self, name)}.")
         if not 16 <= self.size <= 8192:
-            raise OptionError(f"size must be from 16 to 8192 pixels, not {self.size}.")
+            raise OptionError(f"A view size is from 16 to 8192 pixels, not {self.size}.")
         if self.seed < 0:
             raise OptionError(f"seed must be 0 or more, not {self.seed}.")
         if not 0 <= self.momentum < 1:

@@ -1,0 +1,30 @@
+"""What `nanogs COMMAND --help` shows at its end."""
+
+EXAMPLES = {
+    "simplify": (
+        "nanogs simplify scene.ply small.ply --ratio 10%",
+        "nanogs simplify scene.ply small.sog --size 5MB",
+    ),
+    "lod": (
+        "nanogs lod scene.ply levels/",
+        "nanogs lod scene.ply web/lod-meta.json --levels 1,0.5,0.25,0.1",
+    ),
+    "refit": ("nanogs refit scene.ply small.ply better.ply",),
+    "convert": (
+        "nanogs convert scene.ply scene.spz --sh-degree 1",
+        "nanogs convert scans/ --out-dir web/ --format sog",
+    ),
+    "info": ("nanogs info scene.ply", "nanogs info scene.sog --json"),
+    "presets": ("nanogs presets",),
+    "render": (
+        "nanogs render scene.ply pictures/ --views 12",
+        "nanogs render scene.ply pictures/ --pixels 1920x1080 --transparent",
+    ),
+    "compare": (
+        "nanogs compare scene.ply small.ply --report report.html",
+        "nanogs compare scene.ply tenth=a.ply hundredth=b.ply --json",
+    ),
+    "view": ("nanogs view scene.ply", "nanogs view scene.ply --against small.ply -o page.html"),
+    "bench": ("nanogs bench scene.ply --ratios 0.1,0.01 --out results/",),
+    "demo": ("nanogs demo scene.ply", "nanogs demo scene.ply --count 100k"),
+}
