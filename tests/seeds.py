@@ -231,6 +231,11 @@ def _spzs(version):
     return out
 
 
+def inflated(files):
+    """Without its gzip."""
+    return {name: gzip.decompress(data) for name, data in files.items()}
+
+
 def _ksplats():
     shapes = [((9, 4), degree, mode) for degree in (0, 1, 3) for mode in range(3)]
     shapes += [((5_000,), 3, 1)]
@@ -308,6 +313,7 @@ FORMATS = {
     ".spz v1": (lambda: _spzs(1), [plain, inside_gzip, inside_gzip]),
     ".spz v2": (lambda: _spzs(2), [plain, inside_gzip, inside_gzip]),
     ".spz v3": (lambda: _spzs(3), [plain, inside_gzip, inside_gzip]),
+    ".spz, no gzip": (lambda: list(map(inflated, _spzs(2) + _spzs(3))), [plain]),
     ".spz v4": (lambda: _spzs(4), [plain, inside_zstd]),
     ".ksplat": (_ksplats, [plain]),
     ".glb": (_usual("a.glb"), [plain, inside_glb, inside_glb]),

@@ -24,6 +24,7 @@ from strategies import assert_same, splats
 
 SHARED = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 VERSIONS = (1, 2, 3, 4)
+WRITTEN = (2, 3, 4)
 
 
 @pytest.fixture
@@ -63,6 +64,27 @@ def test_rotations(load, version, turn):
     stored = quat if version > 2 or quat[3] > 0 else -quat
     decoded = load(encode([row(xyzw=tuple(stored))], version)).quats[0]
     assert abs(decoded @ np.roll(quat, 1)) == pytest.approx(1, abs=2e-3 if version < 3 else 1e-5)
+
+
+def unpacked(data):
+    """The same file without its gzip."""
+    return gzip.decompress(data)
+
+
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_a_file_without_gzip_is_the_same_model(load, version, tmp_path):
+    packed = encode([row(sh=[7] * 24)] * 5, version, degree=2)
+    whole = load(packed)
+    assert_same(load(unpacked(packed)), whole)
+    info = io.inspect(tmp_path / "a.spz")
+    assert (info.encoding, info.splats, info.sh_degree) == ("binary_little_endian", 5, 2)
+    for size in range(4, len(unpacked(packed))):
+        with pytest.raises(FormatError):
+            load(unpacked(packed)[:size])
+    with pytest.raises(FormatError, match="more data than"):
+        load(unpacked(packed) + b"\0")
+    with pytest.raises(FormatError, match="far more than splats"):
+        load(unpacked(encode([row()], version, count=2**32 - 1)))
 
 
 def test_extreme_alphas_are_infinite(load):
@@ -115,7 +137,7 @@ def steps(model, bits):
 
 
 @SHARED
-@given(model=splats(wild=False, extras=False), version=st.sampled_from([3, 4]))
+@given(model=splats(wild=False, extras=False), version=st.sampled_from(WRITTEN))
 def test_round_trip_within_half_a_step(tmp_path, model, version):
     model = replace(model, sh=np.clip(model.sh, -0.99, 0.99), comments=())
     again = written(model, tmp_path / "a.spz", version)
@@ -124,14 +146,14 @@ def test_round_trip_within_half_a_step(tmp_path, model, version):
         assert (error <= step + 1e-6).all(), name
     assert np.abs(again.opacities() - model.opacities()).max() <= 0.5 / 255 + 1e-7
     dots = (again.unit_quats() * model.unit_quats().astype(np.float64)).sum(axis=1)
-    assert np.abs(dots).min() > 1 - 1e-5
+    assert np.abs(dots).min() > 1 - (2e-2 if version == 2 else 1e-5)
     assert again.render_mode is (
         RenderMode.MIP if model.render_mode is RenderMode.MIP else RenderMode.DEFAULT
     )
 
 
 @SHARED
-@given(model=splats(extras=False), version=st.sampled_from([3, 4]))
+@given(model=splats(extras=False), version=st.sampled_from(WRITTEN))
 def test_what_was_read_is_written_unchanged(tmp_path, model, version):
     once = written(model, tmp_path / "a.spz", version)
     twice = written(once, tmp_path / "b.spz", version)
@@ -140,7 +162,7 @@ def test_what_was_read_is_written_unchanged(tmp_path, model, version):
     assert spz_write.losses(once) == ()
 
 
-@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("version", WRITTEN)
 def test_same_model_same_bytes(tmp_path, version):
     model = random_splats(100, degree=3)
     written(model, tmp_path / "a.spz", version)
@@ -148,7 +170,7 @@ def test_same_model_same_bytes(tmp_path, version):
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
 
 
-@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("version", WRITTEN)
 def test_blocks_agree(tmp_path, version, monkeypatch):
     model = random_splats(20, degree=1)
     whole = written(model, tmp_path / "a.spz", version)
@@ -157,7 +179,7 @@ def test_blocks_agree(tmp_path, version, monkeypatch):
     assert_same(whole, written(model, tmp_path / "b.spz", version))
 
 
-@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("version", WRITTEN)
 def test_many_equal_splats_can_be_read_again(tmp_path, version):
     model = random_splats(1, degree=3).take(np.zeros(200_000, np.int64))
     assert len(written(model, tmp_path / "a.spz", version)) == 200_000
@@ -166,8 +188,8 @@ def test_many_equal_splats_can_be_read_again(tmp_path, version):
 def test_save_writes_version_3(tmp_path):
     io.save(random_splats(3), tmp_path / "a.spz")
     assert gzip.decompress((tmp_path / "a.spz").read_bytes())[:8] == b"NGSP\3\0\0\0"
-    with pytest.raises(OutputError, match="choose 3 or 4"):
-        written(random_splats(3), tmp_path / "b.spz", 2)
+    with pytest.raises(OutputError, match="choose 2, 3 or 4"):
+        written(random_splats(3), tmp_path / "b.spz", 1)
     with pytest.raises(OptionError, match="only known once it is written"):
         registry.sizer(tmp_path / "a.spz")
 
@@ -240,7 +262,8 @@ GOOD = [row(sh=(1, 2, 3, 4, 5, 6, 7, 8, 9))] * 40
         (3, {"magic": b"NOPE"}, "no whole NGSP header"),
         (3, {"stated": 9}, "versions 1 to 3"),
         (3, {"stated": 4}, "versions 1 to 3"),
-        (4, {"stated": 3}, "version 3 in a plain header"),
+        (4, {"stated": 3}, "end before 40"),
+        (4, {"stated": 5}, "version 5 in a plain header"),
         (3, {"degree": 5}, "SH degree 5"),
         (3, {"bits": 25}, "25 fraction bits"),
         (3, {"flags": 0x80}, "levels of detail"),
@@ -352,21 +375,23 @@ def test_real_scenes():
 ARRAYS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
-def assert_close(a, b, alphas=1e-5):
+def assert_close(a, b, alphas=1e-5, quats=1e-6):
     """Equal but for the last bits; other tools make large logits of alpha 0 and 1."""
-    for name in ("means", "log_scales", "quats", "sh"):
+    for name in ("means", "log_scales", "sh"):
         assert np.abs(getattr(a, name) - getattr(b, name)).max() < 1e-6, name
+    assert np.abs(a.quats - b.quats).max() < quats
     assert np.abs(a.opacities() - b.opacities()).max() < alphas
 
 
-@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("version", WRITTEN)
 def test_gsply_reads_the_same_values(tmp_path, version):
     gsply = pytest.importorskip("gsply")
     ours = written(random_splats(500, degree=3), tmp_path / "a.spz", version)
     theirs = gsply.read_spz(tmp_path / "a.spz")
     sh = np.concatenate([theirs.sh0[:, None], theirs.shN], axis=1)
     columns = (theirs.means, theirs.scales, theirs.quats, theirs.opacities, sh)
-    assert_close(ours, Splats(*columns))
+    # In version 2 the real part is a root, which is inexact near 0 in single precision.
+    assert_close(ours, Splats(*columns), quats=1e-3 if version == 2 else 1e-6)
 
 
 @pytest.mark.parametrize("version", [3, 4])

@@ -60,7 +60,8 @@ BackgroundOption = Annotated[
 SpzVersion = Annotated[
     int | None,
     typer.Option(
-        help="Of a .spz file: 3 (gzip), or 4 (zstd), which fewer readers know.",
+        help="Of a .spz file: 3 (gzip); 4 (zstd), which fewer readers know; or 2 (gzip), for old"
+        " ones, with rounder rotations.",
         show_default="3",
     ),
 ]

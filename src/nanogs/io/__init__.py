@@ -85,7 +85,7 @@ def save(
         splats: The model.
         path: The file; its suffix says the format.
         overwrite: Replace a file that exists.
-        **options: Of the format: `spz_version`, 3 (as by default) or 4.
+        **options: Of the format: `spz_version`, 2, 3 (as by default) or 4.
 
     Raises:
         ModelError: The format cannot hold the model at all.

@@ -79,7 +79,7 @@ FORMATS = (
         packed=spz.packed,
         frame=_SPZ_FRAME,
         axes=None,
-        options={"spz_version": WriteOption("version", (3, 4))},
+        options={"spz_version": WriteOption("version", (2, 3, 4))},
     ),
     Format(".ksplat", ksplat.read, ksplat.inspect, rows=ksplat.rows),
     Format(

@@ -27,8 +27,8 @@ class FileInfo:
         path: The file.
         format: Name of the format: its suffix without the first dot, `sog` for `meta.json` too, or
             `streamed sog`.
-        encoding: `binary_little_endian`, `binary_big_endian` or `ascii`; `gzip` or `zstd` of a
-            `.spz` file, `zip` of a `.npz` file, `webp` of SOG.
+        encoding: `binary_little_endian`, `binary_big_endian` or `ascii`; mostly `gzip` or `zstd` of
+            a `.spz` file, `zip` of a `.npz` file, `webp` of SOG.
         file_bytes: Size of the file, or of all files that make up the model, in bytes.
         splats: Number of splats.
         sh_degree: Degree of the spherical harmonics, 0 to 4.

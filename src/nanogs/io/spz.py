@@ -21,7 +21,7 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.spz_body import body_pieces, read_body, window_bytes
-from nanogs.io.spz_header import ANTIALIASED, Header, read_header
+from nanogs.io.spz_header import ANTIALIASED, LAST_GZIP, Header, read_header
 from nanogs.splats import RenderMode, Splats, empty_arrays
 
 COLOUR_SCALE = 0.15
@@ -118,7 +118,7 @@ def inspect(path: Path) -> FileInfo:
     return FileInfo(
         path=path,
         format="spz",
-        encoding="gzip" if header.version < 4 else "zstd",
+        encoding=_encoding(header),
         file_bytes=header.file_bytes,
         splats=header.count,
         sh_degree=header.degree,
@@ -129,6 +129,12 @@ def inspect(path: Path) -> FileInfo:
         render_mode=_mode(header),
         comments=(),
     )
+
+
+def _encoding(header: Header) -> str:
+    if header.version > LAST_GZIP:
+        return "zstd"
+    return "gzip" if header.gzip else "binary_little_endian"
 
 
 def _mode(header: Header) -> RenderMode:

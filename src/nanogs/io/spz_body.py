@@ -14,10 +14,12 @@ from nanogs._types import U8
 from nanogs.io.spz_header import (
     EXTENSIONS,
     HEADER,
+    LAST_GZIP,
     LEGACY_HEADER,
     TOC_ENTRY,
     Header,
     Inflater,
+    Plain,
     damaged,
     opened,
 )
@@ -63,7 +65,7 @@ def body_pieces(header: Header, notes: list[str]) -> Iterator[bytes]:
         FormatError: As for `read_body`.
     """
     with opened(header.path) as file:
-        yield from (_plain if header.version < 4 else _streams)(header, file, notes)
+        yield from (_plain if header.version <= LAST_GZIP else _streams)(header, file, notes)
 
 
 def window_bytes(header: Header) -> int:
@@ -74,7 +76,7 @@ def window_bytes(header: Header) -> int:
     """
     import zstandard
 
-    if header.version < 4:
+    if header.version <= LAST_GZIP:
         return 1 << 15  # of gzip
     largest = 0
     with opened(header.path) as file:
@@ -87,7 +89,7 @@ def window_bytes(header: Header) -> int:
 
 def _plain(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
     """The columns of versions 1 to 3; the extension records come after them."""
-    inflater = Inflater(header.path, file)
+    inflater = (Inflater if header.gzip else Plain)(header.path, file)
     inflater.read(LEGACY_HEADER.size)
     for width in header.columns().values():
         for size in _pieces(header, width):
@@ -100,7 +102,7 @@ def _plain(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
     if len(records) > allowed:
         raise damaged(header, f"more data than {header.count:,} splats have")
     if inflater.trailing():
-        raise damaged(header, "something follows its compressed data")
+        raise damaged(header, "something follows its data")
     notes += _extension_notes(header, records)
 
 

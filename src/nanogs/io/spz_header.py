@@ -4,7 +4,8 @@ Layout, from https://github.com/nianticlabs/spz (MIT; README.md, src/cc/load-spz
 extensions/README.md), little-endian throughout:
 
 - Versions 1 to 3 are one gzip stream: `NGSP`, u32 version, u32 count, u8 SH degree, u8 fraction
-  bits, u8 flags, u8 zero; the columns; extension records if flag 0x2 is set.
+  bits, u8 flags, u8 zero; the columns; extension records if flag 0x2 is set. Some tools leave the
+  gzip away.
 - Version 4 starts with 32 plain bytes: the same up to the flags, u8 number of streams, u32 offset
   of the table of contents, 12 zeros. Extension records lie between header and table; the table
   has the compressed and the plain size (u64 each) of every stream; the streams, one zstd column
@@ -21,7 +22,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
@@ -35,6 +36,7 @@ HEADER = struct.Struct("<4sIIBBBBI12x")
 TOC_ENTRY = struct.Struct("<QQ")
 ANTIALIASED, EXTENSIONS, LOD_TREE = 0x1, 0x2, 0x80
 MAX_FRACTION_BITS = 24
+LAST_GZIP = 3  # the last version that is one stream
 
 _GZIP = b"\x1f\x8b"
 _CHUNK = 1 << 20
@@ -54,6 +56,7 @@ class Header:
         flags: As above.
         streams: Number of zstd streams; 0 before version 4.
         toc: Offset of the table of contents; 0 before version 4.
+        gzip: Whether the file is one gzip stream.
     """
 
     path: Path
@@ -65,6 +68,7 @@ class Header:
     flags: int
     streams: int = 0
     toc: int = 0
+    gzip: bool = field(default=False, kw_only=True)
 
     def columns(self) -> dict[str, int]:
         """Bytes a splat of each column, in the file's order; those of no bytes left out."""
@@ -97,17 +101,24 @@ def read_header(path: Path) -> Header:
         file.seek(0)
         if start[:2] == _GZIP:
             fields = _unpack(path, LEGACY_HEADER, Inflater(path, file).read(LEGACY_HEADER.size))
-            header = Header(path, size, *fields[1:6])
+            header = Header(path, size, *fields[1:6], gzip=True)
         elif start == MAGIC:
-            fields = _unpack(path, HEADER, file.read(HEADER.size))
-            header = Header(path, size, *fields[1:])
+            header = _plain_header(path, size, file.read(HEADER.size))
         else:
             raise FormatError(
                 f"{path} starts neither like gzip nor with NGSP, so it is no .spz file; check"
                 " what it is."
             )
-    _check(header, legacy=start != MAGIC)
+    _check(header)
     return header
+
+
+def _plain_header(path: Path, size: int, data: bytes) -> Header:
+    """The header of version 4, or of an older one without gzip."""
+    fields = _unpack(path, LEGACY_HEADER, data[: LEGACY_HEADER.size])
+    if 1 <= fields[1] <= LAST_GZIP:
+        return Header(path, size, *fields[1:6])
+    return Header(path, size, *_unpack(path, HEADER, data)[1:])
 
 
 @contextmanager
@@ -134,13 +145,13 @@ def _unpack(path: Path, layout: struct.Struct, data: bytes) -> tuple[int, ...]:
     return layout.unpack(data)
 
 
-def _check(header: Header, *, legacy: bool) -> None:
+def _check(header: Header) -> None:
     """Refuse values that no such file has, and counts that the file's size contradicts."""
-    if not (1 <= header.version <= 3 if legacy else header.version == 4):
-        kind = "gzip" if legacy else "plain"
+    if not 1 <= header.version <= (LAST_GZIP if header.gzip else 4):
+        kind = "gzip" if header.gzip else "plain"
         raise FormatError(
             f"{header.path}: version {header.version} in a {kind} header, but nanogs reads .spz"
-            " of versions 1 to 3 in gzip and of version 4; export it as one of these."
+            " of versions 1 to 3, and of version 4 without gzip; export it as one of these."
         )
     if header.degree > MAX_SH_DEGREE or header.fraction_bits > MAX_FRACTION_BITS:
         raise damaged(
@@ -162,6 +173,21 @@ def _check(header: Header, *, legacy: bool) -> None:
 def damaged(header: Header, what: str) -> FormatError:
     """The error for a file whose contents contradict its header."""
     return FormatError(f"{header.path} is damaged: {what}; export or download it again.")
+
+
+class Plain:
+    """The bytes of a file that nothing packs, as `Inflater` gives those of a packed one."""
+
+    def __init__(self, _path: Path, file: BinaryIO) -> None:
+        self.file = file
+
+    def read(self, size: int) -> bytes:
+        """The next bytes; fewer than asked for only at the end."""
+        return self.file.read(size)
+
+    def trailing(self) -> bool:
+        """Whether anything follows what has been read."""
+        return bool(self.file.read(1))
 
 
 class Inflater:

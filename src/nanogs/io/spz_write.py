@@ -1,4 +1,4 @@
-"""Writing `.spz` (Niantic), version 3 or 4; `spz_header` and `spz` have the layout.
+"""Writing `.spz` (Niantic), version 2 to 4; `spz_header` and `spz` have the layout.
 
 Coefficients of degree 1 keep 5 bits and higher ones 4, as the reference writer has it: the fewer
 values a byte takes, the better it compresses. Unlike there, the fraction bits follow the scene,
@@ -44,7 +44,8 @@ def write(splats: Splats, file: BinaryIO, *, version: int = 3) -> None:
     Args:
         splats: The model.
         file: Open for binary writing.
-        version: 3 (gzip), or 4 (zstd), which fewer readers know.
+        version: 3 (gzip); 4 (zstd), which fewer readers know; or 2 (gzip), which more know, with
+            rotations of less precision.
 
     Raises:
         OutputError: A value is NaN or infinite, or a centre is too far out; nothing has been
@@ -55,21 +56,21 @@ def write(splats: Splats, file: BinaryIO, *, version: int = 3) -> None:
     bits = fraction_bits(splats)
     flags = ANTIALIASED if splats.render_mode is RenderMode.MIP else 0
     start = (MAGIC, version, len(splats), splats.sh_degree, bits, flags)
-    if version == 3:
+    if version in (2, 3):
         with gzip.GzipFile("", "wb", _GZIP_LEVEL, file, mtime=0) as stream:
             stream.write(LEGACY_HEADER.pack(*start, 0))
-            for encode in _encoders(splats, bits):
+            for encode in _encoders(splats, bits, version):
                 for block in _blocks(encode, len(splats)):
                     stream.write(block)
     elif version == 4:
         widths = list(column_widths(version, splats.sh_degree).values())
-        columns = [_compressed(encode, len(splats)) for encode in _encoders(splats, bits)]
+        columns = [_compressed(encode, len(splats)) for encode in _encoders(splats, bits, version)]
         file.write(HEADER.pack(*start, len(columns), HEADER.size))
         sizes = zip(columns, widths, strict=True)
         file.writelines(TOC_ENTRY.pack(len(column), w * len(splats)) for column, w in sizes)
         file.writelines(columns)
     else:
-        raise OutputError(f".spz version {version} is not written; choose 3 or 4.")
+        raise OutputError(f".spz version {version} is not written; choose 2, 3 or 4.")
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
@@ -124,7 +125,7 @@ def _bits(splats: Splats) -> int:
     return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
 
 
-def _encoders(splats: Splats, bits: int) -> Iterator[Encoder]:
+def _encoders(splats: Splats, bits: int, version: int) -> Iterator[Encoder]:
     """For each column of the file, what encodes a range of rows."""
     yield lambda rows: _positions(splats.means[rows], bits)
     opacities = splats.opacities()
@@ -132,7 +133,7 @@ def _encoders(splats: Splats, bits: int) -> Iterator[Encoder]:
     yield lambda rows: _bytes((splats.sh[rows, 0] * np.float64(COLOUR_SCALE) + 0.5) * 255)
     yield lambda rows: _bytes((splats.log_scales[rows] - np.float64(SCALE_LOW)) * SCALE_STEPS)
     quats = splats.unit_quats()
-    yield lambda rows: _rotations(quats[rows])
+    yield lambda rows: (_xyz_rotations if version == 2 else _rotations)(quats[rows])
     if splats.sh_degree:
         buckets = _buckets(splats.sh_degree)[:, None]
         yield lambda rows: _coefficients(splats.sh[rows, 1:], buckets)
@@ -161,6 +162,12 @@ def _positions(means: F32 | F64, bits: int) -> U8:
     fixed = np.rint(np.ldexp(means.astype(np.float64), bits)).astype("<i4")
     wide: U8 = fixed[:, :, None].view(np.uint8)
     return wide[:, :, :3]
+
+
+def _xyz_rotations(quats: F32) -> U8:
+    """(R, 3) from unit wxyz: x, y and z of the two that turn alike with w positive."""
+    xyz = np.where(quats[:, :1] < 0, -quats[:, 1:], quats[:, 1:]).astype(np.float64)
+    return _bytes((xyz + 1) * 127.5)
 
 
 def _rotations(quats: F32) -> U8:
