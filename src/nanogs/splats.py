@@ -133,12 +133,13 @@ class Splats:
     def finite(self) -> Bool:
         """(N,) bool: rows without NaN, and infinite in nothing but the logit of the opacity.
 
-        A log-scale of -inf is a scale of zero and counts as finite; one whose scale overflows
-        float32 does not.
+        A log-scale of -inf is a scale of zero and counts as finite; a scale or a centre beyond
+        what float32 can hold does not.
         """
         ok = ~np.isnan(self.opacity_logits)
+        most = np.finfo(np.float32).max
         for column in (self.means, self.scales(), self.quats, self.sh):
-            flags = np.isfinite(column)
+            flags = np.isfinite(column) if column.dtype == np.float32 else np.abs(column) <= most
             if not flags.all():  # a reduction by rows takes ten times as long, and is rarely needed
                 ok &= flags.reshape(len(self), -1).all(axis=1)
         return ok

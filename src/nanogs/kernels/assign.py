@@ -5,18 +5,26 @@ import math
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.symmetric3 import Symmetric3
+from nanogs.kernels.symmetric3 import Symmetric3, resolved
+
+_LEAST = 1e-6  # variance over the sum of all three, as of the flattest splats
 
 
 @inline
 def _inverse(s: Symmetric3) -> tuple[Symmetric3, float]:
-    """Inverse and determinant of a positive definite matrix, by cofactors."""
+    """Inverse and log determinant of a covariance, by cofactors.
+
+    Where rounding has taken its short axes, they become a small share of the long ones.
+    """
     xx, xy, xz, yy, yz, zz = s
+    if not resolved(s):
+        least = _LEAST * (xx + yy + zz)
+        xx, yy, zz = xx + least, yy + least, zz + least
     a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     determinant = xx * a + xy * b + xz * c
     d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
     r = 1.0 / determinant
-    return (a * r, b * r, c * r, d * r, e * r, f * r), determinant
+    return (a * r, b * r, c * r, d * r, e * r, f * r), math.log(determinant)
 
 
 @parallel_kernel("covariances")
@@ -25,10 +33,9 @@ def invert_covariances(
 ) -> None:
     """Inverse and log determinant. covariances, inverses: (G, 6); log_dets: (G,)."""
     for g in range(start, stop):
-        inverse, determinant = _inverse(symmetric(covariances, g))
+        inverse, log_dets[g] = _inverse(symmetric(covariances, g))
         for entry in range(6):
             inverses[g, entry] = inverse[entry]
-        log_dets[g] = math.log(determinant)
 
 
 @parallel_kernel("labels")

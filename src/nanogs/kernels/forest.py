@@ -4,30 +4,22 @@ Sources: Runnalls, "Kullback-Leibler approach to Gaussian mixture reduction", 20
 geometry; Ward, "Hierarchical grouping to optimize an objective function", 1963 [W] for the colour.
 """
 
-import math
-
 import numpy as np
 
 from nanogs._types import F32, F64, I32, Bool
 from nanogs.kernels.mixed import feature
 from nanogs.kernels.nodes import symmetric
-from nanogs.kernels.policy import inline, kernel, parallel_kernel
-from nanogs.kernels.symmetric3 import Symmetric3, mix
+from nanogs.kernels.policy import kernel, parallel_kernel
+from nanogs.kernels.symmetric3 import log_determinant, mix
 
-
-@inline
-def _determinant(s: Symmetric3) -> float:
-    xx, xy, xz, yy, yz, zz = s
-    return (
-        xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    )  # fmt: skip
+LARGEST = float(np.finfo(np.float32).max)
 
 
 @parallel_kernel("covariances")
 def log_determinants(start: int, stop: int, covariances: F64, out: F64) -> None:
     """Log |Sigma| of every covariance. covariances: (N, 6); out: (N,)."""
     for i in range(start, stop):
-        out[i] = math.log(_determinant(symmetric(covariances, i)))
+        out[i] = log_determinant(symmetric(covariances, i))
 
 
 @parallel_kernel("pairs")
@@ -40,7 +32,7 @@ def merge_increments(
 
     Colour: w_i w_j / (w_i + w_j) |f_i - f_j|² [W]. Geometry: (w_i + w_j) ½ (log |Sigma_m|
     - pi log |Sigma_i| - (1 - pi) log |Sigma_j|), pi = w_i / (w_i + w_j): the upper bound on the
-    divergence of [R], eq. 21. Both add up over a subtree.
+    divergence of [R], eq. 21. Both add up over a subtree. Neither is NaN or infinite.
     pairs: (E, 2); weights: (N,) above 0; means: (N, 3); covariances: (N, 6); log_dets: (N,);
     features, rows, seconds and shares: see `mixed.py`; out: (E, 2), colour and geometry.
     """
@@ -61,8 +53,9 @@ def merge_increments(
                 features, rows, seconds, shares, j, c
             )
             distance += difference * difference
-        out[edge, 0] = total * pi * pj * distance
-        growth = math.log(_determinant(merged)) - pi * log_dets[i] - pj * log_dets[j]
+        # Colours may differ by more than the square root of the largest float32.
+        out[edge, 0] = min(total * pi * pj * min(np.float64(distance), LARGEST), LARGEST)
+        growth = log_determinant(merged) - pi * log_dets[i] - pj * log_dets[j]
         out[edge, 1] = total * 0.5 * growth
 
 

@@ -1,12 +1,10 @@
 """Mass-preserving moment matching of pairs (arXiv 2603.16103)."""
 
-import math
-
 from nanogs._types import F32, F64, I32, I64
 from nanogs.kernels.mass import mass_fraction
 from nanogs.kernels.policy import parallel_kernel
 from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
-from nanogs.kernels.symmetric3 import covariance, eigen, mix
+from nanogs.kernels.symmetric3 import covariance, deviation, eigen, mix
 
 
 @parallel_kernel("pairs")
@@ -40,9 +38,9 @@ def merge_pairs(
         )  # fmt: skip
         variances, axes = eigen(merged)
         q = unit_quaternion(axes)
+        longest = max(variances[0], variances[1], variances[2])
         for axis in range(3):
-            # Rounding can leave a flat splat's variance a hair below zero.
-            new_scales[row, axis] = math.sqrt(max(variances[axis], 0.0))
+            new_scales[row, axis] = deviation(variances[axis], longest)
             # From i by a fraction of the difference: the mean stays between the two.
             new_means[row, axis] = means[i, axis] - wj * (means[i, axis] - means[j, axis])
         for part in range(4):

@@ -3,15 +3,13 @@
 A covariance is a row of six float64 in the order xx, xy, xz, yy, yz, zz.
 """
 
-import math
-
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64
 from nanogs.kernels.mixed import feature
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
-from nanogs.kernels.symmetric3 import Symmetric3, covariance, eigen
+from nanogs.kernels.symmetric3 import Symmetric3, covariance, deviation, eigen
 
 
 @inline
@@ -133,8 +131,8 @@ def principal_axes(start: int, stop: int, covariances: F64, scales: F32, quats: 
     for i in range(start, stop):
         variances, axes = eigen(symmetric(covariances, i))
         q = unit_quaternion(axes)
+        longest = max(variances[0], variances[1], variances[2])
         for axis in range(3):
-            # Rounding can leave a flat covariance's variance a hair below zero.
-            scales[i, axis] = math.sqrt(max(variances[axis], 0.0))
+            scales[i, axis] = deviation(variances[axis], longest)
         for part in range(4):
             quats[i, part] = q[part]

@@ -7,9 +7,14 @@ from nanogs.kernels.quaternion import Matrix3, Row3
 
 Symmetric3 = tuple[float, float, float, float, float, float]
 
+MOST_DEVIATION = 3.4e38  # the exponential of its logarithm is still a float32
+
 # Cyclic Jacobi on 3x3 converges quadratically: five or six sweeps; the bound is never the way out.
 _MAX_SWEEPS = 20
 _OFF_DIAGONAL = 1e-32  # squared, relative to the largest entry: below float64's resolution
+# What rounding may leave of a product of entries that cancel.
+_ROUNDING = 1e-16
+_UNRESOLVED = 1e-14
 
 
 @inline
@@ -54,6 +59,50 @@ def log_det(s: Symmetric3, floor: float) -> float:
     u = s[4] - l1 * s[2]
     d2 = max(s[5] - l2 * s[2] - u * u / d1, floor)
     return math.log(d0) + math.log(d1) + math.log(d2)
+
+
+@inline
+def determinant(s: Symmetric3) -> float:
+    """The determinant, by cofactors."""
+    xx, xy, xz, yy, yz, zz = s
+    return (
+        xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    )  # fmt: skip
+
+
+@inline
+def resolved(s: Symmetric3) -> bool:
+    """Whether the determinant of a covariance is more than what rounding leaves of its products.
+
+    It is less where splats far apart were merged: the long axis hides the short ones.
+    """
+    return determinant(s) > _UNRESOLVED * s[0] * s[3] * s[5]
+
+
+@inline
+def log_determinant(s: Symmetric3) -> float:
+    """Logarithm of the determinant of a covariance whose diagonal is above 0; always finite.
+
+    Where the determinant is lost to rounding, so are the pivots of an LDL^T factorisation; each is
+    taken for what rounding leaves of its diagonal entry.
+    """
+    if resolved(s):
+        return math.log(determinant(s))
+    slope = s[1] / s[0]
+    d1 = max(s[3] - slope * s[1], _ROUNDING * s[3])
+    u = s[4] - slope * s[2]
+    d2 = max(s[5] - s[2] / s[0] * s[2] - u / d1 * u, _ROUNDING * s[5])
+    return math.log(s[0]) + math.log(d1) + math.log(d2)
+
+
+@inline
+def deviation(variance: float, largest: float) -> float:
+    """The square root of an eigenvalue as float32 can hold it and its logarithm.
+
+    Rounding can leave the small eigenvalues of a long covariance at zero or below: no axis is
+    shorter than rounding's share of the longest.
+    """
+    return min(math.sqrt(max(variance, _ROUNDING * largest)), MOST_DEVIATION)
 
 
 @inline

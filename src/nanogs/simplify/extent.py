@@ -26,10 +26,11 @@ def core_radius(means: F64, alphas: F64) -> float:
     step = len(means) // _SAMPLE + 1
     means, alphas = means[::step], alphas[::step]
     weights = alphas if alphas.sum() > 0 else np.ones(len(means))
-    centre = np.average(means, axis=0, weights=weights)
+    centre = np.median(means, axis=0)
     for _ in range(_ROUNDS):
         distances = np.linalg.norm(means - centre, axis=1)
-        scale = float(np.average(distances, weights=weights))
+        # Of most of the splats, whatever a few that strayed far away add to the average.
+        scale = float(np.median(distances)) or float(np.average(distances, weights=weights))
         if scale == 0:
             return 0.0
         pull = weights / np.maximum(distances, 1e-6 * scale)

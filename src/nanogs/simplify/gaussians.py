@@ -11,6 +11,12 @@ from nanogs.simplify.blocks import blocks
 from nanogs.simplify.order import morton_order
 from nanogs.splats import Splats, alphas, pick
 
+_SAMPLE = 40_000  # centres that tell where most are
+# What finite values can stand for, so that finite splats are stored as such.
+LEAST_SCALE = float(np.finfo(np.float32).tiny)
+LEAST_ALPHA = float(np.finfo(np.float32).tiny)
+MOST_ALPHA = 1 - float(np.finfo(np.float64).epsneg)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussians:
@@ -81,13 +87,15 @@ class Gaussians:
 
 
 def scene_origin(means: F) -> F64:
-    """(3,) float64: the middle of the centres' bounding box, scene units.
+    """(3,) float64: the median of the centres along each axis, scene units.
 
-    Differences of centres far from zero keep their digits when this is taken off first.
+    Differences of centres far from zero keep their digits when this is taken off first. A few
+    splats that strayed far away do not move it.
+
+    Args:
+        means: (N, 3) finite, scene units; evenly spread rows of a large model.
     """
-    low = means.min(axis=0).astype(np.float64)
-    high = means.max(axis=0).astype(np.float64)
-    origin: F64 = low + (high - low) / 2
+    origin: F64 = np.median(means[:: len(means) // _SAMPLE + 1], axis=0).astype(np.float64)
     return origin
 
 
@@ -133,7 +141,7 @@ def store(gaussians: Gaussians, splats: Splats, origin: F64) -> Splats:
         stored.means[at] = fresh.means + origin
         stored.quats[at] = fresh.quats
         stored.sh[at] = fresh.colours().reshape(len(fresh), *stored.sh.shape[1:])
-        with np.errstate(divide="ignore"):  # a scale of 0 is stored as -inf, alpha 0, 1 as ±inf
-            stored.log_scales[at] = np.log(fresh.scales)
-            stored.opacity_logits[at] = np.log(fresh.opacities) - np.log1p(-fresh.opacities)
+        stored.log_scales[at] = np.log(np.maximum(fresh.scales, np.float32(LEAST_SCALE)))
+        opacities = np.clip(fresh.opacities, LEAST_ALPHA, MOST_ALPHA)
+        stored.opacity_logits[at] = np.log(opacities) - np.log1p(-opacities)
     return stored

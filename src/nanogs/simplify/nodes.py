@@ -20,6 +20,7 @@ from nanogs.simplify.activation import activated
 from nanogs.simplify.blocks import blocks
 from nanogs.splats import Splats, alphas, pick
 
+UNRESOLVED = 1e-15  # of the squared trace: what rounding may leave of minors
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
 
 
@@ -66,9 +67,11 @@ def footprints(covariances: F64, pixel: float) -> F64:
         pixel: Standard deviation of the rasteriser's dilation, scene units.
     """
     xx, xy, xz, yy, yz, zz = covariances.T
-    v = pixel * pixel
-    xx, yy, zz = xx + v, yy + v, zz + v
+    v, trace = pixel * pixel, xx + yy + zz
     minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
+    # Of a covariance far longer than wide, rounding leaves anything, zero and below among it.
+    minors = np.maximum(minors, UNRESOLVED * trace * trace)
+    minors += v * (2 * trace + 3 * v)
     areas: F64 = 2 * np.pi * np.sqrt(minors / 3)
     return areas
 

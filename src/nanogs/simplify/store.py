@@ -7,6 +7,7 @@ import numpy as np
 from nanogs._types import F64, I32
 from nanogs.kernels.nodes import principal_axes
 from nanogs.simplify.blocks import blocks
+from nanogs.simplify.gaussians import LEAST_ALPHA, LEAST_SCALE
 from nanogs.simplify.nodes import Nodes, footprints, gather, grown, stored_order
 from nanogs.splats import Splats
 
@@ -47,13 +48,12 @@ def store_groups(
     covariances = grown(merged, leaves, labels, pixel, growth)[new]
     principal_axes(covariances, scales, quats)
     alphas = merged.coverages[new] / footprints(covariances, pixel)
-    alphas = np.minimum(alphas, MOST_OPAQUE)
+    alphas = np.clip(alphas, LEAST_ALPHA, MOST_OPAQUE)
     stored = replace(splats, sh=splats.sh[:, :1]).take(sources)
     stored.means[new] = merged.means[new] + origin
     stored.quats[new] = quats
-    with np.errstate(divide="ignore"):  # alpha 0 is stored as -inf
-        stored.log_scales[new] = np.log(scales)
-        stored.opacity_logits[new] = np.log(alphas) - np.log1p(-alphas)
+    stored.log_scales[new] = np.log(np.maximum(scales, np.float32(LEAST_SCALE)))
+    stored.opacity_logits[new] = np.log(alphas) - np.log1p(-alphas)
     sh = merged.features.reshape(groups, *splats.sh.shape[1:])
     alone = np.flatnonzero(~new)
     for block in blocks(len(alone)):

@@ -117,8 +117,9 @@ def _costs(pairs: I32, nodes: Nodes, dets: F64, lambda_app: float) -> F32:
     costs = np.empty(len(pairs), dtype=np.float32)
     for block in blocks(len(pairs), BLOCK_PAIRS):
         increments = _increments(np.ascontiguousarray(pairs[block]), nodes, dets)
-        increments[:, 0] *= np.float32(lambda_app)
-        np.add(increments[:, 0], increments[:, 1], out=costs[block])
+        with np.errstate(over="ignore"):  # a pair that costs too much to be said comes last
+            increments[:, 0] *= np.float32(lambda_app)
+            np.add(increments[:, 0], increments[:, 1], out=costs[block])
     return costs
 
 

@@ -1,0 +1,107 @@
+"""Values at the ends of what float32 holds: finite in, finite out, and the exact count."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import nanogs
+from builders import random_splats
+from nanogs.simplify.extent import core_radius
+from nanogs.simplify.gaussians import scene_origin
+from nanogs.simplify.presets import PRESETS
+
+LARGEST = float(np.finfo(np.float32).max)
+HUGE = [0.0, 1e-38, 1e-30, 1e-10, 1.0, 1e8, 1e15, 1e30, LARGEST]
+COLUMNS = {  # values that are finite as stored and as what they stand for
+    "means": HUGE,
+    "log_scales": [-LARGEST, -1000.0, -100.0, -87.0, -10.0, 0.0, 10.0, 40.0, 88.7],
+    "quats": HUGE,
+    "opacity_logits": [-LARGEST, -1e3, -90.0, 0.0, 15.0, 40.0, 1e3, LARGEST],
+    "sh": HUGE,
+}
+every_preset = pytest.mark.parametrize("preset", sorted(PRESETS))
+
+pytestmark = pytest.mark.usefixtures("small_views")
+
+
+def assert_finite(splats):
+    for name in COLUMNS:
+        assert np.isfinite(getattr(splats, name)).all(), name
+    assert splats.finite().all()
+
+
+@st.composite
+def extreme_splats(draw, most=24):
+    """A model of ordinary splats, some of whose numbers are as large or small as they can be."""
+    count = draw(st.integers(2, most))
+    splats = random_splats(count, degree=draw(st.integers(0, 1)), seed=draw(st.integers(0, 99)))
+    for name in draw(st.lists(st.sampled_from(sorted(COLUMNS)), min_size=1, unique=True)):
+        column = getattr(splats, name).reshape(-1)
+        for _ in range(draw(st.integers(1, 4))):
+            value = draw(st.sampled_from(COLUMNS[name])) * draw(st.sampled_from([1, 1, -1]))
+            if name != "log_scales" or value < 88.7:
+                column[draw(st.integers(0, len(column) - 1))] = value
+    return splats
+
+
+@every_preset
+@given(data=st.data())
+@settings(max_examples=25)
+def test_finite_splats_give_finite_splats_of_the_exact_count(preset, data):
+    splats = data.draw(extreme_splats())
+    count = data.draw(st.integers(1, len(splats)))
+    small, report = nanogs.simplify(splats, count=count, preset=preset)
+    assert report.dropped_nonfinite == 0
+    assert len(small) == count
+    assert_finite(small)
+
+
+@every_preset
+@pytest.mark.parametrize("count", [2, 3, 4, 40])
+@pytest.mark.parametrize("value", [1e30, -LARGEST])
+def test_one_huge_coefficient(preset, count, value):
+    """Its squared difference overflows float32, and a score that is NaN once cut too little."""
+    splats = random_splats(count)
+    splats.sh[0, 0, 0] = value
+    small, _ = nanogs.simplify(splats, count=1, preset=preset)
+    assert len(small) == 1
+    assert_finite(small)
+
+
+@pytest.mark.parametrize("distance", [1e8, 1e15, 1e30])
+def test_the_core_and_the_origin_stay_where_most_splats_are(distance):
+    splats = random_splats(2000)
+    means = splats.means.astype(np.float64)
+    alone = core_radius(means, splats.opacities())
+    means[:5, 0] = distance
+    means[5:9] = -distance
+    assert core_radius(means, splats.opacities()) == pytest.approx(alone, rel=0.02)
+    assert np.abs(scene_origin(means)).max() < 0.2
+
+
+@every_preset
+@pytest.mark.parametrize("distance", [1e8, 1e15])
+def test_strays_far_away_do_not_change_the_rest(preset, distance):
+    """What is not near them is merged as it would be without them."""
+    splats = random_splats(1500, seed=3)
+    strays = replace(random_splats(4, seed=4), render_mode=splats.render_mode)
+    strays.means[:] += np.float32([distance, 0, 0]) * np.float32([[1], [-1], [0.5], [1]])
+    joined = nanogs.splats.concatenate([splats, strays])
+    small, _ = nanogs.simplify(joined, ratio=0.2, preset=preset)
+    assert_finite(small)
+    near = np.abs(small.means).max(axis=1) < 2
+    assert np.count_nonzero(~near) <= 8
+    alone, _ = nanogs.simplify(splats, count=int(np.count_nonzero(near)), preset=preset)
+    covered = [np.sum(m.opacities() * np.exp(2 * m.log_scales.mean(axis=1))) for m in
+               (small.take(near), alone)]  # fmt: skip
+    assert covered[0] == pytest.approx(covered[1], rel=0.1)
+
+
+def test_a_centre_beyond_single_precision_is_not_finite():
+    splats = random_splats(5)
+    far = replace(splats, means=splats.means.astype(np.float64))
+    far.means[2, 1] = 1e39
+    assert far.finite().tolist() == [True, True, False, True, True]
