@@ -5,7 +5,7 @@ they are what `Splats` holds, so that reading and writing change no bit. *Activa
 alpha, unit quaternion) come from the methods, named after what they return.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -13,10 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from nanogs._arrays import as_array, as_floats, as_rows
 from nanogs._types import F32, F64, I32, I64, Array, Bool, F
 from nanogs.errors import ModelError, OptionError
 
 MAX_SH_DEGREE = 4
+
+
+_COLUMNS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
 class RenderMode(StrEnum):
@@ -39,10 +43,23 @@ class ExtraElement:
     name: str
     rows: Array
 
+    def is_per_splat(self, count: int) -> bool:
+        """Whether it has one row for each of so many splats; of a single splat nobody can tell."""
+        return len(self.rows) == count > 1
 
-@dataclass(frozen=True, slots=True, eq=False)
+    def of_rows(self, rows: I64 | Bool | slice, count: int) -> "ExtraElement":
+        """What is left of it with some of `count` splats."""
+        kept = pick(self.rows, rows) if self.is_per_splat(count) else self.rows
+        return ExtraElement(self.name, kept)
+
+
+@dataclass(frozen=True, slots=True, weakref_slot=True, eq=False, repr=False)
 class Splats:
     """N splats, one array for each stored quantity.
+
+    Whatever NumPy makes an array of is taken: lists, tensors, other number types, of which `means`
+    alone keeps doubles. `splats[rows]` are some of the splats, for a number, a slice, a mask or an
+    array of row numbers. Notebooks show a small picture.
 
     Attributes:
         means: (N, 3) float32, or float64 where the file holds doubles; scene units.
@@ -58,7 +75,7 @@ class Splats:
         notes: What a reader had to change or could not carry, one sentence each, for the user.
 
     Raises:
-        ModelError: The arrays' shapes disagree, or a dtype is not the one stated.
+        ModelError: The arrays' shapes disagree, or something is no array of real numbers.
     """
 
     means: F
@@ -73,36 +90,110 @@ class Splats:
     notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Freeze the containers and check shapes and dtypes, which every stage relies on."""
-        object.__setattr__(self, "extras", MappingProxyType(dict(self.extras)))
-        for name in ("comments", "elements", "notes"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        """Make arrays of what is given, freeze the containers, and check the shapes."""
+        for name in _COLUMNS:
+            array = as_floats(name, getattr(self, name), double=name == "means")
+            if name == "opacity_logits" and array.shape[1:] == (1,):
+                array = array[:, 0]  # as trainers hold them
+            object.__setattr__(self, name, array)
+        self._freeze()
         self._check()
 
+    def _freeze(self) -> None:
+        extras = {name: as_array(f"extra column {name!r}", a) for name, a in self.extras.items()}
+        object.__setattr__(self, "extras", MappingProxyType(extras))
+        for name in ("comments", "elements", "notes"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+
     def _check(self) -> None:
-        n = len(self.means)
-        if self.means.shape != (n, 3) or self.means.dtype not in (np.float32, np.float64):
-            given = f"{self.means.shape} {self.means.dtype}"
-            raise ModelError(f"means must be (N, 3) float32 or float64, not {given}.")
-        sh_count = (self.sh_degree + 1) ** 2
+        n = len(self.means) if self.means.ndim else 0
+        if self.means.shape != (n, 3):
+            raise ModelError(f"means must be (N, 3), not {self.means.shape}.")
         shapes = {
             "log_scales": (n, 3),
             "quats": (n, 4),
             "opacity_logits": (n,),
-            "sh": (n, sh_count, 3),
+            "sh": (n, (self.sh_degree + 1) ** 2, 3),
         }
         for name, shape in shapes.items():
-            array: F32 = getattr(self, name)
-            if array.shape != shape or array.dtype != np.float32:
-                raise ModelError(
-                    f"{name} must be {shape} float32, not {array.shape} {array.dtype}."
-                )
+            given = getattr(self, name).shape
+            if given != shape:
+                raise ModelError(f"{name} must be {shape} like means, not {given}.")
         for name, column in self.extras.items():
             if column.shape != (n,):
                 raise ModelError(f"extra column {name!r} must be ({n},), not {column.shape}.")
 
+    def __getstate__(self) -> dict[str, Any]:
+        state = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return state | {"extras": dict(self.extras)}  # what freezes them cannot be pickled
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        self._freeze()
+
+    def __repr__(self) -> str:
+        from nanogs.summary import one_line
+
+        return f"Splats({one_line(self)})"
+
+    def _repr_html_(self) -> str:
+        from nanogs.summary import html
+
+        return html(self)
+
+    def _repr_png_(self) -> bytes | None:
+        from nanogs.summary import picture
+
+        found = picture(self)
+        return found if isinstance(found, bytes) else None
+
+    @classmethod
+    def from_gsplat(
+        cls, tensors: Mapping[str, object], *, render_mode: RenderMode = RenderMode.DEFAULT
+    ) -> "Splats":
+        """A model from a dictionary as gsplat trains it, of arrays or of tensors on any device.
+
+        Args:
+            tensors: `means` (N, 3), `scales` (N, 3) logarithms, `quats` (N, 4) wxyz, `opacities`
+                (N,) logits, `sh0` (N, 1, 3) and `shN` (N, K, 3); or in place of the last two
+                `colors`: (N, 1 + K, 3) for both, or (N, 3) for RGB from 0 to 1. Other names are
+                left out, with a note.
+            render_mode: `RenderMode.MIP` where it was trained antialiased, `RenderMode.SURFEL`
+                where with 2DGS.
+
+        Raises:
+            ModelError: A name is missing, a shape is wrong, or the colours come from a network.
+        """
+        from nanogs.gsplat_arrays import from_gsplat
+
+        return from_gsplat(tensors, render_mode)
+
+    def to_gsplat(self) -> dict[str, F32]:
+        """Copies of the columns by gsplat's names, for `torch.from_numpy`.
+
+        Returns:
+            `means` (N, 3), `scales` (N, 3) logarithms, `quats` (N, 4) wxyz of any length,
+            `opacities` (N,) logits, `sh0` (N, 1, 3) and `shN` (N, K, 3); all float32, to which
+            centres that are doubles are rounded.
+        """
+        from nanogs.gsplat_arrays import to_gsplat
+
+        return to_gsplat(self)
+
     def __len__(self) -> int:
         return len(self.means)
+
+    def __getitem__(self, rows: Any) -> "Splats":  # noqa: ANN401 - many ways to name rows
+        chosen = as_rows(rows, len(self))
+        elements = [each.of_rows(chosen, len(self)) for each in self.elements]
+        return replace(self.take(chosen), elements=elements)
+
+    def __iter__(self) -> "Iterator[Splats]":
+        return (self[row] for row in range(len(self)))
+
+    def __array__(self, *_arguments: object, **_options: object) -> Array:
+        raise TypeError("A model is no single array; take one of its own, such as splats.means.")
 
     @property
     def sh_degree(self) -> int:
@@ -146,17 +237,9 @@ class Splats:
 
     def take(self, rows: I64 | I32 | Bool | slice) -> "Splats":
         """The given rows (indices, a mask or a slice), every column and tag with them."""
-        columns = (self.means, self.log_scales, self.quats, self.opacity_logits, self.sh)
-        means, log_scales, quats, opacity_logits, sh = (pick(column, rows) for column in columns)
-        return replace(
-            self,
-            means=means,
-            log_scales=log_scales,
-            quats=quats,
-            opacity_logits=opacity_logits,
-            sh=sh,
-            extras={name: pick(column, rows) for name, column in self.extras.items()},
-        )
+        columns: dict[str, Any] = {name: pick(getattr(self, name), rows) for name in _COLUMNS}
+        extras = {name: pick(column, rows) for name, column in self.extras.items()}
+        return replace(self, **columns, extras=extras)
 
     def span(self, start: int, stop: int) -> "Splats":
         """The rows from `start` up to but not `stop`, as views of these."""

@@ -100,9 +100,18 @@ def model_of(path: Path, arrays: dict[str, Any], names: Iterable[str]) -> Splats
     unknown = [printable(name) for name in names if not ours(name)]
     notes = [f"Arrays nanogs does not know were left out: {', '.join(unknown)}."] if unknown else []
     try:
+        _check_types(arrays)
         return Splats(**arrays, extras=extras, render_mode=_mode(path, mode), notes=notes)
     except ModelError as error:
         raise FormatError(f"{path}: {error} Save the arrays that way.") from None
+
+
+def _check_types(arrays: dict[str, Any]) -> None:
+    """`Splats` would convert them, but a file is read in blocks by the types that it states."""
+    for name, array in arrays.items():
+        double = name == "means" and array.dtype == np.float64
+        if array.dtype != np.float32 and not double:
+            raise ModelError(f"{name} must be an array of float32, not of {array.dtype}.")
 
 
 def inspect(path: Path) -> FileInfo:

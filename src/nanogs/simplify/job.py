@@ -174,7 +174,7 @@ def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
 def refuse_misaligned_elements(splats: Splats, target: int) -> None:
     """An element with one row a splat would no longer fit the splats; others are untouched."""
     for element in splats.elements:
-        if len(element.rows) == len(splats) > 1 and target < len(splats):
+        if element.is_per_splat(len(splats)) and target < len(splats):
             raise ModelError(
                 f"The element {element.name!r} has one row for each splat and would not fit the "
                 "smaller model; remove it from the file first."

@@ -1,0 +1,106 @@
+"""Arrays from what people have: lists, other number types, tensors of other libraries."""
+
+import os
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import I64, Array, Bool, F
+from nanogs.errors import ModelError
+
+
+def as_array(name: str, value: object) -> Array:
+    """An array of anything that NumPy takes; tensors are detached and copied off their device.
+
+    Args:
+        name: What the value is called, for the message.
+        value: An array, nested lists, or a tensor of PyTorch, JAX and the like.
+
+    Raises:
+        ModelError: It is a path, or NumPy makes no array of it.
+    """
+    if isinstance(value, np.ndarray):
+        return value
+    if isinstance(value, str | os.PathLike):
+        path = os.fspath(value)
+        raise ModelError(f"{name} is the path {path!r}, not an array; nanogs.load reads files.")
+    try:
+        for step in ("detach", "cpu"):  # of PyTorch, which is not needed for this
+            if callable(method := getattr(value, step, None)):
+                value = method()
+        return np.asarray(value)
+    except (TypeError, ValueError, RuntimeError) as error:
+        reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
+        raise ModelError(f"{name} cannot be made an array ({reason}).") from None
+
+
+def as_floats(name: str, value: object, *, double: bool = False) -> F:
+    """The same values as float32; the array itself where it is one of those already.
+
+    Args:
+        name: What the value is called, for the message.
+        value: See `as_array`.
+        double: Let arrays that hold doubles keep them.
+
+    Raises:
+        ModelError: It is no array of real numbers, or one is too large for float32.
+    """
+    array = as_array(name, value)
+    if array.dtype == np.float32 or (double and array.dtype == np.float64 and _typed(value)):
+        return array
+    if array.dtype.kind not in "fiu":
+        raise ModelError(f"{name} must hold real numbers, not {array.dtype}.")
+    with np.errstate(over="raise"):
+        try:
+            return array.astype(np.float32)
+        except FloatingPointError:
+            raise ModelError(f"{name} holds numbers that are too large for float32.") from None
+
+
+def _typed(value: object) -> bool:
+    """Whether somebody chose the type of the numbers: those of lists are always doubles."""
+    return hasattr(value, "dtype")
+
+
+def as_rows(rows: Any, count: int) -> I64 | Bool | slice:  # noqa: ANN401 - it is found out here
+    """Rows of an array in one of the ways that NumPy knows, but always as many as are named.
+
+    Args:
+        rows: A number, a slice, a mask of `count` flags, or row numbers; negative ones count from
+            the end.
+        count: Rows that there are.
+
+    Raises:
+        IndexError: It is none of these, the mask has another length, or there is no such row.
+    """
+    if isinstance(rows, slice):
+        return rows
+    if not isinstance(rows, bool | tuple) and hasattr(rows, "__index__") and np.ndim(rows) == 0:
+        row = int(rows)
+        if not -count <= row < count:
+            raise IndexError(f"There is no splat {row} among {count:,}.")
+        return slice(row % count, row % count + 1)
+    array = np.empty(0, np.int64) if isinstance(rows, list) and not rows else _index_array(rows)
+    if array.ndim != 1 or array.dtype.kind not in "biu":
+        raise _no_rows(rows)
+    if array.dtype == bool and len(array) != count:
+        raise IndexError(f"A mask has one flag for each of the {count:,} splats, not {len(array)}.")
+    return array if array.dtype == bool else array.astype(np.int64, copy=False)
+
+
+def _index_array(rows: object) -> Array:
+    if isinstance(rows, tuple):
+        raise _no_rows(rows)
+    try:
+        return as_array("the index", rows)
+    except ModelError:
+        raise _no_rows(rows) from None
+
+
+def _no_rows(rows: object) -> IndexError:
+    given = type(rows).__name__
+    if isinstance(rows, np.ndarray):
+        given = f"{rows.dtype} of shape {rows.shape}"
+    return IndexError(
+        f"Splats are indexed by a number, a slice, a mask or an array of row numbers, not {given}."
+    )

@@ -1,0 +1,81 @@
+"""Models as gsplat holds them in memory: a dictionary of tensors, here of NumPy arrays.
+
+PyTorch is not needed: whatever NumPy makes an array of is taken, and NumPy's arrays are given.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from nanogs._arrays import as_floats
+from nanogs._types import F32, Array, F
+from nanogs.errors import ModelError
+from nanogs.splats import RenderMode, Splats
+
+_SHAPED = {"log_scales": "scales", "quats": "quats", "opacity_logits": "opacities"}
+_NEEDED = ("means", *_SHAPED.values())
+_COLOURS = ("colors", "sh0", "shN")
+
+
+def from_gsplat(tensors: Mapping[str, object], render_mode: RenderMode) -> Splats:
+    """See `Splats.from_gsplat`."""
+    given = dict(tensors)
+    missing = [name for name in _NEEDED if name not in given]
+    if missing or not given.keys() & {"colors", "sh0"}:
+        lacks = ", ".join(missing) or "sh0 (or colors)"
+        raise ModelError(
+            f"gsplat's dictionary lacks {lacks}; it needs {', '.join(_NEEDED)}, sh0 and shN."
+        )
+    if "features" in given:
+        raise ModelError(
+            "The colours come from a network (app_opt), which splats cannot hold; train without it."
+        )
+    means = as_floats("means", given["means"], double=True)
+    left_out = sorted(given.keys() - {*_NEEDED, *_COLOURS})
+    columns: dict[str, Any] = {
+        ours: as_floats(theirs, given[theirs]) for ours, theirs in _SHAPED.items()
+    }
+    return Splats(
+        means=means,
+        **columns,
+        sh=_harmonics(given, len(means) if means.ndim else 0),
+        render_mode=render_mode,
+        notes=[f"Of gsplat's dictionary was left out: {', '.join(left_out)}."] if left_out else (),
+    )
+
+
+def to_gsplat(splats: Splats) -> dict[str, F32]:
+    """See `Splats.to_gsplat`."""
+    columns: dict[str, F] = {
+        "means": splats.means,
+        "scales": splats.log_scales,
+        "quats": splats.quats,
+        "opacities": splats.opacity_logits,
+        "sh0": splats.sh[:, :1],
+        "shN": splats.sh[:, 1:],
+    }
+    return {name: np.array(column, np.float32, order="C") for name, column in columns.items()}
+
+
+def _harmonics(given: Mapping[str, object], count: int) -> Array:
+    """(N, K, 3): of sh0 and shN, of both in one, or of plain colours."""
+    if "sh0" not in given:
+        colors = as_floats("colors", given["colors"])
+        return _base(colors) if colors.ndim == 2 else colors
+    base = as_floats("sh0", given["sh0"])
+    base = base[:, None] if base.ndim == 2 else base
+    if given.get("shN") is None:
+        return base
+    rest = as_floats("shN", given["shN"])
+    for name, part, expected in (("sh0", base, 1), ("shN", rest, "K")):
+        if part.ndim != 3 or part.shape[::2] != (count, 3):
+            raise ModelError(f"{name} must be ({count}, {expected}, 3), not {part.shape}.")
+    return np.concatenate([base, rest], axis=1)
+
+
+def _base(rgb: F) -> Array:
+    """(N, 1, 3) for colours (N, 3) from 0 to 1."""
+    from nanogs.io.compressed_ply import base_colour  # not above: formats import the model
+
+    return base_colour(rgb.astype(np.float64))[:, None]

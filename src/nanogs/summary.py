@@ -1,0 +1,80 @@
+"""A model at a glance: one line for `repr`, and a small picture above it for notebooks."""
+
+import base64
+import html as markup
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from nanogs.render.camera import Camera
+from nanogs.splats import Splats
+
+WIDTH, HEIGHT = 480, 320  # of the picture, pixels
+
+_pictures: "WeakKeyDictionary[Splats, bytes | str]" = WeakKeyDictionary()
+
+
+def one_line(splats: Splats) -> str:
+    """How many there are, of what degree and render mode, where, and which columns they have."""
+    parts = [
+        f"{len(splats):,} splat{'' if len(splats) == 1 else 's'}",
+        f"SH degree {splats.sh_degree}",
+        f"render mode {splats.render_mode}",
+        _bounds_text(splats),
+    ]
+    if splats.extras:
+        parts.append(f"extra columns {', '.join(splats.extras)}")
+    return "; ".join(parts)
+
+
+def html(splats: Splats) -> str:
+    """The picture, and the line beneath it; or the line, and why there is no picture."""
+    line = f"<div>{markup.escape(repr(splats))}</div>"
+    found = picture(splats)
+    if isinstance(found, str):
+        return f"{line}<div>No picture: {markup.escape(found)}</div>"
+    data = base64.b64encode(found).decode()
+    return f'<img src="data:image/png;base64,{data}" width="{WIDTH}" height="{HEIGHT}">{line}'
+
+
+def picture(splats: Splats) -> bytes | str:
+    """A PNG of the whole model, made when first asked for; or why there is none. Never raises."""
+    if splats not in _pictures:
+        try:
+            _pictures[splats] = _render(splats)
+        except Exception as error:  # a cell that shows a model must not fail for its picture
+            _pictures[splats] = str(error) or type(error).__name__
+    return _pictures[splats]
+
+
+def _render(splats: Splats) -> bytes:
+    from io import BytesIO
+
+    from PIL import Image
+
+    from nanogs.render.images import to_bytes
+    from nanogs.render.rasterize import render
+
+    file = BytesIO()
+    Image.fromarray(to_bytes(render(splats, _overview(splats)).color)).save(file, format="PNG")
+    return file.getvalue()
+
+
+def _overview(splats: Splats) -> Camera:
+    """Where `nanogs view` begins too."""
+    from nanogs.render.opening import opening_for
+    from nanogs.render.poses import look_at
+
+    start = opening_for(splats)
+    focal = min(WIDTH, HEIGHT) / 2 / start.lens
+    pose = look_at(start.position, start.target, start.up)
+    near = start.near * start.distance
+    return Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, pose, "overview", near)
+
+
+def _bounds_text(splats: Splats) -> str:
+    means = splats.means[np.isfinite(splats.means).all(axis=1)]
+    if not len(means):
+        return "no bounds"
+    low, high = (" ".join(f"{v:.4g}" for v in corner) for corner in (means.min(0), means.max(0)))
+    return f"bounds {low} to {high}"
