@@ -280,7 +280,7 @@ def test_one_model(files):
 def test_two_models_as_json(files, tmp_path):
     require_bundle()
     page_file = tmp_path / "page.html"
-    inputs = (files / "scene.ply", "--against", f"tenth={files}/small.compressed.ply")
+    inputs = (files / "scene.ply", f"tenth={files}/small.compressed.ply")
     views = ("--views", "2", "--pixels", "64")
     result = run("view", *inputs, *views, "-o", page_file, "--json")
     assert result.returncode == 0, result.stderr
@@ -341,7 +341,7 @@ def test_names_of_pages():
 def test_refusals(files, tmp_path):
     require_bundle()
     scene, page_file = files / "scene.ply", tmp_path / "page.html"
-    assert_refused(run("view", scene, "--against", tmp_path / "no.ply", "-o", page_file), "no.ply")
+    assert_refused(run("view", scene, tmp_path / "no.ply", "-o", page_file), "no.ply")
     assert_refused(run("view", scene, "-o", tmp_path / "none" / "page.html"), "none")
     assert_refused(run("view", scene, "-o", page_file, "--cameras", "oribt"), "oribt")
     assert not page_file.exists()

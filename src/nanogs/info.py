@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, F64
-from nanogs.io import FileInfo, inspect, registry, stream
+from nanogs.io import FileInfo, inspect, level_counts, registry, stream
+from nanogs.io.collect import model_in
 from nanogs.io.findings import join_findings
+from nanogs.lod import manifest
 from nanogs.splats import Splats
 
 _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
@@ -43,6 +45,8 @@ class ModelInfo:
         alpha: The finite splats' alpha; None without any.
         scale: Their standard deviations, all axes together, scene units; None without any.
         notes: What reading had to change or could not carry.
+        levels: Splats of each level of detail of a streamed model or of a folder of levels, the
+            finest first, which the rest is about; none for others.
         losses: By the suffix of every format that is written, what it cannot hold of the model
             besides quantisation, one sentence each.
     """
@@ -56,6 +60,7 @@ class ModelInfo:
     alpha: Spread | None
     scale: Spread | None
     notes: tuple[str, ...]
+    levels: tuple[int, ...]
     losses: dict[str, tuple[str, ...]]
 
     def to_dict(self) -> dict[str, Any]:
@@ -70,12 +75,12 @@ def describe(path: str | Path) -> ModelInfo:
     Of each splat 16 bytes are held, for the percentiles.
 
     Args:
-        path: The file.
+        path: The file, or the folder of a model.
 
     Raises:
         NanogsError: The file is missing, damaged or of no known format.
     """
-    path = Path(path)
+    path, given = model_in(Path(path)), Path(path)
     file = inspect(path)
     census = _Census(np.empty(file.splats, np.float32), np.empty((file.splats, 3), np.float32))
     for block in stream(path):
@@ -90,6 +95,7 @@ def describe(path: str | Path) -> ModelInfo:
         alpha=_spread(census.alphas[: census.usable]),
         scale=_spread(census.scales[: census.usable].reshape(-1)),
         notes=join_findings(census.notes),
+        levels=level_counts(path) or manifest.level_counts(given),
         losses={suffix: join_findings(parts) for suffix, parts in census.losses.items()},
     )
 

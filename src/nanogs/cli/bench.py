@@ -126,7 +126,7 @@ def bench(
     direction = options.parse_direction(up)
     scenes = _scenes(models or [], scene or [], dataset or [], model_pattern)
     scenes = [replace(one, up=direction) for one in scenes]
-    _show(scenes, settings, out, overwrite=overwrite, json=json, quiet=quiet or json)
+    _show(scenes, settings, out, overwrite=overwrite, json=json, quiet=quiet)
 
 
 def _methods(names: str | None, ablations: bool) -> tuple[str, ...]:
@@ -165,10 +165,10 @@ def _show(
     from nanogs.cli.console import print_json
 
     above = preamble(settings, shlex.join(["nanogs", *sys.argv[1:]]))
-    rows = _run(scenes, settings, out, overwrite, above, quiet)
+    rows = _run(scenes, settings, out, overwrite, above, quiet or json)
     if json:
         print_json({"rows": [row.to_dict() for row in rows]})
-    else:
+    elif not quiet:
         typer.echo(above + markdown(rows), nl=False)
 
 

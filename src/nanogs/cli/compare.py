@@ -76,7 +76,8 @@ def compare(
     if report:
         check_writable(report, overwrite=overwrite)
     if report and interactive and not is_built():
-        warn("The page has no interactive part: this installation was built without the viewer.")
+        if not quiet:
+            warn("The page has no interactive part; this installation was built without a viewer.")
         interactive = False
     from nanogs.compare.run import compare_files
     from nanogs.threads import use_threads
@@ -92,16 +93,17 @@ def compare(
     if json:
         print_json(comparison.to_dict())
         return
+    if quiet:
+        return
     for note in comparison.notes:
         warn(note)
     for model in comparison.models:
         for note in model.notes:
             warn(f"{model.name}: {note}")
     show(out, _table(comparison))
-    if not quiet:
-        text = f"PSNR in dB; means over {comparison.protocol.text}"
-        err.print(text, markup=False, soft_wrap=True)
-    if report and not quiet:
+    text = f"PSNR in dB; means over {comparison.protocol.text}"
+    err.print(text, markup=False, soft_wrap=True)
+    if report:
         size = bytes_text(report.stat().st_size)
         err.print(f"report: {report} ({size})", markup=False, soft_wrap=True)
 

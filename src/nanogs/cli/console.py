@@ -5,6 +5,9 @@ import json
 import os
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -26,6 +29,7 @@ def _console(*, stderr: bool) -> Console:
     return console
 
 
+_subject = ContextVar("subject", default="")
 err = _console(stderr=True)
 out = _console(stderr=False)
 
@@ -36,10 +40,21 @@ def fail(message: str) -> None:
     err.print(message, markup=False, soft_wrap=True)
 
 
+@contextmanager
+def notes_about(name: str) -> Iterator[None]:
+    """In the block, notes begin with a name: that of one of several files."""
+    before = _subject.set(name)
+    try:
+        yield
+    finally:
+        _subject.reset(before)
+
+
 def warn(message: str) -> None:
     """Say what the user should know."""
+    name = _subject.get()
     err.print("[yellow]note:[/]", end=" ")
-    err.print(message, markup=False, soft_wrap=True)
+    err.print(f"{name}: {message}" if name else message, markup=False, soft_wrap=True)
 
 
 def print_json(data: dict[str, Any], file: TextIO | None = None) -> None:

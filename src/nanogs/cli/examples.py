@@ -24,7 +24,7 @@ EXAMPLES = {
         "nanogs compare scene.ply small.ply --report report.html",
         "nanogs compare scene.ply tenth=a.ply hundredth=b.ply --json",
     ),
-    "view": ("nanogs view scene.ply", "nanogs view scene.ply --against small.ply -o page.html"),
+    "view": ("nanogs view scene.ply", "nanogs view scene.ply small.ply -o page.html"),
     "bench": ("nanogs bench scene.ply --ratios 0.1,0.01 --out results/",),
     "demo": ("nanogs demo scene.ply", "nanogs demo scene.ply --count 100k"),
 }

@@ -11,7 +11,7 @@ import typer
 from nanogs.cli import options
 
 _SEVERAL = "Several files"
-_PIPES = "Pipes (IN or OUT is -)"
+_PIPES = "Pipes (- in place of a file)"
 _FILTERS = "Filters (before anything else, in this order)"
 
 Paths = Annotated[

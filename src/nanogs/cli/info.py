@@ -1,12 +1,14 @@
 """`nanogs info`."""
 
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import file_options, options
 from nanogs.formatting import bytes_text
 
 if TYPE_CHECKING:
@@ -17,21 +19,37 @@ _MODES = {"default": "default", "mip": "mip (antialiased)", "2dgs": "2dgs (flat 
 
 
 def info(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="IN", help="Model to read: a file, its folder, or - for stdin."),
+    ],
+    read_as: file_options.From = None,
     json: options.Json = False,
 ) -> None:
     """Say what a model holds, and what each other format would lose of it."""
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli.console import key_value_table, out, print_json, show, warn
-    from nanogs.info import describe
+    from nanogs.cli.streams import Streams
 
-    model = describe(source)
+    with Streams(read_as).received(source) as path:
+        model = _described(path, source)
     if json:
         print_json(model.to_dict())
         return
     for note in model.notes:
         warn(note)
     show(out, key_value_table(_rows(model)))
+
+
+def _described(path: Path, source: Path) -> "ModelInfo":
+    """What a file holds, called as the user calls it."""
+    from nanogs.cli.streams import DASH
+    from nanogs.info import describe
+
+    model = describe(path)
+    if source != DASH:
+        return model
+    return replace(model, file=replace(model.file, path=Path("stdin")))
 
 
 def _rows(model: "ModelInfo") -> dict[str, str]:
@@ -42,6 +60,7 @@ def _rows(model: "ModelInfo") -> dict[str, str]:
         "stored": f"{file.encoding}; columns: "
         + ", ".join(f"{count} {kind}" for kind, count in kinds.items()),
         "splats": f"{file.splats:,}",
+        **_levels(model.levels),
         "SH degree": str(file.sh_degree),
         "render mode": _MODES[file.render_mode],
         "frame": model.frame,
@@ -61,6 +80,12 @@ def _rows(model: "ModelInfo") -> dict[str, str]:
     whole = [suffix for suffix, sentences in model.losses.items() if not sentences]
     rows["fits whole into"] = ", ".join(whole) or "no format that is written"
     return rows | {f"as {name}": "\n".join(text) for name, text in model.losses.items() if text}
+
+
+def _levels(counts: Sequence[int]) -> dict[str, str]:
+    """The levels of a stream, of which the finest is described."""
+    text = ", ".join(f"{level}: {count:,}" for level, count in enumerate(counts))
+    return {"levels": f"{text} splats; the rest is about 0, the finest"} if counts else {}
 
 
 def _spread(spread: "Spread | None") -> str:

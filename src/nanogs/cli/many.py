@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from nanogs.cli.console import fail, print_json
+from nanogs.cli.console import fail, notes_about, print_json
 from nanogs.cli.streams import DASH, Streams, names
 from nanogs.cli.wording import wording
 from nanogs.errors import NanogsError, OptionError, OutputError
@@ -99,15 +99,16 @@ def _run_several(
     runs: list[dict[str, Any]] = []
     failed: list[dict[str, str]] = []
     for pair in pairs:
+        name = str(pair.source)
         try:
-            runs.append(run_one(pair))
+            with notes_about(name):
+                runs.append(run_one(pair))
+                if show:
+                    show(runs[-1])
         except NanogsError as error:
             said = wording(error)
-            fail(said if str(pair.source) in said else f"{pair.source}: {said}")
-            failed.append({"input": str(pair.source), "error": said})
-            continue
-        if show:
-            show(runs[-1])
+            fail(said if name in said else f"{name}: {said}")
+            failed.append({"input": name, "error": said})
     return runs, failed
 
 

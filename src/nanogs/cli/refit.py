@@ -51,10 +51,11 @@ def refit(
     if json:
         print_json(run)
         return
+    if quiet:
+        return
     for note in run["notes"]:
         warn(note)
-    if not quiet:
-        _print_report(run)
+    _print_report(run)
 
 
 def _refit_files(

@@ -6,12 +6,29 @@ from typing import Annotated
 import typer
 
 from nanogs.cli import options
+from nanogs.errors import OptionError
+
+_OTHERS = (".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".exr")
 
 
 def render(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the PNG files.")],
-    views: options.Views = 8,
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT", help="Folder for the PNG files; or one .png file, for one view."
+        ),
+    ],
+    views: Annotated[
+        int | None,
+        typer.Option(
+            "--views",
+            min=1,
+            help="Number of automatic views.",
+            show_default="8, or 1 for a .png",
+            rich_help_panel=options.VIEWS,
+        ),
+    ] = None,
     pixels: options.Pixels = "1280x720",
     cameras: options.Cameras = "auto",
     up: options.Up = None,
@@ -33,6 +50,7 @@ def render(
     from nanogs.cli.progress import spinner
     from nanogs.io import load
 
+    count = views or (1 if _is_picture(target) else 8)
     width, height = options.parse_pixels(pixels)
     # Straight alpha is taken from a rendering over black.
     color = options.parse_background("black" if transparent else background)
@@ -44,15 +62,32 @@ def render(
 
     with spinner(quiet=quiet or json) as progress, use_threads(threads):
         progress("cameras")
-        chosen = cameras_for(splats, cameras, count=views, width=width, height=height, up=direction)
+        chosen = cameras_for(splats, cameras, count=count, width=width, height=height, up=direction)
         written, notes = render_images(
-            splats, chosen, folder, background=color, transparent=transparent, depth=depth,
+            splats, chosen, target, background=color, transparent=transparent, depth=depth,
             overwrite=overwrite, progress=progress,
         )  # fmt: skip
     if json:
         print_json({"input": str(source), "images": written, "notes": notes})
         return
+    if quiet:
+        return
     for note in notes:
         warn(note)
-    if not quiet:
-        err.print(f"{folder}: {len(written)} images", markup=False, soft_wrap=True)
+    images = "1 image" if len(written) == 1 else f"{len(written)} images"
+    err.print(f"{target}: {images}", markup=False, soft_wrap=True)
+
+
+def _is_picture(target: Path) -> bool:
+    """Whether a name is that of a picture and not of a folder.
+
+    Raises:
+        OptionError: It is that of a picture in another format than PNG.
+    """
+    suffix = target.suffix.lower()
+    if suffix in _OTHERS and not target.is_dir():
+        raise OptionError(
+            f"{target}: pictures are written as PNG; name {target.with_suffix('.png')}, or a folder"
+            " for several."
+        )
+    return suffix == ".png"

@@ -74,6 +74,16 @@ class Streams:
                     shutil.copyfileobj(file, sys.stdout.buffer)
                 sys.stdout.buffer.flush()
 
+    @contextmanager
+    def received(self, source: Path) -> Iterator[Path]:
+        """A file in place of stdin; other paths as they are.
+
+        Raises:
+            NanogsError: As for `opened`.
+        """
+        with self.opened(Pair(source, Path("none"))) as pair:
+            yield pair.source
+
     def _stand_ins(self, pair: Pair, folder: Path) -> Pair:
         source, target = pair.source, pair.target
         if source == DASH:

@@ -11,20 +11,31 @@ import typer
 
 from nanogs.cli import options
 from nanogs.compare.protocol import PIXELS, VIEWS
+from nanogs.defaults import PAGE_SPLATS
+from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
 
 
 def view(
-    model: Annotated[
-        str, typer.Argument(metavar="A", help="Model to look at; name=path calls it by a name.")
+    models: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="A [B]",
+            help="Model to look at, and a second one to see it against: one camera, and a line to"
+            " drag between. name=path calls a model by a name.",
+        ),
     ],
-    against: Annotated[
-        str | None,
-        typer.Option(metavar="B", help="A second model: one camera, and a line to drag between."),
-    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Page to write.", show_default="A.html, or A-B.html"),
+    ] = None,
+    level: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Level of detail to show of a lod-meta.json; 0 is the finest.",
+            show_default=f"the finest of at most {PAGE_SPLATS:,} splats",
+        ),
     ] = None,
     psnr: Annotated[
         bool, typer.Option(help="Measure B against A on views of A, as compare does.")
@@ -58,18 +69,20 @@ def view(
     width, height = options.parse_pixels(pixels)
     color = options.parse_background(background)
     direction = options.parse_direction(up)
-    inputs = [options.parse_named(text) for text in (model, against) if text is not None]
+    inputs = [options.parse_named(text) for text in models]
+    if len(inputs) > 2:
+        raise OptionError(f"A page shows one model or two, and these are {len(inputs)}.")
     check_built()
     page = output or page_path([path for _, path in inputs])
     check_writable(page, overwrite=overwrite)
-    with spinner(quiet=quiet or json) as progress, _threads(threads, against is not None and psnr):
+    with spinner(quiet=quiet or json) as progress, _threads(threads, len(inputs) > 1 and psnr):
         report = view_files(
             inputs, page, cameras=cameras, views=views, width=width, height=height, up=direction,
-            background=color, psnr=psnr, overwrite=overwrite, progress=progress,
+            background=color, psnr=psnr, level=level, overwrite=overwrite, progress=progress,
         )  # fmt: skip
     if json:
         print_json(report.to_dict())
-    else:
+    elif not quiet:
         for shown in report.models:
             for note in shown.notes:
                 warn(f"{shown.name}: {note}")

@@ -20,6 +20,7 @@ __all__ = [
     "check_writable",
     "encoded_bytes",
     "inspect",
+    "level_counts",
     "load",
     "losses",
     "save",
@@ -136,6 +137,17 @@ def inspect(path: str | PathLike[str]) -> FileInfo:
     """
     path = Path(path)
     return registry.reader(path).inspect(path)
+
+
+def level_counts(path: str | PathLike[str]) -> tuple[int, ...]:
+    """Splats of each level of detail of a streamed model, the finest first; none for other files.
+
+    Raises:
+        FormatError: As for `inspect`.
+    """
+    path = Path(path)
+    known = registry.reader(path)
+    return () if known.level_counts is None else known.level_counts(path)
 
 
 def bytes_on_disk(path: str | PathLike[str]) -> int:

@@ -8,7 +8,8 @@ from pathlib import Path
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import registry
 
-_WHOLE_FOLDERS = ("lod-meta.json", "meta.json")  # a folder with one of these is a model itself
+LEVELS, TILES, FILES = "lod-meta.json", "tileset.json", "levels.json"
+_WHOLE_FOLDERS = (LEVELS, "meta.json")  # a folder with one of these is a model itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,26 @@ def collect(paths: Iterable[Path]) -> list[Path]:
     """
     found = [file for path in paths for match in _matches(path) for file in _files(match)]
     return list(dict.fromkeys(found))
+
+
+def model_in(path: Path) -> Path:
+    """The file that describes the model in a folder; of levels in files the finest. Files as given.
+
+    Raises:
+        FormatError: The folder holds no model, or several.
+    """
+    if not path.is_dir():
+        return path
+    if (path / TILES).is_file() and not (path / LEVELS).is_file():
+        raise FormatError(
+            f"The folder {path} holds 3D Tiles, which nanogs does not read as one model; name one"
+            " of its .glb files, or the model that they were made of."
+        )
+    inside = _files(path)
+    if len(inside) > 1 and not (path / FILES).is_file():
+        names = ", ".join(file.name for file in inside[:4]) + (", ..." if len(inside) > 4 else "")
+        raise FormatError(f"The folder {path} holds {len(inside)} models; name one: {names}.")
+    return inside[0]  # by name, so the finest level where there are some
 
 
 def _matches(path: Path) -> list[Path]:

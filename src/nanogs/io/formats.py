@@ -128,6 +128,7 @@ FORMATS = (
         sog_levels.read,
         sog_levels.inspect,
         read_level=sog_levels.read_level,
+        level_counts=sog_levels.level_counts,
         packed=sog_packed.packed_level,
         files=sog_packed.level_files,
     ),

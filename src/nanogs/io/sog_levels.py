@@ -90,6 +90,15 @@ def read_level(path: Path, level: int) -> Splats:
     return _joined(models, manifest.notes)
 
 
+def level_counts(path: Path) -> tuple[int, ...]:
+    """Splats of each level, the finest first, as the manifest has them.
+
+    Raises:
+        FormatError: It is missing or damaged.
+    """
+    return tuple(sum(piece.count for piece in level) for level in read_manifest(path).levels)
+
+
 def inspect(path: Path) -> FileInfo:
     """Describe the finest level, from the manifest and the models' own descriptions.
 

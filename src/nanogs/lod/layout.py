@@ -10,6 +10,7 @@ from typing import Protocol
 
 from nanogs.defaults import CHUNK
 from nanogs.errors import OptionError
+from nanogs.io import registry
 from nanogs.lod import manifest, streamed_sog, tiles
 from nanogs.lod.chunks import Written, check_chunk
 from nanogs.lod.manifest import Manifest
@@ -50,7 +51,7 @@ def output_of(path: Path) -> Output:
     """The folder and the layout that a name asks for.
 
     Raises:
-        OptionError: It is that of another `.json` file.
+        OptionError: It is that of another `.json` file, or of a single model.
     """
     for layout, name in NAMES.items():
         if path.name == name:
@@ -59,6 +60,12 @@ def output_of(path: Path) -> Output:
         raise OptionError(
             f"{path}: levels are described by a file called {' or '.join(NAMES.values())}; name"
             f" that, as in {path.parent / path.stem / streamed_sog.NAME}, or a folder."
+        )
+    if (known := registry.find(path)) or path.suffix.lower() == ".html":
+        suffix = known.suffix if known else ".html"
+        raise OptionError(
+            f"{path} is the name of one {suffix} file, and levels are several: name a folder, as in"
+            f" {path.with_suffix('')}/."
         )
     return Output(path, Layout.PLY)
 

@@ -142,6 +142,15 @@ def made_files(folder: Path) -> frozenset[str] | None:
     return frozenset(name for name in names if Path(name).name == name)
 
 
+def level_counts(folder: Path) -> tuple[int, ...]:
+    """Splats of each level as `levels.json` has them, the finest first; none in other folders."""
+    if made_files(folder) is None:
+        return ()
+    entries = json.loads((folder / NAME).read_text(encoding="utf-8")).get("levels")
+    counts = [entry.get("count") for entry in entries if isinstance(entry, dict)]
+    return tuple(count for count in counts if isinstance(count, int))
+
+
 def _files(levels: object) -> Iterable[str]:
     entries = levels if isinstance(levels, list) else []
     files = (entry.get("file") for entry in entries if isinstance(entry, dict))

@@ -19,7 +19,7 @@ _PHOTO = re.compile(r"\.(png|jpe?g|webp)$", re.IGNORECASE)
 def render_images(
     splats: Splats,
     cameras: Sequence[Camera],
-    folder: Path,
+    target: Path,
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     transparent: bool = False,
@@ -27,12 +27,12 @@ def render_images(
     overwrite: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[list[str], list[str]]:
-    """Render each camera into a PNG file named after it.
+    """Render each camera into a PNG file named after it, or a single one into a file of any name.
 
     Args:
         splats: The model.
         cameras: The views; their names become file names.
-        folder: Made if it is missing (not its parents).
+        target: A folder, made if it is missing (not its parents); or, of one camera, a `.png` file.
         background: RGB in [0, 1].
         transparent: Write RGBA with straight alpha and no background.
         depth: Also write `<name>_depth.png`, 16 bits: 65535 is the nearest depth of the view, 1 the
@@ -44,11 +44,10 @@ def render_images(
         The files written, and what the user should know.
 
     Raises:
-        OptionError: Two cameras give one file name.
+        OptionError: Two cameras give one file name, or there are several for one file.
         OutputError: The folder cannot be made, or a file exists or cannot be written.
     """
-    names = file_names(cameras)
-    make_folder(folder)
+    folder, names = _places(target, cameras)
     prepared = prepare(splats)
     written: list[str] = []
     notes: dict[str, None] = {}
@@ -68,6 +67,19 @@ def render_images(
     if prepared.skipped:
         notes[f"{prepared.skipped:,} splats with a NaN or infinite value were not drawn"] = None
     return written, list(notes)
+
+
+def _places(target: Path, cameras: Sequence[Camera]) -> tuple[Path, list[str]]:
+    """The folder of the files and their names without suffix."""
+    if target.suffix.lower() != ".png":
+        names = file_names(cameras)
+        make_folder(target)
+        return target, names
+    if len(cameras) > 1:
+        raise OptionError(
+            f"{target} is one picture, and there are {len(cameras)} views; name a folder for them."
+        )
+    return target.parent, [target.stem]
 
 
 def file_names(cameras: Sequence[Camera]) -> list[str]:

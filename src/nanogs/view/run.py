@@ -1,13 +1,16 @@
 """A page from file names: what `nanogs view` does."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
-from nanogs.io import load
+from nanogs.defaults import PAGE_SPLATS
+from nanogs.errors import OptionError
+from nanogs.io import level_counts, load
 from nanogs.io.atomic import atomic_write
+from nanogs.io.collect import model_in
 from nanogs.io.registry import find
 from nanogs.render.camera import Camera
 from nanogs.render.opening import opening_for
@@ -77,6 +80,7 @@ def view_files(
     up: Sequence[float] | None = None,
     background: Background = BLACK,
     psnr: bool = True,
+    level: int | None = None,
     overwrite: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> ViewReport:
@@ -93,6 +97,8 @@ def view_files(
         up: Up direction; found from the first model by default.
         background: RGB in [0, 1].
         psnr: Measure the second model.
+        level: Of streamed models, which level of detail; by default the finest of at most
+            `PAGE_SPLATS` splats, or the coarsest.
         overwrite: Replace the page if it exists.
         progress: Told what is being done.
 
@@ -103,11 +109,9 @@ def view_files(
     tell = progress or (lambda _text: None)
     clock = StageClock()
     measured = psnr and len(inputs) > 1
-    models = []
     with clock.time("read"):
-        for name, path in inputs:
-            tell(f"read {name}")
-            models.append(load(path))
+        inputs = [(name, model_in(path)) for name, path in inputs]
+        models = _read(inputs, level, tell)
     tell("cameras")
     with clock.time("cameras"):
         found: list[Camera] = []
@@ -136,6 +140,42 @@ def view_files(
         judged=judged,
         seconds=dict(clock.seconds),
     )
+
+
+def _read(
+    inputs: Sequence[tuple[str, Path]], level: int | None, tell: Callable[[str], None]
+) -> list[Splats]:
+    """The models; of streamed ones the level, which a note tells where it was not asked for."""
+    counts = [level_counts(path) for _name, path in inputs]
+    if level is not None and not any(counts):
+        raise OptionError("--level is for streamed models (lod-meta.json); leave it out.")
+    models = []
+    for (name, path), levels in zip(inputs, counts, strict=True):
+        tell(f"read {name}")
+        if not levels:
+            models.append(load(path))
+        elif level is not None:
+            models.append(load(path, level=level))
+        else:
+            models.append(_with_note(load(path, level=_affordable(levels)), levels))
+    return models
+
+
+def _affordable(levels: Sequence[int]) -> int:
+    """The finest level that suits a page, or the coarsest."""
+    fitting = (number for number, count in enumerate(levels) if count <= PAGE_SPLATS)
+    return next(fitting, len(levels) - 1)
+
+
+def _with_note(splats: Splats, levels: Sequence[int]) -> Splats:
+    chosen = _affordable(levels)
+    if chosen == 0:
+        return splats
+    note = (
+        f"level {chosen} of 0 to {len(levels) - 1} is shown, {len(splats):,} splats; --level 0"
+        f" shows the finest, {levels[0]:,}."
+    )
+    return replace(splats, notes=(*splats.notes, note))
 
 
 def page_path(paths: Sequence[Path]) -> Path:

@@ -1,0 +1,145 @@
+"""What a first guess at a command line does: names of files and folders, pipes, and silence."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs.io import level_counts
+from nanogs.view.run import view_files
+from test_cli import assert_refused
+from test_comfort import run
+from viewer_bundle import require_bundle
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A model, a smaller one, its levels as files, as streamed SOG and as 3D Tiles."""
+    place = tmp_path_factory.mktemp("models")
+    splats = random_splats(400)
+    nanogs.save(splats, place / "a.ply")
+    nanogs.save(splats.take(np.arange(0, 400, 4)), place / "b.ply")
+    for out in ("levels", "stream/lod-meta.json", "tiles/tileset.json"):
+        result = run("lod", place / "a.ply", place / out, "--preset", "fast", "-q")
+        assert result.returncode == 0, result.stderr
+    return place
+
+
+# info
+
+
+def test_info_takes_folders(folder):
+    stream = json.loads(run("info", folder / "stream", "--json").stdout)
+    assert stream["format"] == "streamed sog"
+    assert stream["levels"] == [200, 100, 40, 4]
+    files = json.loads(run("info", folder / "levels", "--json").stdout)
+    assert files["path"].endswith("level_0.ply")
+    assert files["levels"] == [200, 100, 40, 4]
+    nanogs.save(random_splats(10), folder / "sog" / "meta.json")
+    assert json.loads(run("info", folder / "sog", "--json").stdout)["splats"] == 10
+
+
+def test_info_tells_the_other_levels_of_a_stream(folder):
+    text = run("info", folder / "stream" / "lod-meta.json").stdout
+    assert "0: 200, 1: 100, 2: 40, 3: 4 splats" in text
+    assert "levels" not in run("info", folder / "a.ply").stdout
+
+
+def test_info_says_which_of_several_models_to_name(folder, tmp_path):
+    assert_refused(run("info", folder), "holds 2 models", "a.ply, b.ply")
+    assert_refused(run("info", folder / "tiles"), "3D Tiles", ".glb")
+    assert_refused(run("info", tmp_path), "holds no file of a format")
+
+
+def test_info_reads_stdin(folder):
+    command = [sys.executable, "-m", "nanogs", "info", "-"]
+    with (folder / "a.ply").open("rb") as file:
+        result = subprocess.run(command, stdin=file, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith("file ")
+    assert "stdin (ply" in result.stdout
+
+
+# Names of what is written
+
+
+@pytest.mark.parametrize("name", ["out.sog", "out.ply", "out.html"])
+def test_levels_are_no_single_file(folder, tmp_path, name):
+    assert_refused(run("lod", folder / "a.ply", tmp_path / name), "name a folder", "out/")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_render_writes_one_picture(folder, tmp_path):
+    picture = tmp_path / "pic.png"
+    result = run("render", folder / "a.ply", picture, "--pixels", "32x24", "--depth")
+    assert result.returncode == 0, result.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["pic.png", "pic_depth.png"]
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    several = run("render", folder / "a.ply", tmp_path / "new.png", "--views", "3")
+    assert_refused(several, "one picture", "3 views", "folder")
+    assert_refused(run("render", folder / "a.ply", tmp_path / "p.jpg"), "PNG", "p.png")
+    assert not (tmp_path / "new.png").exists()
+
+
+# view
+
+
+def test_view_takes_two_models(folder, tmp_path):
+    require_bundle()
+    small = ("--views", "1", "--pixels", "32", "-o", tmp_path / "p.html")
+    result = run("view", folder / "a.ply", folder / "b.ply", *small, "--json")
+    assert result.returncode == 0, result.stderr
+    assert len(json.loads(result.stdout)["models"]) == 2
+    three = [folder / "a.ply"] * 3
+    assert_refused(run("view", *three, "-o", tmp_path / "x.html"), "one model or two")
+
+
+def test_view_shows_a_level_that_suits_a_page(folder, tmp_path, monkeypatch):
+    require_bundle()
+    stream = folder / "stream" / "lod-meta.json"
+    assert level_counts(stream) == (200, 100, 40, 4)
+
+    def shown(level=None):
+        page = tmp_path / "page.html"
+        return view_files([("s", stream)], page, level=level, overwrite=True).models[0]
+
+    assert shown().splats == 200
+    assert shown(2).splats == 40
+    monkeypatch.setattr("nanogs.view.run.PAGE_SPLATS", 150)
+    assert shown().splats == 100
+    assert any("--level 0" in note for note in shown().notes)
+    assert not any("--level" in note for note in shown(1).notes)
+    monkeypatch.setattr("nanogs.view.run.PAGE_SPLATS", 1)
+    assert shown().splats == 4
+    assert_refused(run("view", folder / "a.ply", "--level", "1", "-o", tmp_path / "x.html"),
+                   "--level")  # fmt: skip
+
+
+# Silence, and notes that name their file
+
+
+def test_quiet_says_nothing_but_errors(folder, tmp_path):
+    small = ("--views", "1", "--pixels", "32", "-q")
+    commands = [
+        ("compare", folder / "a.ply", folder / "b.ply", *small),
+        ("bench", folder / "a.ply", "--methods", "random", "--ratios", "0.5", *small),
+        ("render", folder / "a.ply", tmp_path / "pic.png", "--pixels", "32", "-q"),
+    ]
+    for arguments in commands:
+        result = run(*arguments)
+        assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+def test_notes_of_many_files_name_the_file(tmp_path):
+    for name in ("one", "two"):
+        nanogs.save(random_splats(50, degree=2), tmp_path / f"{name}.ply")
+    result = run("convert", tmp_path / "one.ply", tmp_path / "two.ply", "--out-dir",
+                 tmp_path / "out", "--format", "splat")  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    notes = [line for line in result.stderr.splitlines() if line.startswith("note:")]
+    assert len(notes) >= 2
+    assert all("one.ply: " in note or "two.ply: " in note for note in notes)
