@@ -5,6 +5,7 @@ the bytes as they lie on the disk, or what is packed in them, with the checksums
 it made right again, so that the damage reaches the code behind these.
 """
 
+import base64
 import functools
 import gzip
 import io as bytes_io
@@ -27,6 +28,7 @@ import torchfiles
 from builders import random_splats
 from damage import TEXT, change_json, mutate
 from nanogs import io
+from nanogs.io import gltf_spz
 from nanogs.splats import RenderMode
 from plyfiles import BASE, ENCODINGS, ply, vertex
 
@@ -157,6 +159,8 @@ def one_description(rng, files):
 def one_missing(rng, files):
     """A file of a folder that is not there, or another in its place."""
     names = [name for i, name in enumerate(files) if i]
+    if not names:
+        return plain(rng, files)
     name = names[rng.integers(len(names))]
     others = {other: data for other, data in files.items() if other != name}
     if rng.random() < 0.5:
@@ -173,6 +177,39 @@ def inside_glb(rng, files):
     rest = data[20 + length :]
     size = 20 + len(content) + len(rest)
     return {name: data[:8] + struct.pack("<II", size, len(content)) + b"JSON" + content + rest}
+
+
+def inside_gltf(rng, files):
+    """Values of the JSON of a text file, without its `data:` URIs; or a byte of one of these."""
+    name = next(iter(files))
+    content = json.loads(files[name])
+    uri = content["buffers"][0]["uri"]
+    if uri.startswith("data:") and rng.random() < 0.3:
+        head, _, data = uri.partition(",")
+        body = mutate(rng, base64.b64decode(data), header=400, anywhere=0.5)
+        content["buffers"][0]["uri"] = f"{head},{base64.b64encode(body).decode()}"
+        return files | {name: json.dumps(content).encode()}
+    content["buffers"][0]["uri"] = "data:"
+    return files | {name: changed_json(rng, json.dumps(content)).replace(b"data:", uri.encode())}
+
+
+def inside_packed_glb(rng, files):
+    """What is packed in a `.glb` file, its lengths right again."""
+    ((name, data),) = files.items()
+    (length,) = struct.unpack_from("<I", data, 12)
+    content = json.loads(data[20 : 20 + length])
+    size = content["bufferViews"][0]["byteLength"]
+    inner = gzip.decompress(data[28 + length : 28 + length + size])
+    packed = gzip.compress(mutate(rng, inner, header=16, anywhere=0.5), 1, mtime=0)
+    content["bufferViews"][0]["byteLength"] = content["buffers"][0]["byteLength"] = len(packed)
+    return {name: glb(json.dumps(content).encode(), packed)}
+
+
+def glb(text, body):
+    text, body = text + b" " * (-len(text) % 4), body + b"\0" * (-len(body) % 4)
+    chunks = struct.pack("<I", len(text)) + b"JSON" + text
+    chunks += struct.pack("<I", len(body)) + b"BIN\0" + body
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
 
 
 # --- seeds
@@ -305,6 +342,29 @@ def _usual(name):
     return lambda: [saved(model, name) for model in models((0, 1, 3))]
 
 
+def _packed_glbs():
+    out = []
+    for model in models((0, 1, 3)):
+        file = bytes_io.BytesIO()
+        gltf_spz.write(model, file)
+        out.append({"a.glb": file.getvalue()})
+    return out
+
+
+def _gltfs():
+    """Binary files as text, their buffer in a `data:` URI or beside it."""
+    out = []
+    for number, files in enumerate(_usual("a.glb")()):
+        data = files["a.glb"]
+        (length,) = struct.unpack_from("<I", data, 12)
+        content, body = json.loads(data[20 : 20 + length]), data[28 + length :]
+        uri = f"data:a/b;base64,{base64.b64encode(body).decode()}" if number % 2 else "a.bin"
+        content["buffers"][0]["uri"] = uri
+        beside = {} if number % 2 else {"a.bin": body}
+        out.append({"a.gltf": json.dumps(content).encode()} | beside)
+    return out
+
+
 FORMATS = {
     ".ply": (_plys, [text, text, plain]),
     ".compressed.ply": (_usual("a.compressed.ply"), [text, plain]),
@@ -317,6 +377,8 @@ FORMATS = {
     ".spz v4": (lambda: _spzs(4), [plain, inside_zstd]),
     ".ksplat": (_ksplats, [plain]),
     ".glb": (_usual("a.glb"), [plain, inside_glb, inside_glb]),
+    ".glb, packed": (_packed_glbs, [plain, inside_glb, inside_packed_glb]),
+    ".gltf": (_gltfs, [plain, inside_gltf, inside_gltf, one_missing]),
     ".sog": (_bundles, [plain, inside_zip, inside_zip]),
     "SOG v1, folder": (_sogs_1, [plain, whole_json, one_texture, one_missing]),
     "SOG v2, folder": (

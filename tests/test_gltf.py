@@ -192,7 +192,7 @@ def test_blocks_agree(tmp_path, monkeypatch):
     model = random_splats(100, degree=2)
     io.save(model, tmp_path / "a.glb")
     monkeypatch.setattr("nanogs.io.gltf_write.BLOCK_ROWS", 7)
-    monkeypatch.setattr("nanogs.io.gltf.BLOCK_ROWS", 11)
+    monkeypatch.setattr("nanogs.io.gltf_primitives.BLOCK_ROWS", 11)
     io.save(model, tmp_path / "b.glb")
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
     assert_same_splats(model, io.load(tmp_path / "b.glb"))
@@ -388,7 +388,7 @@ ATTRIBUTES = (*PRIMITIVE, "attributes")
 EXTENSION = (*PRIMITIVE, "extensions", "KHR_gaussian_splatting")
 SPZ = {"KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}}
 REFUSED = {
-    "not glb": (lambda: b"PK\3\4" + bytes(99), "does not begin with 'glTF'"),
+    "not glb": (lambda: b"PK\3\4" + bytes(99), "does not begin with 'glTF', nor is it JSON"),
     "short": (lambda: b"glTF\2\0", "ends inside its header"),
     "version": (lambda: glb({}, version=1), "reads glTF 2.0, not 1"),
     "length": (lambda: glb({}, length=99), "says 99 bytes"),
@@ -412,7 +412,11 @@ REFUSED = {
     "big number": (broken(("nodes", 0, "translation"), [10**400, 0, 0]), "finite numbers"),
     "triangles": (broken((*PRIMITIVE, "mode"), 4), "must be of mode 0"),
     "no splats": (broken(EXTENSION, None), "mesh or point cloud"),
-    "spz": (broken((*EXTENSION, "extensions"), SPZ), "compression_spz_2', which nanogs does not"),
+    "no spz": (broken((*EXTENSION, "extensions"), SPZ), "it is no .spz file"),
+    "packed": (
+        broken((*EXTENSION, "extensions"), {"KHR_compression_9": {}}),
+        "packed with 'KHR_compression_9', which nanogs does not",
+    ),
     "old spz": (broken(("extensionsRequired",), ["KHR_spz"]), "requires the extension 'KHR_spz'"),
     "scale missing": (broken((*ATTRIBUTES, PREFIX + "SCALE"), None), "lacks .*SCALE"),
     "band": (broken((*ATTRIBUTES, PREFIX + "SH_DEGREE_1_COEF_1"), None), "lacks .*COEF_1"),
@@ -428,7 +432,14 @@ REFUSED = {
     "no view": (broken(("accessors", 0, "bufferView"), None), "sparse or without a buffer view"),
     "stride": (broken(("bufferViews", 0, "byteStride"), 4), "does not fit"),
     "view": (broken(("bufferViews", 0, "byteLength"), 10**9), "does not fit into its buffer"),
-    "outside": (broken(("buffers", 0, "uri"), "/etc/passwd"), "follows no references"),
+    "outside": (broken(("buffers", 0, "uri"), "/etc/passwd"), "in the same folder or below it"),
+    "above": (broken(("buffers", 0, "uri"), "../a.bin"), "in the same folder or below it"),
+    "hidden": (broken(("buffers", 0, "uri"), "%2e%2e/a.bin"), "in the same folder or below it"),
+    "web": (broken(("buffers", 0, "uri"), "http://a/b.bin"), "in the same folder or below it"),
+    "drive": (broken(("buffers", 0, "uri"), "C:\\a.bin"), "in the same folder or below it"),
+    "absent": (broken(("buffers", 0, "uri"), "b.bin"), "b.bin: no such file"),
+    "data": (broken(("buffers", 0, "uri"), "data:,abc"), "that is not in base64"),
+    "base64": (broken(("buffers", 0, "uri"), "data:;base64,a"), "data: URI that is damaged"),
     "second buffer": (broken(("bufferViews", 0, "buffer"), 1), "no object 1 in 'buffers'"),
     "meshopt": (
         broken(("bufferViews", 0, "extensions"), {"EXT_meshopt_compression": {}}),

@@ -75,15 +75,9 @@ def glb(path):
     return document, data[28 + length :]
 
 
-def content(path, tile, folder):
+def content(path, tile):
     """The splats of a tile's content, in the frame of the model."""
-    file = path.parent / tile["content"]["uri"]
-    document, body = glb(file)
-    if PACKED not in document["extensionsUsed"]:
-        return io.load(file)
-    packed = folder / f"{file.stem}.spz"
-    packed.write_bytes(body[: document["bufferViews"][0]["byteLength"]])
-    return io.load(packed)
+    return io.load(path.parent / tile["content"]["uri"])
 
 
 def level_of(tile):
@@ -134,12 +128,12 @@ def test_errors_fall_from_level_to_level(made):
     assert 0 == means[0] < means[1] < means[2]
 
 
-def test_the_tiles_of_a_level_are_the_level(splats, made, tmp_path):
+def test_the_tiles_of_a_level_are_the_level(splats, made):
     """Uncompressed bit for bit, so that nothing is twice or missing."""
     path, form = made
     parts = {}
     for tile, _ in tiles(path):
-        part = content(path, tile, tmp_path)
+        part = content(path, tile)
         assert 1 <= len(part) <= CHUNK
         parts.setdefault(level_of(tile), []).append(part)
     for level, (small, _) in enumerate(nanogs.levels(splats, RATIOS, preset="fast")):
@@ -156,7 +150,7 @@ def test_the_tiles_of_a_level_are_the_level(splats, made, tmp_path):
             assert np.abs(sh[order, 0] - small.sh[expected, 0]).max() < 0.5 / 255 / 0.15 + 1e-6
 
 
-def test_contents_lie_in_their_boxes_once_the_frames_are_turned(made, tmp_path):
+def test_contents_lie_in_their_boxes_once_the_frames_are_turned(made):
     """What is in the file, by the node's transform and then from y up to z up."""
     path, _ = made
     for tile, _ in tiles(path):
@@ -168,7 +162,7 @@ def test_contents_lie_in_their_boxes_once_the_frames_are_turned(made, tmp_path):
             assert scene_node["rotation"] == [0, 0, 1, 0]  # xyzw: half a turn about z
             turn = np.diag([-1, -1, 1])
         z_up = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # y becomes z
-        part = content(path, tile, tmp_path)
+        part = content(path, tile)
         means = part.means @ (z_up @ turn).T
         low, high = corners(tile)
         assert (means >= low).all()

@@ -94,6 +94,15 @@ FORMATS = (
         turns=True,
     ),
     Format(
+        ".gltf",
+        gltf.read,
+        gltf.inspect,
+        rows=gltf.rows,
+        files=gltf.files,
+        frame=_GLTF_FRAME,
+        turns=True,
+    ),
+    Format(
         ".sog",
         sog.read,
         sog.inspect,

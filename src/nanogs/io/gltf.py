@@ -1,4 +1,4 @@
-"""Reading `.glb` with KHR_gaussian_splatting: linear scales and alpha, rotations xyzw, y-up.
+"""Reading glTF with KHR_gaussian_splatting: linear scales and alpha, rotations xyzw, y-up.
 
 Specification: https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting,
 the release candidate of 2026 (its editorial review is pull request 2567). Scales are linear and
@@ -8,69 +8,54 @@ applied. The render mode and the comments of a PLY file, for which the extension
 travel in the primitive's `extras`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, cast
 
 import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import FormatError
-from nanogs.io.compressed_ply import logit
-from nanogs.io.files import BLOCK_ROWS, splat_bytes, unreadable
+from nanogs.io import gltf_rows
+from nanogs.io.files import check_expansion, splat_bytes
 from nanogs.io.findings import Finding
-from nanogs.io.glb import Glb, Part, read_glb
-from nanogs.io.glb_rows import Accessor, Body
-from nanogs.io.gltf_scene import EXTENSION, Placed, Pose, placed_splats
+from nanogs.io.glb import read_document
+from nanogs.io.gltf_colours import LINEAR
+from nanogs.io.gltf_document import Document, Part
+from nanogs.io.gltf_primitives import (
+    MAX_DEGREE,
+    PACKED,
+    Packed,
+    Primitive,
+    Rows,
+    attribute,
+    coefficients,
+    primitive_of,
+)
+from nanogs.io.gltf_scene import EXTENSION, placed_splats
 from nanogs.io.info import FileInfo
-from nanogs.io.parts import Rows
+from nanogs.io.parts import Rows as RowsOfFile
 from nanogs.splats import RenderMode, Splats, empty_arrays
 
-MAX_DEGREE = 3
 COLOUR_SPACE = "srgb_rec709_display"
 MODE_KEY, COMMENTS_KEY = "SplatRenderMode", "comments"
-_UNDERSTOOD = (EXTENSION, "KHR_mesh_quantization")
+_UNDERSTOOD = (EXTENSION, PACKED, "KHR_mesh_quantization")
+_IGNORED = "KHR_materials_"  # splats have no material
 _DERIVED = ("COLOR_0", "NORMAL")  # for viewers that know no splats
-_POINTS = 0
 _LOGARITHMS = "Scales are negative, so they were read as logarithms, as early drafts had."
-_TYPE_NAMES = {"i1": "char", "u1": "uchar", "<i2": "short", "<u2": "ushort", "<f4": "float"}
-
-
-def attribute(name: str) -> str:
-    """The name of one of the extension's attributes."""
-    return f"{EXTENSION}:{name}"
-
-
-def coefficients(degree: int) -> list[str]:
-    """Names of the attributes with the coefficients up to a degree, in the order of `Splats.sh`."""
-    return [
-        attribute(f"SH_DEGREE_{level}_COEF_{n}")
-        for level in range(degree + 1)
-        for n in range(2 * level + 1)
-    ]
-
-
-@dataclass(frozen=True, slots=True)
-class _Primitive:
-    """One primitive of splats: its accessors by attribute."""
-
-    pose: Pose
-    accessors: dict[str, Accessor]
-    degree: int
-
-    @property
-    def count(self) -> int:
-        return self.accessors["POSITION"].count
+_LINEAR = (
+    f"Colours in linear light ({LINEAR}) became those of a display ({COLOUR_SPACE}), as which"
+    " splats are blended too."
+)
 
 
 @dataclass(slots=True)
 class _Scene:
     """All primitives of a file, and what is to be said about them."""
 
-    glb: Glb
-    primitives: list[_Primitive] = field(default_factory=list)
+    document: Document
+    primitives: list[Primitive] = field(default_factory=list)
     comments: list[str] = field(default_factory=list)
     modes: set[RenderMode] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
@@ -87,25 +72,43 @@ class _Scene:
     def mode(self) -> RenderMode:
         return min(self.modes, key=list(RenderMode).index)
 
+    @property
+    def packed(self) -> bool:
+        return any(isinstance(primitive, Packed) for primitive in self.primitives)
+
 
 def read(path: Path) -> Splats:
-    """Read the splats of a `.glb` file, one primitive after the other.
+    """Read the splats of a `.glb` or `.gltf` file, one primitive after the other.
 
     Raises:
-        FormatError: The file cannot be read, is damaged, holds no splats or only compressed ones,
-            or refers to other files.
+        FormatError: The file cannot be read, is damaged, holds no splats or only such as are
+            packed in an unknown way, or refers to files elsewhere.
     """
-    scene = _scene(path)
+    return read_placed(path, np.eye(4))
+
+
+def read_placed(path: Path, above: F64) -> Splats:
+    """Read the splats of a file in a scene that places it.
+
+    Args:
+        path: The file.
+        above: (4, 4) float64: from the file's frame to that of the scene, both y up.
+
+    Raises:
+        FormatError: As for `read`, or the place mirrors or shears the splats.
+    """
+    scene = _scene(path, above)
     return _Rows(scene).read(0, scene.count)
 
 
-def rows(path: Path) -> Rows:
-    """The file to be read in parts.
+def rows(path: Path) -> RowsOfFile | None:
+    """The file to be read in parts; None where its splats are packed.
 
     Raises:
         FormatError: As for `read`.
     """
-    return _Rows(_scene(path))
+    scene = _scene(path, np.eye(4))
+    return None if scene.packed else _Rows(scene)
 
 
 class _Rows:
@@ -113,60 +116,59 @@ class _Rows:
 
     def __init__(self, scene: _Scene) -> None:
         self._scene = scene
-        with _body(scene.glb.path) as body, np.errstate(invalid="ignore"):
-            self._logarithms = _hold_logarithms(scene.primitives, body)
+        with self._body() as body, np.errstate(invalid="ignore"):
+            plain = [each for each in scene.primitives if isinstance(each, Rows)]
+            self._logarithms = any(each.holds_logarithms(body) for each in plain)
+
+    @contextmanager
+    def _body(self) -> Iterator[gltf_rows.Body]:
+        document = self._scene.document
+        with gltf_rows.opened(document.path, document.buffers()) as body:
+            yield body
 
     def read(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Rows`."""
+        """Some rows, or, of a file that holds packed ones, all; see `Rows` in `parts`."""
         scene, n = self._scene, stop - start
         out = empty_arrays(n, scene.degree)
         out["sh"][:] = 0
+        notes = list(scene.notes)
         first = 0
         # Whatever bits there are: NaN, infinity, zero scales.
-        with _body(scene.glb.path) as body, np.errstate(all="ignore"):
+        with self._body() as body, np.errstate(all="ignore"):
             for primitive in scene.primitives:
                 end = first + primitive.count
                 low, high = max(start, first), min(stop, end)
-                if low < high:
-                    part = {name: array[low - start : high - start] for name, array in out.items()}
-                    _decode(primitive, body, part, low - first, self._logarithms)
+                part = {name: array[low - start : high - start] for name, array in out.items()}
+                if isinstance(primitive, Packed):
+                    notes += primitive.decode_all(part)
+                elif low < high:
+                    primitive.decode(body, part, low - first, self._logarithms)
                 first = end
-        notes = list(scene.notes)
-        if self._logarithms:
-            notes.append(
-                "Scales are negative, so they were read as logarithms, as early drafts had."
-            )
+        notes += [_LOGARITHMS] if self._logarithms else []
         if wrong := int(np.isnan(out["opacity_logits"]).sum()):
             notes.append(Finding("{} opacities are not from 0 to 1 and became NaN.", wrong))
-        return Splats(**out, render_mode=scene.mode, comments=scene.comments, notes=notes)
-
-
-@contextmanager
-def _body(path: Path) -> Iterator[Body]:
-    try:
-        with path.open("rb", buffering=0) as file:
-            yield Body(path, cast("BinaryIO", file))
-    except OSError as error:
-        raise unreadable(path, error) from error
+        return Splats(
+            **out, render_mode=scene.mode, comments=scene.comments, notes=list(dict.fromkeys(notes))
+        )
 
 
 def inspect(path: Path) -> FileInfo:
-    """Describe a `.glb` file from its JSON.
+    """Describe a `.glb` or `.gltf` file from its JSON, and the headers of what is packed.
 
     Raises:
         FormatError: As for `read`.
     """
-    scene = _scene(path)
-    accessors = scene.primitives[0].accessors
+    scene = _scene(path, np.eye(4))
+    first = scene.primitives[0]
     return FileInfo(
         path=path,
-        format="glb",
-        encoding="binary_little_endian",
-        file_bytes=scene.glb.file_bytes,
+        format=path.suffix.lower().lstrip("."),
+        encoding=first.encoding,
+        file_bytes=scene.document.file_bytes,
         splats=scene.count,
         sh_degree=scene.degree,
         double_means=False,
-        properties=tuple((name, _TYPE_NAMES[a.kind]) for name, a in accessors.items()),
+        properties=first.properties(),
         extras=(),
         elements=(),
         render_mode=scene.mode,
@@ -174,78 +176,66 @@ def inspect(path: Path) -> FileInfo:
     )
 
 
-def _scene(path: Path) -> _Scene:
+def files(path: Path) -> tuple[Path, ...]:
+    """All files of a model: the one that is named, and those beside it that it refers to.
+
+    Raises:
+        FormatError: As for `read`.
+    """
+    return (path, *(p for p in _scene(path, np.eye(4)).document.paths() if p != path))
+
+
+def _scene(path: Path, above: F64) -> _Scene:
     """The primitives of a file, every count in it checked against the file's size."""
-    glb = read_glb(path)
-    for name in glb.root.items("extensionsRequired"):
-        if name not in _UNDERSTOOD:
+    document = read_document(path)
+    for name in document.root.items("extensionsRequired"):
+        if name not in _UNDERSTOOD and not str(name).startswith(_IGNORED):
             raise FormatError(
                 f"{path} requires the extension {ascii(name)[:80]}, which nanogs does not read;"
                 " export it without."
             )
-    placed, others = placed_splats(glb)
-    scene = _Scene(glb)
+    placed, others = placed_splats(document, above)
+    scene = _Scene(document)
     for each in placed:
-        scene.primitives.append(_primitive(glb, each))
-        _describe(scene, each.primitive)
+        linear = _colour_space(scene, each.primitive)
+        primitive = primitive_of(document, each, linear)
+        scene.primitives.append(primitive)
+        _describe(scene, each.primitive, primitive.mode)
         _check_memory(scene)
     if len(scene.modes) > 1:
         scene.notes.append(f"The primitives have several render modes; {scene.mode} was taken.")
     if others:
         scene.notes.append(f"{others} primitives of meshes were left out.")
-    scene.notes = list(dict.fromkeys(scene.notes))
     return scene
 
 
 def _check_memory(scene: _Scene) -> None:
     """Accessors may share their bytes; what comes of it must stay in proportion to the file."""
-    if scene.count * splat_bytes(scene.degree) > 4 * scene.glb.file_bytes:
-        raise scene.glb.root.error(
-            f"describes {scene.count} splats, more than four times as much as its"
-            f" {scene.glb.file_bytes} bytes hold"
+    size, model = scene.document.file_bytes, scene.count * splat_bytes(scene.degree)
+    if scene.packed:
+        check_expansion(str(scene.document.path), model, size)
+    elif model > 4 * size:
+        raise scene.document.root.error(
+            f"describes {scene.count} splats, more than four times as much as its {size} bytes hold"
         )
 
 
-def _primitive(glb: Glb, placed: Placed) -> _Primitive:
-    """Check the attributes of a primitive against each other and against the file."""
-    primitive = placed.primitive
+def _colour_space(scene: _Scene, primitive: Part) -> bool:
+    """Whether the colours of a primitive are linear light."""
     splatting = primitive.part("extensions").part(EXTENSION)
-    if packed := [name for name in splatting.part("extensions").data if "compression" in name]:
-        raise FormatError(
-            f"{glb.path} packs its splats with {packed[0][:80]!a}, which nanogs does not read;"
-            " export them uncompressed."
-        )
-    if primitive.integer("mode", 4) != _POINTS:
-        raise primitive.error("with splats must be of mode 0, points")
-    attributes = primitive.part("attributes")
-    degree = _degree(attributes)
-    sizes = {"POSITION": 3, attribute("ROTATION"): 4, attribute("SCALE"): 3}
-    sizes |= {attribute("OPACITY"): 1} | dict.fromkeys(coefficients(degree), 3)
-    if missing := [name for name in sizes if name not in attributes.data]:
-        raise attributes.error(f"lacks {missing[0]}")
-    accessors = {name: glb.accessor(attributes.integer(name), size) for name, size in sizes.items()}
-    if len({accessor.count for accessor in accessors.values()}) > 1:
-        raise attributes.error("have different counts")
-    return _Primitive(placed.pose, accessors, degree)
+    space = splatting.text("colorSpace", COLOUR_SPACE)
+    if space == LINEAR:
+        scene.notes.append(_LINEAR)
+    elif space != COLOUR_SPACE:
+        scene.notes.append(f"The colour space {space[:40]!a} is unknown: read as {COLOUR_SPACE}.")
+    return space == LINEAR
 
 
-def _degree(attributes: Part) -> int:
-    """The highest degree of which there is an attribute; that none is missing is checked later."""
-    for degree in range(MAX_DEGREE, 0, -1):
-        names = set(coefficients(degree)) - set(coefficients(degree - 1))
-        if names & set(attributes.data):
-            return degree
-    return 0
-
-
-def _describe(scene: _Scene, primitive: Part) -> None:
+def _describe(scene: _Scene, primitive: Part, mode: RenderMode) -> None:
     """What a primitive says about itself beside its numbers."""
-    splatting = primitive.part("extensions").part(EXTENSION)
-    kernel, space = splatting.text("kernel", "ellipse"), splatting.text("colorSpace", COLOUR_SPACE)
+    kernel = primitive.part("extensions").part(EXTENSION).text("kernel", "ellipse")
     if kernel != "ellipse":
         scene.notes.append(f"The kernel {kernel[:40]!a} is unknown and was read as ellipse.")
-    if space != COLOUR_SPACE:
-        scene.notes.append(f"The colour space {space[:40]!a} is not carried: {COLOUR_SPACE} now.")
     known = {"POSITION", attribute("ROTATION"), attribute("SCALE"), attribute("OPACITY")}
     known |= {*coefficients(MAX_DEGREE), *_DERIVED}
     left_out = [name for name in primitive.part("attributes").data if name not in known]
@@ -253,11 +243,11 @@ def _describe(scene: _Scene, primitive: Part) -> None:
         scene.notes.append(f"The attribute {left_out[0][:40]!a} was left out.")
     extras = primitive.data.get("extras")
     extras = extras if isinstance(extras, dict) else {}  # may be anything, by specification
-    mode = extras.get(MODE_KEY, RenderMode.DEFAULT)
-    known_mode = mode in list(RenderMode)
+    stated = extras.get(MODE_KEY, mode)
+    known_mode = stated in list(RenderMode)
     if not known_mode:
-        scene.notes.append(f"The render mode {ascii(mode)[:40]} is unknown and was not carried.")
-    scene.modes.add(RenderMode(mode) if known_mode else RenderMode.DEFAULT)
+        scene.notes.append(f"The render mode {ascii(stated)[:40]} is unknown and was not carried.")
+    scene.modes.add(RenderMode(stated) if known_mode else RenderMode.DEFAULT)
     comments = extras.get(COMMENTS_KEY)
     if isinstance(comments, list):
         scene.comments += [text for text in comments if _is_line(text)]
@@ -265,39 +255,3 @@ def _describe(scene: _Scene, primitive: Part) -> None:
 
 def _is_line(text: object) -> bool:
     return isinstance(text, str) and "\n" not in text and not text.endswith("\r")
-
-
-def _hold_logarithms(primitives: Sequence[_Primitive], body: Body) -> bool:
-    """Whether some scale is below 0, which linear ones are not."""
-    for primitive in primitives:
-        scales = primitive.accessors[attribute("SCALE")]
-        for start in range(0, scales.count, BLOCK_ROWS):
-            if (scales.values(body, start, min(start + BLOCK_ROWS, scales.count)) < 0).any():
-                return True
-    return False
-
-
-def _decode(
-    primitive: _Primitive, body: Body, out: dict[str, Any], first: int, logarithms: bool
-) -> None:
-    """Fill arrays with rows of one primitive, from a first one on, block by block."""
-    pose = None if primitive.pose.is_identity() else primitive.pose
-    count = len(out["means"])
-    for start in range(0, count, BLOCK_ROWS):
-        span = slice(start, min(start + BLOCK_ROWS, count))
-
-        def block(name: str, span: slice = span) -> F64:
-            accessor = primitive.accessors[name]
-            return accessor.decoded(accessor.values(body, first + span.start, first + span.stop))
-
-        means, quats = block("POSITION"), block(attribute("ROTATION"))[:, [3, 0, 1, 2]]
-        scales = block(attribute("SCALE"))
-        scales = scales if logarithms else np.log(scales)
-        for i, name in enumerate(coefficients(primitive.degree)):
-            out["sh"][span, i] = block(name)
-        if pose:
-            means, quats = pose.means(means), pose.quats(quats)
-            scales = scales + np.log(pose.scale)
-            out["sh"][span] = pose.harmonics(out["sh"][span])
-        out["means"][span], out["quats"][span], out["log_scales"][span] = means, quats, scales
-        out["opacity_logits"][span] = logit(block(attribute("OPACITY"))[:, 0])

@@ -12,7 +12,7 @@ import numpy as np
 from nanogs._types import F32, F64
 from nanogs.datasets.harmonics import basis
 from nanogs.errors import FormatError
-from nanogs.io.glb import Glb, Part
+from nanogs.io.gltf_document import Document, Part
 
 EXTENSION = "KHR_gaussian_splatting"
 # glTF is y-up, a 3DGS file y-down by habit: half a turn about z leads from one to the other.
@@ -79,17 +79,21 @@ class Placed:
     pose: Pose
 
 
-def placed_splats(glb: Glb) -> tuple[list[Placed], int]:
+def placed_splats(document: Document, above: F64) -> tuple[list[Placed], int]:
     """The primitives of splats in the scene, and how many others there are.
+
+    Args:
+        document: The file.
+        above: (4, 4) float64: what is done to the scene, in its own frame, after its nodes.
 
     Raises:
         FormatError: There is none, the nodes are no tree, or a transform is not similar.
     """
     found, others = [], 0
-    for node, matrix in _nodes(glb.root):
+    for node, matrix in _nodes(document.root, above):
         if "mesh" not in node.data:
             continue
-        mesh = glb.root.at("meshes", node.integer("mesh"))
+        mesh = document.root.at("meshes", node.integer("mesh"))
         for number in range(len(mesh.items("primitives"))):
             primitive = mesh.at("primitives", number)
             if EXTENSION not in primitive.part("extensions").data:
@@ -99,28 +103,28 @@ def placed_splats(glb: Glb) -> tuple[list[Placed], int]:
             if len(found) > _MAX_PRIMITIVES:
                 raise node.error(f"is one of too many: nanogs reads {_MAX_PRIMITIVES} primitives")
     if not found:
-        raise _without_splats(glb)
+        raise _without_splats(document)
     return found, others
 
 
-def _without_splats(glb: Glb) -> FormatError:
-    used = [name for name in glb.root.items("extensionsUsed") if isinstance(name, str)]
+def _without_splats(document: Document) -> FormatError:
+    used = [name for name in document.root.items("extensionsUsed") if isinstance(name, str)]
     other = [name for name in used if "splat" in name and name != EXTENSION]
     if other:
         what = f"stores splats with {other[0][:80]!a}, which nanogs does not read; export it with"
-        return FormatError(f"{glb.path} {what} {EXTENSION} uncompressed.")
+        return FormatError(f"{document.path} {what} {EXTENSION}.")
     return FormatError(
-        f"{glb.path} holds no primitive with {EXTENSION} in its scene, so it is a mesh or point"
-        " cloud; export the splats."
+        f"{document.path} holds no primitive with {EXTENSION} in its scene, so it is a mesh or"
+        " point cloud; export the splats."
     )
 
 
-def _nodes(root: Part) -> Iterator[tuple[Part, F64]]:
+def _nodes(root: Part, above: F64) -> Iterator[tuple[Part, F64]]:
     """The nodes of the scene with their global matrices; parents first."""
     if not root.items("scenes"):
         raise root.error("has no scene")
     scene = root.at("scenes", root.integer("scene", 0))
-    waiting = [(index, np.eye(4)) for index in reversed(scene.indices("nodes"))]
+    waiting = [(index, above) for index in reversed(scene.indices("nodes"))]
     seen: set[int] = set()
     while waiting:
         index, above = waiting.pop()

@@ -15,11 +15,11 @@ from typing import Any, BinaryIO
 from nanogs._version import __version__
 from nanogs.io import spz_write
 from nanogs.io.glb import BODY_CHUNK, JSON_CHUNK, MAGIC
-from nanogs.io.gltf import COLOUR_SPACE, MAX_DEGREE, attribute, coefficients
+from nanogs.io.gltf import COLOUR_SPACE
+from nanogs.io.gltf_primitives import MAX_DEGREE, PACKED, attribute, coefficients
 from nanogs.io.gltf_scene import EXTENSION
 from nanogs.splats import Splats
 
-PACKED = "KHR_gaussian_splatting_compression_spz_2"
 _FLOAT, _BYTE = 5126, 5121
 # The half turn about z, y down to y up; as a matrix, since CesiumJS reads no other transform here.
 _HALF_TURN = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]

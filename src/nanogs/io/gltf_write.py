@@ -20,15 +20,10 @@ from nanogs.errors import OutputError
 from nanogs.io import limits
 from nanogs.io.compressed_ply import SH_C0
 from nanogs.io.files import BLOCK_ROWS
-from nanogs.io.glb import BODY_CHUNK, JSON_CHUNK, MAGIC, MAX_JSON_BYTES
-from nanogs.io.gltf import (
-    COLOUR_SPACE,
-    COMMENTS_KEY,
-    MAX_DEGREE,
-    MODE_KEY,
-    attribute,
-    coefficients,
-)
+from nanogs.io.glb import BODY_CHUNK, JSON_CHUNK, MAGIC
+from nanogs.io.gltf import COLOUR_SPACE, COMMENTS_KEY, MODE_KEY
+from nanogs.io.gltf_document import MAX_JSON_BYTES
+from nanogs.io.gltf_primitives import MAX_DEGREE, attribute, coefficients
 from nanogs.io.gltf_scene import EXTENSION, HALF_TURN
 from nanogs.io.ply_header import printable
 from nanogs.splats import RenderMode, Splats

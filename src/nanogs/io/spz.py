@@ -20,6 +20,7 @@ from nanogs.io.compressed_ply import logit
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
+from nanogs.io.section import whole_file
 from nanogs.io.spz_body import body_pieces, read_body, window_bytes
 from nanogs.io.spz_header import ANTIALIASED, LAST_GZIP, Header, read_header
 from nanogs.splats import RenderMode, Splats, empty_arrays
@@ -43,7 +44,15 @@ def read(path: Path) -> Splats:
     Raises:
         FormatError: The file cannot be read, is damaged, or is no model of splats.
     """
-    header = read_header(path)
+    return decode(read_header(whole_file(path)))
+
+
+def decode(header: Header) -> Splats:
+    """The splats of a file, or of SPZ data in another one, whose header has been read.
+
+    Raises:
+        FormatError: As for `read`.
+    """
     columns, notes = read_body(header)
     return _decoded(header, columns, notes)
 
@@ -54,7 +63,7 @@ def packed(path: Path) -> Packed:
     Raises:
         FormatError: As for `inspect`.
     """
-    return _Body(read_header(path))
+    return _Body(read_header(whole_file(path)))
 
 
 class _Body:
@@ -102,7 +111,7 @@ def _decoded(header: Header, columns: Mapping[str, U8], notes: Sequence[str]) ->
         out["sh"][span, 0] = _COLOURS[block["colours"]]
         if header.degree:
             out["sh"][span, 1:] = _SH[block["sh"]].reshape(-1, coefficients - 1, 3)
-    return Splats(**out, render_mode=_mode(header), notes=notes)
+    return Splats(**out, render_mode=render_mode(header), notes=notes)
 
 
 def inspect(path: Path) -> FileInfo:
@@ -111,33 +120,40 @@ def inspect(path: Path) -> FileInfo:
     Raises:
         FormatError: As for `read`, except for what only the columns show.
     """
-    header = read_header(path)
-    position = "float16" if header.version == 1 else "int24"
-    rotation = "uchar" if header.version <= 2 else "uint"
-    types = {"positions": position, "rotations": rotation}
+    header = read_header(whole_file(path))
     return FileInfo(
         path=path,
         format="spz",
-        encoding=_encoding(header),
+        encoding=encoding(header),
         file_bytes=header.file_bytes,
         splats=header.count,
         sh_degree=header.degree,
         double_means=False,
-        properties=tuple((name, types.get(name, "uchar")) for name in header.columns()),
+        properties=properties(header),
         extras=(),
         elements=(),
-        render_mode=_mode(header),
+        render_mode=render_mode(header),
         comments=(),
     )
 
 
-def _encoding(header: Header) -> str:
+def properties(header: Header) -> tuple[tuple[str, str], ...]:
+    """Name and type of each stored column, as `FileInfo` has them."""
+    position = "float16" if header.version == 1 else "int24"
+    rotation = "uchar" if header.version <= 2 else "uint"
+    types = {"positions": position, "rotations": rotation}
+    return tuple((name, types.get(name, "uchar")) for name in header.columns())
+
+
+def encoding(header: Header) -> str:
+    """How the columns are packed, as `FileInfo` says it."""
     if header.version > LAST_GZIP:
         return "zstd"
     return "gzip" if header.gzip else "binary_little_endian"
 
 
-def _mode(header: Header) -> RenderMode:
+def render_mode(header: Header) -> RenderMode:
+    """What the flags say of it."""
     return RenderMode.MIP if header.flags & ANTIALIASED else RenderMode.DEFAULT
 
 

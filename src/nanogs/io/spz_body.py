@@ -64,7 +64,7 @@ def body_pieces(header: Header, notes: list[str]) -> Iterator[bytes]:
     Raises:
         FormatError: As for `read_body`.
     """
-    with opened(header.path) as file:
+    with opened(header.section) as file:
         yield from (_plain if header.version <= LAST_GZIP else _streams)(header, file, notes)
 
 
@@ -79,7 +79,7 @@ def window_bytes(header: Header) -> int:
     if header.version <= LAST_GZIP:
         return 1 << 15  # of gzip
     largest = 0
-    with opened(header.path) as file:
+    with opened(header.section) as file:
         for _, at, size in _places(header, file):
             file.seek(at)
             frame = zstandard.get_frame_parameters(file.read(min(size, _FRAME_HEADER)))

@@ -27,7 +27,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from nanogs.errors import FormatError
-from nanogs.io.files import check_expansion, input_size, splat_bytes, unreadable
+from nanogs.io.files import check_expansion, splat_bytes, unreadable
+from nanogs.io.section import Section
 from nanogs.splats import MAX_SH_DEGREE
 
 MAGIC = b"NGSP"
@@ -47,8 +48,7 @@ class Header:
     """The header of an `.spz` file, checked.
 
     Attributes:
-        path: The file.
-        file_bytes: Its size.
+        section: Where it lies: mostly all of a file.
         version: 1 to 4.
         count: Splats, 1 or more.
         degree: SH degree, 0 to 4.
@@ -59,8 +59,7 @@ class Header:
         gzip: Whether the file is one gzip stream.
     """
 
-    path: Path
-    file_bytes: int
+    section: Section
     version: int
     count: int
     degree: int
@@ -69,6 +68,16 @@ class Header:
     streams: int = 0
     toc: int = 0
     gzip: bool = field(default=False, kw_only=True)
+
+    @property
+    def path(self) -> Path:
+        """The file, for messages."""
+        return self.section.path
+
+    @property
+    def file_bytes(self) -> int:
+        """Bytes of all of it."""
+        return self.section.size
 
     def columns(self) -> dict[str, int]:
         """Bytes a splat of each column, in the file's order; those of no bytes left out."""
@@ -89,21 +98,21 @@ def column_widths(version: int, degree: int) -> dict[str, int]:
     return widths
 
 
-def read_header(path: Path) -> Header:
-    """The header of a file, checked against the file's size.
+def read_header(section: Section) -> Header:
+    """The header of a file, or of SPZ data in another one, checked against its size.
 
     Raises:
         FormatError: The file cannot be read, is no `.spz` file, or its header is damaged.
     """
-    size = input_size(path)
-    with opened(path) as file:
+    path = section.path
+    with opened(section) as file:
         start = file.read(4)
         file.seek(0)
         if start[:2] == _GZIP:
             fields = _unpack(path, LEGACY_HEADER, Inflater(path, file).read(LEGACY_HEADER.size))
-            header = Header(path, size, *fields[1:6], gzip=True)
+            header = Header(section, *fields[1:6], gzip=True)
         elif start == MAGIC:
-            header = _plain_header(path, size, file.read(HEADER.size))
+            header = _plain_header(section, file.read(HEADER.size))
         else:
             raise FormatError(
                 f"{path} starts neither like gzip nor with NGSP, so it is no .spz file; check"
@@ -113,17 +122,17 @@ def read_header(path: Path) -> Header:
     return header
 
 
-def _plain_header(path: Path, size: int, data: bytes) -> Header:
+def _plain_header(section: Section, data: bytes) -> Header:
     """The header of version 4, or of an older one without gzip."""
-    fields = _unpack(path, LEGACY_HEADER, data[: LEGACY_HEADER.size])
+    fields = _unpack(section.path, LEGACY_HEADER, data[: LEGACY_HEADER.size])
     if 1 <= fields[1] <= LAST_GZIP:
-        return Header(path, size, *fields[1:6])
-    return Header(path, size, *_unpack(path, HEADER, data)[1:])
+        return Header(section, *fields[1:6])
+    return Header(section, *_unpack(section.path, HEADER, data)[1:])
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[BinaryIO]:
-    """The file, with everything that reading and expanding it may raise as a `FormatError`.
+def opened(section: Section) -> Iterator[BinaryIO]:
+    """The data, with everything that reading and expanding it may raise as a `FormatError`.
 
     Raises:
         FormatError: As said.
@@ -131,12 +140,14 @@ def opened(path: Path) -> Iterator[BinaryIO]:
     from zstandard import ZstdError
 
     try:
-        with path.open("rb") as file:
+        with section.opened() as file:
             yield file
     except (zlib.error, ZstdError) as error:
-        raise FormatError(f"{path} is damaged ({error}); export or download it again.") from None
+        raise FormatError(
+            f"{section.path} is damaged ({error}); export or download it again."
+        ) from None
     except OSError as error:
-        raise unreadable(path, error) from error
+        raise unreadable(section.path, error) from error
 
 
 def _unpack(path: Path, layout: struct.Struct, data: bytes) -> tuple[int, ...]:

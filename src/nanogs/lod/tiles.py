@@ -35,7 +35,7 @@ _WIDTH = 4.0
 def _plain_losses(splats: Splats) -> tuple[str, ...]:
     """What `gltf_write` leaves out, and the comments, which would be in every tile."""
     from nanogs.io import limits
-    from nanogs.io.gltf import MAX_DEGREE
+    from nanogs.io.gltf_primitives import MAX_DEGREE
 
     found = limits.left_out(splats, ".glb", max_degree=MAX_DEGREE)
     return (*found, *limits.rounded(splats, ".glb"))
@@ -54,11 +54,12 @@ class Form:
 def form_of(*, plain: bool) -> Form:
     """How contents are made, packed as SPZ or not."""
     from nanogs.io import gltf_spz, gltf_write  # here, as `--help` does without
+    from nanogs.io.gltf_primitives import PACKED
     from nanogs.io.gltf_scene import EXTENSION
 
     if plain:
         return Form(gltf_write.write, _plain_losses, {"extensionsUsed": [EXTENSION]})
-    packed = [EXTENSION, gltf_spz.PACKED]
+    packed = [EXTENSION, PACKED]
     extensions = {"extensionsUsed": packed, "extensionsRequired": packed}
     return Form(gltf_spz.write, gltf_spz.losses, extensions)
 

@@ -1,5 +1,7 @@
 """Accessors of glTF: rows of numbers in a binary buffer, alone or between those of others."""
 
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -7,27 +9,31 @@ from typing import BinaryIO
 import numpy as np
 
 from nanogs._types import F64, Array
+from nanogs.io.files import unreadable
 from nanogs.io.parts import fill
+from nanogs.io.section import Section
 
 
 @dataclass(frozen=True, slots=True)
 class Accessor:
-    """Rows of equal numbers in the file, its place checked against the file's size.
+    """Rows of equal numbers in a buffer, its place checked against the buffer's size.
 
     Attributes:
         count: Rows.
         components: Numbers in each.
         kind: Their numpy type.
         normalized: Whether integers stand for -1 to 1, or 0 to 1.
-        offset: Of the first row in the file, bytes.
+        buffer: The index of the buffer that they lie in.
+        offset: Of the first row in the buffer, bytes.
         stride: From one row to the next, bytes.
-        view: Where the bytes that it shares with others begin in the file, and where they end.
+        view: Where the bytes that it shares with others begin in the buffer, and where they end.
     """
 
     count: int
     components: int
     kind: str
     normalized: bool
+    buffer: int
     offset: int
     stride: int
     view: tuple[int, int]
@@ -43,7 +49,7 @@ class Accessor:
         first = self.offset + start * self.stride
         end = self.offset + (stop - 1) * self.stride + self.components * width
         whole_rows = first - before + (stop - start) * self.stride
-        data = body.read(first - before, max(end, min(whole_rows, self.view[1])))
+        data = body.read(self.buffer, first - before, max(end, min(whole_rows, self.view[1])))
         shape, strides = (stop - start, self.components), (self.stride, width)
         return np.ndarray(shape, self.kind, buffer=data, offset=before, strides=strides)
 
@@ -57,20 +63,35 @@ class Accessor:
 
 
 class Body:
-    """The bytes of an open file, of which those read last are kept."""
+    """The bytes of opened buffers, of which those read last are kept."""
 
-    def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path, self._file = path, file
-        self._start, self._data = 0, np.empty(0, np.uint8)
+    def __init__(self, path: Path, files: Mapping[int, BinaryIO]) -> None:
+        self._path, self._files = path, files
+        self._start, self._data = (-1, 0), np.empty(0, np.uint8)
 
-    def read(self, start: int, stop: int) -> Array:
-        """Some bytes.
+    def read(self, buffer: int, start: int, stop: int) -> Array:
+        """Some bytes of a buffer.
 
         Raises:
             FormatError: They cannot be read.
         """
-        if start != self._start or stop > start + len(self._data):
-            self._file.seek(start)
-            self._start, self._data = start, np.empty(stop - start, np.uint8)
-            fill(self._path, self._file, self._data)
+        if (buffer, start) != self._start or stop > start + len(self._data):
+            self._files[buffer].seek(start)
+            self._start, self._data = (buffer, start), np.empty(stop - start, np.uint8)
+            fill(self._path, self._files[buffer], self._data)
         return self._data[: stop - start]
+
+
+@contextmanager
+def opened(path: Path, buffers: Mapping[int, Section]) -> Iterator[Body]:
+    """The buffers of a document, open.
+
+    Raises:
+        FormatError: One cannot be read.
+    """
+    with ExitStack() as stack:
+        try:
+            files = {n: stack.enter_context(each.opened()) for n, each in buffers.items()}
+            yield Body(path, files)
+        except OSError as error:
+            raise unreadable(path, error) from error

@@ -1,0 +1,89 @@
+"""Some bytes one after the other, in a file or in memory: where formats lie in other formats."""
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, cast
+
+from nanogs.io.files import input_size
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A stretch of a file, or of bytes that came out of one.
+
+    Attributes:
+        path: The file, for messages too.
+        start: The first byte's place in it.
+        size: Bytes.
+        data: The bytes themselves where they do not lie in the file as they are; `start` counts in
+            them then.
+    """
+
+    path: Path
+    start: int
+    size: int
+    data: bytes | None = None
+
+    def part(self, start: int, size: int) -> "Section":
+        """A stretch of this one, which must hold it; its start counts from this one's."""
+        return Section(self.path, self.start + start, size, self.data)
+
+    @contextmanager
+    def opened(self) -> Iterator[BinaryIO]:
+        """A file to be read, which begins and ends with the section.
+
+        Raises:
+            OSError: The system refuses to read.
+        """
+        if self.data is not None:
+            yield io.BytesIO(memoryview(self.data)[self.start : self.start + self.size])
+            return
+        with self.path.open("rb") as file:
+            yield cast("BinaryIO", _Window(file, self.start, self.size))
+
+
+def whole_file(path: Path) -> Section:
+    """All of a file.
+
+    Raises:
+        FormatError: As for `input_size`.
+    """
+    return Section(path, 0, input_size(path))
+
+
+class _Window(io.RawIOBase):
+    """Some bytes of an open file, as a file that holds nothing else."""
+
+    def __init__(self, file: BinaryIO, start: int, size: int) -> None:
+        self._file, self._start, self._size = file, start, size
+        self._at = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._at
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        if whence != io.SEEK_SET:
+            raise ValueError("only places from the start are sought")
+        self._at = offset
+        return offset
+
+    def read(self, size: int = -1) -> bytes:
+        left = max(self._size - self._at, 0)
+        self._file.seek(self._start + self._at)
+        data = self._file.read(left if size < 0 else min(size, left))
+        self._at += len(data)
+        return data
+
+    def readinto(self, buffer: "memoryview") -> int:  # type: ignore[override]
+        data = self.read(len(buffer))
+        buffer[: len(data)] = data
+        return len(data)

@@ -1,0 +1,196 @@
+"""glTF as text, beside its buffer, and packed as SPZ; and colours in linear light."""
+
+import base64
+import json
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from builders import random_splats
+from nanogs import io
+from nanogs.datasets.harmonics import basis
+from nanogs.errors import FormatError
+from nanogs.io import gltf_spz
+from nanogs.splats import RenderMode
+from strategies import assert_same
+from test_gltf import PREFIX, columns, document, glb
+
+NO_TURN = [{"mesh": 0, "rotation": [0, 0, 1, 0]}]
+
+
+def as_text(content, body, uri=None):
+    """The document as a text file has it, its buffer as a `data:` URI where no other is given."""
+    data = "data:application/octet-stream;base64," + base64.b64encode(body).decode()
+    content = json.loads(json.dumps(content))
+    content["buffers"][0]["uri"] = uri or data
+    return json.dumps(content, indent=1)
+
+
+@pytest.fixture
+def made():
+    return document(columns(random_splats(300, degree=2, seed=3)), nodes=NO_TURN)
+
+
+@pytest.fixture
+def expected(made, tmp_path):
+    (tmp_path / "whole.glb").write_bytes(glb(*made))
+    return io.load(tmp_path / "whole.glb")
+
+
+def test_text_with_a_data_uri_is_the_same_model(made, expected, tmp_path):
+    (tmp_path / "a.gltf").write_text(as_text(*made))
+    assert_same(io.load(tmp_path / "a.gltf"), expected)
+    info = io.inspect(tmp_path / "a.gltf")
+    assert (info.format, info.splats, info.sh_degree) == ("gltf", 300, 2)
+    assert info.file_bytes == (tmp_path / "a.gltf").stat().st_size
+
+
+def test_text_whose_slashes_are_escaped(made, expected, tmp_path):
+    (tmp_path / "a.gltf").write_text(as_text(*made).replace("/", "\\/"))
+    assert_same(io.load(tmp_path / "a.gltf"), expected)
+
+
+@pytest.mark.parametrize("uri", ["b.bin", "./sub/b%20c.bin", "b.bin?v=1"])
+def test_text_with_a_buffer_beside_it(made, expected, tmp_path, uri):
+    name = uri.replace("%20", " ").partition("?")[0]
+    (tmp_path / "sub").mkdir()
+    (tmp_path / name).write_bytes(made[1])
+    (tmp_path / "a.gltf").write_text(as_text(*made, uri))
+    assert_same(io.load(tmp_path / "a.gltf"), expected)
+    assert io.inspect(tmp_path / "a.gltf").file_bytes == sum(
+        (tmp_path / each).stat().st_size for each in ("a.gltf", name)
+    )
+    (known,) = (each for each in io.registry.formats() if each.suffix == ".gltf")
+    assert known.files(tmp_path / "a.gltf") == (tmp_path / "a.gltf", tmp_path / name)
+    part = known.rows(tmp_path / "a.gltf").read(7, 200)
+    assert np.array_equal(part.sh, expected.sh[7:200])
+
+
+def test_the_first_bytes_tell_text_from_binary(made, expected, tmp_path):
+    (tmp_path / "a.gltf").write_bytes(glb(*made))
+    (tmp_path / "a.glb").write_text(as_text(*made))
+    assert_same(io.load(tmp_path / "a.gltf"), expected)
+    assert_same(io.load(tmp_path / "a.glb"), expected)
+
+
+def test_a_short_buffer_is_refused(made, tmp_path):
+    (tmp_path / "b.bin").write_bytes(made[1][:-1])
+    (tmp_path / "a.gltf").write_text(as_text(*made, "b.bin"))
+    with pytest.raises(FormatError, match="does not fit into its buffer"):
+        io.load(tmp_path / "a.gltf")
+
+
+def test_many_small_data_uris_take_no_room(tmp_path):
+    (tmp_path / "a.gltf").write_bytes(b'{"a":[' + b'"data:",' * 2_000_000 + b"1]}")
+    tracemalloc.start()
+    with pytest.raises(FormatError, match="reads up to 4194304"):
+        io.load(tmp_path / "a.gltf")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 5 * 16_000_000
+
+
+def test_materials_are_of_no_matter(made, expected, tmp_path):
+    content, body = made
+    content["extensionsRequired"] = ["KHR_gaussian_splatting", "KHR_materials_unlit"]
+    (tmp_path / "a.glb").write_bytes(glb(content, body))
+    assert_same(io.load(tmp_path / "a.glb"), expected)
+
+
+# Packed as SPZ
+
+
+def packed(path, model):
+    with path.open("wb") as file:
+        gltf_spz.write(model, file)
+    return path
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_what_was_packed_is_what_spz_holds(tmp_path, degree):
+    model = replace(random_splats(500, degree=degree, seed=4), render_mode=RenderMode.MIP)
+    path = packed(tmp_path / "a.glb", model)
+    io.save(model, tmp_path / "a.spz")
+    again = io.load(path)
+    assert_same(again, io.load(tmp_path / "a.spz"))
+    info = io.inspect(path)
+    assert (info.splats, info.sh_degree, info.format) == (500, degree, "glb")
+    assert (info.encoding, info.render_mode) == ("gzip", RenderMode.MIP)
+    assert dict(info.properties)["positions"] == "int24"
+    (known,) = (each for each in io.registry.formats() if each.suffix == ".glb")
+    assert known.rows(path) is None  # a stream that is unpacked as a whole
+    assert sum(map(len, io.stream(path))) == 500
+
+
+def test_packed_splats_are_placed_by_their_nodes(tmp_path):
+    model = random_splats(40, degree=2, seed=5)
+    data = packed(tmp_path / "a.glb", model).read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    content, body = json.loads(data[20 : 20 + length]), data[28 + length :]
+    whole = io.load(tmp_path / "a.glb")
+    content["nodes"] = [{"mesh": 0, "rotation": [0, 0, 1, 0], "translation": [1, 2, 3]}]
+    content["nodes"].append({"children": [0], "scale": [2, 2, 2]})
+    content["scenes"] = [{"nodes": [1]}]
+    (tmp_path / "b.glb").write_bytes(glb(content, body))
+    again = io.load(tmp_path / "b.glb")
+    assert again.means == pytest.approx(2 * whole.means + [-2, -4, 6], abs=1e-5)
+    assert again.log_scales == pytest.approx(whole.log_scales + np.log(2), abs=1e-6)
+    assert np.array_equal(again.sh, whole.sh)
+
+
+def test_many_nodes_cannot_blow_packed_splats_up(tmp_path):
+    model = random_splats(1).take(np.zeros(100_000, np.int64))
+    data = packed(tmp_path / "a.glb", model).read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    content, body = json.loads(data[20 : 20 + length]), data[28 + length :]
+    content["nodes"] = content["nodes"] * 1000
+    content["scenes"] = [{"nodes": list(range(1000))}]
+    (tmp_path / "b.glb").write_bytes(glb(content, body))
+    tracemalloc.start()
+    with pytest.raises(FormatError, match="far more than splats can be packed"):
+        io.load(tmp_path / "b.glb")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 10_000_000
+
+
+# Colours in linear light
+
+
+def linear(model):
+    """A file whose colours are linear light."""
+    extension = {"colorSpace": "lin_rec709_display"}
+    content, body = document(columns(model), nodes=NO_TURN)
+    content["meshes"][0]["primitives"][0]["extensions"] = {PREFIX[:-1]: extension}
+    return glb(content, body)
+
+
+def encode(light):
+    light = np.maximum(light, 0)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def test_base_colours_in_linear_light_are_encoded(tmp_path):
+    model = random_splats(50, degree=0, seed=6)
+    (tmp_path / "a.glb").write_bytes(linear(model))
+    again = io.load(tmp_path / "a.glb")
+    c0 = 0.5 / np.pi**0.5
+    wanted = encode(model.sh[:, 0].astype(np.float64) * c0 + 0.5)
+    assert again.sh[:, 0] * c0 + 0.5 == pytest.approx(wanted, abs=1e-6)
+    assert any("lin_rec709_display" in note for note in again.notes)
+
+
+def test_harmonics_in_linear_light_are_encoded_as_seen(tmp_path):
+    """Of mild harmonics the encoding is nearly linear."""
+    model = random_splats(50, degree=2, seed=7)
+    model.sh[:, 0] = np.clip(model.sh[:, 0], -0.8, 0.8)
+    model.sh[:, 1:] *= 0.05 / np.abs(model.sh[:, 1:]).max()
+    (tmp_path / "a.glb").write_bytes(linear(model))
+    again = io.load(tmp_path / "a.glb")
+    sides = np.random.default_rng(0).normal(size=(200, 3))
+    values = basis(sides / np.linalg.norm(sides, axis=1, keepdims=True), 2)
+    wanted = encode(np.einsum("dk,nkc->ndc", values, model.sh.astype(np.float64)) + 0.5)
+    seen = np.einsum("dk,nkc->ndc", values, again.sh.astype(np.float64)) + 0.5
+    assert np.abs(seen - wanted).max() < 0.002
