@@ -14,9 +14,9 @@ import nanogs
 from builders import random_splats
 from conftest import scene_path
 from nanogs import io
-from nanogs.info import describe
 from nanogs.io import registry
 from nanogs.io.findings import Finding, join_findings
+from nanogs.model_info import info as describe
 from nanogs.splats import RenderMode
 from strategies import splats
 

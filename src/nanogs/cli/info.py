@@ -12,7 +12,7 @@ from nanogs.cli import file_options, options
 from nanogs.formatting import bytes_text
 
 if TYPE_CHECKING:
-    from nanogs.info import ModelInfo, Spread
+    from nanogs.model_info import ModelInfo, Spread
 
 # By the name of the render mode.
 _MODES = {"default": "default", "mip": "mip (antialiased)", "2dgs": "2dgs (flat splats)"}
@@ -44,7 +44,7 @@ def info(
 def _described(path: Path, source: Path) -> "ModelInfo":
     """What a file holds, called as the user calls it."""
     from nanogs.cli.streams import DASH
-    from nanogs.info import describe
+    from nanogs.model_info import info as describe
 
     model = describe(path)
     if source != DASH:

@@ -14,6 +14,7 @@ from nanogs.compare.scoring import (
     score,
 )
 from nanogs.errors import OptionError
+from nanogs.formatting import number_text
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import Rendering, prepare
 from nanogs.splats import Splats
@@ -59,6 +60,13 @@ class Comparison:
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
         return asdict(self)
+
+    def __str__(self) -> str:
+        return "\n".join(
+            f"{model.name}: {model.splats:,} splats, {self.judged(place).text}, SSIM"
+            f" {number_text(model.ssim, 4)}"
+            for place, model in enumerate(self.models)
+        )
 
     def judged(self, place: int) -> Judged:
         """The means of one of the models, with how they were measured."""

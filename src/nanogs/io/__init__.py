@@ -12,6 +12,7 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format
 from nanogs.io.info import FileInfo
+from nanogs.io.models import refuse_other
 from nanogs.splats import Splats
 
 __all__ = [
@@ -89,11 +90,12 @@ def save(
         **options: Of the format: `spz_version`, 2, 3 (as by default) or 4.
 
     Raises:
-        ModelError: The format cannot hold the model at all.
+        ModelError: It is no model, or the format cannot hold it at all.
         OptionError: nanogs does not write the format that the suffix stands for, or the format has
             no such option.
         OutputError: The file or folder exists and `overwrite` is off, or it cannot be written.
     """
+    refuse_other(splats)
     path = Path(path)
     known = registry.writable(path)
     if known.write_folder:

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from nanogs.errors import OptionError
+from nanogs.io.models import Model, as_splats
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.job import Deliver, Job, NanPolicy, prepare_job, refuse_misaligned_elements
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def levels(
-    splats: Splats,
+    model: Model,
     ratios: Sequence[float],
     *,
     preset: str = DEFAULT_PRESET,
@@ -33,7 +34,7 @@ def levels(
     its report. A level is made when it is asked for, so only those the caller keeps take memory.
 
     Args:
-        splats: The model; it is not changed.
+        model: The model, which is not changed, or a path.
         ratios: Compaction ratios in (0, 1], from the finest level to the coarsest.
         preset: Name of a preset; `paper` grows no forest, so that each level is a run of its own.
         cameras: Views that matter, for presets that render; by default automatic ones.
@@ -47,11 +48,13 @@ def levels(
         checked when it is returned.
 
     Raises:
+        FormatError: The path cannot be read as a model.
         OptionError: An option is out of range.
         ModelError: No splat is usable, or `nan="error"` and one is not.
     """
     check_ratios(ratios)
     parameters(preset, overrides)
+    splats = as_splats(model)
     job = prepare_job(splats, preset, overrides, cameras, nan, progress)
     refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
     return _deliver(job, tuple(ratios), threads)

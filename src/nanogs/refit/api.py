@@ -6,6 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from nanogs.errors import ModelError
+from nanogs.io.models import Model, as_splats
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import RefitReport
 from nanogs.report import StageClock
@@ -18,8 +19,8 @@ Progress = Callable[[str, int, int], None]
 
 
 def refit(
-    original: Splats,
-    small: Splats,
+    original: Model,
+    small: Model,
     *,
     cameras: Sequence["Camera"] | None = None,
     parameters: RefitParameters | None = None,
@@ -32,8 +33,9 @@ def refit(
     not bring them nearer is taken back. So the result is never worse than the input there.
 
     Args:
-        original: The model to look like.
-        small: The model to fit, from any tool; its count, degree and further columns are kept.
+        original: The model to look like, or a path.
+        small: The model to fit, from any tool, or a path; its count, degree and further columns
+            are kept.
         cameras: Views of the scene; by default cameras are chosen from the original.
         parameters: See `RefitParameters`.
         threads: Threads to use; all by default. The result does not depend on it.
@@ -43,6 +45,7 @@ def refit(
         The fitted model, its rows in the order of the input, and the report.
 
     Raises:
+        FormatError: A path cannot be read as a model.
         OptionError: An option is out of range, or there are fewer than two cameras.
         ModelError: A model holds nothing that can be seen, or the two are not of one scene.
     """
@@ -50,8 +53,9 @@ def refit(
     chosen = parameters or RefitParameters()
     chosen.check()
     observe = progress or (lambda _stage, _done, _total: None)
-    _refuse_unusable(original, "original")
-    _refuse_unusable(small, "small")
+    large, given = as_splats(original, "the original"), as_splats(small, "the small model")
+    _refuse_unusable(large, "original")
+    _refuse_unusable(given, "small")
     # Here and not above: these bring Numba, which `--help` does without.
     from nanogs.refit.rounds import fit
     from nanogs.refit.views import view_targets
@@ -59,12 +63,12 @@ def refit(
 
     with use_threads(threads) as threads_used:
         with clock.time("targets"):
-            fitting, deciding = view_targets(original, small, cameras, chosen, observe)
+            fitting, deciding = view_targets(large, given, cameras, chosen, observe)
         with clock.time("fit"):
-            fitted, outcome = fit(small, fitting, deciding, chosen, observe)
+            fitted, outcome = fit(given, fitting, deciding, chosen, observe)
     report = RefitReport(
         parameters=asdict(chosen),
-        original_count=len(original),
+        original_count=len(large),
         count=len(fitted),
         fit_views=tuple(target.camera.name for target in fitting),
         validation_views=tuple(target.camera.name for target in deciding),

@@ -121,12 +121,15 @@ def color_image(rendering: Rendering, transparent: bool) -> Array:
 
     A transparent image takes the rendering over black, whose colour is premultiplied.
     """
-    color: F32 = rendering.color
-    if not transparent:
-        return to_bytes(color)
-    alpha = rendering.alpha[..., None]
-    straight = np.divide(color, alpha, out=np.zeros_like(color), where=alpha > 0)
-    return to_bytes(np.concatenate([straight, alpha], axis=2))
+    return to_bytes(straight(rendering) if transparent else rendering.color)
+
+
+def straight(rendering: Rendering) -> F32:
+    """(H, W, 4) float32 in [0, 1]: straight alpha and its colours, of a rendering over black."""
+    color, alpha = rendering.color, rendering.alpha[..., None]
+    divided = np.divide(color, alpha, out=np.zeros_like(color), where=alpha > 0)
+    both: F32 = np.concatenate([divided, alpha], axis=2)
+    return both.clip(0.0, 1.0)
 
 
 def depth_image(rendering: Rendering) -> Array:

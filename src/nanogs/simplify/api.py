@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.io import encoded_bytes, registry
+from nanogs.io.models import Model, as_splats
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.job import Job, NanPolicy, prepare_job, refuse_misaligned_elements
 from nanogs.simplify.outcome import Outcome
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def simplify(
-    splats: Splats,
+    model: Model,
     *,
     ratio: float | None = None,
     count: int | None = None,
@@ -40,7 +41,7 @@ def simplify(
     Exactly one of the four is given. A ratio and a count are met exactly.
 
     Args:
-        splats: The model; it is not changed.
+        model: The model, which is not changed, or a path.
         ratio: Compaction ratio in (0, 1]: ceil(ratio x finite splats) are delivered.
         count: Splats to deliver.
         size: Bytes that the saved file may have: as many splats as fit are delivered. Where only
@@ -63,6 +64,7 @@ def simplify(
         The smaller model, its rows in the order of the input, and the report.
 
     Raises:
+        FormatError: The path cannot be read as a model.
         OptionError: An option is out of range, or the size is less than one splat takes.
         ModelError: No splat is usable, `nan="error"` and one is not, or a PSNR is asked for and
             nothing is visible.
@@ -72,6 +74,7 @@ def simplify(
     parameters(preset, overrides)
     path = Path(f"model.{format.lstrip('.')}")
     refuse_searches(goal, preset, path)
+    splats = as_splats(model)
     # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.threads import use_threads
 

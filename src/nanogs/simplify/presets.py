@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 from nanogs.errors import OptionError, did_you_mean
@@ -109,12 +110,15 @@ def _require(ok: bool, name: str, value: float, expected: str) -> None:
         raise OptionError(f"{name} must be {expected}, not {value:g}.")
 
 
-PRESETS: Mapping[str, Parameters] = {
-    "default": ForestParameters(),
-    "fast": ForestParameters(rounds=0, measure=False),
-    "best": ForestParameters(refit=True),
-    "paper": PaperParameters(),
-}
+PRESETS: Mapping[str, Parameters] = MappingProxyType(
+    {
+        "default": ForestParameters(),
+        "fast": ForestParameters(rounds=0, measure=False),
+        "best": ForestParameters(refit=True),
+        "paper": PaperParameters(),
+    }
+)
+"""The parameters of each preset, by its name; `nanogs.presets`."""
 SUMMARIES: Mapping[str, str] = {
     "default": "one merge forest; the cut that looks most like the original, its colours fitted",
     "fast": "the same forest, one cut, nothing rendered",

@@ -1,6 +1,7 @@
 """What is in a model: structure, bounds and statistics, as one report."""
 
 from dataclasses import asdict, dataclass, field
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,7 @@ class ModelInfo:
         return {**data.pop("file"), **data}
 
 
-def describe(path: str | Path) -> ModelInfo:
+def info(path: str | PathLike[str]) -> ModelInfo:
     """Read a model once, block by block where its format can, and describe it.
 
     Of each splat 16 bytes are held, for the percentiles.

@@ -1,0 +1,255 @@
+"""What Python offers beside the command: names, paths in place of models, scores and pictures."""
+
+import inspect
+import json
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import cloud_pair, random_splats
+from nanogs.errors import FormatError, ModelError, OptionError
+from nanogs.render.views import automatic_cameras
+from strategies import assert_same
+
+SMALL = {"views": 2, "pixels": (48, 32)}
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return cloud_pair()
+
+
+@pytest.fixture(scope="module")
+def files(pair, tmp_path_factory):
+    """The two models as files."""
+    folder = tmp_path_factory.mktemp("pair")
+    paths = folder / "large.ply", folder / "small.spz"
+    for model, path in zip(pair, paths, strict=True):
+        nanogs.save(model, path)
+    return paths
+
+
+def python(code, *, code_of_exit=0):
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == code_of_exit, result.stderr
+    return result.stdout
+
+
+# ---- names ----------------------------------------------------------------------------------
+
+
+def test_importing_is_light():
+    python(
+        "import sys, nanogs\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'PIL', 'rich', 'typer', 'jinja2', 'nanogs.splats'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+        "nanogs.Splats, nanogs.info, nanogs.presets, nanogs.compare, nanogs.render\n"
+        "assert 'numba' not in sys.modules\n"
+    )
+
+
+MODULES = ("simplify.presets", "refit.parameters", "render.camera", "compare.protocol")
+
+
+@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("first", ["", "import nanogs; nanogs.simplify, nanogs.refit"])
+def test_packages_that_functions_hide_can_be_imported_in_every_way(name, first):
+    package, module = name.split(".")
+    python(
+        f"{first}\n"
+        f"import nanogs.{name} as one\n"
+        f"from nanogs.{package} import {module} as two\n"
+        f"import nanogs.{name}\n"
+        "import importlib, pkgutil\n"
+        f"three = importlib.import_module('nanogs.{name}')\n"
+        f"four = pkgutil.resolve_name('nanogs.{name}')\n"
+        f"assert one is two is three is four is nanogs.{name}\n"
+        f"assert type(nanogs.{package}).__name__ == 'function'\n"
+    )
+
+
+def test_functions_that_hide_packages_are_ordinary_functions():
+    for name in ("compare", "refit", "render", "simplify"):
+        function = getattr(nanogs, name)
+        assert function.__name__ == function.__qualname__ == name
+        assert function.__module__ == f"nanogs.{name}.api"
+        assert "Args:" in inspect.getdoc(function)
+        assert "threads" in inspect.signature(function).parameters
+        assert pickle.loads(pickle.dumps(function)) is function
+    assert nanogs.info.__name__ == "info"
+    assert inspect.isfunction(nanogs.info)
+
+
+def test_presets_can_be_read_and_not_changed():
+    assert list(nanogs.presets) == ["default", "fast", "best", "paper"]
+    assert nanogs.presets["paper"].k == 16
+    with pytest.raises(TypeError):
+        nanogs.presets["own"] = nanogs.presets["fast"]
+    with pytest.raises(AttributeError):
+        nanogs.presets["fast"].k = 3
+
+
+def test_every_name_is_documented_in_the_reference():
+    reference = Path(__file__).resolve().parents[1] / "docs" / "reference"
+    text = "".join(page.read_text() for page in reference.glob("*.md"))
+    for name in set(nanogs.__all__) - {"__version__"}:
+        assert f"nanogs.{name}\n" in text or f"`nanogs.{name}`" in text, name
+
+
+def test_info_is_that_of_the_command(files):
+    found = nanogs.info(str(files[0]))
+    assert (found.file.splats, found.file.sh_degree, found.nonfinite) == (400, 1, 0)
+    with pytest.raises(FormatError, match="no such file"):
+        nanogs.info("missing.ply")
+
+
+# ---- paths in place of models ---------------------------------------------------------------
+
+
+def test_paths_stand_for_models(files, pair):
+    large, small = files
+    for path in (large, str(large)):
+        from_path, _ = nanogs.simplify(path, ratio=0.25, preset="fast")
+        assert_same(from_path, nanogs.simplify(nanogs.load(large), ratio=0.25, preset="fast")[0])
+    levels = [len(model) for model, _ in nanogs.levels(large, [0.5, 0.1], preset="fast")]
+    assert levels == [200, 40]
+    options = {"parameters": nanogs.RefitParameters(views=2, steps=2, size=32)}
+    fitted, _ = nanogs.refit(large, small, **options)
+    assert_same(fitted, nanogs.refit(nanogs.load(large), nanogs.load(small), **options)[0])
+
+
+def test_options_are_refused_before_a_file_is_read():
+    with pytest.raises(OptionError, match="ratio"):
+        nanogs.simplify("missing.ply", ratio=2)
+    with pytest.raises(OptionError, match="There is no preset"):
+        nanogs.levels("missing.ply", [0.5], preset="fst")
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda given: nanogs.simplify(given, ratio=0.5),
+        lambda given: nanogs.levels(given, [0.5]),
+        lambda given: nanogs.refit(given, given),
+        nanogs.render,
+        lambda given: nanogs.compare(given, given),
+    ],
+)
+def test_what_is_no_model_is_named(call):
+    with pytest.raises(ModelError, match=r"must be Splats or a path, not ndarray"):
+        call(np.zeros((3, 3)))
+    with pytest.raises(FormatError, match=r"missing\.ply: no such file"):
+        call("missing.ply")
+
+
+def test_models_and_paths_the_wrong_way_round(tmp_path):
+    path = tmp_path / "a.ply"
+    with pytest.raises(ModelError, match=r"A model is needed, not the path '.*nanogs.load"):
+        nanogs.save(str(path), random_splats(3))
+    with pytest.raises(ModelError, match="A model is needed, Splats, not NoneType"):
+        nanogs.save(None, path)
+    assert not list(tmp_path.iterdir())
+
+
+# ---- compare --------------------------------------------------------------------------------
+
+
+def test_compare_has_the_numbers_of_the_command(files):
+    command = [sys.executable, "-m", "nanogs", "compare", *map(str, files), "--json"]
+    said = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    found = nanogs.compare(*files)
+    assert json.loads(json.dumps(found.to_dict())) == said
+    assert found.models[0].name == "small.spz"
+    assert found.models[0].file_bytes == files[1].stat().st_size
+    [model] = nanogs.compare(*map(nanogs.load, files)).models
+    assert (model.psnr, model.ssim) == (found.models[0].psnr, found.models[0].ssim)
+    assert (model.name, model.file_bytes) == ("model 1", None)
+
+
+def test_compare_tells_several_models_in_a_line_each(pair):
+    large, small = pair
+    found = nanogs.compare(large, small, large, names=["small", "same"], **SMALL)
+    assert [model.name for model in found.models] == ["small", "same"]
+    assert found.models[1].psnr == np.inf
+    first, second = str(found).splitlines()
+    assert first.startswith(f"small: 100 splats, {found.models[0].psnr:.2f} dB on 2 held-out views")
+    assert second.startswith("same: 400 splats, ∞ dB")
+    assert found.protocol.pixels == (48, 32)
+
+
+def test_compare_from_cameras_that_are_given(pair):
+    large, small = pair
+    cameras = automatic_cameras(large, 2, width=48, height=32, split="test")
+    given = nanogs.compare(large, small, cameras=cameras)
+    found = nanogs.compare(large, small, **SMALL)
+    assert given.models[0].psnr == found.models[0].psnr
+    assert (given.protocol.kind, found.protocol.kind) == ("given", "auto")
+    assert len(nanogs.compare(large, small, cameras=cameras[1]).views) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"names": ["one", "two"]}, "one name for each of the 1 models"),
+        ({"names": "small"}, "one name for each"),
+        ({"cameras": "missing.json"}, "no camera file 'missing.json'"),
+        ({"cameras": []}, "at least one nanogs.Camera"),
+        ({"cameras": [1]}, "at least one nanogs.Camera"),
+        ({"metrics": ["msssim"]}, "no metric 'msssim'"),
+        ({"views": 0}, "count and a size of 1 or more"),
+        ({"background": (0, 0)}, "background must be three"),
+        ({"threads": 0}, "thread"),
+    ],
+)
+def test_compare_refuses_what_makes_no_sense(pair, options, message):
+    with pytest.raises(OptionError, match=message):
+        nanogs.compare(*pair, **SMALL | options)
+
+
+def test_compare_needs_a_model(pair):
+    with pytest.raises(OptionError, match="at least one model"):
+        nanogs.compare(pair[0])
+
+
+# ---- render ---------------------------------------------------------------------------------
+
+
+def test_render_gives_the_pictures_of_the_command(files, tmp_path):
+    from PIL import Image
+
+    from nanogs.render.images import to_bytes
+
+    command = ("render", files[0], tmp_path / "pictures", "--views", "2", "--pixels", "48x32")
+    subprocess.run([sys.executable, "-m", "nanogs", *map(str, command)], check=True)
+    images = nanogs.render(files[0], **SMALL)
+    assert [image.shape for image in images] == [(32, 48, 3)] * 2
+    assert all(image.dtype == np.float32 for image in images)
+    for image, path in zip(images, sorted((tmp_path / "pictures").iterdir()), strict=True):
+        np.testing.assert_array_equal(to_bytes(image), np.asarray(Image.open(path)))
+
+
+def test_render_over_colours_and_over_nothing(pair):
+    cameras = automatic_cameras(pair[0], 2, width=48, height=32, split="test")
+    [black], [white] = (
+        nanogs.render(pair[0], cameras[0], background=behind) for behind in ((0, 0, 0), (1, 1, 1))
+    )
+    [straight] = nanogs.render(pair[0], cameras[:1], transparent=True, background=(1, 0, 0))
+    assert straight.shape == (32, 48, 4)
+    color, alpha = straight[..., :3], straight[..., 3:]
+    assert 0 < alpha.mean() < 1
+    shown = (color < 1).all(axis=2)  # a colour above 1 is cut off before alpha is taken out of it
+    np.testing.assert_allclose((color * alpha)[shown], black[shown], atol=1e-5)
+    np.testing.assert_allclose((color * alpha + 1 - alpha)[shown], white[shown], atol=1e-5)
+
+
+def test_render_shows_what_is_there(pair):
+    square, wide = nanogs.render(pair[0], views=1, pixels=24), nanogs.render(pair[0], **SMALL)
+    assert square[0].shape == (24, 24, 3)
+    assert len(wide) == 2
+    assert not np.array_equal(*wide)
+    assert all(image.min() >= 0 and 0.05 < image.max() <= 1 for image in (*square, *wide))
