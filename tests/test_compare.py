@@ -261,7 +261,112 @@ def test_the_page_in_a_browser(files, tmp_path, width):
             page.screenshot(path=f"{folder}/compare_{width}.png", full_page=True)
         browser.close()
     assert [url for url in requests if not url.startswith(("file:", "data:"))] == []
-    assert pictures == [64] * (2 * (1 + 2 + 2))
+    assert pictures == [64] * (2 + 2 * (1 + 2 + 2))  # two at a time with the line, and all below
     assert "<b>ref</b>" in heading  # a name is text, never markup
     assert fits
     assert plots == 1
+
+
+@pytest.fixture
+def opened(files, tmp_path):
+    """Opens a report of two views and two models in Chromium, of a width and a scheme."""
+    if not CHROMIUM:
+        pytest.skip("Chromium is not installed")
+    from playwright.sync_api import sync_playwright
+
+    report = tmp_path / "page.html"
+    tests = [("tenth", files / "small_0.1.ply"), ("half", files / "small_0.5.ply")]
+    compare_files(("all", files / "scene.ply"), tests, views=2, width=64, height=64, report=report)
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+
+        def open_page(**options):
+            page = browser.new_context(**options).new_page()
+            page.goto(report.as_uri())
+            return page
+
+        yield open_page
+        browser.close()
+
+
+PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+pytestmark_page = pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+
+
+def cut(page):
+    """Where the line is, as a share of the width."""
+    stage = page.locator("#stage").bounding_box()
+    edge = page.locator(".edge").bounding_box()
+    return (edge["x"] + edge["width"] / 2 - stage["x"]) / stage["width"]
+
+
+@pytestmark_page
+def test_the_report_opens_on_pictures_with_a_line_between(opened):
+    page = opened(viewport={"width": 1280, "height": 800})
+    stage = page.locator("#stage").bounding_box()
+    assert stage["y"] + stage["height"] < 800
+    assert page.locator("#left").inner_text() == "original"
+    assert page.locator("#right").inner_text() == "tenth"
+    assert page.locator("#place").inner_text() == "View 1 of 2"
+    assert "test_0" not in page.content()
+    assert page.locator("#nanogs-view").count() == 0
+    assert cut(page) == pytest.approx(0.5, abs=0.01)
+    assert "dB" in page.locator("#caption").inner_text()
+
+
+@pytestmark_page
+def test_the_line_moves_by_mouse_and_by_keys(opened):
+    page = opened(viewport={"width": 1280, "height": 800})
+    box = page.locator("#stage").bounding_box()
+    middle = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + box["width"] / 2, middle)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.8 * box["width"], middle, steps=4)
+    page.mouse.up()
+    moved = cut(page)
+    assert moved == pytest.approx(0.8, abs=0.03)
+    clip = page.evaluate("getComputedStyle(document.querySelectorAll('.stage img')[1]).clipPath")
+    assert float(clip.split()[-1].rstrip("%)")) == pytest.approx(100 * moved, abs=0.5)
+    page.get_by_role("slider").press("ArrowLeft")
+    assert cut(page) < moved
+    page.get_by_role("slider").press("Home")
+    assert cut(page) == pytest.approx(0, abs=0.01)
+
+
+@pytestmark_page
+def test_views_models_and_differences_are_chosen(opened):
+    page = opened(viewport={"width": 1280, "height": 800})
+    sources = "[...document.querySelectorAll('.stage img')].map(image => image.src)"
+    first = page.evaluate(sources)
+    page.get_by_role("button", name="Next view").click()
+    assert page.locator("#place").inner_text() == "View 2 of 2"
+    second = page.evaluate(sources)
+    assert first[0] != second[0]
+    assert first[1] != second[1]
+    page.get_by_label("Compared model").select_option(index=1)
+    assert page.locator("#right").inner_text() == "half"
+    other = page.evaluate(sources)
+    assert (other[0], other[1] != second[1]) == (second[0], True)
+    page.get_by_label("Difference").check()
+    assert page.evaluate(sources)[1] not in (other[1], second[1])
+    page.get_by_role("button", name="Next view").click()
+    assert page.locator("#place").inner_text() == "View 1 of 2"
+
+
+@pytestmark_page
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_of_the_report_is_cut_off_on_a_phone(opened, scheme):
+    page = opened(**PHONE, color_scheme=scheme)
+    page.locator("summary").tap()
+    for selector in ("td", "#stage", "button", "select", "label", "figure"):
+        for found in page.locator(selector).all():
+            box = found.bounding_box()
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= 390
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    light = page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert light == (scheme == "light")
+    page.evaluate("scrollTo(0, 0)")
+    box = page.locator("#stage").bounding_box()
+    page.touchscreen.tap(box["x"] + 0.25 * box["width"], box["y"] + box["height"] / 2)
+    assert cut(page) == pytest.approx(0.25, abs=0.04)

@@ -348,7 +348,7 @@ def test_a_report_loads_its_models_on_request(chromium, files, tmp_path):
     page = seen.page
     assert page.locator("canvas").count() == 0
     assert page.evaluate("typeof nanogsViewer") == "undefined"
-    page.get_by_role("button", name="Load").click()
+    page.get_by_role("button", name="Show in 3D").click()
     seen.settle()
     many = seen.pixels()
     assert is_red(many).any()

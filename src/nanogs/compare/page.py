@@ -11,6 +11,9 @@ from nanogs.compare.scoring import ModelScore
 from nanogs.formatting import bytes_text, number_text
 from nanogs.view.page import POLICY
 
+# What the page does without the viewer: its pictures are in it.
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+
 
 def render_page(
     comparison: Comparison, sheets: Sequence[Sheet], title: str, viewer: str | None = None
@@ -29,13 +32,19 @@ def render_page(
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["number"] = number_text
     environment.filters["size"] = bytes_text
-    template = environment.from_string(
-        files("nanogs.compare").joinpath("page.html.j2").read_text(encoding="utf-8")
-    )
+    template = environment.from_string(_text("page.html.j2"))
+    width, height = comparison.protocol.pixels
     several = len({model.splats for model in comparison.models}) > 1
     return template.render(
         title=title,
         comparison=comparison,
+        width=width,
+        height=height,
+        original="original" if comparison.reference_splats else "photograph",
+        named=comparison.protocol.kind in ("given", "photographs"),
+        css=_text("page.css"),
+        program=_text("page.js"),
+        policy=_POLICY,
         sheets=sheets,
         full_scale=ERROR_FULL_SCALE,
         extras=sorted({name for model in comparison.models for name in model.extras}),
@@ -43,6 +52,10 @@ def render_page(
         viewer_policy=POLICY,
         plot=rate_distortion_plot(comparison.models) if several else "",
     )
+
+
+def _text(name: str) -> str:
+    return files("nanogs.compare").joinpath(name).read_text(encoding="utf-8")
 
 
 def rate_distortion_plot(models: Sequence[ModelScore]) -> str:
