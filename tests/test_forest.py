@@ -13,6 +13,7 @@ import twins
 from builders import model_bytes, random_splats
 from nanogs.datasets.harmonics import basis
 from nanogs.kernels.assign import assign_nearest, invert_covariances
+from nanogs.progress import Tracker, untold
 from nanogs.report import PassReport, StageClock, StopReason
 from nanogs.simplify import choose, forest_pipeline, reassign, tree
 from nanogs.simplify.choose import choose_model, quality
@@ -36,17 +37,13 @@ pytestmark = pytest.mark.usefixtures("small_views")
 SOME = settings(max_examples=20)
 
 
-def silent(_stage, _count):
-    """No one watches the progress."""
-
-
 def nodes_of(splats, pixel=0.0):
     rows = morton_order(splats.means.astype(np.float64))
     return activate_nodes(splats, rows, np.zeros(3), pixel), rows
 
 
 def forest_of(count, seed=0, k=8):
-    return grow_forest(nodes_of(random_splats(count, seed=seed))[0], k, 1.0, 1, silent)
+    return grow_forest(nodes_of(random_splats(count, seed=seed))[0], k, 1.0, 1, untold)
 
 
 # Footprints
@@ -151,7 +148,7 @@ def test_growing_needs_no_coverages():
     merged = gather_pairs(bare, labels, 25)
     assert merged.coverages is merged.weights
     assert np.array_equal(merged.weights, gather(nodes, labels, 25).weights)
-    forests = [grow_forest(x, 8, 1.0, 1, silent) for x in (nodes, bare)]
+    forests = [grow_forest(x, 8, 1.0, 1, untold) for x in (nodes, bare)]
     assert np.array_equal(forests[0].children, forests[1].children)
     assert np.array_equal(forests[0].increments, forests[1].increments)
 
@@ -225,7 +222,7 @@ def test_a_forest_joins_all_and_no_node_twice(n, k, seed):
 
 def test_increments_are_those_of_the_merged_nodes():
     nodes, _ = nodes_of(random_splats(40, seed=4), 0.01)
-    forest = grow_forest(nodes, 6, 1.0, 1, silent)
+    forest = grow_forest(nodes, 6, 1.0, 1, untold)
     sigmas = np.array([twins.unpack(six) for six in nodes.covariances])
 
     def moments(node):
@@ -250,7 +247,7 @@ def test_colour_decides_who_merges_where_it_weighs(lambda_app, together):
     splats.log_scales[:] = 0
     splats.sh[:, 0] = np.array([[0.0], [5], [0], [5]])
     nodes, rows = nodes_of(splats)
-    forest = grow_forest(nodes, 3, lambda_app, 1, silent)
+    forest = grow_forest(nodes, 3, lambda_app, 1, untold)
     pairs = rows[forest.children[forest.levels == 1]]
     assert set(np.abs(np.diff(pairs, axis=1)).ravel().tolist()) == together
     assert forest.levels.tolist() == [1, 1, 2]
@@ -389,7 +386,7 @@ def test_reassignment_keeps_every_group_and_fits_no_worse(n, seed, equal):
     leaves, _ = nodes_of(random_splats(n, seed=seed), 0.01)
     if equal:
         leaves = dataclasses.replace(leaves, weights=np.ones(n))
-    labels = cut(grow_forest(leaves, 8, 1.0, 1, silent), n // 4, 0.8)
+    labels = cut(grow_forest(leaves, 8, 1.0, 1, untold), n // 4, 0.8)
     filled = []
     with pytest.MonkeyPatch.context() as patch:
         whole = reassign._refill
@@ -408,7 +405,7 @@ def test_reassignment_keeps_every_group_and_fits_no_worse(n, seed, equal):
 
 def test_no_round_changes_nothing_and_rounds_end_when_nothing_moves(monkeypatch):
     leaves, _ = nodes_of(random_splats(60, seed=5))
-    labels = cut(grow_forest(leaves, 8, 1.0, 1, silent), 12, 0.8)
+    labels = cut(grow_forest(leaves, 8, 1.0, 1, untold), 12, 0.8)
     assert reassign.reassign(leaves, labels, 12, 0, 1) is labels
     settled = reassign.reassign(leaves, labels, 12, 100, 1)
     assert not np.array_equal(settled, labels)
@@ -591,9 +588,11 @@ def test_the_stages_of_one_forest_answer_many_counts():
     parameters = PRESETS["fast"]
     clock = StageClock()
     rows = np.arange(200)
-    build = forest_pipeline.build_forest(splats, rows, parameters, None, 1, clock, silent)
+    build = forest_pipeline.build_forest(
+        splats, rows, parameters, None, 1, clock, Tracker(None, [])
+    )
     for count in (1, 7, 100, 199, 200):
-        outcome = forest_pipeline.deliver(build, count, clock, silent)
+        outcome = forest_pipeline.deliver(build, count, clock, Tracker(None, []))
         alone, _ = nanogs.simplify(splats, count=count, preset="fast")
         assert model_bytes(outcome.splats) == model_bytes(alone)
     assert all(isinstance(one, PassReport) for one in build.forest.passes)

@@ -198,8 +198,8 @@ def test_a_failure_half_way_leaves_what_was(splats, tmp_path, monkeypatch):
     write_levels(splats, folder, RATIOS, source="a.ply", preset="fast")
     before = (folder / "level_0.ply").read_bytes()
 
-    def progress(stage, count):
-        if stage == "write" and count == 4:
+    def progress(step):
+        if step.stage == "write" and step.number == step.stages:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

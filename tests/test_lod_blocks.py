@@ -53,7 +53,7 @@ def write(scene, folder, layout, *, ratios=RATIOS, where=None, progress=None, **
         given["plain"] = True
     return write_levels_in_blocks(
         [scene], folder, ratios, layout=layout, where=where or Where(1),
-        progress=progress or (lambda *_: None), **(given | options),
+        progress=progress, **(given | options),
     )  # fmt: skip
 
 
@@ -277,8 +277,8 @@ def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
 
 
 def test_a_job_of_another_layout_or_chunk_is_not_continued(scene, tmp_path):
-    def crash(stage, _done, _total):
-        if stage == "chunk":
+    def crash(step):
+        if step.stage == "chunk":
             raise CrashError
 
     with pytest.raises(CrashError):

@@ -308,8 +308,8 @@ def test_a_failure_half_way_leaves_what_was(splats, tmp_path, monkeypatch):
     write(splats, folder)
     before = files(folder)
 
-    def progress(stage, count):
-        if stage == "write" and count < 100:
+    def progress(step):
+        if step.stage == "write" and step.number == step.stages:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 import nanogs
 from builders import random_splats
+from nanogs.progress import Tracker
 from nanogs.report import StageClock
 from nanogs.scale import cluster
 from nanogs.scale.api import block_parameters, plan_job
@@ -146,9 +147,9 @@ def test_workers_make_the_same_bytes_and_may_be_lost(scene, tmp_path, client):
     workers = set(client.run(os.getpid).values())
     told = []
 
-    def progress(stage, done, total):
-        told.append((stage, done, total))
-        if (stage, done) == ("forest", 1):
+    def progress(step):
+        told.append((step.stage, step.done, step.parts))
+        if (step.stage, step.done) == ("forest", 1):
             os.kill(workers.pop(), signal.SIGKILL)
 
     nanogs.simplify_blocks(scene, there, ratio=0.1, client=client, progress=progress, **BLOCK)
@@ -164,10 +165,8 @@ def test_workers_unpack_too(tmp_path, client):
     nanogs.save(nanogs.load(path), plain)
     here, there, told = tmp_path / "here.ply", tmp_path / "there.ply", []
     nanogs.simplify_blocks(plain, here, ratio=0.1, **BLOCK)
-    nanogs.simplify_blocks(
-        path, there, ratio=0.1, client=client, progress=lambda *each: told.append(each), **BLOCK
-    )
-    assert ("unpack", 1, 1) in told
+    nanogs.simplify_blocks(path, there, ratio=0.1, client=client, progress=told.append, **BLOCK)
+    assert ("unpack", 1, 1) in [(step.stage, step.done, step.parts) for step in told]
     assert there.read_bytes() == here.read_bytes()
 
 
@@ -176,8 +175,8 @@ def test_a_task_that_fails_on_a_worker_is_told_here(scene, tmp_path, client):
     own = tmp_path / "own.ply"
     own.write_bytes(scene.read_bytes())
 
-    def progress(stage, done, total):
-        if stage == "segment" and done == 0:
+    def progress(step):
+        if step.stage == "segment" and step.done == 0:
             os.utime(own, (1, 1))
 
     with pytest.raises(nanogs.NanogsError, match="has changed since the job began"):
@@ -212,7 +211,7 @@ def in_blocks(splats, folder, ratio, rounds):
     settings, _ = plan_job([folder / "in.ply"], (Goal(ratio=ratio),), chosen, None, 2600, "drop")
     scratch, clock = FolderScratch(folder / "scratch"), StageClock()
     scratch.prepare()
-    done = run_tasks(scratch, settings, Here(), 1, clock, lambda *_: None, resumed=False)
+    done = run_tasks(scratch, settings, Here(), 1, clock, Tracker(None, []), resumed=False)
     found = done.work.partition
     sizes = [found.count(block) for block in range(found.blocks)]
     order = np.argsort(survey(settings).codes(splats), kind="stable")

@@ -441,29 +441,6 @@ def test_the_plan_is_pinned():
     assert [p.merged for p in report.passes] == [2]
 
 
-@every_preset
-def test_progress_tells_every_stage_and_the_splats_left(preset):
-    told = []
-    splats = random_splats(100)
-    nanogs.simplify(
-        splats,
-        count=10,
-        preset=preset,
-        progress=lambda *pair: told.append(pair),
-    )
-    stages = [stage for stage, _ in told]
-    first = {"paper": "prune", "fast": "activate"}.get(preset, "look")
-    assert stages[0] == first
-    assert stages[-1] == {"best": "refit", "default": "recolour"}.get(preset, "store")
-    assert {"graph", "cost", "match"} <= set(stages)
-    assert told[-1][1] == 10
-    delivery = {"paper": "merge", "fast": "cut"}.get(preset, "choose")
-    assert delivery in stages
-    # A forest is grown down to one splat, and then cut at the count: it falls twice.
-    left = [count for _, count in told][: None if preset == "paper" else stages.index(delivery)]
-    assert left == sorted(left, reverse=True)
-
-
 def test_a_result_that_cannot_be_fitted_is_delivered_as_it_is():
     """One splat of two is hardly seen where the two were: the fit refuses, the promise holds."""
     best, report = nanogs.simplify(random_splats(2), count=1, preset="best")

@@ -68,8 +68,8 @@ _HOMES = {
 }
 _ATTRIBUTES = {"presets": "PRESETS"}  # what they are called there, if not the same
 _MODULES = (
-    "datasets", "errors", "filters", "formatting", "frames", "io", "lod", "report", "scale",
-    "splats",
+    "datasets", "errors", "filters", "formatting", "frames", "io", "lod", "progress", "report",
+    "scale", "splats",
 )  # fmt: skip
 
 # Functions with the name of a package. The first import of a package, and no later one, binds it to

@@ -2,8 +2,6 @@
 
 import shlex
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -15,12 +13,11 @@ from nanogs.cli import options
 from nanogs.errors import OptionError
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
-
     from nanogs.bench.output import ResultFolder
     from nanogs.bench.rows import BenchRow
     from nanogs.bench.scenes import BenchScene
     from nanogs.bench.settings import BenchSettings
+    from nanogs.cli.progress import Watch
 
 
 class Kind(StrEnum):
@@ -183,9 +180,11 @@ def _run(
     """Measure, keep rows in the folder as they come, and show on stderr how it goes."""
     from nanogs.bench.output import ResultFolder
     from nanogs.bench.protocol import row_count, run_bench
+    from nanogs.cli.progress import shown
 
     folder = ResultFolder(out, overwrite=overwrite) if out else None
-    with _progress(row_count(scenes, settings), quiet) as observer:
+    with shown(quiet=quiet) as watch:
+        observer = _Observer(watch, row_count(scenes, settings))
         rows = run_bench(
             scenes,
             settings,
@@ -197,49 +196,28 @@ def _run(
     return rows
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Observer:
-    """What the library calls while it measures."""
+    """What the library calls while it measures; each row is a stage."""
 
-    progress: "Progress"
-    task: "TaskID"
-    quiet: bool
+    watch: "Watch"
+    total: int
+    done: int = 0
 
     def stage(self, what: str) -> None:
-        self.progress.update(self.task, description=what)
+        from nanogs.progress import Step
+
+        number = min(self.done + 1, self.total)
+        self.watch(Step(what, number, self.total, 0, 1, self.done / (self.total + 1)))
 
     def row(self, row: "BenchRow", folder: "ResultFolder | None") -> None:
         if folder:
             folder.add(row)
-        if row.reason and not self.quiet:
+        if row.reason and not self.watch.quiet:
             from nanogs.cli.console import warn
 
             warn(f"{row.scene}, {row.method} at {row.ratio:g}: {row.status}: {row.reason}")
-        self.progress.advance(self.task)
-
-
-@contextmanager
-def _progress(total: int, quiet: bool) -> Iterator[_Observer]:
-    """A bar over the rows, on a terminal only."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-    )
-
-    from nanogs.cli.console import err
-
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}", markup=False),
-    )
-    shown = err.is_terminal and not quiet
-    with Progress(*columns, console=err, transient=True, disable=not shown) as progress:
-        yield _Observer(progress, progress.add_task("", total=total), quiet)
+        self.done += 1
 
 
 def _list(text: str) -> list[str]:

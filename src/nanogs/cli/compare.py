@@ -66,7 +66,7 @@ def compare(
     """Score models against the original, on views that no method has used."""
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli.console import err, out, print_json, show, warn
-    from nanogs.cli.progress import spinner
+    from nanogs.cli.progress import shown
     from nanogs.io.atomic import check_writable
 
     width, height = options.parse_pixels(pixels)
@@ -82,7 +82,7 @@ def compare(
     from nanogs.compare.run import compare_files
     from nanogs.threads import use_threads
 
-    with spinner(quiet=quiet or json) as progress, use_threads(threads):
+    with shown(quiet=quiet or json) as progress, use_threads(threads):
         comparison = compare_files(
             options.parse_named(reference),
             [options.parse_named(test) for test in tests],

@@ -9,6 +9,7 @@ from nanogs.errors import OptionError
 
 if TYPE_CHECKING:
     from nanogs.io.collect import Pair
+    from nanogs.progress import Progress
 
 
 def convert(
@@ -55,14 +56,13 @@ def convert(
         raise OptionError("--turn and --frame both turn the model; give one of them.")
     asked = framing.parse_frames(frame)
 
-    def run_one(pair: "Pair") -> dict[str, Any]:
+    def run_one(pair: "Pair", progress: "Progress") -> dict[str, Any]:
         frames = (Y_UP, TRAINED) if turn else framing.frames_of(pair, asked)
         check_writable(pair.target, **saving)
         return convert_file(
-            pair, filters, sh_degree, frames, level=level, saving=saving, quiet=hushed
+            pair, filters, sh_degree, frames, level=level, saving=saving, told=progress
         )
 
-    hushed = quiet or json
     pairs = many.plan_pairs(paths, out_dir, out_format)
     pipes = streams.Streams(read_as, write_as)
     many.run_all(pairs, run_one, print_report, out_dir, pipes, json=json, quiet=quiet)

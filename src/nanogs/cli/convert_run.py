@@ -9,16 +9,15 @@ from typing import Any
 from nanogs.cli.console import err, warn, with_file_seconds
 from nanogs.cli.filtering import report_filters
 from nanogs.cli.framing import Frames
-from nanogs.cli.progress import spinner
 from nanogs.filters import Filter, apply
 from nanogs.formatting import bytes_text
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
+from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import StageClock
+from nanogs.simplify.stages import read_weight, write_weight
 from nanogs.splats import RenderMode, Splats
-
-_PATIENCE = 2.0  # seconds without a sign of life
 
 
 def print_report(run: dict[str, Any]) -> None:
@@ -39,24 +38,28 @@ def convert_file(
     *,
     level: int,
     saving: dict[str, Any],
-    quiet: bool,
+    told: Progress,
 ) -> dict[str, Any]:
     """Read and write; the report."""
     source, target = pair.source, pair.target
     start, clock = time.perf_counter(), StageClock()
-    with spinner(quiet=quiet, after=_PATIENCE) as progress:
-        progress(f"reading {source.name}")
-        with clock.time("read"):
-            splats = load(source, level=level)
-        read_bytes = inspect(source).file_bytes  # now, as the output may take the input's place
-        splats, took = apply(splats, filters)
-        if sh_degree is not None:
-            splats = splats.with_sh_degree(sh_degree)
-        if frames:
-            splats = change_frame(splats, *frames)
-        progress(f"writing {target.name}")
-        with clock.time("write"):
-            save(splats, target, **saving)
+    typical = 1_000_000  # only how the two compare counts
+    write = Stage("write", write_weight(target.suffix, typical))
+    stages = [Stage("read", read_weight(typical)), write]
+    progress = Tracker(told, stages)
+    progress.begin("read")
+    with clock.time("read"):
+        splats = load(source, level=level)
+    read_bytes = inspect(source).file_bytes  # now, as the output may take the input's place
+    splats, took = apply(splats, filters)
+    if sh_degree is not None:
+        splats = splats.with_sh_degree(sh_degree)
+    if frames:
+        splats = change_frame(splats, *frames)
+    progress.begin("write")
+    with clock.time("write"):
+        save(splats, target, **saving)
+    progress.finish()
     run = {
         "input": str(source),
         "output": str(target),

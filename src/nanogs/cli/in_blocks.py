@@ -1,13 +1,13 @@
 """Models that do not fit into the memory given: what `nanogs simplify` and `lod` do with them."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from nanogs.cli.console import err, key_value_table, show, warn
-from nanogs.cli.progress import stage_bar
+from nanogs.cli.console import err, key_value_table, show
+from nanogs.cli.progress import shown
 from nanogs.cli.simplify_report import Plan
 from nanogs.cli.too_large import Blocks
 from nanogs.defaults import DEFAULT_MEMORY
@@ -17,13 +17,11 @@ from nanogs.io.collect import Pair
 from nanogs.io.files import splat_bytes
 from nanogs.lod.in_blocks import chunks_of, plan_levels, write_levels_in_blocks
 from nanogs.lod.layout import Output
+from nanogs.progress import Progress
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.api import simplify_blocks as library_simplify_blocks
 from nanogs.scale.encoding import Encoding, encoding_of
 from nanogs.scale.plan import ScalePlan
-from nanogs.scale.settings import WAITING
-
-Progress = Callable[[str, int, int], None]
 
 
 def plan_of(pair: Pair, plan: Plan, blocks: Blocks, nan: Any) -> ScalePlan:  # noqa: ANN401
@@ -50,16 +48,15 @@ def plan_rows(plan: ScalePlan) -> None:
 
 
 def simplify_in_blocks(
-    pair: Pair, plan: Plan, blocks: Blocks, given: dict[str, Any], *, quiet: bool
+    pair: Pair, plan: Plan, blocks: Blocks, given: dict[str, Any], progress: Progress
 ) -> dict[str, Any]:
     """Simplify a model that does not fit; its report with the files' names."""
     start, sources = time.perf_counter(), blocks.sources(pair)
-    with stage_bar(quiet=quiet) as progress:
-        report = library_simplify_blocks(
-            sources, pair.target, ratio=plan.goal.ratio, count=plan.goal.count,
-            max_memory=blocks.max_memory or DEFAULT_MEMORY, job=blocks.job, resume=blocks.resume,
-            progress=_telling(progress, quiet=quiet), **blocks.given, **given,
-        )  # fmt: skip
+    report = library_simplify_blocks(
+        sources, pair.target, ratio=plan.goal.ratio, count=plan.goal.count,
+        max_memory=blocks.max_memory or DEFAULT_MEMORY, job=blocks.job, resume=blocks.resume,
+        progress=progress, **blocks.given, **given,
+    )  # fmt: skip
     run = report.to_dict() | {"total_seconds": time.perf_counter() - start}
     run |= {"read_count": report.input_count, "filters": []}
     run |= {"input": ", ".join(map(str, sources)), "output": str(pair.target)}
@@ -102,27 +99,13 @@ def levels_in_blocks(
 
     start, rest = time.perf_counter(), blocks.given
     where = Where(threads, None, rest["scheduler"], rest["workers"], rest["patience"])
-    with stage_bar(quiet=quiet) as progress:
+    with shown(quiet=quiet) as progress:
         manifest, reports = write_levels_in_blocks(
             [source], output.folder, ratios, max_memory=blocks.max_memory, job=blocks.job,
             scratch=rest["scratch"], resume=blocks.resume, where=where,
-            progress=_telling(progress, quiet=quiet), **given,
+            progress=progress, **given,
         )  # fmt: skip
     run = manifest.to_dict() | {"input": str(source), "output": str(output.path)}
     run |= {"layout": output.layout.value, "dropped_nonfinite": reports[0].dropped_nonfinite}
     run["reports"] = [report.to_dict() for report in reports]
     return run | {"total_seconds": time.perf_counter() - start}
-
-
-def _telling(progress: Progress, *, quiet: bool) -> Progress:
-    """A progress bar that also says, once in a while without any, that workers are waited for."""
-    told = False
-
-    def update(stage: str, done: int, total: int) -> None:
-        nonlocal told
-        if stage == WAITING and not told and not quiet:
-            warn("The cluster has no worker; waiting for one.")
-        told = stage == WAITING
-        progress(stage, done, total)
-
-    return update

@@ -9,7 +9,7 @@ from rich.table import Table
 from nanogs.ahead import compile_ahead
 from nanogs.cli.console import err, print_json, show
 from nanogs.cli.importing import uncollected
-from nanogs.cli.progress import count_down
+from nanogs.cli.progress import shown
 from nanogs.cli.simplify_report import (
     Plan,
     describe_plan,
@@ -21,10 +21,12 @@ from nanogs.formatting import bytes_text, number_text
 from nanogs.io import load
 from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.layout import Output
-from nanogs.lod.write import write_levels
+from nanogs.lod.write import write_levels, write_levels_stages
+from nanogs.progress import Stage, Tracker
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.job import import_stages
 from nanogs.simplify.presets import renders
+from nanogs.simplify.stages import read_weight
 from nanogs.simplify.target import target_count
 
 if TYPE_CHECKING:
@@ -47,8 +49,11 @@ def write_whole(
         import_stages(plan.parameters)
     if renders(plan.parameters):
         when_compiling(compile_ahead)
-    with count_down(info.splats, 1, quiet=quiet) as progress:
-        progress("read", info.splats)
+    layout = given["layout"]
+    stages = write_levels_stages(plan.parameters, info.splats, ratios, layout)
+    with shown(quiet=quiet) as watch:
+        progress = Tracker(watch, [Stage("read", read_weight(info.splats)), *stages])
+        progress.begin("read")
         splats = load(info.path)
         manifest, reports = write_levels(
             splats,
@@ -57,7 +62,7 @@ def write_whole(
             source=info.path.name,
             overwrite=overwrite,
             cameras=requested_cameras(splats, cameras, up, plan.parameters),
-            progress=progress,
+            progress=progress.passing(),
             **given,
         )
     run = manifest.to_dict() | {"input": str(info.path), "output": str(output.path)}

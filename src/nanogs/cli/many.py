@@ -9,10 +9,12 @@ from typing import Any
 import typer
 
 from nanogs.cli.console import fail, notes_about, print_json
+from nanogs.cli.progress import Watch, shown
 from nanogs.cli.streams import DASH, Streams, names
 from nanogs.cli.wording import wording
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io.collect import Pair, collect, pair_up
+from nanogs.progress import Progress
 
 
 def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> list[Pair]:
@@ -41,7 +43,7 @@ def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> l
 
 def run_all(
     pairs: list[Pair],
-    run_one: Callable[[Pair], dict[str, Any]],
+    run_one: Callable[[Pair, Progress], dict[str, Any]],
     show: Callable[[dict[str, Any]], None],
     out_dir: Path | None,
     streams: Streams,
@@ -54,7 +56,7 @@ def run_all(
 
     Args:
         pairs: What is read and written.
-        run_one: Does one of them and returns its report.
+        run_one: Does one of them, tells its progress, and returns its report.
         show: Says a report to people.
         out_dir: The folder for several, or None for one.
         streams: Formats of stdin and stdout; with a model on stdout, JSON goes to stderr.
@@ -67,15 +69,16 @@ def run_all(
         typer.Exit: With code 2, one of several failed.
     """
     if out_dir is None:
-        with streams.opened(pairs[0]) as real:
-            run = run_one(real)
+        with shown(quiet=quiet or json) as watch, streams.opened(pairs[0]) as real:
+            run = run_one(real, watch)
             runs = [run | {k: v for k, v in names(pairs[0]).items() if k in run}]
         failed: list[dict[str, str]] = []
     else:
         for pair in pairs:
             streams.check(pair)
         made = writes and _make(out_dir)
-        runs, failed = _run_several(pairs, run_one, None if json or quiet else show)
+        with shown(quiet=quiet or json) as watch:
+            runs, failed = _run_several(pairs, run_one, None if json or quiet else show, watch)
         if made:
             with suppress(OSError):  # unless it holds something
                 out_dir.rmdir()
@@ -92,17 +95,18 @@ def run_all(
 
 def _run_several(
     pairs: list[Pair],
-    run_one: Callable[[Pair], dict[str, Any]],
+    run_one: Callable[[Pair, Progress], dict[str, Any]],
     show: Callable[[dict[str, Any]], None] | None,
+    watch: Watch,
 ) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
     """The reports, and of each file that failed its name and why."""
     runs: list[dict[str, Any]] = []
     failed: list[dict[str, str]] = []
-    for pair in pairs:
+    for number, pair in enumerate(pairs, 1):
         name = str(pair.source)
         try:
             with notes_about(name):
-                runs.append(run_one(pair))
+                runs.append(run_one(pair, watch.of_file(number, len(pairs))))
                 if show:
                     show(runs[-1])
         except NanogsError as error:

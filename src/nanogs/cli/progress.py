@@ -1,98 +1,203 @@
-"""Progress bars, on a terminal only."""
+"""How a run's progress is shown: a bar on a terminal, numbered lines elsewhere."""
 
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
 
 from rich.console import RenderableType
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    TextColumn,
-    TimeElapsedColumn,
-)
+from rich.progress import BarColumn, Progress, ProgressColumn, Task
+from rich.text import Text
 
-from nanogs.cli.console import err
-from nanogs.kernels.compiling import when_compiling
+from nanogs.cli.console import err, warn
+from nanogs.kernels.compiling import watching
+from nanogs.progress import WAITING, Step
 
-COMPILING = "Compiling for this processor: once after an installation, up to half a minute."
-
-
-class _LateProgress(Progress):
-    """Shows nothing until some seconds have passed."""
-
-    appears: float = 0  # on the clock of `time.monotonic`
-
-    def get_renderables(self) -> Iterable[RenderableType]:
-        if time.monotonic() >= self.appears:
-            yield from super().get_renderables()
+PATIENCE = 2.0  # seconds before anything is shown: what is done by then needs no sign of life
+EVERY = 30.0  # seconds between lines within a stage, where there is no terminal
+_TICK = 0.25
+_SURE = 0.02  # of the whole, before which the time left is anybody's guess
+COMPILING = "compiling for this processor; later runs find it on the disk"
 
 
-@contextmanager
-def _bar(*columns: ProgressColumn, quiet: bool, after: float = 0) -> Iterator[Progress]:
-    """A bar on a terminal only; a line, there and elsewhere, if kernels have to be compiled."""
-    shown = err.is_terminal and not quiet
-    late = _LateProgress(*columns, console=err, transient=True, disable=not shown)
-    late.appears = time.monotonic() + after
-    with late as progress:
-        if not quiet:
-            when_compiling(lambda: err.print(COMPILING))
-        yield progress
+@dataclass(slots=True)
+class Watch:
+    """A run as it stands; takes its steps.
 
-
-@contextmanager
-def count_down(start: int, target: int, *, quiet: bool) -> Iterator[Callable[[str, int], None]]:
-    """A progress bar from the input's count down to the target, on a terminal only.
-
-    Yields:
-        What the library calls with the stage's name and the number of splats left.
+    Attributes:
+        quiet: Whether nothing is to be said.
+        step: The latest, its fraction that of the whole run.
+        file: Such as "file 2 of 5", or empty.
+        compiling: Whether kernels are being compiled just now.
     """
-    columns = (
-        TextColumn("{task.description:<8}"),
-        BarColumn(),
-        TextColumn("{task.fields[left]:>12,} splats"),
-        TimeElapsedColumn(),
-    )
-    with _bar(*columns, quiet=quiet) as progress:
-        task = progress.add_task("read", total=max(start - target, 1), left=start)
 
-        def update(stage: str, left: int) -> None:
-            progress.update(task, description=stage, completed=start - left, left=left)
+    quiet: bool = False
+    step: Step | None = None
+    file: str = ""
+    compiling: bool = False
+    _start: float = field(default_factory=time.monotonic)
+    _told: float = 0.0  # when the latest step came
+    _compiled: float = 0.0  # seconds until then that went into compiling
+    _since: float = 0.0  # when compiling began
+    _waiting: bool = False
+    changed: Callable[[], None] = lambda: None
 
-        yield update
+    def __call__(self, step: Step) -> None:
+        """Take a step."""
+        if step.stage == WAITING and not (self.quiet or self._waiting):
+            warn("The cluster has no worker; waiting for one.")
+        self._waiting = step.stage == WAITING
+        self.step, self._told = step, time.monotonic()
+        self.changed()
+
+    def of_file(self, number: int, files: int) -> "Callable[[Step], None]":
+        """What takes the steps of one of several files.
+
+        Args:
+            number: Of the file, from 1.
+            files: How many there are.
+        """
+        if files == 1:
+            return self
+
+        def told(step: Step) -> None:
+            self.file = f"file {number} of {files}"
+            self(replace(step, fraction=(number - 1 + step.fraction) / files))
+
+        return told
+
+    def note_compiling(self, begun: bool) -> None:
+        """Take note that compiling has begun or ended."""
+        now = time.monotonic()
+        if begun:
+            self._since = now
+        else:
+            self._compiled += now - self._since
+        self.compiling = begun
+        self.changed()
+
+    @property
+    def seconds(self) -> float:
+        """Since the run began."""
+        return time.monotonic() - self._start
+
+    def left(self) -> float | None:
+        """Seconds that the rest will take, going by what was done; None where that is unknown."""
+        if self.step is None or self.step.fraction < _SURE or self.compiling:
+            return None
+        fraction = self.step.fraction
+        worked = self._told - self._start - self._compiled
+        return max(worked * (1 - fraction) / fraction - (time.monotonic() - self._told), 0.0)
+
+    def stage(self) -> str:
+        """The stage, and which of how many it is."""
+        if self.step is None:
+            return "starting"
+        of_files = f"{self.file}: " if self.file else ""
+        return f"{of_files}{self.step.number}/{self.step.stages} {self.step.stage}"
+
+    def what(self) -> str:
+        """The stage, and whether it waits for kernels to be compiled."""
+        return f"{self.stage()}, {COMPILING}" if self.compiling else self.stage()
+
+    def how_far(self) -> str:
+        """Per cent of the whole, and the time left where it is known."""
+        left = self.left()
+        percent = f"{int(100 * self.step.fraction) if self.step else 0} %"
+        return percent if left is None else f"{percent}, {time_text(left)} left"
+
+
+def time_text(seconds: float) -> str:
+    """Seconds as people say them, roughly."""
+    if seconds < 90:
+        return f"{max(round(seconds), 1)} s"
+    return f"{round(seconds / 60)} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 @contextmanager
-def spinner(*, quiet: bool, after: float = 0) -> Iterator[Callable[[str], None]]:
-    """A turning line that says what is being done, on a terminal only.
+def shown(*, quiet: bool) -> Iterator[Watch]:
+    """Show the steps of a run, once it has taken two seconds.
 
     Args:
         quiet: Show nothing.
-        after: Seconds before it appears: what is done by then needs no line.
 
     Yields:
-        What is called with each new description.
+        What is called with each step.
     """
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with _bar(*columns, quiet=quiet, after=after) as progress:
-        task = progress.add_task("")
-        yield lambda text: progress.update(task, description=text)
+    watch = Watch(quiet)
+    display: AbstractContextManager[object] = nullcontext()
+    if not quiet:
+        display = _Bar(watch) if err.is_terminal else _Lines(watch)
+    with watching(watch.note_compiling), display:
+        yield watch
 
 
-@contextmanager
-def stage_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar that starts anew with each stage, on a terminal only.
+class _Words(ProgressColumn):
+    """Words beside the bar."""
 
-    Yields:
-        What the library calls with a stage's name, how many parts are done, and of how many.
-    """
-    columns = (TextColumn("{task.description:<8}"), BarColumn(), TimeElapsedColumn())
-    with _bar(*columns, quiet=quiet) as progress:
-        task = progress.add_task("read", total=1)
+    def __init__(self, words: Callable[[], str]) -> None:
+        super().__init__()
+        self._words = words
 
-        def update(stage: str, done: int, total: int) -> None:
-            progress.update(task, description=stage, completed=done, total=total)
+    def render(self, _task: Task) -> Text:
+        return Text(self._words())
 
-        yield update
+
+class _Bar(Progress):
+    """One bar for the whole run, on a terminal."""
+
+    def __init__(self, watch: Watch) -> None:
+        self._watch = watch
+        columns = (_Words(watch.what), BarColumn(), _Words(watch.how_far))
+        super().__init__(*columns, console=err, transient=True)
+        self._task = self.add_task("", total=1.0)
+        watch.changed = self._update
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        if self._watch.seconds >= PATIENCE:
+            yield from super().get_renderables()
+
+    def _update(self) -> None:
+        if self._watch.step:
+            self.update(self._task, completed=self._watch.step.fraction)
+
+
+class _Lines:
+    """A line a stage and one each half minute, where there is no terminal."""
+
+    def __init__(self, watch: Watch) -> None:
+        self._watch = watch
+        self._done = threading.Event()
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._said, self._when = "", 0.0  # the stage of the latest line, and when it was written
+        self._compiled = False
+
+    def __enter__(self) -> None:
+        self._watch.changed = self._look
+        self._thread.start()
+
+    def __exit__(self, *_exception: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._done.wait(_TICK):
+            self._look()
+
+    def _look(self) -> None:
+        """Write a line if it is time for one."""
+        with self._lock:
+            waits = self._watch.step is None and not self._watch.compiling
+            if waits or self._watch.seconds < PATIENCE or self._done.is_set():
+                return
+            stage, now = self._watch.stage(), time.monotonic()
+            compiling = self._watch.compiling and not self._compiled
+            if stage == self._said and not compiling and now - self._when < EVERY:
+                return
+            text = f"{stage}: {self._watch.how_far()}" if stage == self._said else stage
+            self._compiled |= compiling
+            self._said, self._when = stage, now
+            text = self._watch.what() if compiling else text
+            err.print(text, markup=False, soft_wrap=True)

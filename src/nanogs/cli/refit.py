@@ -2,12 +2,15 @@
 
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from nanogs.cli import options
 from nanogs.refit.parameters import RefitParameters
+
+if TYPE_CHECKING:
+    from nanogs.progress import Stage
 
 _DEFAULTS = RefitParameters()
 
@@ -71,14 +74,17 @@ def _refit_files(
 ) -> dict[str, Any]:
     """Read, fit and write; the report with the files' names and the seconds of I/O."""
     from nanogs.cli.console import with_file_seconds
-    from nanogs.cli.progress import stage_bar
+    from nanogs.cli.progress import shown
     from nanogs.io import load, losses, save
+    from nanogs.progress import Tracker
     from nanogs.refit.api import refit as library_refit
     from nanogs.report import StageClock
     from nanogs.simplify.cameras import fit_cameras
 
     start, clock = time.perf_counter(), StageClock()
-    with stage_bar(quiet=quiet) as progress:
+    with shown(quiet=quiet) as watch:
+        progress = Tracker(watch, _stages(original, small, target, parameters))
+        progress.begin("read")
         with clock.time("read"):
             reference, model = load(original), load(small)
         count = parameters.views + parameters.held
@@ -89,13 +95,29 @@ def _refit_files(
             cameras=views,
             parameters=parameters,
             threads=threads,
-            progress=progress,
+            progress=progress.passing(),
         )
+        progress.begin("write")
         with clock.time("write"):
             save(fitted, target, overwrite=overwrite)
     run = with_file_seconds(report.to_dict(), clock, start)
     run["notes"] = [*run["notes"], *losses(fitted, target)]
     return run | {"original": str(original), "input": str(small), "output": str(target)}
+
+
+def _stages(
+    original: Path, small: Path, target: Path, parameters: RefitParameters
+) -> "list[Stage]":
+    """What comes: reading, the fit's own stages, writing."""
+    from nanogs.io import inspect
+    from nanogs.progress import Stage
+    from nanogs.refit.stages import refit_stages
+    from nanogs.simplify.stages import read_weight, write_weight
+
+    splats, count = inspect(original).splats, inspect(small).splats
+    fit = refit_stages(parameters, splats, count)
+    write = Stage("write", write_weight(target.suffix, count))
+    return [Stage("read", read_weight(splats + count)), *fit, write]
 
 
 def _print_report(run: dict[str, Any]) -> None:

@@ -47,7 +47,7 @@ def render(
     """Render a model to PNG files."""
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli.console import err, print_json, warn
-    from nanogs.cli.progress import spinner
+    from nanogs.cli.progress import shown
     from nanogs.io import load
 
     count = views or (1 if _is_picture(target) else 8)
@@ -55,17 +55,21 @@ def render(
     # Straight alpha is taken from a rendering over black.
     color = options.parse_background("black" if transparent else background)
     direction = options.parse_direction(up)
-    splats = load(source)
+    from nanogs.progress import Stage, Tracker
     from nanogs.render.images import render_images
     from nanogs.render.source import cameras_for
     from nanogs.threads import use_threads
 
-    with spinner(quiet=quiet or json) as progress, use_threads(threads):
-        progress("cameras")
+    stages = [Stage("read", 1.0), Stage("cameras", 0.5), Stage("render", 0.3 * count)]
+    with shown(quiet=quiet or json) as watch, use_threads(threads):
+        progress = Tracker(watch, stages)
+        progress.begin("read")
+        splats = load(source)
+        progress.begin("cameras")
         chosen = cameras_for(splats, cameras, count=count, width=width, height=height, up=direction)
         written, notes = render_images(
             splats, chosen, target, background=color, transparent=transparent, depth=depth,
-            overwrite=overwrite, progress=progress,
+            overwrite=overwrite, progress=progress.passing(),
         )  # fmt: skip
     if json:
         print_json({"input": str(source), "images": written, "notes": notes})

@@ -115,7 +115,6 @@ def simplify(
         cameras=cameras,
         up=method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None),
         given=given | {"preset": preset, "nan": nan.value, "threads": threads},
-        quiet=quiet or json,
         json=json,
         folder_later=out_dir is not None and not out_dir.exists(),
         blocks=too_large.parse_blocks(

@@ -10,7 +10,6 @@ from nanogs.ahead import compile_ahead
 from nanogs.cli.console import with_file_seconds
 from nanogs.cli.framing import Frames, frames_of
 from nanogs.cli.importing import uncollected
-from nanogs.cli.progress import count_down
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_wish
 from nanogs.cli.too_large import Blocks, refuse_whole_model_wishes
 from nanogs.errors import OptionError
@@ -19,12 +18,14 @@ from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
+from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import StageClock
 from nanogs.simplify.api import refuse_searches, target_of
 from nanogs.simplify.api import simplify as library_simplify
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.job import import_stages, usable_rows
 from nanogs.simplify.presets import Parameters, renders
+from nanogs.simplify.stages import read_weight, simplify_stages, write_weight
 from nanogs.simplify.target import Goal
 from nanogs.splats import Splats
 
@@ -43,7 +44,6 @@ class Request:
         cameras: As `requested_cameras` takes it.
         up: Up direction of automatic views, or None.
         given: What the library's `simplify` takes beside.
-        quiet: Whether no progress is shown.
         json: Whether a plan is said as JSON alone.
         folder_later: Whether the folder of the results is still to be made.
         blocks: How a model is treated that does not fit into memory.
@@ -59,14 +59,13 @@ class Request:
     cameras: str
     up: tuple[float, float, float] | None
     given: dict[str, Any]
-    quiet: bool
     json: bool
     folder_later: bool
     blocks: Blocks
     looks: bool
 
 
-def plan_one(request: Request, pair: Pair) -> dict[str, Any]:
+def plan_one(request: Request, pair: Pair, _progress: Progress) -> dict[str, Any]:
     """Say what would be done with a file; the plan.
 
     Raises:
@@ -85,7 +84,7 @@ def plan_one(request: Request, pair: Pair) -> dict[str, Any]:
     return plan_json(plan) | {"blocks": asdict(divided) if divided else None}
 
 
-def run_one(request: Request, pair: Pair) -> dict[str, Any]:
+def run_one(request: Request, pair: Pair, progress: Progress) -> dict[str, Any]:
     """Simplify a file; the report.
 
     Raises:
@@ -96,8 +95,8 @@ def run_one(request: Request, pair: Pair) -> dict[str, Any]:
         from nanogs.cli.in_blocks import simplify_in_blocks
 
         given = request.given | request.saving
-        return simplify_in_blocks(pair, plan, request.blocks, given, quiet=request.quiet)
-    return _simplify_file(plan, pair, request)
+        return simplify_in_blocks(pair, plan, request.blocks, given, progress)
+    return _simplify_file(plan, pair, request, progress)
 
 
 def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
@@ -135,7 +134,7 @@ def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
     return Plan(info, goal, count, request.preset, request.chosen)
 
 
-def _simplify_file(plan: Plan, pair: Pair, request: Request) -> dict[str, Any]:
+def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> dict[str, Any]:
     """Read, simplify and write; the report with the files' names and the seconds of I/O."""
     start, clock, goal = time.perf_counter(), StageClock(), plan.goal
     source, target, saving = pair.source, pair.target, request.saving
@@ -144,33 +143,34 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request) -> dict[str, Any]:
         import_stages(plan.parameters)
     if renders(plan.parameters):
         when_compiling(compile_ahead)
-    with count_down(plan.info.splats, plan.count or 1, quiet=request.quiet) as progress:
-        progress("read", plan.info.splats)
-        with clock.time("read"):
-            joined = request.blocks.joined
-            splats = _load_joined(joined) if joined else load(source)
-        took: Sequence[FilterReport] = ()
-        if request.filters:
-            progress("filter", len(splats))
-            with clock.time("filter"):
-                splats, took = apply(splats, request.filters)
-        small, report = library_simplify(
-            splats,
-            ratio=goal.ratio,
-            count=goal.count,
-            size=goal.size,
-            psnr=goal.psnr,
-            format=known.suffix if known else target.suffix,
-            format_options={"spz_version": saving["spz_version"]},
-            cameras=requested_cameras(splats, request.cameras, request.up, request.chosen),
-            progress=progress,
-            **request.given,
-        )
-        if frames := frames_of(pair, request.frames):
-            small = change_frame(small, *frames)
-        progress("write", len(small))
-        with clock.time("write"):
-            save(small, target, **saving)
+    progress = Tracker(told, _stages(plan, request, target))
+    progress.begin("read")
+    with clock.time("read"):
+        joined = request.blocks.joined
+        splats = _load_joined(joined) if joined else load(source)
+    took: Sequence[FilterReport] = ()
+    if request.filters:
+        progress.begin("filter")
+        with clock.time("filter"):
+            splats, took = apply(splats, request.filters)
+    small, report = library_simplify(
+        splats,
+        ratio=goal.ratio,
+        count=goal.count,
+        size=goal.size,
+        psnr=goal.psnr,
+        format=known.suffix if known else target.suffix,
+        format_options={"spz_version": saving["spz_version"]},
+        cameras=requested_cameras(splats, request.cameras, request.up, request.chosen),
+        progress=progress.passing(),
+        **request.given,
+    )
+    if frames := frames_of(pair, request.frames):
+        small = change_frame(small, *frames)
+    progress.begin("write")
+    with clock.time("write"):
+        save(small, target, **saving)
+    progress.finish()
     run = with_file_seconds(report.to_dict(), clock, start)
     run["notes"] = [*run["notes"], *losses(small, target)]
     run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in took]}
@@ -178,6 +178,16 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request) -> dict[str, Any]:
     run |= {"input": str(source), "output": str(target)}
     run |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(target)}
     return run
+
+
+def _stages(plan: Plan, request: Request, target: Path) -> list[Stage]:
+    """What comes: reading, filters, the method's own stages, writing."""
+    splats, suffix = plan.info.splats, target.suffix
+    read = [Stage("read", read_weight(splats))]
+    read += [Stage("filter", read_weight(splats))] if request.filters else []
+    method = simplify_stages(plan.parameters, plan.goal, splats, plan.count, suffix)
+    write = Stage("write", write_weight(suffix, plan.count or splats // 10))
+    return [*read, *method, write]
 
 
 def _load_joined(parts: Sequence[Path]) -> Splats:

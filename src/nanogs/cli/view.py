@@ -61,7 +61,7 @@ def view(
     import webbrowser
 
     from nanogs.cli.console import err, print_json, warn
-    from nanogs.cli.progress import spinner
+    from nanogs.cli.progress import shown
     from nanogs.io.atomic import check_writable
     from nanogs.view.bundle import check_built
     from nanogs.view.run import page_path, view_files
@@ -75,7 +75,7 @@ def view(
     check_built()
     page = output or page_path([path for _, path in inputs])
     check_writable(page, overwrite=overwrite)
-    with spinner(quiet=quiet or json) as progress, _threads(threads, len(inputs) > 1 and psnr):
+    with shown(quiet=quiet or json) as progress, _threads(threads, len(inputs) > 1 and psnr):
         report = view_files(
             inputs, page, cameras=cameras, views=views, width=width, height=height, up=direction,
             background=color, psnr=psnr, level=level, overwrite=overwrite, progress=progress,
@@ -83,9 +83,9 @@ def view(
     if json:
         print_json(report.to_dict())
     elif not quiet:
-        for shown in report.models:
-            for note in shown.notes:
-                warn(f"{shown.name}: {note}")
+        for model_shown in report.models:
+            for note in model_shown.notes:
+                warn(f"{model_shown.name}: {note}")
     if not (json or quiet):
         measured = "" if report.judged is None else f"; {report.judged.text}"
         text = f"{page}: {bytes_text(report.output_bytes)}{measured}"

@@ -1,7 +1,8 @@
 """Several models held against one reference, on one set of views."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import count
 from typing import Any
 
 from nanogs.compare.pictures import data_uri, error_map
@@ -15,6 +16,7 @@ from nanogs.compare.scoring import (
 )
 from nanogs.errors import OptionError
 from nanogs.formatting import number_text
+from nanogs.progress import Tracker
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import Rendering, prepare
 from nanogs.splats import Splats
@@ -100,7 +102,7 @@ def compare_models(
     background: Background = BLACK,
     extras: Sequence[str] = (),
     pictures: bool = False,
-    progress: Callable[[str], None] | None = None,
+    progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
     """Score models against a reference model.
 
@@ -112,16 +114,16 @@ def compare_models(
         background: RGB in [0, 1] behind the splats.
         extras: Further metrics, names in `scoring.EXTRA_METRICS`.
         pictures: Also make the pictures for a page; otherwise the sheets are empty.
-        progress: Told the name of each model before it is rendered.
+        progress: Told of the stages "render", of the reference, and "score".
 
     Raises:
         OptionError: No model is given.
         ModelError: The reference is seen in none of the views.
     """
-    tell = progress or (lambda _name: None)
-    tell(reference.name)
+    progress = progress or Tracker(None, [])
+    progress.begin("render")
     prepared = prepare(reference.splats)
-    views, skipped = reference_views(prepared, cameras, background)
+    views, skipped = reference_views(prepared, cameras, background, progress.part)
     notes = [
         f"{name}: nothing of the reference is seen; left out of every mean" for name in skipped
     ]
@@ -129,7 +131,7 @@ def compare_models(
         notes.append(f"the reference: {prepared.skipped:,} splats with a NaN were not drawn")
     notes += _degree_notes(reference, models)
     scores, sheets = score_models(
-        models, views, background, extras=extras, pictures=pictures, progress=tell
+        models, views, background, extras=extras, pictures=pictures, progress=progress
     )
     protocol = protocol_of(views, kind, None if kind == "given" else "test", background)
     return _comparison(
@@ -146,7 +148,7 @@ def compare_with_photographs(
     background: Background,
     extras: Sequence[str] = (),
     pictures: bool = False,
-    progress: Callable[[str], None] | None = None,
+    progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
     """Score models against photographs.
 
@@ -158,7 +160,7 @@ def compare_with_photographs(
         background: RGB in [0, 1] behind the splats and the photographs' transparent parts.
         extras: Further metrics, names in `scoring.EXTRA_METRICS`.
         pictures: Also make the pictures for a page.
-        progress: Told the name of each model before it is rendered.
+        progress: Told of the stages "render", of the reference, and "score".
 
     Raises:
         OptionError: No model or no view is given.
@@ -166,7 +168,12 @@ def compare_with_photographs(
     if not views:
         raise OptionError(f"{source} has no photographs to compare with; choose another split.")
     scores, sheets = score_models(
-        models, views, background, extras=extras, pictures=pictures, progress=progress
+        models,
+        views,
+        background,
+        extras=extras,
+        pictures=pictures,
+        progress=progress or Tracker(None, []),
     )
     protocol = protocol_of(views, "photographs", split, background)
     return _comparison(source, None, views, [], protocol, scores, []), sheets
@@ -187,20 +194,24 @@ def score_models(
     *,
     extras: Sequence[str],
     pictures: bool,
-    progress: Callable[[str], None] | None,
+    progress: Tracker,
 ) -> tuple[list[ModelScore], list[Sheet]]:
     """Score every model on the same views, and make the pictures on the way if they are wanted."""
     if not models:
         raise OptionError("Name at least one model to compare.")
     sheets = [Sheet(view.camera.name, data_uri(view.image), [], []) for view in views if pictures]
-    scores = []
+    scores: list[ModelScore] = []
+    progress.begin("score")
     for model in models:
-        if progress:
-            progress(model.name)
         remaining = iter(sheets)
+        done = count(len(scores) * len(views) + 1)
 
-        def picture(view: ReferenceView, rendering: Rendering, _score: ViewScore) -> None:
-            sheet = next(remaining)  # noqa: B023 - called within this turn of the loop only
+        # Called within this turn of the loop only.
+        def scored(view: ReferenceView, rendering: Rendering, _score: ViewScore) -> None:
+            progress.part(next(done), len(models) * len(views))  # noqa: B023
+            if not pictures:
+                return
+            sheet = next(remaining)  # noqa: B023
             sheet.results.append(data_uri(rendering.shown()))
             sheet.errors.append(data_uri(error_map(view.image, rendering.shown())))
 
@@ -212,7 +223,7 @@ def score_models(
                 background,
                 file_bytes=model.file_bytes,
                 extras=extras,
-                on_view=picture if pictures else None,
+                on_view=scored,
             )
         )
     return scores, sheets

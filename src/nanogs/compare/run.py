@@ -1,6 +1,6 @@
 """A comparison from file names: what `nanogs compare` does."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from nanogs.compare.scoring import ReferenceView
 from nanogs.errors import OptionError
 from nanogs.io import inspect, load
 from nanogs.io.atomic import atomic_write
+from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.render.opening import Opening, opening_for
 from nanogs.render.source import AUTOMATIC, cameras_for
 from nanogs.view.bundle import check_built
@@ -40,7 +41,7 @@ def compare_files(
     report: Path | None = None,
     interactive: bool = False,
     overwrite: bool = False,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Comparison:
     """Read, score, and write the page if one is asked for.
 
@@ -60,23 +61,24 @@ def compare_files(
         report: Page to write, or None.
         interactive: Put the models into the page too, to be loaded and moved there.
         overwrite: Replace the page if it exists.
-        progress: Told what is being done.
+        progress: Called with each `nanogs.progress.Step`.
 
     Raises:
         NanogsError: A file or an option is not usable.
     """
     if report and interactive:
         check_built()
-    tell = progress or (lambda _text: None)
+    page = interactive if report else None
+    tracker = Tracker(progress, _stages(1 + len(tests), views, page, with_photos=bool(photos)))
+    tracker.begin("read")
     models = []
-    for name, path in (reference, *tests):
-        tell(f"read {name}")
+    for name, path in each((reference, *tests), tracker.part):
         models.append(NamedModel(name, load(path), inspect(path).file_bytes))
     options: dict[str, Any] = {
         "background": background,
         "extras": extras,
         "pictures": report is not None,
-        "progress": lambda name: tell(f"render {name}"),
+        "progress": tracker,
     }
     if photos is None:
         chosen = cameras_for(
@@ -85,6 +87,7 @@ def compare_files(
         kind: Kind = AUTOMATIC.get(cameras, "given")
         comparison, sheets = compare_models(models[0], models[1:], chosen, kind=kind, **options)
     else:
+        tracker.begin("photographs")
         frames = photographs(photos, images, split, background)
         chosen = [frame.camera for frame in frames]
         comparison, sheets = compare_with_photographs(
@@ -93,15 +96,24 @@ def compare_files(
     if report:
         viewer = None
         if interactive:
-            tell("encode the models")
+            tracker.begin("encode")
             place = chosen[0] if photos else AUTOMATIC.get(cameras, chosen[0])
             start = opening_for(models[0].splats, place, up)
             viewer = viewer_part(_shown(models, comparison, start), start, background)
-        tell(f"write {report.name}")
-        page = render_page(comparison, sheets, f"{reference[0]}: comparison", viewer)
+        tracker.begin("write")
+        page_text = render_page(comparison, sheets, f"{reference[0]}: comparison", viewer)
         with atomic_write(report, overwrite=overwrite) as file:
-            file.write(page.encode("utf-8"))
+            file.write(page_text.encode("utf-8"))
+    tracker.finish()
     return comparison
+
+
+def _stages(models: int, views: int, page: bool | None, *, with_photos: bool) -> list[Stage]:
+    """What comes, for so many models; the page has a part to be moved, none, or is not made."""
+    looking = Stage("photographs", views) if with_photos else Stage("render", views)
+    stages = [Stage("read", 2.0 * models), looking, Stage("score", models * views)]
+    stages += [Stage("encode", 3.0 * models)] if page else []
+    return stages + ([] if page is None else [Stage("write", 1.0)])
 
 
 def _shown(models: Sequence[NamedModel], comparison: Comparison, start: Opening) -> list[Shown]:

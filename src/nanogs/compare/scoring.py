@@ -10,6 +10,7 @@ from nanogs._types import F32
 from nanogs.compare.protocol import Background
 from nanogs.errors import ModelError, OptionError
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
+from nanogs.progress import Parts, each, untold
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import PreparedSplats, Rendering, render
 
@@ -85,7 +86,10 @@ class ModelScore:
 
 
 def reference_views(
-    reference: PreparedSplats, cameras: Iterable[Camera], background: Background
+    reference: PreparedSplats,
+    cameras: Iterable[Camera],
+    background: Background,
+    tell: Parts = untold,
 ) -> tuple[list[ReferenceView], list[str]]:
     """Render the reference from each camera; views in which it is not seen are set aside.
 
@@ -93,6 +97,7 @@ def reference_views(
         reference: The model that others are held against.
         cameras: The views.
         background: RGB in [0, 1].
+        tell: Told of the views rendered.
 
     Returns:
         The views, and the names of those that show nothing.
@@ -101,7 +106,7 @@ def reference_views(
         ModelError: No view shows anything.
     """
     views, empty = [], []
-    for camera in cameras:
+    for camera in each(cameras, tell):
         rendering = render(reference, camera, background=background, depth=True)
         if rendering.alpha.any():
             views.append(ReferenceView(camera, rendering.shown(), rendering))

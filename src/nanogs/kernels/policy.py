@@ -13,8 +13,8 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 from numba.core import event
 
 from nanogs import spread
+from nanogs.kernels import compiling
 from nanogs.kernels.cached import cached
-from nanogs.kernels.compiling import tell
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 P = ParamSpec("P")
@@ -100,15 +100,16 @@ def _spare_linear_algebra() -> None:
 
 
 class _Listener(event.Listener):
-    """Passes on that something is compiled; what the cache holds makes no such event."""
+    """Passes on when something is compiled; what the cache holds makes no such event."""
 
     def on_start(self, event: event.Event) -> None:
         del event
-        tell()
+        compiling.begin()
         _spare_linear_algebra()
 
     def on_end(self, event: event.Event) -> None:
         del event
+        compiling.end()
 
 
 event.register("numba:compile", _Listener())  # type: ignore[no-untyped-call]

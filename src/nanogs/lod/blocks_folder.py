@@ -23,10 +23,11 @@ from nanogs.lod.layout import NAMES, Layout, made_files
 from nanogs.lod.manifest import NAME as MANIFEST
 from nanogs.lod.ply_levels import level_name
 from nanogs.lod.tileset import Tile, Tree, describe
+from nanogs.progress import Tracker
 from nanogs.scale.chunked import places_of, read_cells, tiles_of
 from nanogs.scale.folder import RESULT, refuse_finished
 from nanogs.scale.result import write_result
-from nanogs.scale.run import Done, Progress
+from nanogs.scale.run import Done
 from nanogs.scale.tables import Record, Table
 from nanogs.scale.work import Work
 
@@ -61,7 +62,7 @@ class LevelsFolder:
         if self._placed(folder / f"{_FOLDER}.json") is None:
             check_folder_writable(self.folder, made_files, overwrite=self.overwrite)
 
-    def finish(self, done: Done, folder: Path, progress: Progress) -> list[int]:
+    def finish(self, done: Done, folder: Path, progress: Tracker) -> list[int]:
         """As `Ending` says."""
         note, making = folder / f"{_FOLDER}.json", folder / _FOLDER
         counts = self._placed(note)
@@ -80,7 +81,7 @@ class LevelsFolder:
         move_folder(making, self.folder, made_files, overwrite=self.overwrite)
         return counts
 
-    def _fill(self, done: Done, making: Path, progress: Progress) -> list[int]:
+    def _fill(self, done: Done, making: Path, progress: Tracker) -> list[int]:
         if self.layout is Layout.PLY:
             counts = _fill_plain(done.work, making, progress)
             self.describe(done, counts, making)
@@ -109,16 +110,16 @@ def splats_of_level(work: Work, level: int) -> int:
     return sum(int(record.facts["splats"]) for record in work.of_blocks("chunk", level))
 
 
-def _fill_plain(work: Work, making: Path, progress: Progress) -> list[int]:
+def _fill_plain(work: Work, making: Path, progress: Tracker) -> list[int]:
     counts = []
     for level in range(work.settings.levels):
-        progress("write", level, work.settings.levels)
+        progress.part(level, work.settings.levels)
         target = int(work.of_job("budget", level).facts["target"])
         counts.append(write_result(work, level, making / level_name(level), target, {}))
     return counts
 
 
-def _fill_sog(work: Work, making: Path, progress: Progress) -> None:
+def _fill_sog(work: Work, making: Path, progress: Tracker) -> None:
     trees = [
         streamed_sog.Tree(found[0]) if found else None
         for found in (read_cells(work.scratch, each) for each in work.of_blocks("cells"))
@@ -136,7 +137,7 @@ def _fill_sog(work: Work, making: Path, progress: Progress) -> None:
     (making / streamed_sog.NAME).write_text(text, encoding="utf-8")
 
 
-def _fill_tiles(work: Work, making: Path, progress: Progress) -> None:
+def _fill_tiles(work: Work, making: Path, progress: Tracker) -> None:
     made: list[list[dict[int, Tile]]] = [[] for _ in range(work.settings.levels)]
     for level, _, record in _copied(work, making, progress):
         made[level].append(tiles_of(record))
@@ -159,12 +160,12 @@ def _with_widths(level: list[dict[int, Tile]]) -> list[dict[int, Tile]]:
     ]
 
 
-def _copied(work: Work, making: Path, progress: Progress) -> Iterator[tuple[int, int, Record]]:
+def _copied(work: Work, making: Path, progress: Tracker) -> Iterator[tuple[int, int, Record]]:
     """Level and block of each table of files, which are written into the folder one at a time."""
     levels, blocks = work.settings.levels, work.partition.blocks
     for level in range(levels):
         for block, record in enumerate(work.of_blocks("chunk", level)):
-            progress("write", level * blocks + block, levels * blocks)
+            progress.part(level * blocks + block, levels * blocks)
             _copy(work, record, making)
             yield level, block, record
 

@@ -19,6 +19,7 @@ from nanogs.lod.manifest import (
     describe_level,
 )
 from nanogs.lod.ply_levels import PlyLevels, level_name
+from nanogs.progress import Progress
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.api import block_parameters, plan_job, refuse_full_disk
 from nanogs.scale.folder import job_folder
@@ -29,7 +30,7 @@ from nanogs.simplify.target import Goal
 
 if TYPE_CHECKING:
     from nanogs.scale.job import Where
-    from nanogs.scale.run import Done, Progress
+    from nanogs.scale.run import Done
 
 
 def plan_levels(
@@ -94,7 +95,7 @@ def write_levels_in_blocks(
     overwrite: bool = False,
     nan: NanPolicy = "drop",
     where: "Where",
-    progress: "Progress",
+    progress: Progress | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make the levels from one forest of each block; all of the folder appears or nothing.
@@ -117,7 +118,7 @@ def write_levels_in_blocks(
         overwrite: Replace the folder if it holds nothing but earlier levels.
         nan: See there.
         where: The tasks are done.
-        progress: Told of each stage.
+        progress: As `simplify_blocks` takes it.
         **overrides: See there.
 
     Returns:

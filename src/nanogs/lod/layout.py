@@ -15,6 +15,7 @@ from nanogs.lod import manifest, streamed_sog, tiles
 from nanogs.lod.chunks import Written, check_chunk
 from nanogs.lod.manifest import Manifest
 from nanogs.lod.ply_levels import PlyLevels
+from nanogs.progress import Parts, untold
 from nanogs.splats import Splats
 
 
@@ -73,8 +74,8 @@ def output_of(path: Path) -> Output:
 class LevelWriter(Protocol):
     """Writes levels into a folder, one after the other."""
 
-    def add(self, splats: Splats) -> Written:
-        """Write the next level, the finest first."""
+    def add(self, splats: Splats, tell: Parts = untold) -> Written:
+        """Write the next level, the finest first, and tell how many of its splats are written."""
 
     def finish(self, made: Manifest) -> None:
         """Write what describes the folder."""

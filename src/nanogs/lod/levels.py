@@ -1,15 +1,17 @@
 """`nanogs.levels`: several ratios of one model, from one build."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
+from nanogs.progress import Progress, Tracker
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.job import Deliver, Job, NanPolicy, prepare_job, refuse_misaligned_elements
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters
+from nanogs.simplify.stages import delivery_stages, level_stage, levels_stages
 from nanogs.simplify.target import Goal, target_count
 from nanogs.splats import Splats
 
@@ -25,7 +27,7 @@ def levels(
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     threads: int | None = None,
-    progress: Callable[[str, int], None] | None = None,
+    progress: Progress | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
     """Levels of detail, one after the other, each the same as `simplify` gives for its ratio.
@@ -40,7 +42,7 @@ def levels(
         cameras: Views that matter, for presets that render; by default automatic ones.
         nan: As `simplify` takes it.
         threads: Threads to use; all by default. The result does not depend on it.
-        progress: Called before each stage with its name and the number of splats left.
+        progress: Called with each `nanogs.progress.Step`; a level is a stage, such as "level_0".
         **overrides: Parameters of the preset to replace, such as `k=8`.
 
     Returns:
@@ -55,9 +57,11 @@ def levels(
     check_ratios(ratios)
     parameters(preset, overrides)
     splats = as_splats(model)
-    job = prepare_job(splats, preset, overrides, cameras, nan, progress)
+    job = prepare_job(splats, preset, overrides, cameras, nan)
     refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
-    return _deliver(job, tuple(ratios), threads)
+    counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
+    tracker = Tracker(progress, levels_stages(job.parameters, len(job.rows), counts))
+    return _deliver(job, tuple(ratios), threads, tracker)
 
 
 def check_ratios(ratios: Sequence[float]) -> None:
@@ -81,25 +85,35 @@ def check_ratios(ratios: Sequence[float]) -> None:
 
 
 def _deliver(
-    job: Job, ratios: Sequence[float], threads: int | None
+    job: Job, ratios: Sequence[float], threads: int | None, progress: Tracker
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
     deliver: Deliver | None = None
-    for ratio in ratios:
+    for number, ratio in enumerate(ratios):
         start, clock = time.perf_counter(), StageClock()
         # Here and not above: this brings Numba. Around each level and not around all of them: the
         # number of threads is the caller's own between two levels.
         from nanogs.threads import use_threads
 
         with use_threads(threads) as threads_used:
-            deliver = deliver or job.deliverer(threads_used, clock)
-            result = _level(job, deliver, ratio, threads_used, clock, start)
+            deliver = deliver or job.deliverer(threads_used, clock, progress)
+            progress.begin(level_stage(number))
+            result = _level(job, deliver, ratio, threads_used, clock, start, progress)
+        if number == len(ratios) - 1:
+            progress.finish()
         yield result
         del result  # or it would be kept while the next one is made
 
 
 def _level(
-    job: Job, deliver: Deliver, ratio: float, threads: int, clock: StageClock, start: float
+    job: Job,
+    deliver: Deliver,
+    ratio: float,
+    threads: int,
+    clock: StageClock,
+    start: float,
+    progress: Tracker,
 ) -> tuple[Splats, SimplifyReport]:
     target = target_count(len(job.rows), ratio, None)
-    outcome = deliver(target, clock)
+    stages = delivery_stages(job.parameters, len(job.rows), target)
+    outcome = deliver(target, clock, progress.within(0, 1, stages))
     return outcome.splats, job.report(Goal(ratio), target, outcome, threads, clock, start)

@@ -6,6 +6,7 @@ from pathlib import Path
 from nanogs.io import save
 from nanogs.lod.chunks import Written
 from nanogs.lod.manifest import NAME, Manifest
+from nanogs.progress import Parts, untold
 from nanogs.splats import Splats
 
 
@@ -17,8 +18,9 @@ class PlyLevels:
         self._folder = folder
         self._count = 0
 
-    def add(self, splats: Splats) -> Written:
-        """Write the next level, the finest first."""
+    def add(self, splats: Splats, tell: Parts = untold) -> Written:
+        """Write the next level, the finest first, in one part."""
+        tell(0, 1)
         path = self._folder / level_name(self._count)
         save(splats, path)
         self._count += 1

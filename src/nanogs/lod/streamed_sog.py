@@ -20,6 +20,7 @@ from nanogs.lod.boxes import Box, box_around, union
 from nanogs.lod.cells import Cells, divide
 from nanogs.lod.chunks import SortedLevel, Written, generator, plain_paths, read_own
 from nanogs.lod.manifest import Manifest
+from nanogs.progress import Parts, untold
 from nanogs.splats import Splats
 
 NAME = LEVELS
@@ -163,11 +164,12 @@ class StreamedSog:
         self._names: list[str] = []
         self._counts: list[int] = []
 
-    def add(self, splats: Splats) -> Written:
+    def add(self, splats: Splats, tell: Parts = untold) -> Written:
         """Write the next level, the finest first, one model at a time.
 
         Args:
             splats: N splats, all finite.
+            tell: Told of the splats written, and of N.
         """
         if self._tree is None:
             self._tree = Tree(divide(splats.means, self._chunk))
@@ -177,7 +179,10 @@ class StreamedSog:
             len(self._counts),
         )
         written = 0
+        ready = 0
         for model in encode(level, CHUNKS_A_FILE * self._chunk, f"{depth}_"):
+            ready += sum(place.splats for place in model.places)
+            tell(ready, len(splats))
             self._tree.add(depth, len(self._names), model.places)
             self._names.append(f"{model.folder}/{META}")
             written += write_model(self._folder, model)

@@ -23,6 +23,7 @@ from nanogs.lod.cells import Cells, divide
 from nanogs.lod.chunks import SortedLevel, Written, plain_paths, read_own
 from nanogs.lod.manifest import Manifest
 from nanogs.lod.tileset import Tile, Tree, describe
+from nanogs.progress import Parts, untold
 from nanogs.splats import Splats
 
 NAME = "tileset.json"
@@ -104,11 +105,12 @@ class Tiles:
         self._cells: Cells | None = None
         self._levels: list[dict[int, Tile]] = []  # tiles by their node, in the order of the walk
 
-    def add(self, splats: Splats) -> Written:
+    def add(self, splats: Splats, tell: Parts = untold) -> Written:
         """Write the next level, the finest first, one tile at a time.
 
         Args:
             splats: N splats, all finite.
+            tell: Told of the tiles written, and of how many.
         """
         if self._cells is None:
             self._cells = divide(splats.means, self._chunk)
@@ -124,6 +126,7 @@ class Tiles:
             if tile.content:
                 (self._folder / tile.content).write_bytes(data)
             written += len(data)
+            tell(len(tiles), len(nodes))
         self._levels.append(tiles)
         names = tuple(tile.content for tile in tiles.values() if tile.content)
         return Written(names, written)

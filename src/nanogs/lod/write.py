@@ -1,7 +1,7 @@
 """Write the levels of a model into a folder, one at a time, with what describes them."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,14 @@ from nanogs.lod.chunks import Written
 from nanogs.lod.layout import Layout, LevelWriter, check_options, made_files, writer
 from nanogs.lod.levels import levels
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, describe_chunks, describe_level
+from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport
+from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters
+from nanogs.simplify.stages import levels_stages, write_weight
+from nanogs.simplify.target import target_count
 from nanogs.splats import Splats
+
+_NO_PARAMETERS = ("preset", "cameras", "nan", "threads")
 
 
 def write_levels(
@@ -25,7 +31,7 @@ def write_levels(
     chunk: int | None = None,
     plain: bool = False,
     overwrite: bool = False,
-    progress: Callable[[str, int], None] | None = None,
+    progress: Progress | None = None,
     **options: Any,  # noqa: ANN401 - as `levels` takes them
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make the levels of a model; all of the folder appears or nothing.
@@ -41,7 +47,7 @@ def write_levels(
         plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
             them.
         overwrite: Replace the folder if it holds nothing but earlier levels.
-        progress: Called before each stage with its name and the number of splats left.
+        progress: As `levels` takes it; a stage "write" follows each level.
         **options: As `levels` takes them.
 
     Returns:
@@ -56,12 +62,14 @@ def write_levels(
     reports: list[SimplifyReport] = []
     left_out: list[str] = []
     check_options(layout, chunk, plain=plain)
-    made = levels(splats, ratios, progress=progress, **options)
+    stages = write_levels_stages(_parameters(options), len(splats), ratios, layout)
+    tracker = Tracker(progress, stages)
+    made = levels(splats, ratios, progress=tracker.passing(), **options)
     with atomic_folder(folder, made_files, overwrite=overwrite) as temporary:
         out = writer(layout, temporary, chunk, plain=plain)
         for ratio in ratios:
             start = time.perf_counter()
-            report, written, losses = _write_next(made, out, progress)
+            report, written, losses = _write_next(made, out, tracker)
             seconds = time.perf_counter() - start
             # Said once of the finest level, and of others where it is not the same.
             prefix = f"Level {len(reports)}: " if reports else ""
@@ -74,19 +82,38 @@ def write_levels(
                 entries.append(describe_chunks(*written, ratio, report, seconds))
         manifest = _manifest(source, entries, reports, left_out)
         out.finish(manifest)
+    tracker.finish()
     return manifest, tuple(reports)
 
 
 def _write_next(
     made: Iterator[tuple[Splats, SimplifyReport]],
     out: LevelWriter,
-    progress: Callable[[str, int], None] | None,
+    progress: Tracker,
 ) -> tuple[SimplifyReport, Written, tuple[str, ...]]:
     """Make and write one level; nothing of it is kept but its report and what was left out."""
     small, report = next(made)
-    if progress:
-        progress("write", len(small))
-    return report, out.add(small), out.losses(small)
+    progress.begin("write")
+    return report, out.add(small, progress.part), out.losses(small)
+
+
+def write_levels_stages(
+    parameters: Parameters, splats: int, ratios: Sequence[float], layout: Layout
+) -> list[Stage]:
+    """The stages of `write_levels`: those of `levels`, and a "write" after each level."""
+    counts = [target_count(splats, ratio, None) for ratio in ratios]
+    stages = levels_stages(parameters, splats, counts)
+    suffix = ".sog" if layout is Layout.SOG else ".ply"
+    writes = [Stage("write", write_weight(suffix, count)) for count in counts]
+    first = len(stages) - len(counts)
+    pairs = zip(stages[first:], writes, strict=True)
+    return [*stages[:first], *(stage for pair in pairs for stage in pair)]
+
+
+def _parameters(options: dict[str, Any]) -> Parameters:
+    """The parameters of the method among the options of `levels`."""
+    overrides = {name: value for name, value in options.items() if name not in _NO_PARAMETERS}
+    return parameters(options.get("preset", DEFAULT_PRESET), overrides)
 
 
 def _manifest(

@@ -1,21 +1,21 @@
 """`nanogs.refit`: a small model, fitted to renders of the original, and a report."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from nanogs.errors import ModelError
 from nanogs.io.models import Model, as_splats
+from nanogs.progress import Progress, Tracker
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import RefitReport
+from nanogs.refit.stages import refit_stages
 from nanogs.report import StageClock
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.render.camera import Camera
-
-Progress = Callable[[str, int, int], None]
 
 
 def refit(
@@ -39,7 +39,7 @@ def refit(
         cameras: Views of the scene; by default cameras are chosen from the original.
         parameters: See `RefitParameters`.
         threads: Threads to use; all by default. The result does not depend on it.
-        progress: Called with a stage's name, how many of its parts are done, and of how many.
+        progress: Called with each `Step`, from "render" and "fit" to the last, whose fraction is 1.
 
     Returns:
         The fitted model, its rows in the order of the input, and the report.
@@ -52,8 +52,8 @@ def refit(
     begin, clock = time.perf_counter(), StageClock()
     chosen = parameters or RefitParameters()
     chosen.check()
-    observe = progress or (lambda _stage, _done, _total: None)
     large, given = as_splats(original, "the original"), as_splats(small, "the small model")
+    tracker = Tracker(progress, refit_stages(chosen, len(large), len(given)))
     _refuse_unusable(large, "original")
     _refuse_unusable(given, "small")
     # Here and not above: these bring Numba, which `--help` does without.
@@ -62,10 +62,12 @@ def refit(
     from nanogs.threads import use_threads
 
     with use_threads(threads) as threads_used:
+        tracker.begin("render")
         with clock.time("targets"):
-            fitting, deciding = view_targets(large, given, cameras, chosen, observe)
+            fitting, deciding = view_targets(large, given, cameras, chosen, tracker.part)
+        tracker.begin("fit")
         with clock.time("fit"):
-            fitted, outcome = fit(given, fitting, deciding, chosen, observe)
+            fitted, outcome = fit(given, fitting, deciding, chosen, tracker.part)
     report = RefitReport(
         parameters=asdict(chosen),
         original_count=len(large),
@@ -82,6 +84,7 @@ def refit(
         threads=threads_used,
         notes=outcome.notes,
     )
+    tracker.finish()
     return fitted, report
 
 

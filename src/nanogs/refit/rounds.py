@@ -2,11 +2,12 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from nanogs.progress import Parts
 from nanogs.refit.descent import FITTED, Descent
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import RefitStop, RoundReport
@@ -36,7 +37,7 @@ def fit(
     fitting: Sequence[Target],
     deciding: Sequence[Target],
     parameters: RefitParameters,
-    observe: Callable[[str, int, int], None],
+    tell: Parts,
 ) -> tuple[Splats, Outcome]:
     """Fit the model in rounds.
 
@@ -45,7 +46,7 @@ def fit(
         fitting: Views to fit to.
         deciding: Views that decide what is kept.
         parameters: See there.
-        observe: Told "fit", the number of steps made, and of how many.
+        tell: Told of the steps made, and of how many there may be.
 
     Returns:
         The fitted model, or the input itself where nothing helped, and what happened.
@@ -57,7 +58,7 @@ def fit(
     rejected, stop = 0, RefitStop.ROUNDS
     for number in range(parameters.rounds):
         begin = time.perf_counter()
-        state, errors = _round(descent, best, rate, number, observe)
+        state, errors = _round(descent, best, rate, number, tell)
         model = activate(state, small, descent.finite).model
         error = _mean([squared_error(model, target) for target in deciding])
         accepted = error < least
@@ -80,14 +81,14 @@ def _round(
     state: State,
     rate: float,
     number: int,
-    observe: Callable[[str, int, int], None],
+    tell: Parts,
 ) -> tuple[State, list[float]]:
     """The steps of one round; the schedule of their lengths spans all rounds."""
     steps = descent.parameters.steps
     total = steps * descent.parameters.rounds
     errors = []
     for i in range(number * steps, (number + 1) * steps):
-        observe("fit", i, total)
+        tell(i, total)
         state, error = descent.step(state, rate, i / total)
         errors.append(error)
     return state, errors

@@ -1,10 +1,11 @@
 """The views of a refit: which cameras, which of them decide, and what the original shows there."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from nanogs.errors import ModelError, OptionError
+from nanogs.progress import Parts, each
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.targets import Target, make_target
 from nanogs.render.camera import Camera, spread
@@ -20,7 +21,7 @@ def view_targets(
     small: Splats,
     cameras: Sequence[Camera] | None,
     parameters: RefitParameters,
-    observe: Callable[[str, int, int], None],
+    tell: Parts,
 ) -> tuple[list[Target], list[Target]]:
     """Views to fit to, and views that decide.
 
@@ -30,10 +31,7 @@ def view_targets(
     """
     chosen = _cameras(original, cameras, parameters)
     prepared = prepare(original)
-    targets = []
-    for done, camera in enumerate(chosen):
-        observe("render", done, len(chosen))
-        targets.append(make_target(prepared, camera))
+    targets = [make_target(prepared, camera) for camera in each(chosen, tell)]
     targets = [target for target in targets if target.image[..., 3].any()]
     if len(targets) < 2:
         raise ModelError(

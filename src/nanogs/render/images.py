@@ -1,7 +1,7 @@
 """Renderings as PNG files."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from nanogs._types import F32, U8, Array
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.atomic import atomic_write
+from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import Rendering, prepare, render
 from nanogs.splats import Splats
@@ -25,7 +26,7 @@ def render_images(
     transparent: bool = False,
     depth: bool = False,
     overwrite: bool = False,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[list[str], list[str]]:
     """Render each camera into a PNG file named after it, or a single one into a file of any name.
 
@@ -38,7 +39,7 @@ def render_images(
         depth: Also write `<name>_depth.png`, 16 bits: 65535 is the nearest depth of the view, 1 the
             farthest, 0 nothing.
         overwrite: Replace files that exist.
-        progress: Told the name of each view.
+        progress: Called with each `nanogs.progress.Step`; the views are parts of one stage.
 
     Returns:
         The files written, and what the user should know.
@@ -51,9 +52,8 @@ def render_images(
     prepared = prepare(splats)
     written: list[str] = []
     notes: dict[str, None] = {}
-    for camera, name in zip(cameras, names, strict=True):
-        if progress:
-            progress(f"render {name}")
+    tracker = Tracker(progress, [Stage("render", 1.0)])
+    for camera, name in each(zip(cameras, names, strict=True), tracker.part):
         rendering = render(prepared, camera, background=background, depth=depth)
         images: dict[str, Array] = {f"{name}.png": color_image(rendering, transparent)}
         if depth:
@@ -64,6 +64,7 @@ def render_images(
         notes.update(dict.fromkeys(rendering.notes))
         if not rendering.alpha.any():
             notes[f"{name}: nothing of the model is seen"] = None
+    tracker.finish()
     if prepared.skipped:
         notes[f"{prepared.skipped:,} splats with a NaN or infinite value were not drawn"] = None
     return written, list(notes)

@@ -2,7 +2,7 @@
 
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs.defaults import DEFAULT_MEMORY, PATIENCE
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
+from nanogs.progress import Progress
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.folder import job_folder
@@ -45,7 +46,7 @@ def simplify_blocks(
     scheduler: str | None = None,
     workers: int | None = None,
     patience: float = PATIENCE,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
     spz_version: int | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> SimplifyReport:
@@ -75,8 +76,8 @@ def simplify_blocks(
         scheduler: Address of a Dask scheduler, in place of a client.
         workers: Processes to start on this machine, in place of a scheduler.
         patience: Seconds to wait for workers where a cluster has none, before the run ends.
-        progress: Called with a stage's name, how many of its tasks are done, and of how many; with
-            "wait" for a stage while a cluster has no worker.
+        progress: Called with each `nanogs.progress.Step`, its parts tasks; with "wait" in place of
+            a stage while a cluster has no worker.
         spz_version: Of a .spz file.
         **overrides: Parameters of the preset to replace.
 
@@ -112,7 +113,7 @@ def simplify_blocks(
     saving = {"spz_version": spz_version}
     made = BlockJob(settings, folder, scratch, Files((output,), saving, overwrite))
     where = Where(threads, client, scheduler, workers, patience)
-    done, counts = made.run(where, clock, progress or _ignore, resume=resume)
+    done, counts = made.run(where, clock, progress, resume=resume)
     return report_of(preset, goal, done, counts[0], clock, start)
 
 
@@ -194,7 +195,3 @@ def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None
             f"The job takes about {bytes_text(plan.scratch)} of disk, and {place} has"
             f" {bytes_text(free)} free; free some space, or name another place with --scratch."
         )
-
-
-def _ignore(_stage: str, _done: int, _total: int) -> None:
-    pass

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from nanogs.io import check_writable
+from nanogs.progress import Tracker
 from nanogs.scale.folder import RESULT, refuse_finished
 from nanogs.scale.result import move_into_place, seal, sealed, write_result
-from nanogs.scale.run import Done, Progress
+from nanogs.scale.run import Done
 
 
 class Ending(Protocol):
@@ -31,7 +32,7 @@ class Ending(Protocol):
             OutputError: They cannot.
         """
 
-    def finish(self, done: Done, folder: Path, progress: Progress) -> list[int]:
+    def finish(self, done: Done, folder: Path, progress: Tracker) -> list[int]:
         """Make them in the job's folder and give them their names, unless a run before has.
 
         Returns:
@@ -69,16 +70,16 @@ class Files:
             if sealed(self._file(folder, level), path) is None:
                 check_writable(path, overwrite=self.overwrite, **self.saving)
 
-    def finish(self, done: Done, folder: Path, progress: Progress) -> list[int]:
+    def finish(self, done: Done, folder: Path, progress: Tracker) -> list[int]:
         """As `Ending` says."""
         return [self._finish(done, folder, level, progress) for level in range(len(self.paths))]
 
-    def _finish(self, done: Done, folder: Path, level: int, progress: Progress) -> int:
+    def _finish(self, done: Done, folder: Path, level: int, progress: Tracker) -> int:
         """Write a result and give it its name, unless a run before has; the splats in it."""
         target = int(done.work.of_job("budget", level).facts["target"])
         path = self.paths[level]
         file = self._file(folder, level)
-        progress("write", level, len(self.paths))
+        progress.part(level, len(self.paths))
         count = sealed(file, path)
         if count is None:
             count = sealed(file, file)

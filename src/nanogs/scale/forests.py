@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from nanogs._types import F32, I64, U32, Array
+from nanogs.progress import untold
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Sorted, write_table
 from nanogs.simplify.cut import merge_scores
@@ -32,7 +33,7 @@ def grow(
         parameters: Of the method.
         threads: Threads for the nearest-neighbour query.
     """
-    forest = grow_forest(leaves(), parameters.k, parameters.lambda_app, threads, _ignore)
+    forest = grow_forest(leaves(), parameters.k, parameters.lambda_app, threads, untold)
     # Errors are not over the block's own median, so that scores of all blocks compare. In single
     # precision none falls below those of the merges under it: rounding keeps the order.
     scores = merge_scores(forest, parameters.balance, 1.0).astype(np.float32)
@@ -57,7 +58,3 @@ def counts_of(low_bits: U32) -> I64:
     """(65536,) how often each low half of a key occurs."""
     counts: I64 = np.bincount(low_bits & 0xFFFF, minlength=BINS)
     return counts
-
-
-def _ignore(_stage: str, _count: int) -> None:
-    pass

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 
 from nanogs.defaults import PATIENCE
 from nanogs.errors import OutputError
+from nanogs.progress import WAITING, Progress, Tracker
 from nanogs.report import StageClock
 from nanogs.scale.cluster import connected, starting, threads_each
 from nanogs.scale.ending import Ending
 from nanogs.scale.folder import SCRATCH, forget, locked, read_manifest, write_manifest
-from nanogs.scale.run import Done, Executor, Here, Progress, run_tasks
+from nanogs.scale.run import Done, Executor, Here, job_stages, run_tasks
 from nanogs.scale.scratch import Scratch, is_url, open_scratch
-from nanogs.scale.settings import WAITING, Settings, differences
+from nanogs.scale.settings import Settings, differences
 from nanogs.scale.workers import Workers
 from nanogs.threads import use_threads
 
@@ -43,7 +44,7 @@ class Where:
     patience: float = PATIENCE
 
     @contextmanager
-    def executor(self, progress: Progress) -> Iterator[Executor]:
+    def executor(self, progress: Tracker) -> Iterator[Executor]:
         """What does the tasks.
 
         Args:
@@ -65,7 +66,7 @@ class Where:
             if connect is None:
                 yield Here()
             else:
-                waiting = partial(progress, WAITING, 0, 1)
+                waiting = partial(progress.aside, WAITING)
                 yield Workers(connect, threads, self.patience, waiting)
 
 
@@ -90,14 +91,14 @@ class BlockJob:
     ending: Ending
 
     def run(
-        self, where: Where, clock: StageClock, progress: Progress, *, resume: bool
+        self, where: Where, clock: StageClock, told: Progress | None, *, resume: bool
     ) -> tuple[Done, list[int]]:
         """Do what is left of the job.
 
         Args:
             where: To do its tasks.
             clock: Gets the seconds of each stage.
-            progress: Told of each stage.
+            told: Called with each step, "wait" in place of a stage while a cluster has no worker.
             resume: Whether a job that was begun is continued.
 
         Returns:
@@ -106,6 +107,7 @@ class BlockJob:
         Raises:
             NanogsError: The job is another one, cannot be done, or is in use.
         """
+        progress = Tracker(told, job_stages(self.settings))
         with locked(self.folder):
             place = self._found(resume=resume)
             resumed = place is not None
@@ -119,9 +121,11 @@ class BlockJob:
                 done = run_tasks(
                     scratch, self.settings, executor, threads, clock, progress, resumed=resumed
                 )
+                progress.begin("write")
                 with clock.time("write"):
                     counts = self.ending.finish(done, self.folder, progress)
             self._remove(scratch)
+        progress.finish()
         return done, counts
 
     def _found(self, *, resume: bool) -> str | None:

@@ -1,17 +1,22 @@
 """A job from its first task to its last, wherever the tasks are done."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from nanogs.progress import Stage, Tracker
 from nanogs.report import StageClock
 from nanogs.scale.scratch import Scratch
-from nanogs.scale.settings import Settings
+from nanogs.scale.settings import SOG, Settings
 from nanogs.scale.tables import verified, write_table
 from nanogs.scale.work import MARK, UNPACK, Task, Work, do
 
-Progress = Callable[[str, int, int], None]
-"""Called with a stage's name, how many of its tasks are done, and of how many; see `WAITING`."""
+# Seconds for a million splats, of one machine; chunks take them for each of their own.
+_WEIGHTS = {
+    UNPACK: 1.0, "frame": 1.0, "segment": 0.5, "partition": 0.05, "forest": 5.0, "budget": 0.02,
+    "cut": 0.4, "settle": 2.0, "part": 0.5, "rest": 0.2, "cells": 0.5,
+}  # fmt: skip
+_PACKING = 25.0  # seconds for a million splats of streamed SOG
 
 
 class Executor(Protocol):
@@ -50,7 +55,7 @@ def run_tasks(
     executor: Executor,
     threads: int,
     clock: StageClock,
-    progress: Progress,
+    progress: Tracker,
     *,
     resumed: bool,
 ) -> Done:
@@ -75,13 +80,29 @@ def run_tasks(
         with clock.time(stage):
             left = [task for task in tasks if not (resumed and _is_done(work, task))]
             kept += len(tasks) - len(left)
-            progress(stage, len(tasks) - len(left), len(tasks))
+            progress.begin(stage)
+            progress.part(len(tasks) - len(left), len(tasks))
             # The frame is made here, while workers of this machine start.
             doing = Here() if stage == "frame" else executor
             for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
                 work.record(task)  # kept: the report is made when the scratch is gone
-                progress(stage, done, len(tasks))
+                progress.part(done, len(tasks))
     return Done(work, kept)
+
+
+def job_stages(settings: Settings) -> list[Stage]:
+    """The stages of a job, and how long each takes beside the others."""
+    weights = _WEIGHTS | {"chunk": _PACKING if _is_sog(settings) else 1.0}
+    ratios = settings.ratios or tuple(count / settings.splats for count in settings.counts)
+    stages = [
+        Stage(stage, weights[stage] * (ratios[level] if stage == "chunk" else 1.0))
+        for stage, level in _stages(settings)
+    ]
+    return [*stages, Stage("write", 0.1)]
+
+
+def _is_sog(settings: Settings) -> bool:
+    return settings.chunks is not None and settings.chunks.layout == SOG
 
 
 def _stages(settings: Settings) -> Iterator[tuple[str, int]]:

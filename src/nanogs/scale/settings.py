@@ -11,7 +11,6 @@ from nanogs.simplify.presets import ForestParameters
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
-WAITING = "wait"  # told in place of a stage's name while there is none
 SOG, TILES = "streamed sog", "3d tiles"  # levels in chunks, as `lod.layout` names them
 VERSION = 2  # of the job folder; one of another version is not continued
 

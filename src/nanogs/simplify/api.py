@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from nanogs.io import encoded_bytes, registry
 from nanogs.io.models import Model, as_splats
+from nanogs.progress import Progress, Tracker
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.job import Job, NanPolicy, prepare_job, refuse_misaligned_elements
 from nanogs.simplify.outcome import Outcome
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters, refuse_search
+from nanogs.simplify.stages import simplify_stages
 from nanogs.simplify.target import Goal
 from nanogs.splats import Splats
 
@@ -33,7 +35,7 @@ def simplify(
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     threads: int | None = None,
-    progress: Callable[[str, int], None] | None = None,
+    progress: Progress | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[Splats, SimplifyReport]:
     """A smaller model of the same scene: of the ratio, the count, the size or the PSNR asked for.
@@ -57,7 +59,8 @@ def simplify(
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise.
         threads: Threads to use; all by default. The result does not depend on it.
-        progress: Called before each stage with its name and the number of splats left.
+        progress: Called with each `nanogs.progress.Step`: the stage, which of how many it is, and
+            the fraction of the whole that is done; the last step has the fraction 1.
         **overrides: Parameters of the preset to replace, such as `k=8`.
 
     Returns:
@@ -80,24 +83,29 @@ def simplify(
 
     with use_threads(threads) as threads_used:
         with clock.time("check"):
-            job = prepare_job(splats, preset, overrides, cameras, nan, progress)
+            job = prepare_job(splats, preset, overrides, cameras, nan)
             target = target_of(goal, splats, len(job.rows), path)
             refuse_misaligned_elements(splats, 1 if target is None else target)
+        tracker = Tracker(
+            progress,
+            simplify_stages(job.parameters, goal, len(job.rows), target, path.suffix),
+        )
         if target is not None:
-            outcome = job.deliverer(threads_used, clock)(target, clock)
+            outcome = job.deliverer(threads_used, clock, tracker)(target, clock, tracker)
             if size is not None:
                 outcome = replace(outcome, achieved_size=registry.sizer(path)(splats, target))
         elif size is not None:
             options = dict(format_options or {})
             encode = partial(encoded_bytes, path=path, **options)
             leaps = registry.writable(path).leaps(job.splats)
-            outcome = _fit(job, size, encode, leaps, threads_used, clock)
+            outcome = _fit(job, size, encode, leaps, threads_used, clock, tracker)
         else:
-            outcome = _reach(job, goal.psnr or 0.0, threads_used, clock)
+            outcome = _reach(job, goal.psnr or 0.0, threads_used, clock, tracker)
         target = len(outcome.splats) if target is None else target
     if size is not None and target == len(job.rows):
         whole = "The whole model fits into the size asked for; nothing was merged."
         outcome = replace(outcome, notes=(*outcome.notes, whole))
+    tracker.finish()
     return outcome.splats, job.report(goal, target, outcome, threads_used, clock, start)
 
 
@@ -146,16 +154,18 @@ def _fit(
     leaps: Sequence[int],
     threads: int,
     clock: StageClock,
+    progress: Tracker,
 ) -> Outcome:
     from nanogs.simplify.fit_size import fit_size, guess_count
 
+    progress.begin("guess")
     with clock.time("encode"):
         guess = guess_count(job.splats.take(job.rows), size, encode)
-    build = job.build(threads, clock)
-    return fit_size(build, size, guess, encode, clock, job.progress, leaps)
+    build = job.build(threads, clock, progress)
+    return fit_size(build, size, guess, encode, clock, progress, leaps)
 
 
-def _reach(job: Job, psnr: float, threads: int, clock: StageClock) -> Outcome:
+def _reach(job: Job, psnr: float, threads: int, clock: StageClock, progress: Tracker) -> Outcome:
     from nanogs.simplify.reach import reach_psnr
 
-    return reach_psnr(job.build(threads, clock), psnr, clock, job.progress)
+    return reach_psnr(job.build(threads, clock, progress), psnr, clock, progress)

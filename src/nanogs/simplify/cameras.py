@@ -49,7 +49,7 @@ def requested_cameras(
     """
     if not isinstance(chosen, ForestParameters):
         return None
-    from nanogs.simplify.forest_pipeline import REFIT
+    from nanogs.simplify.stages import REFIT
 
     # Looking takes as many of them as it wants, and reduces them; a refit wants more.
     count = max(chosen.views, REFIT.views + REFIT.held if chosen.refit else 0)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from nanogs._types import I32
+from nanogs.progress import Parts, untold
 from nanogs.report import CandidateReport
 from nanogs.splats import Splats
 
@@ -36,6 +37,7 @@ def choose_model(
     judge: Callable[[Splats], tuple[float, float]],
     balances: Sequence[float],
     growth: float,
+    tell: Parts = untold,
 ) -> tuple[Candidate, tuple[CandidateReport, ...]]:
     """Try cuts of several balances, the best one reassigned, the best of these grown more.
 
@@ -48,11 +50,13 @@ def choose_model(
         judge: Its PSNR and SSIM.
         balances: What to try, at least one; ties go to the first.
         growth: That of the first candidates.
+        tell: Told of the candidates tried, and of how many there may be.
 
     Returns:
         The chosen one, and how every candidate did, the chosen one marked.
     """
     reports: list[CandidateReport] = []
+    most = len(balances) + 1 + sum(more > growth for more in GROWTHS)
 
     def attempt(labels: I32, balance: float, growth: float, *, reassigned: bool) -> Candidate:
         model = store(labels, growth)
@@ -60,6 +64,7 @@ def choose_model(
         worth = quality(psnr, ssim)
         report = CandidateReport(balance, reassigned, growth, psnr, ssim, worth, chosen=False)
         reports.append(report)
+        tell(len(reports), most)
         return Candidate(labels, model, report)
 
     usual: Candidate | None = None

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nanogs.errors import OptionError
+from nanogs.progress import Stage, Tracker
 from nanogs.report import SizeProbeReport, StageClock
 from nanogs.simplify.forest_pipeline import Build, deliver
 from nanogs.simplify.outcome import Outcome
-from nanogs.simplify.pipeline import Progress
+from nanogs.simplify.stages import RESULTS, SIZES, delivery_stages, write_weight
 from nanogs.splats import Splats
 
 AIM = 0.993  # of the size: a probe is put there, so that it is seldom just above
@@ -158,7 +159,7 @@ def fit_size(
     guess: int,
     encode: Encode,
     clock: StageClock,
-    progress: Progress,
+    progress: Tracker,
     leaps: Sequence[int] = (),
 ) -> Outcome:
     """The largest result of a build that is found to fit, and takes most of the size.
@@ -180,10 +181,17 @@ def fit_size(
     """
     best: list[Outcome] = []  # the latest that fits, and so the largest; one at a time
 
-    def search(build: Build, guess: int, enough: float | None = None) -> Fitted:
+    def search(build: Build, expected: int, guess: int, enough: float | None = None) -> Fitted:
+        tried = 0
+
         def bytes_of(count: int) -> int:
-            outcome = deliver(build, count, clock, progress)
-            progress("encode", count)
+            nonlocal tried
+            stages = delivery_stages(build.parameters, len(build.leaves), count)
+            encoding = Stage("encode", write_weight(".sog", count))
+            probe = progress.within(tried, expected, [*stages, encoding])
+            tried += 1
+            outcome = deliver(build, count, clock, probe)
+            probe.begin("encode")
             with clock.time("encode"):
                 size_of = encode(outcome.splats)
             if size_of <= size:
@@ -194,11 +202,13 @@ def fit_size(
         return search_fit(bytes_of, size, guess, forest.fewest, forest.splats, enough, leaps)
 
     parameters = replace(build.parameters, refit=False)
-    found = search(replace(build, views=None, parameters=parameters), guess)
+    progress.begin("search")
+    found = search(replace(build, views=None, parameters=parameters), SIZES, guess)
     probes = found.probes
     if build.views is not None or build.parameters.refit:
         best.clear()
-        found = search(build, found.count, ENOUGH * min(size, found.bytes))
+        progress.begin("deliver")
+        found = search(build, RESULTS, found.count, ENOUGH * min(size, found.bytes))
         probes += found.probes
     found = replace(found, probes=probes)
     leap = found.leap(size, build.forest.splats)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 from nanogs._types import F64, I32
 from nanogs.errors import ModelError
+from nanogs.progress import Tracker
 from nanogs.refit.api import refit
-from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import RefitReport
 from nanogs.render.camera import Camera
 from nanogs.report import CandidateReport, RecolourReport, StageClock, StopReason
@@ -26,16 +26,14 @@ from nanogs.simplify.nodes import (
 )
 from nanogs.simplify.order import morton_order
 from nanogs.simplify.outcome import Outcome
-from nanogs.simplify.pipeline import Progress
 from nanogs.simplify.presets import USUAL_BALANCE, ForestParameters
 from nanogs.simplify.reassign import reassign
 from nanogs.simplify.recolour import recolour
+from nanogs.simplify.stages import REFIT
 from nanogs.simplify.store import store_groups
 from nanogs.simplify.tree import Forest, grow_forest
 from nanogs.simplify.visibility import OriginalViews, judge, look, visible_weights
 from nanogs.splats import Splats, pick
-
-REFIT = RefitParameters(views=32, steps=16)  # half of what `nanogs refit` takes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,19 +72,19 @@ def build_forest(
     cameras: Sequence[Camera] | None,
     threads: int,
     clock: StageClock,
-    progress: Progress,
+    progress: Tracker,
 ) -> Build:
     """Look at the model, weigh its splats by what is seen of them, and grow their forest."""
     notes: tuple[str, ...] = ()
     views = None
     if parameters.measure:
-        progress("look", len(rows))
+        progress.begin("look")
         with clock.time("look"):
             try:
-                views = look(splats, cameras, parameters.views)
+                views = look(splats, cameras, parameters.views, progress.part)
             except ModelError as error:
                 notes = (f"Nothing was measured: {error}",)
-    progress("activate", len(rows))
+    progress.begin("activate")
     with clock.time("activate"):
         centres = pick(splats.means, rows)
         origin = scene_origin(centres)
@@ -105,10 +103,11 @@ def build_forest(
             weights = visible_weights(nodes.coverages, views.visible[rows], parameters.hidden)
             return replace(nodes, weights=normalised(weights))
 
+    progress.begin("grow")
     # Made again for what follows: the passes are the most that is held, and they have no use for
     # the leaves after the first.
     forest = grow_forest(
-        without_coverages(leaves()), parameters.k, parameters.lambda_app, threads, progress
+        without_coverages(leaves()), parameters.k, parameters.lambda_app, threads, progress.part
     )
     for one_pass in forest.passes:
         clock.add(one_pass.seconds)
@@ -117,7 +116,7 @@ def build_forest(
     )
 
 
-def deliver(build: Build, target: int, clock: StageClock, progress: Progress) -> Outcome:
+def deliver(build: Build, target: int, clock: StageClock, progress: Tracker) -> Outcome:
     """The model of the asked count, or of the fewest the forest has."""
     forest = build.forest
     groups = max(target, forest.fewest)
@@ -126,19 +125,18 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
         candidates: tuple[CandidateReport, ...] = ()
         recoloured = None
     else:
-        progress("choose", groups)
+        progress.begin("choose")
         with clock.time("choose"):
-            chosen, candidates = _choose(build, groups, build.views)
+            chosen, candidates = _choose(build, groups, build.views, progress)
         small, recoloured = chosen.model, None
         if build.parameters.recolour:
-            progress("recolour", groups)
+            progress.begin("recolour")
             with clock.time("recolour"):
-                small, recoloured = _recolour(build, chosen, build.views)
+                small, recoloured = _recolour(build, chosen, build.views, progress)
     fitted, notes = None, build.notes
     if build.parameters.refit and groups < forest.splats:
-        progress("refit", groups)
         with clock.time("refit"):
-            small, fitted, unfitted = _fit(build, small)
+            small, fitted, unfitted = _fit(build, small, progress)
             notes += unfitted
     return Outcome(
         splats=small,
@@ -151,31 +149,38 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Progress) ->
     )
 
 
-def _fit(build: Build, small: Splats) -> tuple[Splats, RefitReport | None, tuple[str, ...]]:
+def _fit(
+    build: Build, small: Splats, progress: Tracker
+) -> tuple[Splats, RefitReport | None, tuple[str, ...]]:
     """The fitted model, or the same one and why it cannot be fitted."""
     try:
         fitted, report = refit(
-            build.splats, small, cameras=build.cameras, parameters=REFIT, threads=build.threads
+            build.splats,
+            small,
+            cameras=build.cameras,
+            parameters=REFIT,
+            threads=build.threads,
+            progress=progress.passing(),
         )
         return fitted, report, ()
     except ModelError as error:  # nothing visible, or a handful of splats that are hardly seen
         return small, None, (f"The result was not fitted: {error}",)
 
 
-def _group(build: Build, groups: int, clock: StageClock, progress: Progress) -> Splats:
+def _group(build: Build, groups: int, clock: StageClock, progress: Tracker) -> Splats:
     """The model of the cut that the parameters ask for."""
-    progress("cut", groups)
+    progress.begin("cut")
     with clock.time("cut"):
         labels = cut(build.forest, groups, build.parameters.balance)
         if groups < build.forest.splats:
             labels = _regroup(build, labels, groups)
-    progress("store", groups)
+    progress.begin("store")
     with clock.time("store"):
         return _model(build, labels, build.parameters.growth)
 
 
 def _choose(
-    build: Build, groups: int, views: OriginalViews
+    build: Build, groups: int, views: OriginalViews, progress: Tracker
 ) -> tuple[Candidate, tuple[CandidateReport, ...]]:
     """What does best on views of the original, and how the others did."""
     return choose_model(
@@ -185,16 +190,17 @@ def _choose(
         lambda small: judge(small, views),
         sorted({*BALANCES, build.parameters.balance} - {USUAL_BALANCE}),
         build.parameters.growth,
+        progress.part,
     )
 
 
 def _recolour(
-    build: Build, chosen: Candidate, views: OriginalViews
+    build: Build, chosen: Candidate, views: OriginalViews, progress: Tracker
 ) -> tuple[Splats, RecolourReport | None]:
     """The chosen model with its colours fitted, where that brings it nearer."""
     _, _, merged = stored_order(build.leaves, chosen.labels, len(chosen.model))
     before = chosen.report.psnr, chosen.report.ssim
-    return recolour(chosen.model, merged, views, before)
+    return recolour(chosen.model, merged, views, before, progress.part)
 
 
 def _regroup(build: Build, labels: I32, groups: int) -> I32:

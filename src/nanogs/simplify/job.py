@@ -9,6 +9,7 @@ import numpy as np
 
 from nanogs._types import I32
 from nanogs.errors import ModelError
+from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.outcome import Outcome
 from nanogs.simplify.presets import ForestParameters, PaperParameters, Parameters, parameters
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
     from nanogs.simplify.forest_pipeline import Build
 
 NanPolicy = Literal["drop", "error"]
-Deliver = Callable[[int, StageClock], Outcome]
-"""The result of a count, the seconds of its stages added to the clock."""
+Deliver = Callable[[int, StageClock, Tracker], Outcome]
+"""The result of a count, the seconds of its stages added to the clock, each told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +35,6 @@ class Job:
         preset: Name of the preset.
         parameters: Of the method.
         cameras: The user's views, or None for automatic ones.
-        progress: Called before each stage with its name and the number of splats left.
     """
 
     splats: Splats
@@ -42,40 +42,41 @@ class Job:
     preset: str
     parameters: Parameters
     cameras: "Sequence[Camera] | None"
-    progress: Callable[[str, int], None]
 
-    def build(self, threads: int, clock: StageClock) -> "Build":
+    def build(self, threads: int, clock: StageClock, progress: Tracker) -> "Build":
         """The forest that any count is cut from; for presets that grow one.
 
         Args:
             threads: Threads in use.
             clock: Gets the seconds of each stage.
+            progress: Told of each stage.
         """
         from nanogs.simplify.forest_pipeline import build_forest
 
         assert isinstance(self.parameters, ForestParameters)  # noqa: S101 - the caller's choice
         return build_forest(
-            self.splats, self.rows, self.parameters, self.cameras, threads, clock, self.progress
+            self.splats, self.rows, self.parameters, self.cameras, threads, clock, progress
         )
 
-    def deliverer(self, threads: int, clock: StageClock) -> Deliver:
+    def deliverer(self, threads: int, clock: StageClock, progress: Tracker) -> Deliver:
         """Do once what every count needs, and return what delivers each of them.
 
         Args:
             threads: Threads in use.
             clock: Gets the seconds of what is done once.
+            progress: Told of that.
         """
         chosen = self.parameters
         if isinstance(chosen, PaperParameters):
             from nanogs.simplify.published import simplify_as_published
 
-            return lambda target, clock: simplify_as_published(
-                self.splats, self.rows, target, chosen, threads, clock, self.progress
+            return lambda target, clock, progress: simplify_as_published(
+                self.splats, self.rows, target, chosen, threads, clock, progress
             )
         from nanogs.simplify.forest_pipeline import deliver
 
-        build = self.build(threads, clock)
-        return lambda target, clock: deliver(build, target, clock, self.progress)
+        build = self.build(threads, clock, progress)
+        return lambda target, clock, progress: deliver(build, target, clock, progress)
 
     def report(
         self,
@@ -131,7 +132,6 @@ def prepare_job(
     overrides: dict[str, Any],
     cameras: "Sequence[Camera] | None",
     nan: NanPolicy,
-    progress: Callable[[str, int], None] | None,
 ) -> Job:
     """Check all that can be checked before anything is computed.
 
@@ -140,8 +140,7 @@ def prepare_job(
         ModelError: No splat is usable, or `nan="error"` and one is not.
     """
     chosen = parameters(preset, overrides)
-    observe = progress or (lambda _stage, _count: None)
-    return Job(splats, usable_rows(splats, nan), preset, chosen, cameras, observe)
+    return Job(splats, usable_rows(splats, nan), preset, chosen, cameras)
 
 
 def import_stages(chosen: Parameters) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from nanogs.progress import Parts
 from nanogs.report import PassReport, StageClock, StopReason
 from nanogs.simplify.cost import log_masses, pair_costs
 from nanogs.simplify.gaussians import Gaussians
@@ -10,9 +11,6 @@ from nanogs.simplify.graph import neighbour_pairs, random_pairs
 from nanogs.simplify.match import match
 from nanogs.simplify.merge import merge
 from nanogs.simplify.presets import PaperParameters
-
-Progress = Callable[[str, int], None]
-"""Called before each stage with its name and the number of splats left."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +27,7 @@ def merge_to_count(
     target: int,
     parameters: PaperParameters,
     threads: int,
-    progress: Progress,
+    tell: Parts,
 ) -> PipelineResult:
     """Merge the cheapest disjoint pairs of neighbours, pass after pass, down to the target.
 
@@ -38,11 +36,18 @@ def merge_to_count(
         target: Splats to deliver, at least 1.
         parameters: The method's parameters.
         threads: Threads for the nearest-neighbour query.
-        progress: Told of each stage.
+        tell: Told of the merges done, and of how many.
     """
     passes: list[PassReport] = []
+    wanted = len(gaussians) - target
     while len(gaussians) > target:
-        gaussians, report = _one_pass(gaussians, target, parameters, threads, progress)
+        left = len(gaussians) - target
+        limit = min(left, max(1, int(parameters.merge_cap * len(gaussians))))
+
+        def told(share: float, left: int = left, limit: int = limit) -> None:
+            tell(wanted - left + share * limit, wanted)
+
+        gaussians, report = _one_pass(gaussians, limit, parameters, threads, told)
         passes.append(report)
         if report.merged == 0:
             none_left = report.candidates == report.without_cost
@@ -53,29 +58,28 @@ def merge_to_count(
 
 def _one_pass(
     gaussians: Gaussians,
-    target: int,
+    limit: int,
     parameters: PaperParameters,
     threads: int,
-    progress: Progress,
+    told: Callable[[float], None],
 ) -> tuple[Gaussians, PassReport]:
-    """Build the graph, score its pairs, match the cheapest, merge them."""
+    """Build the graph, score its pairs, match the cheapest, merge them; tell the share done."""
     count, clock = len(gaussians), StageClock()
-    progress("graph", count)
+    told(0)
     with clock.time("graph"):
         if parameters.graph == "random":
             pairs = random_pairs(count, parameters.k, parameters.seed)
         else:
             pairs = neighbour_pairs(gaussians.means, parameters.k, threads)
-    progress("cost", count)
+    told(0.3)
     with clock.time("cost"):
         costs = pair_costs(gaussians, pairs, log_masses(gaussians), parameters)
-    progress("match", count)
+    told(0.75)
     with clock.time("match"):
-        limit = min(count - target, max(1, int(parameters.merge_cap * count)))
         plan = match(pairs, costs, count, limit)
     candidates = len(pairs)
     del pairs, costs  # and the masses were not kept either: matching takes the most memory
-    progress("merge", count)
+    told(0.9)
     with clock.time("merge"):
         merged = merge(gaussians, plan, log_masses(gaussians))
     report = PassReport(

@@ -1,10 +1,11 @@
 """The preset `paper`: prune, then merge pass by pass (arXiv 2603.16103), between two edges."""
 
 from nanogs._types import I32
+from nanogs.progress import Tracker
 from nanogs.report import StageClock
 from nanogs.simplify.gaussians import activate, scene_origin, store
 from nanogs.simplify.outcome import Outcome
-from nanogs.simplify.pipeline import Progress, merge_to_count
+from nanogs.simplify.pipeline import merge_to_count
 from nanogs.simplify.presets import PaperParameters
 from nanogs.simplify.prune import prune
 from nanogs.splats import Splats
@@ -17,7 +18,7 @@ def simplify_as_published(
     parameters: PaperParameters,
     threads: int,
     clock: StageClock,
-    progress: Progress,
+    progress: Tracker,
 ) -> Outcome:
     """Prune, activate, merge to the count, store.
 
@@ -30,18 +31,20 @@ def simplify_as_published(
         clock: Gets the seconds of each stage.
         progress: Told of each stage.
     """
-    progress("prune", len(rows))
+    progress.begin("prune")
     with clock.time("prune"):
         pruning = prune(splats.opacities()[rows], parameters.tau, target)
         kept = rows[pruning.keep]
+    progress.begin("activate")
     with clock.time("activate"):
         origin = scene_origin(splats.means[kept])
         # A list, so that no name here keeps the full set alive while the passes shrink it.
         working = [activate(splats, kept, origin)]
-    result = merge_to_count(working.pop(), target, parameters, threads, progress)
+    progress.begin("merge")
+    result = merge_to_count(working.pop(), target, parameters, threads, progress.part)
     for one_pass in result.passes:
         clock.add(one_pass.seconds)
-    progress("store", len(result.gaussians))
+    progress.begin("store")
     with clock.time("store"):
         small = store(result.gaussians, splats, origin)
     return Outcome(

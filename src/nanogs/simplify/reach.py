@@ -5,10 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from nanogs.errors import ModelError
+from nanogs.progress import Tracker
 from nanogs.report import ProbeReport, StageClock, StopReason
 from nanogs.simplify.forest_pipeline import Build, deliver
 from nanogs.simplify.outcome import Outcome
-from nanogs.simplify.pipeline import Progress
+from nanogs.simplify.stages import delivery_stages, expected_probes
 from nanogs.simplify.visibility import OriginalViews, judge, look
 from nanogs.splats import Splats
 
@@ -56,7 +57,7 @@ def search_count(
     return Found(reaches, tuple(probes), stop)
 
 
-def reach_psnr(build: Build, asked: float, clock: StageClock, progress: Progress) -> Outcome:
+def reach_psnr(build: Build, asked: float, clock: StageClock, progress: Tracker) -> Outcome:
     """The smallest result of a build that reaches a PSNR on the views it is judged by.
 
     What is measured is what is delivered: the result of a count is the same each time.
@@ -73,14 +74,23 @@ def reach_psnr(build: Build, asked: float, clock: StageClock, progress: Progress
     views = build.views or _views_to_judge_by(build, clock, progress)
 
     def measured(small: Splats) -> float:
-        progress("judge", len(small))
         with clock.time("judge"):
             return judge(small, views)[0]
+
+    progress.begin("search")
+    tried, splats = 0, len(build.leaves)
+
+    def delivered(count: int) -> Outcome:
+        nonlocal tried
+        stages = delivery_stages(build.parameters, splats, count)
+        probe = progress.within(tried, expected_probes(splats), stages)
+        tried += 1
+        return deliver(build, count, clock, probe)
 
     best: list[Outcome] = []  # the latest that reaches it, and so the smallest; one at a time
 
     def psnr_of(count: int) -> float:
-        outcome = deliver(build, count, clock, progress)
+        outcome = delivered(count)
         psnr = measured(outcome.splats)
         if psnr >= asked:
             best[:] = [replace(outcome, achieved_psnr=psnr)]
@@ -88,16 +98,16 @@ def reach_psnr(build: Build, asked: float, clock: StageClock, progress: Progress
 
     found = search_count(psnr_of, asked, build.forest.fewest, build.forest.splats)
     if not best:
-        outcome = deliver(build, found.count, clock, progress)
+        outcome = delivered(found.count)
         best = [replace(outcome, achieved_psnr=measured(outcome.splats))]
     return replace(best[0], probes=found.probes, stop=found.stop)
 
 
-def _views_to_judge_by(build: Build, clock: StageClock, progress: Progress) -> OriginalViews:
+def _views_to_judge_by(build: Build, clock: StageClock, progress: Tracker) -> OriginalViews:
     """Views of the original for a preset that renders none; its results stay as they are."""
-    progress("look", len(build.splats))
+    progress.begin("look")
     with clock.time("look"):
         try:
-            return look(build.splats, build.cameras, build.parameters.views)
+            return look(build.splats, build.cameras, build.parameters.views, progress.part)
         except ModelError as error:
             raise ModelError(f"The PSNR cannot be measured: {error}") from None

@@ -12,6 +12,7 @@ import numpy as np
 
 from nanogs._types import F32, F64, Bool
 from nanogs.kernels.harmonics import C0
+from nanogs.progress import Parts, each, untold
 from nanogs.render.rasterize import Projection, blend, prepare, probe, project
 from nanogs.report import RecolourReport
 from nanogs.simplify.choose import quality
@@ -25,7 +26,11 @@ PRIORS = (1.0, 10.0)
 
 
 def recolour(
-    small: Splats, merged: Bool, views: OriginalViews, before: tuple[float, float]
+    small: Splats,
+    merged: Bool,
+    views: OriginalViews,
+    before: tuple[float, float],
+    tell: Parts = untold,
 ) -> tuple[Splats, RecolourReport | None]:
     """Fit the colours to the views that nothing was chosen by, then to those that judge.
 
@@ -37,29 +42,32 @@ def recolour(
         merged: (N,) which of them may change: those of one member keep their bytes.
         views: Of the original.
         before: The model's PSNR and SSIM on the views that judge.
+        tell: Told of three parts: a step, its judgement, and the second step.
 
     Returns:
         The model, and what the first step gained; None where there are too few views to tell.
     """
     if not views.other:
         return small, None
-    first = _pulls(small, views.other)
+    first = _pulls(small, views.other, tell, 0)
     for prior in PRIORS:
         moved = _moved(small, merged, *first, prior)
         after = judge(moved, views)
         if quality(*after) > quality(*before):
-            pulls, curvatures = _pulls(moved, views.judging)
+            pulls, curvatures = _pulls(moved, views.judging, tell, 2)
             # The views of the first step, which show what they should now, hold on to that.
             small = _moved(moved, merged, pulls, curvatures + first[1], prior)
             return small, RecolourReport(*before, *after, kept=True)
     return small, RecolourReport(*before, *after, kept=False)
 
 
-def _pulls(small: Splats, views: Sequence[OriginalView]) -> tuple[F64, F64]:
+def _pulls(
+    small: Splats, views: Sequence[OriginalView], tell: Parts, before: int
+) -> tuple[F64, F64]:
     """(N, 3) what pulls at the colours, sum w r, and (N, 1) what holds them, sum w A; see below."""
     prepared = prepare(small)
     pulls, curvatures = np.zeros((len(small), 3)), np.zeros((len(small), 1))
-    for view in views:
+    for view in each(views, lambda done, count: tell(before + done / count, 3)):
         shown = project(prepared, view.camera)
         totals = probe(shown, view.camera, _planes(shown, view))
         pulls += totals[:, :3]

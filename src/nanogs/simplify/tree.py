@@ -3,18 +3,20 @@
 One forest answers every count: `cut` chooses which of its merges are done.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.forest import log_determinants, merge_increments
+from nanogs.progress import Parts
 from nanogs.report import PassReport, StageClock, StopReason
 from nanogs.simplify.blocks import BLOCK_PAIRS, blocks
 from nanogs.simplify.graph import neighbour_pairs
 from nanogs.simplify.match import MergePlan, match
 from nanogs.simplify.nodes import Nodes, gather, gather_pairs
-from nanogs.simplify.pipeline import Progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,9 +45,7 @@ class Forest:
         return self.splats - len(self.children)
 
 
-def grow_forest(
-    leaves: Nodes, k: int, lambda_app: float, threads: int, progress: Progress
-) -> Forest:
+def grow_forest(leaves: Nodes, k: int, lambda_app: float, threads: int, tell: Parts) -> Forest:
     """Match nearly all nodes with a neighbour, merge, and again until one is left.
 
     Args:
@@ -53,7 +53,7 @@ def grow_forest(
         k: Neighbours of each node in the graph.
         lambda_app: Weight of the colour's increment beside the geometry's.
         threads: Threads for the nearest-neighbour query.
-        progress: Told of each stage.
+        tell: Told of the merges done.
     """
     count = made = len(leaves)
     nodes, ids = leaves, np.arange(count, dtype=np.int32)
@@ -62,7 +62,8 @@ def grow_forest(
     passes: list[PassReport] = []
     stop = StopReason.TARGET
     while len(nodes) > 1:
-        plan, increments, report = _one_pass(nodes, k, lambda_app, threads, progress)
+        told = partial(_tell_within, tell, count, len(nodes))
+        plan, increments, report = _one_pass(nodes, k, lambda_app, threads, told)
         if len(plan) == 0:
             none_left = report.candidates == report.without_cost
             stop = StopReason.NO_CANDIDATES if none_left else StopReason.NO_PROGRESS
@@ -81,26 +82,32 @@ def grow_forest(
             labels = (np.cumsum(stays) - 1).astype(np.int32)
             labels[second] = labels[first]
             # The features of pairs of splats, half a model, are not stored but mixed when needed.
+            told(0.9)
             nodes = (gather if passes else gather_pairs)(nodes, labels, len(ids))
         passes.append(replace(report, seconds=report.seconds | clock.seconds))
     children, levels, errors = _joined(parts)
     return Forest(count, children, levels, errors, tuple(passes), stop)
 
 
+def _tell_within(tell: Parts, splats: int, nodes: int, share: float) -> None:
+    """Tell how many of a forest's merges are done within a pass that halves its nodes."""
+    tell(splats - nodes * (1 - share / 2), splats)
+
+
 def _one_pass(
-    nodes: Nodes, k: int, lambda_app: float, threads: int, progress: Progress
+    nodes: Nodes, k: int, lambda_app: float, threads: int, told: Callable[[float], None]
 ) -> tuple[MergePlan, F32, PassReport]:
     """Graph, cost and match; the plan, the increments of its pairs, and what was done."""
     count, clock = len(nodes), StageClock()
-    progress("graph", count)
+    told(0)
     with clock.time("graph"):
         pairs = neighbour_pairs(nodes.means, k, threads)
-    progress("cost", count)
+    told(0.5)
     with clock.time("cost"):
         dets = np.empty(count)
         log_determinants(nodes.covariances, dets)
         costs = _costs(pairs, nodes, dets, lambda_app)
-    progress("match", count)
+    told(0.65)
     with clock.time("match"):
         plan = match(pairs, costs, count, count // 2)
         chosen = _increments(plan.pairs, nodes, dets)

@@ -7,6 +7,7 @@ import numpy as np
 
 from nanogs._types import F32, F64
 from nanogs.metrics import psnr, ssim
+from nanogs.progress import Parts, each, untold
 from nanogs.render.camera import Camera, spread
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.views import automatic_cameras
@@ -56,13 +57,19 @@ class OriginalViews:
         return tuple(view for i, view in enumerate(self.all) if i % JUDGED)
 
 
-def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 12) -> OriginalViews:
+def look(
+    splats: Splats,
+    cameras: Sequence[Camera] | None = None,
+    count: int = 12,
+    tell: Parts = untold,
+) -> OriginalViews:
     """Render the original once.
 
     Args:
         splats: N splats.
         cameras: The views; by default automatic ones.
         count: How many of them at most.
+        tell: Told of the views rendered.
 
     Raises:
         ModelError: No splat is visible.
@@ -74,7 +81,7 @@ def look(splats: Splats, cameras: Sequence[Camera] | None = None, count: int = 1
     prepared = prepare(splats)
     seen, whole = np.zeros(len(splats)), np.zeros(len(splats))
     views = []
-    for camera in chosen:
+    for camera in each(chosen, tell):
         view = render(prepared, camera, contributions=True)
         assert view.contributions is not None  # noqa: S101 - asked for
         assert view.unhidden is not None  # noqa: S101 - asked for

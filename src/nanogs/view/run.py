@@ -1,6 +1,6 @@
 """A page from file names: what `nanogs view` does."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from nanogs.io import level_counts, load
 from nanogs.io.atomic import atomic_write
 from nanogs.io.collect import model_in
 from nanogs.io.registry import find
+from nanogs.progress import Parts, Progress, Stage, Tracker, each
 from nanogs.render.camera import Camera
 from nanogs.render.opening import opening_for
 from nanogs.render.source import AUTOMATIC, cameras_for
@@ -82,7 +83,7 @@ def view_files(
     psnr: bool = True,
     level: int | None = None,
     overwrite: bool = False,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> ViewReport:
     """Read one or two models, measure the second against the first, and write the page.
 
@@ -100,19 +101,20 @@ def view_files(
         level: Of streamed models, which level of detail; by default the finest of at most
             `PAGE_SPLATS` splats, or the coarsest.
         overwrite: Replace the page if it exists.
-        progress: Told what is being done.
+        progress: Called with each `nanogs.progress.Step`.
 
     Raises:
         NanogsError: A file or an option is not usable, or the viewer was not built.
     """
     check_built()
-    tell = progress or (lambda _text: None)
     clock = StageClock()
     measured = psnr and len(inputs) > 1
+    tracker = Tracker(progress, _stages(len(inputs), views if measured else 0))
+    tracker.begin("read")
     with clock.time("read"):
         inputs = [(name, model_in(path)) for name, path in inputs]
-        models = _read(inputs, level, tell)
-    tell("cameras")
+        models = _read(inputs, level, tracker.part)
+    tracker.begin("cameras")
     with clock.time("cameras"):
         found: list[Camera] = []
         if measured or cameras not in AUTOMATIC:
@@ -122,17 +124,16 @@ def view_files(
     if measured:
         kind: Kind = AUTOMATIC.get(cameras, "given")
         with clock.time("measure"):
-            judged = _measure(inputs, models, found, kind, background, tell)
+            judged = _measure(inputs, models, found, kind, background, tracker)
+    tracker.begin("encode")
     with clock.time("pack"):
-        packed = []
-        for (name, _path), splats in zip(inputs, models, strict=True):
-            tell(f"encode {name}")
-            packed.append(pack(splats, start))
-    tell(f"write {page.name}")
+        packed = [pack(splats, start) for splats in each(models, tracker.part)]
+    tracker.begin("write")
     with clock.time("write"):
         text = render_page(_shown(inputs, models, packed, judged), start, background)
         with atomic_write(page, overwrite=overwrite) as file:
             file.write(text.encode("utf-8"))
+    tracker.finish()
     return ViewReport(
         output=str(page),
         output_bytes=page.stat().st_size,
@@ -142,16 +143,13 @@ def view_files(
     )
 
 
-def _read(
-    inputs: Sequence[tuple[str, Path]], level: int | None, tell: Callable[[str], None]
-) -> list[Splats]:
+def _read(inputs: Sequence[tuple[str, Path]], level: int | None, tell: Parts) -> list[Splats]:
     """The models; of streamed ones the level, which a note tells where it was not asked for."""
     counts = [level_counts(path) for _name, path in inputs]
     if level is not None and not any(counts):
         raise OptionError("--level is for streamed models (lod-meta.json); leave it out.")
     models = []
-    for (name, path), levels in zip(inputs, counts, strict=True):
-        tell(f"read {name}")
+    for (_name, path), levels in each(zip(inputs, counts, strict=True), tell):
         if not levels:
             models.append(load(path))
         elif level is not None:
@@ -178,6 +176,15 @@ def _with_note(splats: Splats, levels: Sequence[int]) -> Splats:
     return replace(splats, notes=(*splats.notes, note))
 
 
+def _stages(models: int, views: int) -> list[Stage]:
+    """What comes, for so many models; measured on so many views, or none."""
+    measuring = [Stage("render", views), Stage("score", views)] if views else []
+    return [
+        Stage("read", 2.0 * models), Stage("cameras", 1.0), *measuring,
+        Stage("encode", 3.0 * models), Stage("write", 1.0),
+    ]  # fmt: skip
+
+
 def page_path(paths: Sequence[Path]) -> Path:
     """The page for these models where none is named: in the current folder, named after them."""
     return Path("-".join(map(_stem, paths)) + ".html")
@@ -196,7 +203,7 @@ def _measure(
     cameras: Sequence[Camera],
     kind: Kind,
     background: Background,
-    tell: Callable[[str], None],
+    progress: Tracker,
 ) -> Judged:
     from nanogs.compare.comparison import NamedModel, compare_models
 
@@ -209,7 +216,7 @@ def _measure(
         cameras,
         kind=kind,
         background=background,
-        progress=lambda name: tell(f"render {name}"),
+        progress=progress,
     )
     return comparison.judged(0)
 

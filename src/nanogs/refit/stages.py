@@ -1,0 +1,21 @@
+"""The stages of a refit, and how long each takes beside the others."""
+
+from nanogs.progress import Stage
+from nanogs.refit.parameters import RefitParameters
+
+
+def refit_stages(parameters: RefitParameters, original: int, count: int) -> list[Stage]:
+    """The stages of `refit`.
+
+    Args:
+        parameters: Of the fit.
+        original: Splats of the original.
+        count: Splats of the model that is fitted.
+    """
+    pixels = (parameters.size / 512) ** 2
+    seen = parameters.views + parameters.held
+    looks = parameters.rounds * parameters.steps * parameters.batch
+    return [
+        Stage("render", seen * (0.03 * pixels + 0.15 * original / 1e6)),
+        Stage("fit", looks * (0.1 * pixels + 1.0 * count / 1e6)),
+    ]

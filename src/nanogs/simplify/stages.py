@@ -1,0 +1,113 @@
+"""The stages of a simplification, and how long each takes beside the others.
+
+Weights are seconds of one machine, to about a factor of two: a bar that follows them moves evenly
+enough. No Numba here: the command plans with them before it is imported.
+"""
+
+import math
+from collections.abc import Sequence
+
+from nanogs.progress import Stage
+from nanogs.refit.parameters import RefitParameters
+from nanogs.refit.stages import refit_stages
+from nanogs.simplify.presets import ForestParameters, PaperParameters, Parameters
+from nanogs.simplify.target import Goal
+
+REFIT = RefitParameters(views=32, steps=16)  # half of what `nanogs refit` takes
+SIZES, RESULTS = 4, 2  # files that a search for a size writes: of plain cuts, and of results
+_MILLION = 1e6
+_NARROWED = 0.01  # a search for a PSNR ends where counts are so near to each other
+
+
+def simplify_stages(
+    parameters: Parameters, goal: Goal, splats: int, count: int | None, suffix: str
+) -> list[Stage]:
+    """The stages of `simplify`.
+
+    Args:
+        parameters: Of the method.
+        goal: What is asked.
+        splats: Of the model.
+        count: What the goal comes to, or None where only a search can tell.
+        suffix: Of the file that a size is about.
+    """
+    if isinstance(parameters, PaperParameters) or count is not None:
+        each = delivery_stages(parameters, splats, count or splats)
+        return [*build_stages(parameters, splats), *each]
+    typical = splats // 10
+    weight = _sum(delivery_stages(parameters, splats, typical))
+    if goal.psnr is not None:
+        search = [Stage("search", weight * expected_probes(splats))]
+        look = [] if parameters.measure else [_look(parameters, splats)]
+        return [*build_stages(parameters, splats), *look, *search]
+    writing = write_weight(suffix, typical)
+    search = [Stage("search", SIZES * (writing + 0.3 * splats / _MILLION))]
+    if parameters.measure or parameters.refit:
+        search.append(Stage("deliver", RESULTS * (writing + weight)))
+    return [Stage("guess", writing / 5), *build_stages(parameters, splats), *search]
+
+
+def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) -> list[Stage]:
+    """The stages of `levels`: what is done once, and each level."""
+    each = [_sum(delivery_stages(parameters, splats, count)) for count in counts]
+    levels = [Stage(level_stage(number), weight) for number, weight in enumerate(each)]
+    return [*build_stages(parameters, splats), *levels]
+
+
+def level_stage(number: int) -> str:
+    """What the stage of a level is called, as its file is."""
+    return f"level_{number}"
+
+
+def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
+    """What is done once for any count: the original is looked at, and its forest grown."""
+    if isinstance(parameters, PaperParameters):
+        return []  # it does all of it for each
+    millions = splats / _MILLION
+    look = [_look(parameters, splats)] if parameters.measure else []
+    return [*look, Stage("activate", 0.35 * millions), Stage("grow", 3 * millions)]
+
+
+def delivery_stages(parameters: Parameters, splats: int, count: int) -> list[Stage]:
+    """What is done for each count."""
+    if isinstance(parameters, PaperParameters):
+        return _published_stages(splats)
+    all_of_them, left = splats / _MILLION, count / _MILLION
+    if parameters.measure:
+        stages = [Stage("choose", 0.05 + 1.3 * all_of_them + 7.5 * left)]
+        stages += [Stage("recolour", 0.05 + 2.3 * left)] if parameters.recolour else []
+    else:
+        moved = 3 * parameters.rounds
+        stages = [Stage("cut", (0.1 + moved) * all_of_them), Stage("store", 0.2 * all_of_them)]
+    return stages + (refit_stages(REFIT, splats, count) if parameters.refit else [])
+
+
+def _published_stages(splats: int) -> list[Stage]:
+    millions = splats / _MILLION
+    steps = (("prune", 0.1), ("activate", 0.3), ("merge", 10), ("store", 0.1))
+    return [Stage(name, weight * millions) for name, weight in steps]
+
+
+def read_weight(splats: int) -> float:
+    """What it takes to read a file."""
+    return 0.6 * splats / _MILLION
+
+
+def write_weight(suffix: str, splats: int) -> float:
+    """What it takes to write a file; SOG looks for a palette."""
+    millions = splats / _MILLION
+    return 1 + 25 * millions if suffix in (".sog", "meta.json") else 0.3 * millions
+
+
+def expected_probes(splats: int) -> int:
+    """Counts that a search for a PSNR tries: each halves the range on a logarithmic scale."""
+    range_at_first = max(math.log(max(splats, 2)), _NARROWED)
+    return max(1, math.ceil(math.log2(range_at_first / _NARROWED)))
+
+
+def _sum(stages: list[Stage]) -> float:
+    return sum(stage.weight for stage in stages)
+
+
+def _look(parameters: ForestParameters, splats: int) -> Stage:
+    return Stage("look", parameters.views * (0.01 + 0.12 * splats / _MILLION))
