@@ -365,6 +365,27 @@ def _gltfs():
     return out
 
 
+def _tilesets():
+    """Two levels, one tile of a tileset within, one turned, one of text."""
+    contents = {f"{n}.glb": saved(random_splats(n, degree=1), "a.glb")["a.glb"] for n in (3, 40)}
+    contents["7.glb"] = _packed_glbs()[2]["a.glb"]
+    contents |= {"b/" + name: data for name, data in _gltfs()[0].items()}
+    box = {"boundingVolume": {"box": [0] * 12}, "geometricError": 1}
+    quarter = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 1, 2, 3, 1]
+    leaves = [
+        box | {"content": {"uri": "7.glb"}, "transform": quarter},
+        box | {"content": {"uri": "b/tileset.json"}},
+    ]
+    root = box | {"content": {"uri": "3.glb"}, "refine": "REPLACE", "children": leaves}
+    inner = box | {"contents": [{"uri": "a.gltf"}], "refine": "ADD"}
+    outer = {"asset": {"version": "1.1"}, "root": root}
+    files = {"tileset.json": outer, "b/tileset.json": {"root": inner}}
+    texts = {name: json.dumps(content).encode() for name, content in files.items()}
+    beside = {"content": {"uri": "40.glb"}, "transform": quarter, "children": [root]} | box
+    deeper = texts | {"tileset.json": json.dumps({"root": beside}).encode()}
+    return [texts | contents, deeper | contents]
+
+
 FORMATS = {
     ".ply": (_plys, [text, text, plain]),
     ".compressed.ply": (_usual("a.compressed.ply"), [text, plain]),
@@ -386,6 +407,7 @@ FORMATS = {
         [plain, whole_json, one_texture, one_missing],
     ),
     "lod-meta.json": (_streamed, [plain, whole_json, whole_json, one_description, one_missing]),
+    "tileset.json": (_tilesets, [plain, whole_json, whole_json, one_description, one_missing]),
     ".pt": (lambda: _checkpoints(".pt", torchfiles.gsplat), [plain, inside_stored_zip]),
     ".ckpt": (lambda: _checkpoints(".ckpt", torchfiles.nerfstudio), [plain, inside_stored_zip]),
 }

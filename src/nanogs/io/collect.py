@@ -8,8 +8,9 @@ from pathlib import Path
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import registry
 
-LEVELS, TILES, FILES = "lod-meta.json", "tileset.json", "levels.json"
-_WHOLE_FOLDERS = (LEVELS, "meta.json")  # a folder with one of these is a model itself
+FILES = "levels.json"
+# A folder with one of these is a model itself.
+_WHOLE_FOLDERS = (registry.LEVELS, registry.TILESET, "meta.json")
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +24,9 @@ class Pair:
 def collect(paths: Iterable[Path]) -> list[Path]:
     """The files that are meant: files as they are, folders and patterns by what is in them.
 
-    A folder stands for the models directly in it, or for itself where it is a SOG model; a pattern
-    (`*`, `?`, `[...]`, `**`) that is no file's name for whatever matches, as in a shell. Each file
-    comes once, in the order given and by name within a folder.
+    A folder stands for the models directly in it, or for itself where it is a SOG model or 3D
+    Tiles; a pattern (`*`, `?`, `[...]`, `**`) that is no file's name for whatever matches, as in a
+    shell. Each file comes once, in the order given and by name within a folder.
 
     Raises:
         FormatError: A folder holds no model.
@@ -43,11 +44,6 @@ def model_in(path: Path) -> Path:
     """
     if not path.is_dir():
         return path
-    if (path / TILES).is_file() and not (path / LEVELS).is_file():
-        raise FormatError(
-            f"The folder {path} holds 3D Tiles, which nanogs does not read as one model; name one"
-            " of its .glb files, or the model that they were made of."
-        )
     inside = _files(path)
     if len(inside) > 1 and not (path / FILES).is_file():
         names = ", ".join(file.name for file in inside[:4]) + (", ..." if len(inside) > 4 else "")

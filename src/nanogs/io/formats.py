@@ -17,15 +17,17 @@ from nanogs.io import (
     splat,
     spz,
     spz_write,
+    tileset,
     usda_write,
 )
 from nanogs.io.format import Format, WriteOption, unread
-from nanogs.io.registry import LEVELS
+from nanogs.io.registry import LEVELS, TILESET
 
 _SPZ_FRAME = (
     "not stated in the file; y up (rub) by the specification, though many files have y down (rdf)"
 )
 _GLTF_FRAME = "y up (luf) in the file, turned to y down (rdf) when read"
+_TILES_FRAME = "z up in the tileset, turned to y down (rdf) when read"
 _USD_FRAME = "y up in the file, by a transform; the model's own y is taken to be down (rdf)"
 
 
@@ -140,5 +142,15 @@ FORMATS = (
         level_counts=sog_levels.level_counts,
         packed=sog_packed.packed_level,
         files=sog_packed.level_files,
+    ),
+    Format(
+        TILESET,
+        tileset.read,
+        tileset.inspect,
+        read_level=tileset.read_level,
+        level_counts=tileset.level_counts,
+        files=tileset.files,
+        frame=_TILES_FRAME,
+        turns=True,
     ),
 )

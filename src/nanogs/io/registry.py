@@ -9,7 +9,7 @@ from nanogs.errors import FormatError, OptionError, did_you_mean
 from nanogs.io.format import Format, Sizer, Writer
 from nanogs.splats import Splats
 
-LEVELS = "lod-meta.json"
+LEVELS, TILESET = "lod-meta.json", "tileset.json"
 
 
 def formats() -> tuple[Format, ...]:
@@ -139,7 +139,7 @@ def writable(path: Path) -> Format:
         OptionError: nanogs does not write the format that the suffix stands for.
     """
     known = find(path)
-    if known is not None and known.suffix == LEVELS:
+    if known is not None and known.suffix in (LEVELS, TILESET):
         raise OptionError(f"{path} describes levels of detail; make them with `nanogs lod`.")
     if known is None or not known.writable:
         suffixes = [known.suffix for known in formats() if known.writable]

@@ -1,0 +1,168 @@
+"""Reading 3D Tiles: our own come back, and other trees are read as a viewer draws them."""
+
+import json
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs import io
+from nanogs.errors import FormatError, OptionError
+from nanogs.lod.layout import Layout
+from nanogs.lod.write import write_levels
+from test_cli import run
+
+RATIOS = (0.5, 0.1, 0.02)
+BOX = {"box": [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]}
+
+
+@pytest.fixture(scope="module")
+def splats():
+    return random_splats(900, degree=1)
+
+
+def in_order(model):
+    return model.take(np.lexsort(model.means.T))
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_our_own_levels_come_back(splats, tmp_path, plain):
+    options = {"source": "a", "preset": "fast", "layout": Layout.TILES, "chunk": 100}
+    write_levels(splats, tmp_path / "t", RATIOS, plain=plain, **options)
+    path = tmp_path / "t" / "tileset.json"
+    for level, (small, _) in enumerate(nanogs.levels(splats, RATIOS, preset="fast")):
+        again = in_order(io.load(path, level=level))
+        wanted = in_order(small)
+        assert len(again) == len(small)
+        assert np.abs(again.means - wanted.means).max() < (1e-9 if plain else 1e-4)
+        step = 0.5 / 255 / 0.15 + 1e-6
+        assert np.abs(again.sh[:, 0] - wanted.sh[:, 0]).max() < (1e-9 if plain else step)
+        assert any(f"Level {level} was read, of 3" in note for note in again.notes)
+    with pytest.raises(OptionError, match="levels 0 to 2; level 3"):
+        io.load(path, level=3)
+    info = io.inspect(path)
+    assert (info.format, info.splats, info.sh_degree) == ("3d tiles", 450, 1)
+    (known,) = (each for each in io.registry.formats() if each.suffix == "tileset.json")
+    read = known.files(path)
+    assert info.file_bytes == sum(file.stat().st_size for file in read)
+    assert {file.name[0] for file in read} == {"t", "0"}
+
+
+def tile(*children, uri=None, error=1, **more):
+    content = {"content": {"uri": uri}} if uri else {}
+    below = {"children": list(children)} if children else {}
+    return {"boundingVolume": BOX, "geometricError": error} | content | below | more
+
+
+@pytest.fixture
+def tileset(tmp_path):
+    """Writes a tileset over models of 1, 2, 4 and 8 splats, called after their number."""
+
+    def write(root, name="tileset.json"):
+        path = tmp_path / name
+        path.write_text(json.dumps({"asset": {"version": "1.1"}, "root": root}))
+        return path
+
+    for count in (1, 2, 4, 8):
+        io.save(random_splats(count, seed=count), tmp_path / f"{count}.glb")
+    return write
+
+
+def counts(path):
+    """Splats of each level."""
+    found = []
+    while True:
+        try:
+            found.append(len(io.load(path, level=len(found))))
+        except OptionError:
+            return found
+
+
+def test_a_level_is_what_a_viewer_draws_that_goes_no_deeper(tileset):
+    replacing = tile(tile(uri="1.glb"), tile(tile(uri="4.glb"), uri="2.glb"), uri="8.glb")
+    assert counts(tileset(replacing)) == [5, 3, 8]
+    assert counts(tileset(replacing | {"refine": "ADD"})) == [15, 11, 8]
+    own = tile(tile(tile(uri="4.glb"), uri="2.glb", refine="REPLACE"), uri="8.glb", refine="ADD")
+    assert counts(tileset(own)) == [12, 10, 8]
+
+
+def test_tiles_without_contents_are_passed_through(tileset):
+    assert counts(tileset(tile(tile(uri="1.glb"), tile(tile(uri="2.glb"))))) == [3, 3]
+    assert counts(tileset(tile(tile(tile(uri="4.glb"), uri="2.glb"), tile(tile(uri="8.glb"))))) == [
+        12,
+        10,
+    ]
+
+
+def test_other_tilesets_stand_where_they_are_named(tileset, tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "4.glb").write_bytes((tmp_path / "4.glb").read_bytes())
+    tileset(tile(tile(uri="4.glb"), uri="../8.glb"), "sub/inner.json")
+    with pytest.raises(FormatError, match="in the same folder or below it"):
+        io.load(tileset(tile(uri="sub/inner.json")))
+    tileset(tile(tile(uri="4.glb")), "sub/inner.json")
+    assert counts(tileset(tile(tile(uri="sub/inner.json"), tile(uri="1.glb")))) == [5, 5]
+
+
+def test_several_contents_of_one_tile(tileset):
+    both = {"contents": [{"uri": "1.glb"}, {"url": "./2.glb?v=3"}]}
+    assert counts(tileset(tile() | both)) == [3]
+
+
+def matrix(rotation, shift):
+    whole = np.eye(4)
+    whole[:3, :3], whole[:3, 3] = rotation, shift
+    return whole.T.ravel().tolist()
+
+
+def test_transforms_are_applied_but_for_the_place_on_earth(tileset, tmp_path):
+    """A step along z, up in the tileset, is one along -y in the model."""
+    before = io.load(tmp_path / "2.glb")
+    quarter = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # about z: x becomes y
+    inner = tile(uri="2.glb", transform=matrix(np.eye(3), [0, 0, 5]))
+    outer = tile(inner, transform=matrix(quarter, [0, 0, 0]))
+    root = tile(outer, transform=matrix(np.eye(3), [6e6, 0, 0]))
+    again = io.load(tileset(root))
+    # The model's x is the tileset's -x, its y the tileset's -z, its z the tileset's -y.
+    x, y, z = before.means.T
+    assert again.means == pytest.approx(np.column_stack([-z, y - 5, x]), abs=1e-5)
+    assert any("place of the scene on Earth" in note for note in again.notes)
+    assert not any("Earth" in note for note in io.load(tileset(tile(uri="1.glb"))).notes)
+
+
+REFUSED = {
+    "nothing": (tile(), "names no content"),
+    "no root": (None, "root must be a JSON object"),
+    "twice": (tile(tile(uri="1.glb"), tile(uri="1.glb")), "names 1.glb twice"),
+    "itself": (tile(uri="tileset.json"), "names tileset.json twice"),
+    "above": (tile(uri="../1.glb"), "in the same folder or below it"),
+    "web": (tile(uri="https://a/1.glb"), "in the same folder or below it"),
+    "old": (tile(uri="a.b3dm"), "names a.b3dm, where glTF files are needed"),
+    "missing": (tile(uri="9.glb"), "9.glb: no such file"),
+    "implicit": (tile(implicitTiling={}), "tiled implicitly"),
+    "refine": (tile(refine="BOTH"), "must be ADD or REPLACE"),
+    "transform": (tile(tile(uri="1.glb", transform=[1, 2])), "a list of 16"),
+    "mirror": (
+        tile(tile(uri="1.glb", transform=matrix(np.diag([-1, 1, 1]), [0, 0, 0]))),
+        "mirrors or flattens",
+    ),
+    "children": (tile(children=[3]), "must be a JSON object"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_is_refused(tileset, name):
+    root, words = REFUSED[name]
+    with pytest.raises(FormatError, match=words):
+        io.load(tileset(root))
+
+
+def test_nobody_writes_one_with_save_or_convert(tileset, tmp_path):
+    path = tileset(tile(uri="4.glb"))
+    with pytest.raises(OptionError, match="make them with `nanogs lod`"):
+        io.save(random_splats(3), tmp_path / "b" / "tileset.json")
+    result = run("convert", path, tmp_path / "a.ply", "--level", "0")
+    assert result.returncode == 0, result.stderr
+    assert len(io.load(tmp_path / "a.ply")) == 4
+    assert "Level 0 was read" in result.stderr
