@@ -123,6 +123,15 @@ def test_paths_stand_for_models(files, pair):
     assert_same(fitted, nanogs.refit(nanogs.load(large), nanogs.load(small), **options)[0])
 
 
+def test_a_size_is_a_number_or_text(pair):
+    options = {"format": ".splat", "preset": "fast"}
+    small, report = nanogs.simplify(pair[0], size="3.2kB", **options)
+    assert (len(small), report.asked_size) == (100, 3200)
+    assert len(nanogs.simplify(pair[0], size=3200, **options)[0]) == 100
+    with pytest.raises(OptionError, match=r"like 20MB.*not 'a lot'"):
+        nanogs.simplify(pair[0], size="a lot")
+
+
 def test_options_are_refused_before_a_file_is_read():
     with pytest.raises(OptionError, match="ratio"):
         nanogs.simplify("missing.ply", ratio=2)

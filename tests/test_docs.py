@@ -18,6 +18,7 @@ from nanogs.cli import options
 from nanogs.cli.filtering import parse_filters
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import registry
+from nanogs.quantities import parse_bytes
 from nanogs.simplify.presets import PRESETS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,7 +81,7 @@ def check_values(name, values):
     options.parse_direction(values.get("up"))
     parse_filters(list(values.get("crop") or ()), values.get("min_opacity"), drop_floaters=False)
     if name == "simplify" and values["size"]:
-        options.parse_bytes(values["size"])
+        parse_bytes(values["size"])
     paths = [Path(path) for path in values.get("paths") or ()]
     if name in ("simplify", "convert") and len(paths) == 2 and paths[1].name != "-":
         registry.writable(paths[1])

@@ -12,6 +12,7 @@ from nanogs.cli import options
 from nanogs.cli.app import app
 from nanogs.cli.examples import EXAMPLES
 from nanogs.errors import OptionError
+from nanogs.quantities import as_bytes, parse_bytes
 from test_cli import assert_refused
 from test_comfort import run
 
@@ -46,7 +47,13 @@ def test_counts(text, value):
     [("4G", 4 * 10**9), ("4GB", 4 * 10**9), ("20M", 2 * 10**7), ("512k", 512_000), ("7", 7)],
 )
 def test_bytes(text, value):
-    assert options.parse_bytes(text) == value
+    assert parse_bytes(text) == as_bytes(text) == as_bytes(value) == as_bytes(float(value)) == value
+
+
+@pytest.mark.parametrize("size", ["ten", "1.5e3", None, True, 1.5, float("inf"), [1]])
+def test_no_bytes(size):
+    with pytest.raises(OptionError, match="20MB"):
+        as_bytes(size)
 
 
 @pytest.mark.parametrize("text", ["", "ten", "10%%", "1,5", "nan", "1e9999", "1.2.3"])

@@ -2,15 +2,12 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from nanogs.errors import OptionError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from fractions import Fraction
+from nanogs.quantities import MULTIPLES, multiple, parse_bytes
 
 
 def complete_format(start: str) -> list[str]:
@@ -85,30 +82,11 @@ def parse_pixels(text: str) -> tuple[int, int]:
     raise OptionError(f"--pixels must be like 512 or 1280x720, up to 16384, not {text!r}.")
 
 
-_MULTIPLES = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9}
-_UNITS = {
-    **_MULTIPLES,
-    "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "kib": 2**10, "mib": 2**20, "gib": 2**30,
-}  # fmt: skip
 _LEAST_MEMORY = 10**6  # bytes: what is less was meant in another unit
 
 
-def parse_bytes(text: str) -> int:
-    """Bytes from `20MB`, `20M`, `1.5 GiB` or `4096`; k, M and G count in thousands, Ki in 1024.
-
-    Raises:
-        OptionError: It is no such size.
-    """
-    value = _multiple(text, _UNITS)
-    if value is None:
-        raise OptionError(
-            f"The size must be like 20MB, with B, kB, MB, GB, KiB, MiB or GiB, not {text!r}."
-        )
-    return int(value)
-
-
 def parse_memory(text: str) -> int:
-    """Bytes of memory, as `parse_bytes` has it.
+    """Bytes of memory, as `quantities.parse_bytes` has it.
 
     Raises:
         OptionError: It is no such size, or below a megabyte.
@@ -157,20 +135,10 @@ def parse_count(text: str | int) -> int:
     Raises:
         OptionError: It is no such number, or no whole one.
     """
-    value = _multiple(str(text), _MULTIPLES)
+    value = multiple(str(text), MULTIPLES)
     if value is None or value.denominator != 1:
         raise OptionError(f"A count is a whole number like 100000, 100k or 1.5M, not {text!r}.")
     return int(value)
-
-
-def _multiple(text: str, units: "Mapping[str, int]") -> "Fraction | None":
-    """A number times its unit; None for other text."""
-    from fractions import Fraction
-
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text.strip().lower())
-    if match is None or match[2] not in units:
-        return None
-    return Fraction(match[1]) * units[match[2]]
 
 
 def parse_background(text: str) -> tuple[float, float, float]:

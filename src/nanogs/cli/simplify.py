@@ -8,6 +8,7 @@ import typer
 from nanogs.cli import blocks, file_options, method, options
 from nanogs.cli.importing import uncollected
 from nanogs.defaults import PATIENCE
+from nanogs.quantities import parse_bytes
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters
 
 
@@ -106,7 +107,7 @@ def simplify(
     given = {name: value for name, value in overrides.items() if value is not None}
     chosen = parameters(preset, overrides)
     request = Request(
-        goal=Goal(ratio, count, None if size is None else options.parse_bytes(size), psnr),
+        goal=Goal(ratio, count, None if size is None else parse_bytes(size), psnr),
         preset=preset,
         chosen=chosen,
         filters=filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters),

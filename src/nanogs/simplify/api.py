@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs.io import encoded_bytes, registry
 from nanogs.io.models import Model, as_splats
 from nanogs.progress import Progress, Tracker
+from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.job import Job, NanPolicy, prepare_job, refuse_misaligned_elements
 from nanogs.simplify.outcome import Outcome
@@ -27,7 +28,7 @@ def simplify(
     *,
     ratio: float | None = None,
     count: int | None = None,
-    size: int | None = None,
+    size: int | str | None = None,
     psnr: float | None = None,
     format: str = ".ply",  # noqa: A002 - what it is called everywhere
     format_options: Mapping[str, Any] | None = None,
@@ -46,9 +47,9 @@ def simplify(
         model: The model, which is not changed, or a path.
         ratio: Compaction ratio in (0, 1]: ceil(ratio x finite splats) are delivered.
         count: Splats to deliver.
-        size: Bytes that the saved file may have: as many splats as fit are delivered. Where only
-            writing a file tells its size, results are written to memory until one fits that takes
-            98 % of it or more.
+        size: Bytes that the saved file may have, a number or text like "20MB": as many splats as
+            fit are delivered. Where only writing a file tells its size, results are written to
+            memory until one fits that takes 98 % of it or more.
         psnr: dB that the result must reach on views of the original: the smallest count that
             does, to about 1 %, is found by bisection (see `reach`). The views are automatic ones
             or from `cameras`, 256 pixels along the longer side; the mean over them counts.
@@ -73,6 +74,7 @@ def simplify(
             nothing is visible.
     """
     start, clock = time.perf_counter(), StageClock()
+    size = None if size is None else as_bytes(size)
     goal = Goal(ratio, count, size, psnr)
     parameters(preset, overrides)
     path = Path(f"model.{format.lstrip('.')}")

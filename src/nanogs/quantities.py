@@ -1,0 +1,57 @@
+"""Numbers with units, as people write them."""
+
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from nanogs.errors import OptionError
+
+if TYPE_CHECKING:
+    from fractions import Fraction
+
+MULTIPLES: Mapping[str, int] = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9}
+_UNITS = {
+    **MULTIPLES,
+    "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "kib": 2**10, "mib": 2**20, "gib": 2**30,
+}  # fmt: skip
+
+
+def parse_bytes(text: str) -> int:
+    """Bytes from `20MB`, `20M`, `1.5 GiB` or `4096`; k, M and G count in thousands, Ki in 1024.
+
+    Raises:
+        OptionError: It is no such size.
+    """
+    value = multiple(text, _UNITS)
+    if value is None:
+        raise OptionError(
+            f"The size must be like 20MB, with B, kB, MB, GB, KiB, MiB or GiB, not {text!r}."
+        )
+    return int(value)
+
+
+def as_bytes(size: int | str) -> int:
+    """A number of bytes that is given as one, or as text.
+
+    Raises:
+        OptionError: It is neither.
+    """
+    if isinstance(size, str):
+        return parse_bytes(size)
+    try:
+        whole = int(size)
+    except (TypeError, ValueError, OverflowError):
+        whole = -1
+    if isinstance(size, bool) or whole != size:
+        raise OptionError(f'A size is a number of bytes or text like "20MB", not {size!r}.')
+    return whole
+
+
+def multiple(text: str, units: Mapping[str, int]) -> "Fraction | None":
+    """A number times its unit; None for other text."""
+    from fractions import Fraction
+
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([a-z]*)", text.strip().lower())
+    if match is None or match[2] not in units:
+        return None
+    return Fraction(match[1]) * units[match[2]]
