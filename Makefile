@@ -1,19 +1,34 @@
 # Everything a newcomer needs: `make demo` shows the program at work, `make test` proves it.
-# Both make .venv and install what they need; PYTHON chooses the interpreter (3.11 to 3.13).
+# Both make .venv and install what they need; PYTHON chooses the interpreter (3.11 to 3.14).
 PYTHON ?= python3
 VENV := .venv
-BIN := $(VENV)/bin
+# Where programs are in a virtual environment.
+SCRIPTS := $(if $(filter Windows_NT,$(OS)),Scripts,bin)
+BIN := $(VENV)/$(SCRIPTS)
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+UV := $(BIN)/uv
 STAMP := $(VENV)/installed
 DOCS_STAMP := $(VENV)/docs-installed
+ORACLES_STAMP := $(VENV)/oracles-installed
 
-.PHONY: demo test lint types check docs clean help
+# The build for the CPU: PyPI has none for Linux, whose own is gigabytes of CUDA. Pip finds it where
+# it is told of https://download.pytorch.org/whl/cpu.
+TORCH ?= torch==2.13.0+cpu
+FLOORS := build/floors
+NEWEST := build/newest
+# Pythons to run `make newest` on: the first that can be had.
+PYTHONS ?= 3.14
+# What `make floors` and `make newest` run.
+TESTS ?= tests
+
+.PHONY: demo test quick lint types check oracles floors newest docs clean help
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
 
 $(STAMP): pyproject.toml hatch_build.py $(wildcard viewer/*.* viewer/src/*)
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(PIP) --editable '.[dev]'
 	touch $(STAMP)
 
 demo: $(STAMP) ## simplify a real scene to 10 % in two ways, and show all in demo/report.html
@@ -26,6 +41,9 @@ demo: $(STAMP) ## simplify a real scene to 10 % in two ways, and show all in dem
 test: $(STAMP) ## run the tests
 	$(BIN)/python -m pytest -n 2
 
+quick: $(STAMP) ## run the tests that take less than some 5 seconds each
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
 lint: $(STAMP) ## check style and formatting
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
@@ -35,12 +53,39 @@ types: $(STAMP) ## check types
 
 check: lint types test ## everything CI checks
 
+$(ORACLES_STAMP): $(STAMP) tests/npm/package-lock.json
+	$(PIP) --editable '.[dev,oracles]'
+	$(PIP) '$(TORCH)' || echo "$(TORCH) cannot be had here: tests with it are skipped"
+	npm ci --silent --prefix tests/npm || echo "tests/npm cannot be had here: tests with it are skipped"
+	touch $(ORACLES_STAMP)
+
+oracles: $(ORACLES_STAMP) ## install the other programs that tests hold ours against
+
+# Kernels are kept apart: versions of Numba overwrite each other's.
+floors: $(STAMP) ## run quick tests with the lowest versions that pyproject.toml allows
+	$(UV) venv --quiet --clear --python 3.11 $(FLOORS)
+	$(UV) pip install --quiet --python $(FLOORS) --resolution lowest-direct '.[flip,cluster,s3]'
+	$(UV) pip freeze --python $(FLOORS) --exclude nanogs >$(FLOORS)/lowest.txt
+	$(UV) pip install --quiet --python $(FLOORS) --constraint $(FLOORS)/lowest.txt --editable '.[dev]'
+	NUMBA_CACHE_DIR=$(FLOORS)/kernels $(FLOORS)/$(SCRIPTS)/python -m pytest -n 2 -m "not slow" $(TESTS)
+
+newest: $(STAMP) ## run quick tests with the newest Python; with OPTIONAL=1 where it can be had
+	@for version in $(PYTHONS); do \
+	  if $(UV) venv --quiet --clear --python $$version $(NEWEST); then \
+	    echo "with Python $$version"; exec $(MAKE) --no-print-directory on-newest; fi; \
+	  echo "Python $$version cannot be had here"; \
+	done; test -n "$(OPTIONAL)"
+
+on-newest:
+	$(UV) pip install --quiet --python $(NEWEST) --editable '.[dev]'
+	NUMBA_CACHE_DIR=$(NEWEST)/kernels $(NEWEST)/$(SCRIPTS)/python -m pytest -n 2 -m "not slow" $(TESTS)
+
 $(DOCS_STAMP): $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	$(PIP) --editable '.[docs]'
 	touch $(DOCS_STAMP)
 
 docs: $(DOCS_STAMP) ## build the documentation, with its pictures, into build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 clean: ## remove what these targets made
-	rm -rf $(VENV) build/site demo viewer/node_modules src/nanogs/view/viewer.js
+	rm -rf $(VENV) $(FLOORS) $(NEWEST) build/site demo viewer/node_modules tests/npm/node_modules src/nanogs/view/viewer.js
