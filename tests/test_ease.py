@@ -145,3 +145,48 @@ def test_notes_of_many_files_name_the_file(tmp_path):
     notes = [line for line in result.stderr.splitlines() if line.startswith("note:")]
     assert len(notes) >= 2
     assert all("one.ply: " in note or "two.ply: " in note for note in notes)
+
+
+# Levels
+
+
+def test_levels_are_files_of_any_format(folder, tmp_path):
+    out = tmp_path / "levels"
+    fast = ("--preset", "fast", "--levels", "0.5,0.1")
+    result = run("lod", folder / "a.ply", out, "--format", "sog", *fast, "--json")
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    assert [level["file"] for level in report["levels"]] == ["level_0.sog", "level_1.sog"]
+    assert report["layout"] == "files"
+    alone = tmp_path / "alone.sog"
+    assert run("simplify", folder / "a.ply", alone, "-r", "0.5", "--preset", "fast").returncode == 0
+    assert (out / "level_0.sog").read_bytes() == alone.read_bytes()
+    assert json.loads(run("info", out, "--json").stdout)["levels"] == [200, 40]
+    assert run("lod", folder / "a.ply", out, *fast, "-w", "-q").returncode == 0
+    assert sorted(path.name for path in out.iterdir()) == [
+        "level_0.ply", "level_1.ply", "levels.json",
+    ]  # fmt: skip
+    splat = run("lod", folder / "a.ply", tmp_path / "s", "--format", "splat", *fast)
+    assert "View dependence" in splat.stderr  # what the format leaves out is said
+
+
+@pytest.mark.parametrize(
+    ("out", "given", "words"),
+    [
+        ("levels", "ksplat", ["does not write", ".sog"]),
+        ("lod-meta.json", "spz", ["lod-meta.json", "name a folder"]),
+    ],
+)
+def test_formats_that_levels_cannot_have_are_refused(folder, tmp_path, out, given, words):
+    result = run("lod", folder / "a.ply", tmp_path / "x" / out, "--format", given)
+    assert_refused(result, *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lod_says_that_the_finest_level_is_not_the_whole(folder, tmp_path):
+    fast = ("--preset", "fast", "-w")
+    text = run("lod", folder / "a.ply", tmp_path / "l", *fast).stderr
+    assert "The finest level has 200 of 400 splats; --levels 1,0.5,0.25,0.1,0.01" in text
+    text = run("lod", folder / "a.ply", tmp_path / "l", *fast, "--levels", "1,0.1").stderr
+    assert "finest level" not in text
+    assert len(nanogs.load(tmp_path / "l" / "level_0.ply")) == 400

@@ -47,7 +47,7 @@ def splats():
 
 def write(scene, folder, layout, *, ratios=RATIOS, where=None, progress=None, **options):
     given = {"preset": "fast", "rounds": 1, "block": BLOCK, "max_memory": None}
-    if layout is not Layout.PLY:
+    if layout is not Layout.FILES:
         given["chunk"] = CHUNK
     if layout is Layout.TILES:
         given["plain"] = True
@@ -70,7 +70,7 @@ def made(scene, tmp_path_factory):
 @pytest.fixture(scope="module")
 def plain(made):
     """The levels as plain files hold them."""
-    return [nanogs.load(made[Layout.PLY][0] / f"level_{n}.ply") for n in range(len(RATIOS))]
+    return [nanogs.load(made[Layout.FILES][0] / f"level_{n}.ply") for n in range(len(RATIOS))]
 
 
 def in_order(splats):
@@ -97,7 +97,7 @@ def test_counts_are_as_asked_in_every_layout(made):
         assert [report.achieved_count for report in reports] == [600, 120, 24]
         assert reports[0].blocks.blocks > 2
         assert set(files(folder)) == made_files(folder)
-        if layout is not Layout.PLY:
+        if layout is not Layout.FILES:
             named = {name for level in manifest.levels for name in level.files}
             assert all((folder / name).exists() for name in named)
             index = {"tileset.json", "lod-meta.json"}

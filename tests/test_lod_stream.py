@@ -251,10 +251,10 @@ def test_what_is_left_out_is_said(tmp_path):
 
 def test_other_layouts_take_each_others_place(splats, tmp_path):
     folder = tmp_path / "levels"
-    for layout, file in ((Layout.PLY, "levels.json"), (Layout.SOG, "lod-meta.json")) * 2:
+    for layout, file in ((Layout.FILES, "levels.json"), (Layout.SOG, "lod-meta.json")) * 2:
         write(
             splats, folder, layout=layout, overwrite=True, ratios=[0.5, 0.1],
-            chunk=None if layout is Layout.PLY else CHUNK,
+            chunk=None if layout is Layout.FILES else CHUNK,
         )  # fmt: skip
         assert (folder / file).exists()
         assert set(files(folder)) == made_files(folder)
@@ -358,7 +358,7 @@ def test_json_report_and_plan(scene, tmp_path):
     [
         ("out/levels.json", [], ["lod-meta.json or tileset.json", "out/levels/lod-meta.json"]),
         ("out/meta.json", [], ["lod-meta.json or tileset.json"]),
-        ("out", ["--chunk", "100"], ["chunks", ".ply"]),
+        ("out", ["--chunk", "100"], ["chunks", "not divided"]),
         ("out/lod-meta.json", ["--chunk", "0"], ["at least 1", "0"]),
         ("out/lod-meta.json", ["--plain"], ["3D Tiles"]),
         ("missing/out/lod-meta.json", [], ["missing"]),
@@ -372,7 +372,7 @@ def test_refused(scene, tmp_path, name, options, words):
 def test_names_tell_the_layout():
     assert output_of(Path("a/lod-meta.json")).layout is Layout.SOG
     assert output_of(Path("a/tileset.json")).layout is Layout.TILES
-    assert output_of(Path("a/b.c")).layout is Layout.PLY
+    assert output_of(Path("a/b.c")).layout is Layout.FILES
     assert output_of(Path("a/b.c")).path == Path("a/b.c")
     assert output_of(Path("a/lod-meta.json")).folder == Path("a")
 

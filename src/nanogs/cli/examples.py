@@ -6,7 +6,7 @@ EXAMPLES = {
         "nanogs simplify scene.ply small.sog --size 5MB",
     ),
     "lod": (
-        "nanogs lod scene.ply levels/",
+        "nanogs lod scene.ply levels/ --format sog",
         "nanogs lod scene.ply web/lod-meta.json --levels 1,0.5,0.25,0.1",
     ),
     "refit": ("nanogs refit scene.ply small.ply better.ply",),

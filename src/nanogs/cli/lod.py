@@ -17,13 +17,28 @@ def lod(
         Path,
         typer.Argument(
             metavar="OUT",
-            help="Folder to make, for .ply files; or lod-meta.json (streamed SOG) or tileset.json"
-            " (3D Tiles) in it.",
+            help="Folder to make, for a file a level; or lod-meta.json (streamed SOG) or"
+            " tileset.json (3D Tiles) in it.",
         ),
     ],
     levels: Annotated[
-        str, typer.Option(help="Ratios from the finest level to the coarsest, commas between.")
+        str,
+        typer.Option(
+            help="Ratios from the finest level to the coarsest, commas between; 1 is the original"
+            " itself, which the default leaves out.",
+            metavar="RATIOS",
+        ),
     ] = "0.5,0.25,0.1,0.01",
+    level_format: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            help="Format of the levels' files, e.g. sog.",
+            show_default="ply",
+            metavar="FORMAT",
+            autocompletion=options.complete_format,
+        ),
+    ] = None,
     preset: method.Preset = DEFAULT_PRESET,
     nan: method.NanOption = method.Nan.drop,
     overwrite: Annotated[
@@ -72,7 +87,8 @@ def lod(
     """Make levels of detail from one build: a file each, or chunks for a viewer that streams.
 
     OUT/level_0.ply, the finest, and so on are the files that `nanogs simplify --ratio` writes, and
-    levels.json says what is in the folder. OUT/lod-meta.json makes streamed SOG of the levels,
+    levels.json says what is in the folder. The finest has half of the splats by default: --levels
+    1,0.5,0.25,0.1,0.01 keeps all of them. OUT/lod-meta.json makes streamed SOG of the levels,
     OUT/tileset.json 3D Tiles 1.1.
     """
     # What only a run needs is imported here, and not for `--help`.
@@ -96,7 +112,7 @@ def lod(
     chosen = parameters(preset, overrides)
     ratios = options.parse_ratios(levels)
     check_ratios(ratios)
-    output = output_of(target)
+    output = output_of(target, level_format)
     check_options(output.layout, chunk, plain=plain)
     direction = method.check_views(preset, chosen, views, cameras, up, judged=False)
     asked = too_large.parse_blocks(
@@ -115,6 +131,7 @@ def lod(
     given["layout"] = output.layout
     divided = asked.needed(plan)
     if divided:
+        too_large.refuse_other_files(output.suffix)
         looks = views is not None or cameras != "auto" or up is not None
         too_large.refuse_whole_model_wishes(plan, filtered=False, looks=looks)
     if dry_run:

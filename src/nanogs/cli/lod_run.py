@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from nanogs.ahead import compile_ahead
-from nanogs.cli.console import err, print_json, show
+from nanogs.cli.console import err, print_json, show, warn
 from nanogs.cli.importing import uncollected
 from nanogs.cli.progress import shown
 from nanogs.cli.simplify_report import (
@@ -50,7 +50,7 @@ def write_whole(
     if renders(plan.parameters):
         when_compiling(compile_ahead)
     layout = given["layout"]
-    stages = write_levels_stages(plan.parameters, info.splats, ratios, layout)
+    stages = write_levels_stages(plan.parameters, info.splats, ratios, layout, output.suffix)
     with shown(quiet=quiet) as watch:
         progress = Tracker(watch, [Stage("read", read_weight(info.splats)), *stages])
         progress.begin("read")
@@ -60,6 +60,7 @@ def write_whole(
             output.folder,
             ratios,
             source=info.path.name,
+            suffix=output.suffix,
             overwrite=overwrite,
             cameras=requested_cameras(splats, cameras, up, plan.parameters),
             progress=progress.passing(),
@@ -99,6 +100,13 @@ def print_levels_plan(
 def print_levels(run: dict[str, Any]) -> None:
     """Show on stderr the levels that were made."""
     warn_of_input(run)
+    finest = run["levels"][0]
+    if finest["ratio"] < 1:
+        ratios = ",".join(f"{level['ratio']:g}" for level in run["levels"])
+        warn(
+            f"The finest level has {finest['count']:,} of {run['source_count']:,} splats; --levels"
+            f" 1,{ratios} has all of them too."
+        )
     table = Table("level", box=None, pad_edge=False)
     for heading in ("asked", "splats", "file", "PSNR", "SSIM", "seconds"):
         table.add_column(heading, justify="right")

@@ -107,6 +107,19 @@ def parse_blocks(
     return Blocks(memory, tuple(paths[:-1]) if join else (), job, resume, rest)
 
 
+def refuse_other_files(suffix: str) -> None:
+    """Refuse levels in files that are not written block by block.
+
+    Raises:
+        OptionError: They are not of .ply.
+    """
+    if suffix != ".ply":
+        raise OptionError(
+            f"This model is larger than --max-memory, and levels made in blocks are .ply files, not"
+            f" {suffix}; leave --format out, or name OUT lod-meta.json."
+        )
+
+
 def refuse_whole_model_wishes(
     plan: Plan, *, filtered: bool, looks: bool, turned: bool = False
 ) -> None:

@@ -19,9 +19,9 @@ from nanogs.io.atomic import atomic_write, output_error
 from nanogs.io.folder import check_folder_writable, move_folder
 from nanogs.lod import streamed_sog, tiles
 from nanogs.lod.chunks import plain_paths
+from nanogs.lod.file_levels import level_name
 from nanogs.lod.layout import NAMES, Layout, made_files
 from nanogs.lod.manifest import NAME as MANIFEST
-from nanogs.lod.ply_levels import level_name
 from nanogs.lod.tileset import Tile, Tree, describe
 from nanogs.progress import Tracker
 from nanogs.scale.chunked import places_of, read_cells, tiles_of
@@ -82,7 +82,7 @@ class LevelsFolder:
         return counts
 
     def _fill(self, done: Done, making: Path, progress: Tracker) -> list[int]:
-        if self.layout is Layout.PLY:
+        if self.layout is Layout.FILES:
             counts = _fill_plain(done.work, making, progress)
             self.describe(done, counts, making)
             return counts

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs._version import __version__
 from nanogs.defaults import CHUNK
 from nanogs.io.findings import join_findings
+from nanogs.lod.file_levels import FileLevels, level_name
 from nanogs.lod.layout import Layout, check_options
 from nanogs.lod.levels import check_ratios
 from nanogs.lod.manifest import (
@@ -18,7 +19,6 @@ from nanogs.lod.manifest import (
     describe_chunks,
     describe_level,
 )
-from nanogs.lod.ply_levels import PlyLevels, level_name
 from nanogs.progress import Progress
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.api import block_parameters, plan_job, refuse_full_disk
@@ -37,7 +37,7 @@ def plan_levels(
     inputs: Sequence[Path],
     ratios: Sequence[float],
     *,
-    layout: Layout = Layout.PLY,
+    layout: Layout = Layout.FILES,
     chunk: int | None = None,
     plain: bool = False,
     preset: str,
@@ -75,7 +75,7 @@ def plan_levels(
 def chunks_of(layout: Layout, chunk: int | None, *, plain: bool) -> Chunks | None:
     """The chunks of a layout; None where levels are plain files."""
     packed = layout is Layout.TILES and not plain
-    return None if layout is Layout.PLY else Chunks(layout.value, chunk or CHUNK, packed)
+    return None if layout is Layout.FILES else Chunks(layout.value, chunk or CHUNK, packed)
 
 
 def write_levels_in_blocks(
@@ -83,7 +83,7 @@ def write_levels_in_blocks(
     folder: Path,
     ratios: Sequence[float],
     *,
-    layout: Layout = Layout.PLY,
+    layout: Layout = Layout.FILES,
     chunk: int | None = None,
     plain: bool = False,
     preset: str,
@@ -158,7 +158,7 @@ class _Telling:
 
     def write_plain(self, done: "Done", counts: list[int], folder: Path) -> None:
         """Write the manifest of plain levels beside them."""
-        PlyLevels(folder).finish(self.of(done, counts, folder)[0])
+        FileLevels(folder).finish(self.of(done, counts, folder)[0])
 
     def of(
         self, done: "Done", counts: list[int], folder: Path

@@ -13,8 +13,8 @@ from nanogs.errors import OptionError
 from nanogs.io import registry
 from nanogs.lod import manifest, streamed_sog, tiles
 from nanogs.lod.chunks import Written, check_chunk
+from nanogs.lod.file_levels import PLY, FileLevels, level_name
 from nanogs.lod.manifest import Manifest
-from nanogs.lod.ply_levels import PlyLevels
 from nanogs.progress import Parts, untold
 from nanogs.splats import Splats
 
@@ -22,7 +22,7 @@ from nanogs.splats import Splats
 class Layout(StrEnum):
     """How the levels lie in the folder."""
 
-    PLY = "ply"  # a file a level
+    FILES = "files"  # one a level
     SOG = "streamed sog"
     TILES = "3d tiles"
 
@@ -37,10 +37,12 @@ class Output:
     Attributes:
         folder: The folder to make.
         layout: How they lie in it.
+        suffix: Of the files, where each level has one.
     """
 
     folder: Path
     layout: Layout
+    suffix: str = PLY
 
     @property
     def path(self) -> Path:
@@ -48,14 +50,24 @@ class Output:
         return self.folder / NAMES.get(self.layout, "")
 
 
-def output_of(path: Path) -> Output:
+def output_of(path: Path, suffix: str | None = None) -> Output:
     """The folder and the layout that a name asks for.
 
+    Args:
+        path: The folder, or the file in it that describes the levels.
+        suffix: Format of the levels' files, with or without its dot; .ply by default.
+
     Raises:
-        OptionError: It is that of another `.json` file, or of a single model.
+        OptionError: The format is not written, or the name says another one; or the name is that of
+            another `.json` file, or of a single model.
     """
     for layout, name in NAMES.items():
         if path.name == name:
+            if suffix is not None:
+                raise OptionError(
+                    f"{name} says how the levels are written; name a folder for files in another"
+                    " format."
+                )
             return Output(path.parent, layout)
     if path.suffix.lower() == ".json":
         raise OptionError(
@@ -66,9 +78,13 @@ def output_of(path: Path) -> Output:
         suffix = known.suffix if known else ".html"
         raise OptionError(
             f"{path} is the name of one {suffix} file, and levels are several: name a folder, as in"
-            f" {path.with_suffix('')}/."
+            f" {path.with_suffix('')}/ --format {suffix.lstrip('.')}."
         )
-    return Output(path, Layout.PLY)
+    if suffix is None:
+        return Output(path, Layout.FILES)
+    ending = f".{suffix.lstrip('.').lower()}"
+    registry.writer(Path(level_name(0, ending)))
+    return Output(path, Layout.FILES, ending)
 
 
 class LevelWriter(Protocol):
@@ -91,10 +107,10 @@ def check_options(layout: Layout, chunk: int | None, *, plain: bool) -> None:
         OptionError: The size of chunks is below 1 or given for a layout without chunks, or plain
             contents are asked for outside of 3D Tiles.
     """
-    if chunk is not None and layout is Layout.PLY:
+    if chunk is not None and layout is Layout.FILES:
         raise OptionError(
-            "The size of chunks is for lod-meta.json and tileset.json; levels as .ply files are"
-            " not divided."
+            "The size of chunks is for lod-meta.json and tileset.json; levels as files of their"
+            " own are not divided."
         )
     if chunk is not None:
         check_chunk(chunk)
@@ -102,7 +118,9 @@ def check_options(layout: Layout, chunk: int | None, *, plain: bool) -> None:
         raise OptionError("Contents are plain or packed in 3D Tiles only; write a tileset.json.")
 
 
-def writer(layout: Layout, folder: Path, chunk: int | None, *, plain: bool) -> LevelWriter:
+def writer(
+    layout: Layout, folder: Path, chunk: int | None, *, plain: bool, suffix: str = PLY
+) -> LevelWriter:
     """What writes a layout into a folder that exists and is empty.
 
     Args:
@@ -110,6 +128,7 @@ def writer(layout: Layout, folder: Path, chunk: int | None, *, plain: bool) -> L
         folder: Where to.
         chunk: Most splats of a chunk of the finest level; `CHUNK` by default.
         plain: Whether the contents of 3D Tiles are not packed.
+        suffix: Of levels in files of their own.
 
     Raises:
         OptionError: As for `check_options`.
@@ -120,7 +139,7 @@ def writer(layout: Layout, folder: Path, chunk: int | None, *, plain: bool) -> L
         return streamed_sog.StreamedSog(folder, most)
     if layout is Layout.TILES:
         return tiles.Tiles(folder, most, plain=plain)
-    return PlyLevels(folder)
+    return FileLevels(folder, suffix)
 
 
 def made_files(folder: Path) -> frozenset[str] | None:

@@ -8,6 +8,7 @@ from typing import Any
 from nanogs._version import __version__
 from nanogs.io.folder import atomic_folder
 from nanogs.lod.chunks import Written
+from nanogs.lod.file_levels import PLY
 from nanogs.lod.layout import Layout, LevelWriter, check_options, made_files, writer
 from nanogs.lod.levels import levels
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, describe_chunks, describe_level
@@ -27,9 +28,10 @@ def write_levels(
     ratios: Sequence[float],
     *,
     source: str,
-    layout: Layout = Layout.PLY,
+    layout: Layout = Layout.FILES,
     chunk: int | None = None,
     plain: bool = False,
+    suffix: str = PLY,
     overwrite: bool = False,
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401 - as `levels` takes them
@@ -41,11 +43,12 @@ def write_levels(
         folder: The folder to make.
         ratios: As `levels` takes them.
         source: Name of the model for the manifest.
-        layout: `.ply` files, streamed SOG, or 3D Tiles.
+        layout: Files of their own, streamed SOG, or 3D Tiles.
         chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
             default.
         plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
             them.
+        suffix: Format of levels in files of their own.
         overwrite: Replace the folder if it holds nothing but earlier levels.
         progress: As `levels` takes it; a stage "write" follows each level.
         **options: As `levels` takes them.
@@ -62,11 +65,11 @@ def write_levels(
     reports: list[SimplifyReport] = []
     left_out: list[str] = []
     check_options(layout, chunk, plain=plain)
-    stages = write_levels_stages(_parameters(options), len(splats), ratios, layout)
+    stages = write_levels_stages(_parameters(options), len(splats), ratios, layout, suffix)
     tracker = Tracker(progress, stages)
     made = levels(splats, ratios, progress=tracker.passing(), **options)
     with atomic_folder(folder, made_files, overwrite=overwrite) as temporary:
-        out = writer(layout, temporary, chunk, plain=plain)
+        out = writer(layout, temporary, chunk, plain=plain, suffix=suffix)
         for ratio in ratios:
             start = time.perf_counter()
             report, written, losses = _write_next(made, out, tracker)
@@ -75,7 +78,7 @@ def write_levels(
             prefix = f"Level {len(reports)}: " if reports else ""
             left_out += [prefix + loss for loss in losses if loss not in left_out]
             reports.append(report)
-            if layout is Layout.PLY:
+            if layout is Layout.FILES:
                 path = temporary / written.names[0]
                 entries.append(describe_level(path, ratio, report, seconds))
             else:
@@ -98,13 +101,13 @@ def _write_next(
 
 
 def write_levels_stages(
-    parameters: Parameters, splats: int, ratios: Sequence[float], layout: Layout
+    parameters: Parameters, splats: int, ratios: Sequence[float], layout: Layout, suffix: str = PLY
 ) -> list[Stage]:
     """The stages of `write_levels`: those of `levels`, and a "write" after each level."""
     counts = [target_count(splats, ratio, None) for ratio in ratios]
     stages = levels_stages(parameters, splats, counts)
-    suffix = ".sog" if layout is Layout.SOG else ".ply"
-    writes = [Stage("write", write_weight(suffix, count)) for count in counts]
+    ending = ".sog" if layout is Layout.SOG else suffix
+    writes = [Stage("write", write_weight(ending, count)) for count in counts]
     first = len(stages) - len(counts)
     pairs = zip(stages[first:], writes, strict=True)
     return [*stages[:first], *(stage for pair in pairs for stage in pair)]

@@ -1,27 +1,29 @@
-"""Writing levels as `level_0.ply`, the finest, and so on, with their `levels.json`."""
+"""Writing levels as files: `level_0`, the finest, and so on, with their `levels.json`."""
 
 import json
 from pathlib import Path
 
-from nanogs.io import save
+from nanogs.io import losses, save
 from nanogs.lod.chunks import Written
 from nanogs.lod.manifest import NAME, Manifest
 from nanogs.progress import Parts, untold
 from nanogs.splats import Splats
 
+PLY = ".ply"
 
-class PlyLevels:
+
+class FileLevels:
     """A folder that is being filled, level by level."""
 
-    def __init__(self, folder: Path) -> None:
-        """Begin; the folder exists and is empty."""
-        self._folder = folder
+    def __init__(self, folder: Path, suffix: str = PLY) -> None:
+        """Begin; the folder exists and is empty, and the suffix is of a format that is written."""
+        self._folder, self._suffix = folder, suffix
         self._count = 0
 
     def add(self, splats: Splats, tell: Parts = untold) -> Written:
         """Write the next level, the finest first, in one part."""
         tell(0, 1)
-        path = self._folder / level_name(self._count)
+        path = self._folder / level_name(self._count, self._suffix)
         save(splats, path)
         self._count += 1
         return Written((path.name,), path.stat().st_size)
@@ -31,11 +33,11 @@ class PlyLevels:
         text = json.dumps(made.to_dict(), indent=2, allow_nan=False)
         (self._folder / NAME).write_text(text + "\n", encoding="utf-8")
 
-    def losses(self, _splats: Splats) -> tuple[str, ...]:
-        """Nothing: the files hold all of a model."""
-        return ()
+    def losses(self, splats: Splats) -> tuple[str, ...]:
+        """What the files leave out of a model, one sentence each."""
+        return losses(splats, level_name(0, self._suffix))
 
 
-def level_name(level: int) -> str:
+def level_name(level: int, suffix: str = PLY) -> str:
     """The file of a level; 0 is the finest."""
-    return f"level_{level}.ply"
+    return f"level_{level}{suffix}"
