@@ -17,6 +17,7 @@ from nanogs.compare.page import rate_distortion_plot
 from nanogs.compare.pictures import error_map
 from nanogs.compare.protocol import Protocol
 from nanogs.compare.run import compare_files
+from nanogs.compare.scoring import mean_psnr
 from nanogs.errors import ModelError, OptionError
 from nanogs.render.camera import Camera
 from nanogs.render.images import color_image, file_names
@@ -64,6 +65,12 @@ def test_means_are_over_the_views():
     assert [view.view for view in model.views] == ["a", "b"]
     assert model.psnr == pytest.approx(np.mean([view.psnr for view in model.views]))
     assert model.views[0].psnr != model.views[1].psnr
+
+
+def test_one_equal_view_does_not_hide_what_the_others_lack():
+    assert mean_psnr([math.inf, 30.0, 50.0]) == 60
+    assert mean_psnr([30.0, 50.0]) == 40
+    assert mean_psnr([math.inf, math.inf]) == math.inf
 
 
 def test_an_empty_view_is_left_out_of_the_mean_and_named():

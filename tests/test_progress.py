@@ -107,6 +107,9 @@ def test_simplify(preset, ratio):
     assert_true(told)
     stages = {step.stage for step in told}
     build = {"paper": {"prune", "merge"}, "fast": {"activate", "grow"}}
+    if ratio == 1 and preset != "paper":
+        assert len(told) == 1  # nothing is to be done
+        return
     assert stages >= build.get(preset, {"look", "activate", "grow"})
     if ratio < 1:
         last = {"default": {"choose", "recolour"}, "best": {"render", "fit"}, "fast": {"cut"}}

@@ -17,8 +17,14 @@ class StopReason(StrEnum):
     TARGET = "target"  # the asked count is reached
     NO_CANDIDATES = "no_candidates"  # no pair is left whose cost is a number
     NO_PROGRESS = "no_progress"  # a pass merged nothing although candidates were left
-    UNREACHED = "unreached"  # only the whole model reaches the asked PSNR; it was delivered
+    STEP = "step"  # the PSNR steps over what was asked: a hundredth less of the splats misses it
+    UNREACHED = "unreached"  # no smaller model reaches the asked PSNR; the whole one was delivered
     PROBES = "probes"  # enough counts were tried; a smaller one may reach the asked PSNR too
+
+    @property
+    def met(self) -> bool:
+        """Whether what was asked for is what was delivered."""
+        return self in (StopReason.TARGET, StopReason.STEP)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +58,7 @@ class CandidateReport:
         balance: Of its cut, from groups of equal size (0) to groups of equal error (1).
         reassigned: Whether splats were moved between groups after the cut.
         growth: Most that the axes of a splat could grow that cannot be opaque enough.
-        psnr: Mean over the views it was judged by, dB.
+        psnr: Mean over the small views it is chosen by, dB; not what `compare` measures.
         ssim: Mean over these views.
         quality: What was compared, dB: PSNR and what SSIM is worth.
         chosen: Whether it is the result.
@@ -72,7 +78,8 @@ class RecolourReport:
     """What fitting the mean colours of the chosen result gained.
 
     Attributes:
-        psnr_before: Mean over the views that judge, dB.
+        psnr_before: Mean over the small views that candidates are chosen by, dB; not what `compare`
+            measures.
         ssim_before: Mean over these views.
         psnr_after: The same after a step on the other views, dB.
         ssim_after: The same after it.
@@ -92,11 +99,14 @@ class ProbeReport:
 
     Attributes:
         count: Splats of the result.
-        psnr: Its mean over the views it was judged by, dB, at most 100.
+        psnr: Of the result, as `SimplifyReport.judged` has it, dB.
+        quick: Whether it was a plain cut, to come near the count; else it was made as results are
+            delivered.
     """
 
     count: int
     psnr: float
+    quick: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,15 +174,13 @@ class SimplifyReport:
         notes: What else the user should know, one sentence each.
         asked_size: The largest size of the file asked for, bytes, or None.
         asked_psnr: The PSNR asked for, dB, or None.
-        achieved_psnr: The result's mean over the views it was judged by, dB, at most 100; None
-            where no PSNR was asked for.
         probes: The counts tried for a PSNR, in order.
         achieved_size: Bytes of the result's file, at most the size asked for; None where none was.
         size_probes: The counts written to find one that fits, in order; none where the size of a
             file is known beforehand.
         blocks: How the model was divided, or None where it was held whole.
         judged: The result held against the input as `nanogs compare` does it, on views that nothing
-            was learnt from; None where that was not measured.
+            was learnt from; None where that was not measured, as it is only for an asked PSNR.
     """
 
     preset: str
@@ -196,7 +204,6 @@ class SimplifyReport:
     notes: tuple[str, ...] = ()
     asked_size: int | None = None
     asked_psnr: float | None = None
-    achieved_psnr: float | None = None
     probes: tuple[ProbeReport, ...] = ()
     achieved_size: int | None = None
     size_probes: tuple[SizeProbeReport, ...] = ()

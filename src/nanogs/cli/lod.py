@@ -114,7 +114,7 @@ def lod(
     check_ratios(ratios)
     output = output_of(target, level_format)
     check_options(output.layout, chunk, plain=plain)
-    direction = method.check_views(preset, chosen, views, cameras, up, judged=False)
+    direction = method.check_views(preset, chosen, views, cameras, up)
     asked = too_large.parse_blocks(
         [source], max_memory, join=False, job=job, resume=resume, scratch=scratch,
         workers=workers, scheduler=scheduler, patience=patience,

@@ -93,8 +93,6 @@ def check_views(
     views: int | None,
     cameras: str,
     up: str | None,
-    *,
-    judged: bool,
 ) -> tuple[float, float, float] | None:
     """The up direction asked for; views are refused where the preset renders nothing.
 
@@ -103,5 +101,5 @@ def check_views(
     """
     direction = options.parse_direction(up)
     given = views is not None or cameras != "auto" or direction is not None
-    refuse_unused_views(preset, chosen, given=given, judged=judged)
+    refuse_unused_views(preset, chosen, given=given)
     return direction

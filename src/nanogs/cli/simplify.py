@@ -43,7 +43,7 @@ def simplify(
     psnr: Annotated[
         float | None,
         typer.Option(
-            help="dB to reach on views of the original, e.g. 35: the fewest that do.",
+            help="dB that `nanogs compare` is to say, e.g. 35: the fewest splats that reach it.",
             metavar="DB",
         ),
     ] = None,
@@ -114,7 +114,7 @@ def simplify(
         saving={"overwrite": overwrite, "spz_version": spz_version},
         frames=framing.parse_frames(frame),
         cameras=cameras,
-        up=method.check_views(preset, chosen, views, cameras, up, judged=psnr is not None),
+        up=method.check_views(preset, chosen, views, cameras, up),
         given=given | {"preset": preset, "nan": nan.value, "threads": threads},
         json=json,
         folder_later=out_dir is not None and not out_dir.exists(),
@@ -153,9 +153,8 @@ def _exit_if_short(runs: list[dict[str, Any]]) -> None:
     """Say which results are not what was asked for, and leave with exit code 3."""
     from nanogs.cli.console import warn
     from nanogs.cli.simplify_report import stop_text
-    from nanogs.report import StopReason
 
-    short = [run for run in runs if run["stop"] != StopReason.TARGET]
+    short = [run for run in runs if not run["stop"].met]
     for run in short:
         warn(stop_text(run) if len(runs) == 1 else f"{run['output']}: {stop_text(run)}")
     if short:

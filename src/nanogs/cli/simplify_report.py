@@ -8,7 +8,8 @@ from rich.table import Table
 
 from nanogs.cli.console import err, key_value_table, print_json, show, warn
 from nanogs.cli.filtering import report_filters
-from nanogs.formatting import bytes_text
+from nanogs.compare.protocol import Judged, Protocol
+from nanogs.formatting import bytes_text, number_text
 from nanogs.io import FileInfo
 from nanogs.report import StopReason
 from nanogs.simplify.memory import LIBRARIES, MemoryPlan, plan_memory
@@ -62,7 +63,7 @@ def print_plan(plan: Plan) -> None:
     if plan.count is None and plan.goal.size is not None:
         text = f"as many splats as fit into {plan.goal.size:,} B, found by writing some"
     elif plan.count is None:
-        text = f"as few splats as reach {plan.goal.psnr:g} dB on views of the original"
+        text = f"as few splats as reach {plan.goal.psnr:g} dB on {Protocol().text}"
     else:
         text = f"{plan.count:,} splats ({plan.count / plan.info.splats:.3%})"
     _print_rows(plan, text)
@@ -140,8 +141,8 @@ def stop_text(run: dict[str, Any]) -> str:
     """Why a result is not what was asked for, in one sentence."""
     if run["stop"] == StopReason.UNREACHED:
         return (
-            f"No smaller model reaches {run['asked_psnr']:g} dB, so the whole one was written: "
-            f"{run['stop']}."
+            f"No smaller model reaches {run['asked_psnr']:g} dB{_nearest_text(run)}, so the whole"
+            f" one was written: {run['stop']}."
         )
     if run["stop"] == StopReason.PROBES:
         return (
@@ -149,6 +150,14 @@ def stop_text(run: dict[str, Any]) -> str:
             f"written reaches {run['asked_psnr']:g} dB, and fewer may too: {run['stop']}."
         )
     return f"Stopped before the asked count: {run['stop']}."
+
+
+def _nearest_text(run: dict[str, Any]) -> str:
+    """What the largest of the counts that were tried has."""
+    if not run["probes"]:
+        return ""
+    most = max(run["probes"], key=itemgetter("count"))
+    return f" ({most['count']:,} of {run['input_count']:,} splats have {most['psnr']:.2f} dB)"
 
 
 def warn_of_input(run: dict[str, Any]) -> None:
@@ -177,7 +186,7 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
         "chosen": choice_text(run["candidates"]),
         "colours": recolour_text(run["recolour"]),
         "refit": _refit_text(run["refit"]),
-        "reached": _reached_text(run),
+        "PSNR": _judged_text(run),
         "size": _size_text(run),
         "time": f"{run['total_seconds']:.2f} s on {run['threads']} threads",
         "stages (s)": stages,
@@ -201,11 +210,14 @@ def _asked_text(run: dict[str, Any]) -> str:
     return f"{run['asked_count']:,}"
 
 
-def _reached_text(run: dict[str, Any]) -> str:
-    if run["achieved_psnr"] is None:
+def _judged_text(run: dict[str, Any]) -> str:
+    """What `nanogs compare` would say of the result, where that was measured."""
+    if run["judged"] is None:
         return ""
-    tried = f"{len(run['probes'])} counts tried"
-    return f"{run['achieved_psnr']:.2f} dB on views of the original, {tried}"
+    tried = f"; {len(run['probes'])} counts tried" if run["probes"] else ""
+    judged = run["judged"]
+    text = Judged(judged["psnr"], judged["ssim"], Protocol(**judged["protocol"])).text
+    return f"{text}{tried}"
 
 
 def _size_text(run: dict[str, Any]) -> str:
@@ -277,9 +289,10 @@ def _pass_table(passes: list[dict[str, Any]]) -> Table:
 
 
 def _probe_table(probes: list[dict[str, Any]]) -> Table:
-    table = Table("splats", "PSNR", box=None, pad_edge=False)
+    table = Table("splats", "PSNR", "", box=None, pad_edge=False)
     for entry in probes:
-        table.add_row(f"{entry['count']:,}", f"{entry['psnr']:.2f}")
+        made = "a plain cut, to come near" if entry["quick"] else "as delivered"
+        table.add_row(f"{entry['count']:,}", number_text(entry["psnr"]), made)
     return table
 
 

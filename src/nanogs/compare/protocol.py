@@ -57,7 +57,7 @@ class Judged:
     """A model held against its original.
 
     Attributes:
-        psnr: Mean over the views, dB; infinite where a view is the same to the last bit.
+        psnr: Mean over the views, dB; infinite where all are the same to the last bit.
         ssim: Mean over the views.
         protocol: The views.
     """

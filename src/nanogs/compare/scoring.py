@@ -1,5 +1,6 @@
 """From models and cameras to numbers: what every claim about quality rests on."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -14,6 +15,7 @@ from nanogs.progress import Parts, each, untold
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import PreparedSplats, Rendering, render
 
+HIGHEST = 100.0  # dB that a view counts at most, where not all are equal
 EXTRA_METRICS: Mapping[str, Callable[[F32, F32], float]] = {"flip": flip, "lpips": lpips}
 
 OnView = Callable[["ReferenceView", "Rendering", "ViewScore"], None]
@@ -62,7 +64,7 @@ class ModelScore:
         name: What the user calls it.
         splats: Number of splats.
         file_bytes: Size of its file, or None.
-        psnr: Mean over the views, dB.
+        psnr: Mean over the views, dB; see `mean_psnr`.
         ssim: Mean over the views.
         depth: Mean over the views that have one, or None.
         extras: Means of further metrics by name.
@@ -90,6 +92,8 @@ def reference_views(
     cameras: Iterable[Camera],
     background: Background,
     tell: Parts = untold,
+    *,
+    depth: bool = True,
 ) -> tuple[list[ReferenceView], list[str]]:
     """Render the reference from each camera; views in which it is not seen are set aside.
 
@@ -98,6 +102,7 @@ def reference_views(
         cameras: The views.
         background: RGB in [0, 1].
         tell: Told of the views rendered.
+        depth: Keep what depth is measured against; otherwise the images alone, as of photographs.
 
     Returns:
         The views, and the names of those that show nothing.
@@ -107,9 +112,10 @@ def reference_views(
     """
     views, empty = [], []
     for camera in each(cameras, tell):
-        rendering = render(reference, camera, background=background, depth=True)
+        rendering = render(reference, camera, background=background, depth=depth)
         if rendering.alpha.any():
-            views.append(ReferenceView(camera, rendering.shown(), rendering))
+            kept = rendering if depth else None
+            views.append(ReferenceView(camera, rendering.shown(), kept))
         else:
             empty.append(camera.name)
     if not views:
@@ -161,7 +167,7 @@ def score(
         name=name,
         splats=len(model),
         file_bytes=file_bytes,
-        psnr=float(np.mean([entry.psnr for entry in scores])),
+        psnr=mean_psnr([entry.psnr for entry in scores]),
         ssim=float(np.mean([entry.ssim for entry in scores])),
         depth=_mean([entry.depth for entry in scores if entry.depth is not None]),
         extras={
@@ -170,6 +176,16 @@ def score(
         views=tuple(scores),
         notes=tuple(notes),
     )
+
+
+def mean_psnr(values: Sequence[float]) -> float:
+    """The mean over views, dB: infinite if all are equal, else an equal one counts as 100 dB.
+
+    One view that lacks nothing would otherwise hide what all others lack.
+    """
+    if all(map(math.isinf, values)):
+        return math.inf
+    return float(np.mean([min(value, HIGHEST) for value in values]))
 
 
 def _score_view(view: ReferenceView, rendering: Rendering, extras: Sequence[str]) -> ViewScore:

@@ -17,6 +17,7 @@ from nanogs.splats import Splats
 
 __all__ = [
     "FileInfo",
+    "as_stored",
     "bytes_on_disk",
     "check_writable",
     "encoded_bytes",
@@ -120,6 +121,32 @@ def encoded_bytes(
     buffer = BytesIO()
     registry.writer(Path(path), options)(splats, buffer)
     return buffer.getbuffer().nbytes
+
+
+def as_stored(
+    splats: Splats,
+    path: str | PathLike[str],
+    **options: Any,  # noqa: ANN401 - as in `save`
+) -> Splats:
+    """The model as `load` would give it back after `save`, by way of a temporary file.
+
+    Itself where nothing changes, in `.ply` files, and where nanogs does not read the format.
+
+    Raises:
+        NanogsError: As for `save`.
+    """
+    from tempfile import TemporaryDirectory
+
+    known = registry.writable(Path(path))
+    if known.suffix == ".ply" or not known.readable:
+        return splats
+    with TemporaryDirectory(prefix="nanogs-") as folder:
+        file = Path(folder) / "model" / known.suffix
+        if not known.write_folder:
+            file = file.with_name(f"model{known.suffix}")
+            file.parent.mkdir()
+        save(splats, file, **options)
+        return load(file)
 
 
 def losses(splats: Splats, path: str | PathLike[str]) -> tuple[str, ...]:

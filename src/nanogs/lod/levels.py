@@ -95,7 +95,8 @@ def _deliver(
         from nanogs.threads import use_threads
 
         with use_threads(threads) as threads_used:
-            deliver = deliver or job.deliverer(threads_used, clock, progress)
+            smallest = target_count(len(job.rows), ratios[-1], None)
+            deliver = deliver or job.deliverer(smallest, threads_used, clock, progress)
             progress.begin(level_stage(number))
             result = _level(job, deliver, ratio, threads_used, clock, start, progress)
         if number == len(ratios) - 1:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nanogs.io import encoded_bytes, registry
+from nanogs.io import as_stored, encoded_bytes, registry
 from nanogs.io.models import Model, as_splats
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
@@ -50,13 +50,13 @@ def simplify(
         size: Bytes that the saved file may have, a number or text like "20MB": as many splats as
             fit are delivered. Where only writing a file tells its size, results are written to
             memory until one fits that takes 98 % of it or more.
-        psnr: dB that the result must reach on views of the original: the smallest count that
-            does, to about 1 %, is found by bisection (see `reach`). The views are automatic ones
-            or from `cameras`, 256 pixels along the longer side; the mean over them counts.
-        format: Suffix of the file that `size` is about.
+        psnr: dB that the result must reach as `nanogs compare` measures it at its defaults, on
+            views that nothing is learnt from. A count is searched whose result lies from there to
+            0.3 dB above (see `reach`), as a file of the format gives it back.
+        format: Suffix of the file that `size` and `psnr` are about.
         format_options: What that file will be saved with, as `save` takes it.
         preset: Name of a preset.
-        cameras: Views that matter, for presets that render and for `psnr`; by default automatic.
+        cameras: Views that matter, for presets that render; by default automatic.
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise.
         threads: Threads to use; all by default. The result does not depend on it.
@@ -93,7 +93,7 @@ def simplify(
             simplify_stages(job.parameters, goal, len(job.rows), target, path.suffix),
         )
         if target is not None:
-            outcome = job.deliverer(threads_used, clock, tracker)(target, clock, tracker)
+            outcome = job.deliverer(target, threads_used, clock, tracker)(target, clock, tracker)
             if size is not None:
                 outcome = replace(outcome, achieved_size=registry.sizer(path)(splats, target))
         elif size is not None:
@@ -102,7 +102,8 @@ def simplify(
             leaps = registry.writable(path).leaps(job.splats)
             outcome = _fit(job, size, encode, leaps, threads_used, clock, tracker)
         else:
-            outcome = _reach(job, goal.psnr or 0.0, threads_used, clock, tracker)
+            stored = partial(as_stored, path=path, **dict(format_options or {}))
+            outcome = _reach(job, goal.psnr or 0.0, stored, threads_used, clock, tracker)
         target = len(outcome.splats) if target is None else target
     if size is not None and target == len(job.rows):
         whole = "The whole model fits into the size asked for; nothing was merged."
@@ -167,7 +168,21 @@ def _fit(
     return fit_size(build, size, guess, encode, clock, progress, leaps)
 
 
-def _reach(job: Job, psnr: float, threads: int, clock: StageClock, progress: Tracker) -> Outcome:
+def _reach(
+    job: Job,
+    psnr: float,
+    stored: Callable[[Splats], Splats],
+    threads: int,
+    clock: StageClock,
+    progress: Tracker,
+) -> Outcome:
+    from nanogs.compare.held_out import held_out
     from nanogs.simplify.reach import reach_psnr
 
-    return reach_psnr(job.build(threads, clock, progress), psnr, clock, progress)
+    progress.begin("measure")
+    with clock.time("measure"):
+        views = held_out(job.splats, progress.part)
+    build = job.build(threads, clock, progress)
+    outcome = reach_psnr(build, psnr, views, stored, clock, progress)
+    with clock.time("measure"):
+        return replace(outcome, judged=views.judge(stored(outcome.splats)))

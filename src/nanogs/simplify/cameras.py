@@ -56,19 +56,18 @@ def requested_cameras(
     return fit_cameras(splats, source, up, count, REFIT.size)
 
 
-def refuse_unused_views(preset: str, chosen: Parameters, *, given: bool, judged: bool) -> None:
+def refuse_unused_views(preset: str, chosen: Parameters, *, given: bool) -> None:
     """Views mean nothing where nothing is rendered.
 
     Args:
         preset: Its name.
         chosen: Its parameters.
         given: Whether the user asked for certain views.
-        judged: Whether results are rendered whatever the preset.
 
     Raises:
         OptionError: They are given, and nothing is rendered.
     """
-    if given and not judged and not renders(chosen):
+    if given and not renders(chosen):
         raise OptionError(
             f"The preset {preset} renders nothing here, so that --views, --cameras and --up mean "
             "nothing to it; leave them out or choose another preset."

@@ -6,6 +6,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from nanogs._types import F64, I32
 from nanogs.errors import ModelError
 from nanogs.progress import Tracker
@@ -120,7 +122,11 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Tracker) -> 
     """The model of the asked count, or of the fewest the forest has."""
     forest = build.forest
     groups = max(target, forest.fewest)
-    if build.views is None or groups == forest.splats:
+    if groups == forest.splats:
+        whole = build.splats.take(np.sort(build.leaves.rows))
+        stop = StopReason.TARGET if groups == target else forest.stop
+        return Outcome(whole, forest.passes, stop, notes=build.notes)
+    if build.views is None:
         small = _group(build, groups, clock, progress)
         candidates: tuple[CandidateReport, ...] = ()
         recoloured = None
@@ -134,7 +140,7 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Tracker) -> 
             with clock.time("recolour"):
                 small, recoloured = _recolour(build, chosen, build.views, progress)
     fitted, notes = None, build.notes
-    if build.parameters.refit and groups < forest.splats:
+    if build.parameters.refit:
         with clock.time("refit"):
             small, fitted, unfitted = _fit(build, small, progress)
             notes += unfitted
@@ -171,9 +177,7 @@ def _group(build: Build, groups: int, clock: StageClock, progress: Tracker) -> S
     """The model of the cut that the parameters ask for."""
     progress.begin("cut")
     with clock.time("cut"):
-        labels = cut(build.forest, groups, build.parameters.balance)
-        if groups < build.forest.splats:
-            labels = _regroup(build, labels, groups)
+        labels = _regroup(build, cut(build.forest, groups, build.parameters.balance), groups)
     progress.begin("store")
     with clock.time("store"):
         return _model(build, labels, build.parameters.growth)

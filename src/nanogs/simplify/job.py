@@ -10,7 +10,7 @@ import numpy as np
 from nanogs._types import I32
 from nanogs.errors import ModelError
 from nanogs.progress import Tracker
-from nanogs.report import SimplifyReport, StageClock
+from nanogs.report import SimplifyReport, StageClock, StopReason
 from nanogs.simplify.outcome import Outcome
 from nanogs.simplify.presets import ForestParameters, PaperParameters, Parameters, parameters
 from nanogs.simplify.target import Goal
@@ -58,10 +58,14 @@ class Job:
             self.splats, self.rows, self.parameters, self.cameras, threads, clock, progress
         )
 
-    def deliverer(self, threads: int, clock: StageClock, progress: Tracker) -> Deliver:
+    def deliverer(
+        self, smallest: int, threads: int, clock: StageClock, progress: Tracker
+    ) -> Deliver:
         """Do once what every count needs, and return what delivers each of them.
 
         Args:
+            smallest: Count that will be asked for; where it is that of the usable splats, nothing
+                is done.
             threads: Threads in use.
             clock: Gets the seconds of what is done once.
             progress: Told of that.
@@ -75,6 +79,9 @@ class Job:
             )
         from nanogs.simplify.forest_pipeline import deliver
 
+        if smallest == len(self.rows):
+            whole = Outcome(self.splats.take(self.rows), (), StopReason.TARGET)
+            return lambda _target, _clock, _progress: whole
         build = self.build(threads, clock, progress)
         return lambda target, clock, progress: deliver(build, target, clock, progress)
 
@@ -105,7 +112,7 @@ class Job:
             asked_count=asked_count,
             asked_size=goal.size,
             asked_psnr=goal.psnr,
-            achieved_psnr=outcome.achieved_psnr,
+            judged=outcome.judged,
             probes=outcome.probes,
             achieved_size=outcome.achieved_size,
             size_probes=outcome.size_probes,

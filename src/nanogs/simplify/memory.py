@@ -50,7 +50,7 @@ def plan_memory(
         extra_bytes: Bytes of extra columns for each splat.
         parameters: Of the method.
         target: Splats in the largest result.
-        judged: Whether results are held against views of the original whatever the preset.
+        judged: Whether results are held against the original on views held out.
     """
     features = 3 * (sh_degree + 1) ** 2 * _F4
     row = 11 * _F4 + features + extra_bytes

@@ -1,5 +1,6 @@
 """Memory of the presets that grow a forest: bytes a splat, stage by stage."""
 
+from nanogs.compare.protocol import PIXELS, VIEWS
 from nanogs.simplify.blocks import BLOCK_PAIRS
 from nanogs.simplify.presets import ForestParameters
 
@@ -15,6 +16,7 @@ _PAIRS_PER_NEIGHBOUR = 0.66
 _LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
 _CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the median, flags
 _TILES = 3  # tiles of a 256-pixel view that a splat lies in, on average at most
+_IMAGES = VIEWS * PIXELS**2 * 3 * _F4  # of the original, that results are judged by
 _PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rasteriser reads them
 _DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
 _SHARES = 5 * _F8 + _TILES * _F4  # of every splat in a view and in all
@@ -42,17 +44,20 @@ def forest_stages(
         k: Neighbours in the graph.
         parameters: Of the method.
         target: Splats in the largest result.
-        judged: Whether results are rendered whatever the preset.
+        judged: Whether results are held against the original on views held out.
     """
-    looked = parameters.measure or judged
+    looked = parameters.measure
+    drawn = looked or judged
     kept = count * (_I4 + (_F8 if looked else 0))  # which rows are used, what is visible of each
+    kept += _IMAGES if judged else 0
     leaves = kept + count * _NODE  # their features are the model's
     forest = leaves + count * _MERGE
-    best = target * row if looked else 0  # of those tried before
-    draw = target * (_PREPARED + _DRAWN) if looked else 0
+    best = target * row if drawn else 0  # of those tried before
+    draw = target * (_PREPARED + _DRAWN) if drawn else 0
     labels = 2 * count * _I4 if looked else count * _I4
     fitted = 8 * _F8 + 4 * _TILES * _F4 + features if parameters.measure else 0
     stages = {
+        "measure": _IMAGES + count * (_I4 + _PREPARED + _DRAWN) if judged else 0,
         "look": count * (_I4 + _PREPARED + _DRAWN + _SHARES) if looked else 0,
         "activate": leaves,
         **{stage: kept + held for stage, held in _growing(count, features, k).items()},

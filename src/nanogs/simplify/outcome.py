@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from nanogs.compare.protocol import Judged
 from nanogs.refit.report import RefitReport
 from nanogs.report import (
     CandidateReport,
@@ -28,7 +29,7 @@ class Outcome:
     recolour: RecolourReport | None = None
     refit: RefitReport | None = None
     notes: tuple[str, ...] = ()
-    achieved_psnr: float | None = None
+    judged: Judged | None = None
     probes: tuple[ProbeReport, ...] = ()
     achieved_size: int | None = None
     size_probes: tuple[SizeProbeReport, ...] = ()

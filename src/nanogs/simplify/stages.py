@@ -4,9 +4,9 @@ Weights are seconds of one machine, to about a factor of two: a bar that follows
 enough. No Numba here: the command plans with them before it is imported.
 """
 
-import math
 from collections.abc import Sequence
 
+from nanogs.compare.protocol import VIEWS
 from nanogs.progress import Stage
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.stages import refit_stages
@@ -15,8 +15,8 @@ from nanogs.simplify.target import Goal
 
 REFIT = RefitParameters(views=32, steps=16)  # half of what `nanogs refit` takes
 SIZES, RESULTS = 4, 2  # files that a search for a size writes: of plain cuts, and of results
+COUNTS = 4  # that a search for a PSNR tries, of plain cuts and again of results
 _MILLION = 1e6
-_NARROWED = 0.01  # a search for a PSNR ends where counts are so near to each other
 
 
 def simplify_stages(
@@ -37,9 +37,12 @@ def simplify_stages(
     typical = splats // 10
     weight = _sum(delivery_stages(parameters, splats, typical))
     if goal.psnr is not None:
-        search = [Stage("search", weight * expected_probes(splats))]
-        look = [] if parameters.measure else [_look(parameters, splats)]
-        return [*build_stages(parameters, splats), *look, *search]
+        quick = 0.1 + 0.4 * splats / _MILLION
+        stages = [measure_stage(splats), *build_stages(parameters, splats)]
+        stages.append(Stage("search", COUNTS * quick))
+        if parameters.measure or parameters.refit:
+            stages.append(Stage("deliver", COUNTS * (weight + 0.1)))
+        return stages
     writing = write_weight(suffix, typical)
     search = [Stage("search", SIZES * (writing + 0.3 * splats / _MILLION))]
     if parameters.measure or parameters.refit:
@@ -99,10 +102,9 @@ def write_weight(suffix: str, splats: int) -> float:
     return 1 + 25 * millions if suffix in (".sog", "meta.json") else 0.3 * millions
 
 
-def expected_probes(splats: int) -> int:
-    """Counts that a search for a PSNR tries: each halves the range on a logarithmic scale."""
-    range_at_first = max(math.log(max(splats, 2)), _NARROWED)
-    return max(1, math.ceil(math.log2(range_at_first / _NARROWED)))
+def measure_stage(splats: int) -> Stage:
+    """Rendering the original on the views that results are judged by."""
+    return Stage("measure", VIEWS * (0.02 + 0.15 * splats / _MILLION))
 
 
 def _sum(stages: list[Stage]) -> float:

@@ -1,0 +1,59 @@
+"""Hold what `nanogs simplify --psnr` was asked for against what `nanogs compare` says then.
+
+    python benchmarks/psnr.py biker.spz=35 playbot.ply=35,30 --presets default,fast
+
+Both are run as commands, with nothing else told to them; results are written as .ply files, or in
+the format of `--format`. Prints a table in Markdown.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+LIMIT = 900  # seconds for a command
+
+
+def main() -> None:
+    """Measure each scene with each preset and print its row."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="+", help="MODEL=dB,dB,...")
+    parser.add_argument("--presets", default="default,fast")
+    parser.add_argument("--format", default="ply")
+    given = parser.parse_args()
+    print("| scene | preset | asked | simplify says | compare says | splats | counts tried | end |")
+    print("|---|---|--:|--:|--:|--:|--:|---|")
+    with TemporaryDirectory() as folder:
+        for scene in given.scenes:
+            model, _, wishes = scene.rpartition("=")
+            for wish in wishes.split(","):
+                for preset in given.presets.split(","):
+                    out = Path(folder) / f"small.{given.format}"
+                    print(_row(Path(model), wish, preset, out), flush=True)
+
+
+def _row(model: Path, asked: str, preset: str, out: Path) -> str:
+    run = _nanogs("simplify", model, out, "-w", "--psnr", asked, "--preset", preset)
+    said = float(run["judged"]["psnr"])
+    [seen] = _nanogs("compare", model, out)["models"]
+    name = model.parent.name if model.suffix == ".json" else model.name.split(".")[0]
+    counts, tried = f"{run['achieved_count']:,}", f"{len(run['probes'])}"
+    cells = [name, preset, asked, f"{said:.2f}", f"{float(seen['psnr']):.2f}", counts, tried]
+    return f"| {' | '.join([*cells, run['stop']])} |"
+
+
+def _nanogs(*words: object) -> dict[str, Any]:
+    """What a command says with `--json`."""
+    command = [sys.executable, "-m", "nanogs", *map(str, words), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
+    if done.returncode not in (0, 3):  # 3: not what was asked for, and the report says so
+        raise SystemExit(done.stderr)
+    report: dict[str, Any] = json.loads(done.stdout)
+    return report
+
+
+if __name__ == "__main__":
+    main()

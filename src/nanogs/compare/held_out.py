@@ -1,0 +1,56 @@
+"""The views that a result is judged by: those of `nanogs compare` at its defaults.
+
+Nothing is learnt from them: what methods look at, choose by and fit to are views of the other
+split (see `render.views`). So a number from here is the one that `compare` prints.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Judged, Protocol
+from nanogs.compare.scoring import ReferenceView, mean_psnr, reference_views, score
+from nanogs.errors import ModelError
+from nanogs.metrics import psnr
+from nanogs.progress import Parts, untold
+from nanogs.render.rasterize import prepare, render
+from nanogs.render.source import cameras_for
+from nanogs.splats import Splats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """The original as views show it that nothing is learnt from.
+
+    Attributes:
+        views: Those in which it is seen; 3 MB each.
+        protocol: What they are.
+    """
+
+    views: Sequence[ReferenceView]
+    protocol: Protocol
+
+    def psnr(self, small: Splats) -> float:
+        """The PSNR that `judge` gives, alone and in half the time, dB."""
+        prepared = prepare(small)
+        shown = (render(prepared, view.camera, background=BLACK) for view in self.views)
+        pairs = zip(self.views, shown, strict=True)
+        return mean_psnr([psnr(view.image, rendering.shown()) for view, rendering in pairs])
+
+    def judge(self, small: Splats) -> Judged:
+        """Hold a model against the original."""
+        means = score("", prepare(small), self.views, BLACK)
+        return Judged(means.psnr, means.ssim, self.protocol)
+
+
+def held_out(original: Splats, tell: Parts = untold) -> HeldOut:
+    """Render the original once, for any number of models; told of the views rendered.
+
+    Raises:
+        ModelError: Nothing of it is visible.
+    """
+    try:
+        cameras = cameras_for(original, "auto", count=VIEWS, width=PIXELS, height=PIXELS)
+        views, _ = reference_views(prepare(original), cameras, BLACK, tell, depth=False)
+    except ModelError as error:
+        raise ModelError(f"The PSNR cannot be measured: {error}") from None
+    return HeldOut(views, Protocol(views=len(views)))
