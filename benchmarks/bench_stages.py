@@ -197,6 +197,7 @@ def test_store(timed, scene):
             scene["origin"],
             scene["pixel"],
             1.1,
+            sheets=True,
         ),
         scene["merged"].features,
     )

@@ -167,7 +167,7 @@ def test_stored_groups_cover_what_their_members_did(n, seed, pixel):
     labels = (np.arange(n) // 2).astype(np.int32)
     groups = int(labels[-1]) + 1
     merged = gather(nodes, labels, groups)
-    small = store_groups(nodes, labels, splats, np.zeros(3), pixel, 1.0)
+    small = store_groups(nodes, labels, splats, np.zeros(3), pixel, 1.0, sheets=False)
     assert len(small) == groups
     alphas = small.opacities()
     sigmas = [twins.pack(twins.covariance(s, q)) for s, q in

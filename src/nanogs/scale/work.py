@@ -212,10 +212,8 @@ def _settle(work: Work, task: Task) -> Record:
 
 def _part(work: Work, task: Task) -> Record:
     splats, leaves, labels = _members(work, task)
-    frame = work.frame
-    small = store_groups(
-        leaves, labels, splats, frame.centre(), frame.pixel, work.settings.parameters.growth
-    )
+    frame, growth = work.frame, work.settings.parameters.growth
+    small = store_groups(leaves, labels, splats, frame.centre(), frame.pixel, growth, sheets=True)
     order = morton_rows(frame.codes(small))
     return write_table(work.scratch, task.name, sorted_columns(small, order), {})
 

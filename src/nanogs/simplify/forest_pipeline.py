@@ -180,7 +180,7 @@ def _group(build: Build, groups: int, clock: StageClock, progress: Tracker) -> S
         labels = _regroup(build, cut(build.forest, groups, build.parameters.balance), groups)
     progress.begin("store")
     with clock.time("store"):
-        return _model(build, labels, build.parameters.growth)
+        return _model(build, labels, build.parameters.growth, sheets=True)
 
 
 def _choose(
@@ -190,7 +190,7 @@ def _choose(
     return choose_model(
         lambda labels: _regroup(build, labels, groups),
         lambda balance: cut(build.forest, groups, balance),
-        lambda labels, growth: _model(build, labels, growth),
+        lambda labels, growth: _model(build, labels, growth, sheets=False),
         lambda small: judge(small, views),
         sorted({*BALANCES, build.parameters.balance} - {USUAL_BALANCE}),
         build.parameters.growth,
@@ -211,7 +211,7 @@ def _regroup(build: Build, labels: I32, groups: int) -> I32:
     return reassign(build.leaves, labels, groups, build.parameters.rounds, build.threads)
 
 
-def _model(build: Build, labels: I32, growth: float) -> Splats:
+def _model(build: Build, labels: I32, growth: float, *, sheets: bool) -> Splats:
     return store_groups(
-        build.leaves, labels, build.splats, build.origin, build.pixel, growth
+        build.leaves, labels, build.splats, build.origin, build.pixel, growth, sheets=sheets
     )  # fmt: skip

@@ -227,27 +227,3 @@ def stored_order(leaves: Nodes, labels: I32, groups: int) -> tuple[I64, I64, Boo
     order = np.argsort(sources)
     merged = np.bincount(labels, minlength=groups) > 1
     return sources[order], order, merged[order]
-
-
-def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float, growth: float) -> F64:
-    """(G, 6) float64: covariances, larger where even an opaque splat would cover too little.
-
-    What has to be covered is the members' footprints in proportion to how visible they are,
-    (sum w)² / (sum w²/a) for weights w and coverages a: all of them where all are seen alike, and
-    not those that hide behind others. Groups of one are not to be asked for.
-
-    Args:
-        merged: G nodes from `gather`.
-        leaves: (M) their members.
-        labels: (M,) the group of each.
-        pixel: As `footprints` takes it.
-        growth: Most that an axis may grow.
-    """
-    squares = np.zeros(len(merged))
-    with np.errstate(divide="ignore", over="ignore"):
-        for block in blocks(len(leaves)):
-            shares = leaves.weights[block] ** 2 / leaves.coverages[block]
-            np.add.at(squares, labels[block], shares)
-        wanted = merged.weights**2 / squares
-    factors = np.clip(wanted / footprints(merged.covariances, pixel), 1.0, growth**2)
-    return merged.covariances * factors[:, None]

@@ -69,7 +69,8 @@ class ForestParameters:
             thinner than a pixel, and what is merged must cover as much.
         hidden: Weight of a splat that no view sees over that of one in full sight, above 0; 1
             weighs all alike.
-        growth: Most that a merged splat's axes may grow where an opaque one would cover too little.
+        growth: Most that a merged splat's axes may grow where an opaque one would cover too little;
+            where nothing is measured, pieces of flat sheets grow by what they need, up to 1.8.
         measure: Render the original: weigh splats by what is seen of them, and choose between
             results by how they look.
         recolour: Fit the mean colours of the result to views of the original, where these are

@@ -8,7 +8,8 @@ from nanogs._types import F64, I32
 from nanogs.kernels.nodes import principal_axes
 from nanogs.simplify.blocks import blocks
 from nanogs.simplify.gaussians import LEAST_ALPHA, LEAST_SCALE
-from nanogs.simplify.nodes import Nodes, footprints, gather, grown, stored_order
+from nanogs.simplify.growth import grown, growth_on_sheets
+from nanogs.simplify.nodes import Nodes, footprints, gather, stored_order
 from nanogs.splats import Splats
 
 MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
@@ -21,6 +22,8 @@ def store_groups(
     origin: F64,
     pixel: float,
     growth: float,
+    *,
+    sheets: bool,
 ) -> Splats:
     """Stored values of groups, in the order of their dominant members in the input.
 
@@ -35,6 +38,7 @@ def store_groups(
         origin: (3,) what `activate_nodes` took off the centres, scene units.
         pixel: As `footprints` takes it.
         growth: Most that an axis may grow.
+        sheets: Those of groups on flat sheets may grow more (`growth_on_sheets`).
     """
     groups = int(labels.max()) + 1
     sources, order, new = stored_order(leaves, labels, groups)
@@ -45,7 +49,8 @@ def store_groups(
     merged = gather(leaves, labels, groups)
     scales = np.empty((np.count_nonzero(new), 3), np.float32)
     quats = np.empty((len(scales), 4), np.float32)
-    covariances = grown(merged, leaves, labels, pixel, growth)[new]
+    most = growth_on_sheets(merged, leaves, labels, growth) if sheets else growth
+    covariances = grown(merged, leaves, labels, pixel, most)[new]
     principal_axes(covariances, scales, quats)
     alphas = merged.coverages[new] / footprints(covariances, pixel)
     alphas = np.clip(alphas, LEAST_ALPHA, MOST_OPAQUE)

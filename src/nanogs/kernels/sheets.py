@@ -1,0 +1,73 @@
+"""Groups of splats on flat sheets, between which light would get through once they are merged."""
+
+import math
+
+from nanogs._types import F64, I32, I64
+from nanogs.kernels.nodes import symmetric
+from nanogs.kernels.policy import inline, parallel_kernel
+from nanogs.kernels.quaternion import Row3
+from nanogs.kernels.symmetric3 import Symmetric3, eigen
+
+FEWEST = 4  # means that may be said to lie in a plane
+FLATNESS = 0.04  # thickness of a sheet over its width
+NARROWEST = 0.1  # width of a sheet over its length
+DENSE = 3.6  # layers of Gaussians that let no light through
+
+
+@inline
+def _across(s: Symmetric3, n: Row3) -> float:
+    """Determinant of a covariance as seen along a unit vector, n^T adj(S) n."""
+    xx, xy, xz, yy, yz, zz = s
+    x, y, z = n
+    return (
+        x * x * (yy * zz - yz * yz) + y * y * (xx * zz - xz * xz) + z * z * (xx * yy - xy * xy)
+        + 2.0 * (x * y * (xz * yz - xy * zz) + x * z * (xy * yz - xz * yy)
+                 + y * z * (xy * xz - xx * yz))
+    )  # fmt: skip
+
+
+@inline
+def _growth(means: Symmetric3, whole: Symmetric3) -> float:
+    """As `sheet_growths`, of the covariance of a group's means and that of the group."""
+    (a, b, c), (first, second, third) = eigen(means)
+    low, high = min(a, b, c), max(a, b, c)
+    middle = a + b + c - low - high
+    if not middle > NARROWEST * NARROWEST * high:
+        return 0.0
+    axis = 0 if a == low else (1 if b == low else 2)
+    across = _across(whole, (first[axis], second[axis], third[axis]))
+    flat = math.exp(-max(low, 0.0) / (middle * FLATNESS * FLATNESS))
+    # A piece of the sheet, evenly filled, is 12 s1 s2 large; the Gaussian covers 2 pi of its own.
+    layers = 2.0 * math.pi * math.sqrt(max(across, 0.0)) / (12.0 * math.sqrt(middle * high))
+    return flat * math.sqrt(DENSE / max(layers, 1e-3))
+
+
+@parallel_kernel("growths")
+def sheet_growths(
+    start: int, stop: int,
+    starts: I64, members: I32, weights: F64, means: F64,
+    totals: F64, centres: F64, covariances: F64, growths: F64,
+) -> None:  # fmt: skip
+    """How much longer the axes of every group on a sheet have to be, so that it lets no light by.
+
+    exp(-(s3 / s2)² / FLATNESS²) sqrt(DENSE / layers) for standard deviations s1 >= s2 >= s3 of the
+    means about the group's, with layers the area of the Gaussian over that of its piece of the
+    sheet; 0 for fewer than four means and for those on a line.
+    starts (G + 1,) and members (N,): from `group_members`; weights: (N,); means: (N, 3); totals
+    (G,), centres (G, 3), covariances (G, 6): from `gather_moments`; growths: (G,) out.
+    """
+    for group in range(start, stop):
+        first, end = starts[group], starts[group + 1]
+        growths[group] = 0.0
+        if end - first < FEWEST:
+            continue
+        xx = xy = xz = yy = yz = zz = 0.0
+        for place in range(first, end):
+            row = members[place]
+            share = weights[row] / totals[group]
+            x = means[row, 0] - centres[group, 0]
+            y = means[row, 1] - centres[group, 1]
+            z = means[row, 2] - centres[group, 2]
+            xx, xy, xz = xx + share * x * x, xy + share * x * y, xz + share * x * z
+            yy, yz, zz = yy + share * y * y, yz + share * y * z, zz + share * z * z
+        growths[group] = _growth((xx, xy, xz, yy, yz, zz), symmetric(covariances, group))

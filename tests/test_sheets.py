@@ -1,0 +1,90 @@
+"""Growth of merged splats on flat sheets, behind which there is nothing."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import nanogs
+import twins
+from nanogs.kernels.sheets import DENSE, FLATNESS
+from nanogs.metrics import psnr
+from nanogs.render.rasterize import prepare, render
+from nanogs.render.views import automatic_cameras
+from nanogs.simplify.growth import SHEET_GROWTH, growth_on_sheets
+from nanogs.simplify.nodes import Nodes, gather
+from nanogs.splats import Splats
+
+
+def plane(count, seed=0):
+    """Opaque flat splats of one colour at random places of a square."""
+    rng = np.random.default_rng(seed)
+    size = 2 / np.sqrt(count)
+    means = rng.uniform(-1, 1, (count, 3)) * [1, 1, 0]
+    return Splats(
+        means=means.astype(np.float32),
+        log_scales=np.log(np.tile([size, size, 0.05 * size], (count, 1))).astype(np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        opacity_logits=np.full(count, 2, np.float32),
+        sh=np.tile(np.float32([0.8, 0.2, -0.5]), (count, 1, 1)),
+    )
+
+
+def nodes_at(points, covariance):
+    count = len(points)
+    covariances = np.tile(twins.pack(covariance), (count, 1))
+    features = np.zeros((count, 3), np.float32)
+    weights = np.random.default_rng(1).uniform(0.5, 2, count)
+    rows = np.arange(count, dtype=np.int32)
+    return Nodes(weights, weights, points, covariances, features, rows)
+
+
+def twin_growth(nodes):
+    """What `sheet_growths` says, of all nodes as one group, by NumPy's eigenvectors."""
+    shares = nodes.weights / nodes.weights.sum()
+    offsets = nodes.means - shares @ nodes.means
+    between = (shares[:, None] * offsets).T @ offsets
+    values, axes = np.linalg.eigh(between)
+    whole = between + twins.unpack(nodes.covariances[0])
+    seen = axes[:, 1:].T @ whole @ axes[:, 1:]
+    layers = 2 * np.pi * np.sqrt(np.linalg.det(seen)) / (12 * np.sqrt(values[1] * values[2]))
+    return np.exp(-(values[0] / values[1]) / FLATNESS**2) * np.sqrt(DENSE / layers)
+
+
+def growths(nodes, growth=0.0):
+    labels = np.zeros(len(nodes), np.int32)
+    return growth_on_sheets(gather(nodes, labels, 1), nodes, labels, growth)
+
+
+@pytest.mark.parametrize("thickness", [0.0, 0.02, 0.05])
+@pytest.mark.parametrize("size", [1.5, 2.5])
+def test_growth_equals_the_twin(thickness, size):
+    rng = np.random.default_rng(2)
+    turn = Rotation.random(random_state=3).as_matrix()
+    points = rng.normal(size=(30, 3)) * [1.5, 1, thickness] @ turn.T
+    nodes = nodes_at(points, turn @ np.diag([size**2, size**2, 1e-4]) @ turn.T)
+    assert twin_growth(nodes) < SHEET_GROWTH
+    assert growths(nodes) == pytest.approx(twin_growth(nodes), rel=1e-9)
+
+
+def test_only_sheets_grow():
+    rng = np.random.default_rng(4)
+    small = 1e-4 * np.eye(3)
+    sheet = rng.normal(size=(20, 3)) * [1, 1, 0]
+    line, cloud = sheet * [1, 0.01, 0], rng.normal(size=(20, 3))
+    assert growths(nodes_at(sheet, small), 1.1) == SHEET_GROWTH
+    for points in (line, cloud, sheet[:3], np.zeros((20, 3))):
+        assert growths(nodes_at(points, small), 1.1) == 1.1
+
+
+@pytest.mark.parametrize(("ratio", "least"), [(0.1, 28.0), (0.01, 20.0)])
+def test_a_plane_of_one_colour_has_no_holes(ratio, least):
+    splats = plane(6000)
+    cameras = automatic_cameras(splats, 4, width=128, height=128)
+    original = [render(prepare(splats), camera).shown() for camera in cameras]
+
+    def score(preset):
+        small = prepare(nanogs.simplify(splats, ratio=ratio, preset=preset)[0])
+        shown = [render(small, camera).shown() for camera in cameras]
+        return np.mean([psnr(a, b) for a, b in zip(original, shown, strict=True)])
+
+    assert score("fast") > max(score("paper") + 1, least)
