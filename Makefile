@@ -21,7 +21,7 @@ PYTHONS ?= 3.14
 # What `make floors` and `make newest` run.
 TESTS ?= tests
 
-.PHONY: demo test quick lint types check oracles floors newest docs clean help
+.PHONY: demo test quick lint types check oracles floors newest docs dist clean help
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -87,5 +87,8 @@ $(DOCS_STAMP): $(STAMP)
 docs: $(DOCS_STAMP) ## build the documentation, with its pictures, into build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
+dist: $(STAMP) ## build the source archive, and of it the wheel, into dist
+	$(UV) build --quiet --clear --out-dir dist
+
 clean: ## remove what these targets made
-	rm -rf $(VENV) $(FLOORS) $(NEWEST) build/site demo viewer/node_modules tests/npm/node_modules src/nanogs/view/viewer.js
+	rm -rf $(VENV) $(FLOORS) $(NEWEST) build/site dist demo viewer/node_modules tests/npm/node_modules src/nanogs/view/viewer.js
