@@ -5,10 +5,12 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nanogs.bar import drawn
 from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background
 from nanogs.errors import OptionError
 from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
+from nanogs.progress import Progress, Stage, Tracker
 from nanogs.render.api import Cameras, chosen_cameras
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ def compare(
     background: Background = BLACK,
     metrics: Sequence[str] = (),
     threads: int | None = None,
+    progress: Progress | bool | None = None,
 ) -> "Comparison":
     """Score models against their original, on views that no method learns from.
 
@@ -43,6 +46,8 @@ def compare(
         background: RGB in [0, 1] behind the splats.
         metrics: Further ones: "flip", "lpips"; each needs its extra.
         threads: Threads to use; all by default. The result does not depend on it.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`.
 
     Returns:
         Scores of each model, their means in `models`, and how they were measured in `protocol`.
@@ -60,10 +65,13 @@ def compare(
     from nanogs.compare.comparison import compare_models
     from nanogs.threads import use_threads
 
-    with use_threads(threads):
+    with use_threads(threads), drawn(progress) as tell:
+        tracker = Tracker(tell, [Stage("render", 1.0), Stage("score", float(len(others)))])
         comparison, _ = compare_models(
-            first, others, chosen, kind=kind, background=background, extras=metrics
-        )
+            first, others, chosen, kind=kind, background=background, extras=metrics,
+            progress=tracker,
+        )  # fmt: skip
+        tracker.finish()
     return comparison
 
 

@@ -5,9 +5,10 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+from nanogs.bar import drawn
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
-from nanogs.progress import Progress, Tracker
+from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.simplify.job import Deliver, Job, NanPolicy, prepare_job, refuse_misaligned_elements
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters
@@ -27,7 +28,7 @@ def levels(
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
     """Levels of detail, one after the other, each the same as `simplify` gives for its ratio.
@@ -42,7 +43,8 @@ def levels(
         cameras: Views that matter, for presets that render; by default automatic ones.
         nan: As `simplify` takes it.
         threads: Threads to use; all by default. The result does not depend on it.
-        progress: Called with each `nanogs.progress.Step`; a level is a stage, such as "level_0".
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`; a level is a stage, such as "level_0".
         **overrides: Parameters of the preset to replace, such as `k=8`.
 
     Returns:
@@ -60,8 +62,8 @@ def levels(
     job = prepare_job(splats, preset, overrides, cameras, nan)
     refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
     counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
-    tracker = Tracker(progress, levels_stages(job.parameters, len(job.rows), counts))
-    return _deliver(job, tuple(ratios), threads, tracker)
+    stages = levels_stages(job.parameters, len(job.rows), counts)
+    return _drawn(job, tuple(ratios), threads, progress, stages)
 
 
 def check_ratios(ratios: Sequence[float]) -> None:
@@ -82,6 +84,17 @@ def check_ratios(ratios: Sequence[float]) -> None:
                 f"Levels go from fine to coarse, and {coarser:g} comes after {finer:g}; order them "
                 "from the largest ratio to the smallest."
             )
+
+
+def _drawn(
+    job: Job,
+    ratios: Sequence[float],
+    threads: int | None,
+    progress: Progress | bool | None,
+    stages: Sequence[Stage],
+) -> Iterator[tuple[Splats, SimplifyReport]]:
+    with drawn(progress) as tell:
+        yield from _deliver(job, ratios, threads, Tracker(tell, stages))
 
 
 def _deliver(

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from nanogs.bar import drawn
 from nanogs.errors import ModelError
 from nanogs.io.models import Model, as_splats
 from nanogs.progress import Progress, Tracker
@@ -25,7 +26,7 @@ def refit(
     cameras: Sequence["Camera"] | None = None,
     parameters: RefitParameters | None = None,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> tuple[Splats, RefitReport]:
     """Fit a small model's centres, scales, rotations, opacities and colours to the original.
 
@@ -39,7 +40,9 @@ def refit(
         cameras: Views of the scene; by default cameras are chosen from the original.
         parameters: See `RefitParameters`.
         threads: Threads to use; all by default. The result does not depend on it.
-        progress: Called with each `Step`, from "render" and "fit" to the last, whose fraction is 1.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`, from "render" and "fit" to the last, whose
+            fraction is 1.
 
     Returns:
         The fitted model, its rows in the order of the input, and the report.
@@ -53,7 +56,6 @@ def refit(
     chosen = parameters or RefitParameters()
     chosen.check()
     large, given = as_splats(original, "the original"), as_splats(small, "the small model")
-    tracker = Tracker(progress, refit_stages(chosen, len(large), len(given)))
     _refuse_unusable(large, "original")
     _refuse_unusable(given, "small")
     # Here and not above: these bring Numba, which `--help` does without.
@@ -61,13 +63,15 @@ def refit(
     from nanogs.refit.views import view_targets
     from nanogs.threads import use_threads
 
-    with use_threads(threads) as threads_used:
+    with use_threads(threads) as threads_used, drawn(progress) as tell:
+        tracker = Tracker(tell, refit_stages(chosen, len(large), len(given)))
         tracker.begin("render")
         with clock.time("targets"):
             fitting, deciding = view_targets(large, given, cameras, chosen, tracker.part)
         tracker.begin("fit")
         with clock.time("fit"):
             fitted, outcome = fit(given, fitting, deciding, chosen, tracker.part)
+        tracker.finish()
     report = RefitReport(
         parameters=asdict(chosen),
         original_count=len(large),
@@ -84,7 +88,6 @@ def refit(
         threads=threads_used,
         notes=outcome.notes,
     )
-    tracker.finish()
     return fitted, report
 
 

@@ -6,9 +6,11 @@ from os import PathLike
 from typing import TypeAlias
 
 from nanogs._types import F32
+from nanogs.bar import drawn
 from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background, Kind
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
+from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.render.camera import Camera
 from nanogs.splats import Splats
 
@@ -26,6 +28,7 @@ def render(
     background: Background = BLACK,
     transparent: bool = False,
     threads: int | None = None,
+    progress: Progress | bool | None = None,
 ) -> list[F32]:
     """Pictures of a model, one for each view; the same bytes for any number of threads.
 
@@ -39,6 +42,9 @@ def render(
         background: RGB in [0, 1].
         transparent: Give straight alpha too, and no background.
         threads: Threads to use; all by default.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`; the views are
+            parts of one stage.
 
     Returns:
         (H, W, 3) float32 for each view, RGB in [0, 1] as a screen shows it; with `transparent`
@@ -58,11 +64,13 @@ def render(
 
     behind = BLACK if transparent else background  # straight alpha is taken from one over black
     images = []
-    with use_threads(threads):
+    with use_threads(threads), drawn(progress) as tell:
+        tracker = Tracker(tell, [Stage("render", 1.0)])
         prepared = rasterize.prepare(splats)
-        for camera in chosen:
+        for camera in each(chosen, tracker.part):
             rendering = rasterize.render(prepared, camera, background=behind)
             images.append(straight(rendering) if transparent else rendering.shown())
+        tracker.finish()
     return images
 
 

@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nanogs.bar import drawn
 from nanogs.defaults import DEFAULT_MEMORY, PATIENCE
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
@@ -46,7 +47,7 @@ def simplify_blocks(
     scheduler: str | None = None,
     workers: int | None = None,
     patience: float = PATIENCE,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     spz_version: int | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> SimplifyReport:
@@ -76,8 +77,9 @@ def simplify_blocks(
         scheduler: Address of a Dask scheduler, in place of a client.
         workers: Processes to start on this machine, in place of a scheduler.
         patience: Seconds to wait for workers where a cluster has none, before the run ends.
-        progress: Called with each `nanogs.progress.Step`, its parts tasks; with "wait" in place of
-            a stage while a cluster has no worker.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`, its parts tasks; with "wait" in place of a stage
+            while a cluster has no worker.
         spz_version: Of a .spz file.
         **overrides: Parameters of the preset to replace.
 
@@ -113,7 +115,8 @@ def simplify_blocks(
     saving = {"spz_version": spz_version}
     made = BlockJob(settings, folder, scratch, Files((output,), saving, overwrite))
     where = Where(threads, client, scheduler, workers, patience)
-    done, counts = made.run(where, clock, progress, resume=resume)
+    with drawn(progress) as tell:
+        done, counts = made.run(where, clock, tell, resume=resume)
     return report_of(preset, goal, done, counts[0], clock, start)
 
 

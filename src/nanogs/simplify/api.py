@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nanogs.bar import drawn
 from nanogs.io import as_stored, encoded_bytes, registry
 from nanogs.io.models import Model, as_splats
 from nanogs.progress import Progress, Tracker
@@ -36,7 +37,7 @@ def simplify(
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[Splats, SimplifyReport]:
     """A smaller model of the same scene: of the ratio, the count, the size or the PSNR asked for.
@@ -60,8 +61,9 @@ def simplify(
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise.
         threads: Threads to use; all by default. The result does not depend on it.
-        progress: Called with each `nanogs.progress.Step`: the stage, which of how many it is, and
-            the fraction of the whole that is done; the last step has the fraction 1.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`: the stage, which of how many it is, and the
+            fraction of the whole that is done; the last step has the fraction 1.
         **overrides: Parameters of the preset to replace, such as `k=8`.
 
     Returns:
@@ -83,13 +85,13 @@ def simplify(
     # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.threads import use_threads
 
-    with use_threads(threads) as threads_used:
+    with use_threads(threads) as threads_used, drawn(progress) as tell:
         with clock.time("check"):
             job = prepare_job(splats, preset, overrides, cameras, nan)
             target = target_of(goal, splats, len(job.rows), path)
             refuse_misaligned_elements(splats, 1 if target is None else target)
         tracker = Tracker(
-            progress,
+            tell,
             simplify_stages(job.parameters, goal, len(job.rows), target, path.suffix),
         )
         if target is not None:
@@ -105,10 +107,10 @@ def simplify(
             stored = partial(as_stored, path=path, **dict(format_options or {}))
             outcome = _reach(job, goal.psnr or 0.0, stored, threads_used, clock, tracker)
         target = len(outcome.splats) if target is None else target
+        tracker.finish()
     if size is not None and target == len(job.rows):
         whole = "The whole model fits into the size asked for; nothing was merged."
         outcome = replace(outcome, notes=(*outcome.notes, whole))
-    tracker.finish()
     return outcome.splats, job.report(goal, target, outcome, threads_used, clock, start)
 
 
