@@ -94,7 +94,6 @@ BENT = [
     ("SIMPLE_RADIAL", 2, (70, 40, 30, 0.01)),
     ("RADIAL", 3, (70, 40, 30, 0, 0.01)),
     ("OPENCV", 4, (70, 71, 40, 30, 0, 0, 0, 1e-9)),
-    ("OPENCV", 4, (70, 71, 40, 30, 0, 0, 0, float("nan"))),
     ("FULL_OPENCV", 6, (70, 71, 40, 30, 0, 0, 0, 0, 0, 0, 0, 0.1)),
     ("FOV", 7, (70, 71, 40, 30, 0.9)),
     # Fisheyes bend lines without any distortion parameter.
@@ -107,10 +106,21 @@ BENT = [
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize(("model", "number", "params"), BENT)
-def test_distorted_models_name_model_and_remedy(tmp_path, encoding, model, number, params):
+def test_distorted_models_are_viewpoints_with_a_lens(tmp_path, encoding, model, number, params):
     given_model = number if encoding == "bin" else model
     cameras = [colmap_camera(model=given_model, params=params)]
-    with pytest.raises(FormatError, match=rf"{model}, .*image_undistorter"):
+    camera = read_model(write_model(tmp_path, cameras, encoding=encoding))[0]
+    fy = 70 if len(params) < 8 and model != "FOV" else 71
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (70, fy, 40, 30)
+    assert camera.lens.name == model
+    assert camera.lens.known == (model not in ("FOV", "THIN_PRISM_FISHEYE"))
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_a_lens_of_no_number_is_refused(tmp_path, encoding):
+    params = (70, 71, 40, 30, 0, 0, 0, float("nan"))
+    cameras = [colmap_camera(model="OPENCV", params=params)]
+    with pytest.raises(FormatError, match=r"camera 1, lens: is nan where a finite number"):
         read_model(write_model(tmp_path, cameras, encoding=encoding))
 
 

@@ -18,6 +18,7 @@ from nanogs.errors import OptionError
 from nanogs.formatting import number_text
 from nanogs.progress import Tracker
 from nanogs.render.camera import Camera
+from nanogs.render.lens import lens_notes
 from nanogs.render.rasterize import Rendering, prepare
 from nanogs.splats import Splats
 
@@ -129,7 +130,7 @@ def compare_models(
     ]
     if prepared.skipped:
         notes.append(f"the reference: {prepared.skipped:,} splats with a NaN were not drawn")
-    notes += _degree_notes(reference, models)
+    notes += [*_degree_notes(reference, models), *lens_notes(cameras)]
     scores, sheets = score_models(
         models, views, background, extras=extras, pictures=pictures, progress=progress
     )

@@ -12,12 +12,14 @@ from nanogs.datasets import fields
 from nanogs.datasets.frame import Frame
 from nanogs.datasets.photos import find_photo, photo_size
 from nanogs.errors import FormatError, OptionError
+from nanogs.render.lens import Lens
 
 # OpenGL cameras look along -z with y up, ours along +z with y down.
 _OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
 _MIN_ANGLE = 1e-6  # radians; below, the focal length leaves all bounds
-_DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye")
-# nerfstudio's names of models that are pinholes once their distortion is zero.
+_DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+_FISHEYE = "OPENCV_FISHEYE"
+# nerfstudio's names of models that are a pinhole behind a lens.
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 
 
@@ -40,8 +42,9 @@ def read_transforms(
         The frames in the file's order, `photo_path` None where there is no such photograph.
 
     Raises:
-        FormatError: The file is malformed, a camera is distorted or not rigid, an image is listed
-            twice, a photograph has another size than its frame states, or no size is known.
+        FormatError: The file is malformed, a camera is no pinhole behind a lens or not rigid, an
+            image is listed twice, a photograph has another size than its frame states, or no size
+            is known.
         OptionError: `width` is given for a file that states its sizes, or is no image side.
     """
     size = _given_size(path, width, height)
@@ -74,12 +77,12 @@ def _frame(path: Path, index: int, row: dict[str, Any], given: tuple[int, int] |
     where = f"{path}, frame {index}"
     listed = fields.text(row.get("file_path"), f"{where}, file_path")
     photo = find_photo(path.parent, posixpath.normpath(listed))
-    _refuse_distortion(row, where)
+    lens = _lens(row, where)
     size = _size(row, where, photo, given)
     pose = _pose(row.get("transform_matrix"), where)
     centre = (row.get("cx", size[0] / 2), row.get("cy", size[1] / 2))
     camera = fields.pinhole(
-        where, posixpath.normpath(listed), size, _focal(row, size[0], where), centre, pose
+        where, posixpath.normpath(listed), size, _focal(row, size[0], where), centre, pose, lens
     )
     return Frame(camera, photo)
 
@@ -132,12 +135,22 @@ def _pose(value: object, where: str) -> F64:
     return fields.inverted(rotation, camera_to_world[:3, 3], where)
 
 
-def _refuse_distortion(row: dict[str, Any], where: str) -> None:
+def _lens(row: dict[str, Any], where: str) -> Lens:
+    """The lens of a camera, as nerfstudio and instant-ngp state it.
+
+    Raises:
+        FormatError: The model is no pinhole behind a lens, or a parameter is not finite.
+    """
     model = row.get("camera_model", "PINHOLE")
-    bent = [key for key in _DISTORTION if row.get(key)]
-    if model not in _PINHOLES or bent:
-        what = f"{fields.shown(model)}" + (f" with {', '.join(bent)}" if bent else "")
+    if model not in (*_PINHOLES, _FISHEYE):
         raise FormatError(
-            f"{where}: its camera model {what} is no pinhole; undistort the photographs first, for "
-            "example with colmap image_undistorter"
+            f"{where}: its camera model {fields.shown(model)} is no pinhole; export the cameras as"
+            " pinholes"
         )
+    given = {key: fields.number(row.get(key, 0.0), f"{where}, {key}") for key in _DISTORTION}
+    radial = [given[f"k{power}"] for power in range(1, 7)]
+    if model == _FISHEYE or row.get("is_fisheye"):
+        return Lens(_FISHEYE, fisheye=True, above=tuple(radial[:4]), known=not any(radial[4:]))
+    # From k4 on, programs differ in what the parameters mean.
+    tangential = given["p1"], given["p2"]
+    return Lens(model, above=tuple(radial[:3]), tangential=tangential, known=not any(radial[3:]))

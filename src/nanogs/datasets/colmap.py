@@ -9,7 +9,7 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.datasets import fields
 from nanogs.datasets.colmap_binary import read_cameras_binary, read_images_binary
-from nanogs.datasets.colmap_models import ColmapCamera, ColmapImage, intrinsics
+from nanogs.datasets.colmap_models import ColmapCamera, ColmapImage, intrinsics, lens_of
 from nanogs.datasets.colmap_text import read_cameras_text, read_images_text
 from nanogs.datasets.photos import is_file
 from nanogs.errors import FormatError
@@ -34,7 +34,7 @@ def read_model(folder: Path) -> list[Camera]:
 
     Raises:
         FormatError: Files are missing or damaged, an image is listed twice or refers to no
-            camera, a camera is not a pinhole, or a pose is not rigid.
+            camera, a number is not finite, or a pose is not rigid.
     """
     cameras, images = _read(folder)
     if not images:
@@ -108,8 +108,9 @@ def _join(image: ColmapImage, cameras: dict[int, ColmapCamera], folder: Path) ->
             "export the model again from COLMAP"
         )
     camera = cameras[image.camera_id]
-    focal, centre = intrinsics(camera, where)
-    return fields.pinhole(where, image.name, camera.size, focal, centre, _pose(image, where))
+    focal, centre = intrinsics(camera)
+    lens = lens_of(camera, f"{where}: camera {camera.camera_id}")
+    return fields.pinhole(where, image.name, camera.size, focal, centre, _pose(image, where), lens)
 
 
 def _pose(image: ColmapImage, where: str) -> F64:

@@ -1,8 +1,10 @@
-"""COLMAP's camera models, as far as they are pinholes."""
+"""COLMAP's camera models: a pinhole, and what the lens does to its picture."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from nanogs.datasets import fields
 from nanogs.errors import FormatError
+from nanogs.render.lens import Lens
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,29 +15,35 @@ class Model:
         name: COLMAP's name of it.
         count: How many parameters it has.
         focals: 1 if fx and fy are one parameter, 2 if they are two.
-        flattens: Whether it is a pinhole once its distortion parameters are zero; a fisheye
-            is not.
+        order: Names of the parameters of the lens, which follow the principal point.
+        fisheye: Whether it is a fisheye, which bends lines without any parameter.
+        known: Whether its photographs can be straightened.
     """
 
     name: str
     count: int
     focals: int
-    flattens: bool
+    order: tuple[str, ...] = ()
+    fisheye: bool = False
+    known: bool = True
 
 
+_OPENCV = ("k1", "k2", "p1", "p2")
+_FULL = (*_OPENCV, "k3", "k4", "k5", "k6")
+_FISHEYE = ("k1", "k2", "k3", "k4")
 # The position in this list is the model's number in binary files.
 MODELS = (
-    Model("SIMPLE_PINHOLE", 3, 1, flattens=True),
-    Model("PINHOLE", 4, 2, flattens=True),
-    Model("SIMPLE_RADIAL", 4, 1, flattens=True),
-    Model("RADIAL", 5, 1, flattens=True),
-    Model("OPENCV", 8, 2, flattens=True),
-    Model("OPENCV_FISHEYE", 8, 2, flattens=False),
-    Model("FULL_OPENCV", 12, 2, flattens=True),
-    Model("FOV", 5, 2, flattens=True),
-    Model("SIMPLE_RADIAL_FISHEYE", 4, 1, flattens=False),
-    Model("RADIAL_FISHEYE", 5, 1, flattens=False),
-    Model("THIN_PRISM_FISHEYE", 12, 2, flattens=False),
+    Model("SIMPLE_PINHOLE", 3, 1),
+    Model("PINHOLE", 4, 2),
+    Model("SIMPLE_RADIAL", 4, 1, ("k1",)),
+    Model("RADIAL", 5, 1, ("k1", "k2")),
+    Model("OPENCV", 8, 2, _OPENCV),
+    Model("OPENCV_FISHEYE", 8, 2, _FISHEYE, fisheye=True),
+    Model("FULL_OPENCV", 12, 2, _FULL),
+    Model("FOV", 5, 2, known=False),
+    Model("SIMPLE_RADIAL_FISHEYE", 4, 1, ("k1",), fisheye=True),
+    Model("RADIAL_FISHEYE", 5, 1, ("k1", "k2"), fisheye=True),
+    Model("THIN_PRISM_FISHEYE", 12, 2, fisheye=True, known=False),
 )
 BY_NAME = {model.name: model for model in MODELS}
 
@@ -77,22 +85,33 @@ class ColmapImage:
     name: str
 
 
-def intrinsics(camera: ColmapCamera, where: str) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return a camera's focal lengths (fx, fy) and principal point (cx, cy), in pixels.
-
-    Raises:
-        FormatError: Its model bends lines: it is a fisheye, or has a distortion that is not zero.
-    """
+def intrinsics(camera: ColmapCamera) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return a camera's focal lengths (fx, fy) and principal point (cx, cy), in pixels."""
     model, params = camera.model, camera.params
-    distortion = params[model.focals + 2 :]
-    # Not `any`: a NaN is not zero either, and both must be refused.
-    if not model.flattens or any(value != 0 for value in distortion):
-        raise FormatError(
-            f"{where}: camera {camera.camera_id} has model {model.name}, which is distorted; "
-            "undistort photographs and cameras with colmap image_undistorter"
-        )
     fx, fy = params[0], params[model.focals - 1]
     return (fx, fy), (params[model.focals], params[model.focals + 1])
+
+
+def lens_of(camera: ColmapCamera, where: str) -> Lens:
+    """Return a camera's lens, which may be one that bends nothing.
+
+    Raises:
+        FormatError: A parameter is not finite.
+    """
+    model = camera.model
+    values = [fields.number(value, f"{where}, lens") for value in camera.params[model.focals + 2 :]]
+    if not model.known:  # zeros bend nothing, but for a fisheye
+        return Lens(model.name, fisheye=model.fisheye, known=not any(values) and not model.fisheye)
+    given = dict(zip(model.order, values, strict=True))
+    numerator = _FISHEYE if model.fisheye else ("k1", "k2", "k3")
+    lens = Lens(
+        model.name,
+        fisheye=model.fisheye,
+        above=tuple(given.get(name, 0.0) for name in numerator),
+        tangential=(given.get("p1", 0.0), given.get("p2", 0.0)),
+    )
+    below = () if model.fisheye else tuple(given.get(name, 0.0) for name in ("k4", "k5", "k6"))
+    return replace(lens, below=below)
 
 
 def unknown_model(where: str, given: object) -> FormatError:

@@ -12,6 +12,7 @@ from nanogs.datasets.fields import read_json
 from nanogs.datasets.frame import Frame
 from nanogs.datasets.inria import read_cameras_json
 from nanogs.datasets.photos import find_photo, is_file, photo_size, read_photo
+from nanogs.datasets.undistort import straightened, undistorted
 from nanogs.errors import FormatError, OptionError
 from nanogs.render.camera import Camera
 
@@ -49,11 +50,11 @@ class Dataset:
             name: "test" or "train".
 
         Returns:
-            At least one frame; every one has a photograph.
+            At least one frame; every one has a photograph, and a camera without a lens.
 
         Raises:
-            FormatError: The split, a photograph or a camera is missing or unusable, or a photograph
-                has another size than its camera.
+            FormatError: The split, a photograph or a camera is missing or unusable, a photograph
+                has another size than its camera, or its lens cannot be taken out of it.
             OptionError: `name` is no split.
         """
         if name not in ("test", "train"):
@@ -68,6 +69,8 @@ class Dataset:
     def load_photo(self, frame: Frame, background: Sequence[float] | F) -> F32:
         """Decode one frame's photograph, composited on a background where it is transparent.
 
+        What the lens bent is straightened, for the frame's camera.
+
         Args:
             frame: One of this data set's.
             background: Three numbers in [0, 1], RGB.
@@ -80,18 +83,19 @@ class Dataset:
             OptionError: The background is not three numbers in [0, 1].
         """
         size = frame.camera.width, frame.camera.height
-        return read_photo(
+        photo = read_photo(
             _present(frame.photo_path, self.path, frame.camera.name), size, background
         )
+        return undistorted(photo, frame.taken_by, frame.camera) if frame.taken_by else photo
 
     def _blender(self, name: Split) -> list[Frame]:
         file = self.path / f"transforms_{name}.json"
         if not is_file(file):
             raise FormatError(f"{self.path}: has no {name} split; put its cameras into {file.name}")
-        frames = read_transforms(file)
-        for frame in frames:
-            _present(frame.photo_path, file, frame.camera.name)
-        return frames
+        return [
+            _straight(frame.camera, _present(frame.photo_path, file, frame.camera.name))
+            for frame in read_transforms(file)
+        ]
 
     def _colmap(self, name: Split, images: Path) -> list[Frame]:
         cameras = read_model(_sparse(self.path) or self.path)
@@ -153,7 +157,8 @@ def cameras_from_file(
 
     Returns:
         All cameras, with the sizes that the file states. A COLMAP model's are sorted by name,
-        others keep the file's order, files in the order train, validation, test.
+        others keep the file's order, files in the order train, validation, test. A lens that bends
+        the picture is in `Camera.lens`, and left out where it is rendered.
 
     Raises:
         FormatError: The file is missing or damaged, of no known layout, or states no size.
@@ -213,7 +218,14 @@ def _image_folder(folder: Path, images: str | None) -> Path:
 
 def _frame_in(images: Path, camera: Camera) -> Frame:
     photo = _present(find_photo(images, camera.name), images, camera.name)
-    return Frame(scaled(camera, photo_size(photo), str(photo)), photo)
+    return _straight(scaled(camera, photo_size(photo), str(photo)), photo)
+
+
+def _straight(camera: Camera, photo: Path) -> Frame:
+    """A frame whose camera is a pinhole."""
+    if camera.lens is None:
+        return Frame(camera, photo)
+    return Frame(straightened(camera, str(photo)), photo, camera)
 
 
 def _present(photo: Path | None, place: Path, name: str) -> Path:

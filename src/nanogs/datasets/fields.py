@@ -14,6 +14,7 @@ from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.files import TOLD_BY, refuse_stand_in
 from nanogs.render.camera import Camera
+from nanogs.render.lens import Lens
 
 RIGID_TOLERANCE = 1e-3  # largest entry of |RᵀR - I| taken for rounding
 MAX_SIDE = 65_536  # pixels; a larger side is damage, and would be allocated by a renderer
@@ -151,6 +152,7 @@ def pinhole(
     focal: tuple[float, float],
     centre: tuple[float, float],
     world_to_camera: F64,
+    lens: Lens | None = None,
 ) -> Camera:
     """Build a camera of checked intrinsics.
 
@@ -161,6 +163,7 @@ def pinhole(
         focal: Focal lengths fx and fy in pixels.
         centre: Principal point cx and cy, pixels from the image's top left corner.
         world_to_camera: (4, 4) float64, rigid.
+        lens: What bends its picture.
 
     Raises:
         FormatError: A focal length is not positive or a value is not finite.
@@ -173,7 +176,8 @@ def pinhole(
             f"{where}: its focal length is {min(fx, fy):g} where a positive number of pixels is "
             "needed; export the cameras again"
         )
-    return Camera(width, height, fx, fy, cx, cy, world_to_camera, name)
+    bent = lens if lens and lens.bends() else None
+    return Camera(width, height, fx, fy, cx, cy, world_to_camera, name, lens=bent)
 
 
 def refuse_repeats(names: Iterable[object], where: str, noun: str) -> None:

@@ -61,6 +61,7 @@ def refit(
     # Here and not above: these bring Numba, which `--help` does without.
     from nanogs.refit.rounds import fit
     from nanogs.refit.views import view_targets
+    from nanogs.render.lens import lens_notes
     from nanogs.threads import use_threads
 
     with use_threads(threads) as threads_used, drawn(progress) as tell:
@@ -86,7 +87,7 @@ def refit(
         seconds=clock.seconds,
         total_seconds=time.perf_counter() - begin,
         threads=threads_used,
-        notes=outcome.notes,
+        notes=(*lens_notes(cameras or ()), *outcome.notes),
     )
     return fitted, report
 

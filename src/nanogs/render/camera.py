@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from nanogs._types import F64
+from nanogs.render.lens import Lens
 
 Item = TypeVar("Item")
 
@@ -28,6 +29,7 @@ class Camera:
         world_to_camera: (4, 4) float64, rigid; its upper rows are [R | t], t in scene units.
         name: What reports and files call this view.
         near: Splats whose centre is not farther than this are culled, scene units.
+        lens: What bent the picture that the camera took; renderers leave it out.
     """
 
     width: int
@@ -39,6 +41,7 @@ class Camera:
     world_to_camera: F64
     name: str = ""
     near: float = NEAR
+    lens: Lens | None = None
 
     @property
     def position(self) -> F64:

@@ -11,6 +11,7 @@ from nanogs.errors import OptionError, OutputError
 from nanogs.io.atomic import atomic_write
 from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.render.camera import Camera
+from nanogs.render.lens import lens_notes
 from nanogs.render.rasterize import Rendering, prepare, render
 from nanogs.splats import Splats
 
@@ -51,7 +52,7 @@ def render_images(
     folder, names = _places(target, cameras)
     prepared = prepare(splats)
     written: list[str] = []
-    notes: dict[str, None] = {}
+    notes: dict[str, None] = dict.fromkeys(lens_notes(cameras))
     tracker = Tracker(progress, [Stage("render", 1.0)])
     for camera, name in each(zip(cameras, names, strict=True), tracker.part):
         rendering = render(prepared, camera, background=background, depth=depth)

@@ -14,6 +14,7 @@ from nanogs.progress import Tracker
 from nanogs.refit.api import refit
 from nanogs.refit.report import RefitReport
 from nanogs.render.camera import Camera
+from nanogs.render.lens import lens_notes
 from nanogs.report import CandidateReport, RecolourReport, StageClock, StopReason
 from nanogs.simplify.choose import BALANCES, Candidate, choose_model
 from nanogs.simplify.cut import cut
@@ -84,6 +85,7 @@ def build_forest(
         with clock.time("look"):
             try:
                 views = look(splats, cameras, parameters.views, progress.part)
+                notes = tuple(lens_notes(cameras or ()))
             except ModelError as error:
                 notes = (f"Nothing was measured: {error}",)
     progress.begin("activate")

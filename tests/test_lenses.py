@@ -1,0 +1,201 @@
+"""Cameras with lenses: poses as they are, and photographs straightened."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from builders import random_splats
+from dataset_files import colmap_camera, colmap_image, transforms, write_json, write_model
+from nanogs import io
+from nanogs.datasets.dataset import cameras_from_file, open_dataset
+from nanogs.errors import FormatError
+from nanogs.render.lens import Lens, lens_notes
+from test_cli import run
+
+SIZE = (160, 120)
+WHITE = (1.0, 1.0, 1.0)
+
+
+def by_hand(model, params, x, y):
+    """Where a lens moves a point, as COLMAP's models.h has it."""
+    r2 = x * x + y * y
+    if model == "SIMPLE_RADIAL":
+        return x * (1 + params[0] * r2), y * (1 + params[0] * r2)
+    if model == "RADIAL":
+        radial = params[0] * r2 + params[1] * r2**2
+        return x * (1 + radial), y * (1 + radial)
+    if model == "OPENCV":
+        k1, k2, p1, p2 = params
+        radial = k1 * r2 + k2 * r2**2
+        return (
+            x + x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y + y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y),
+        )
+    if model == "FULL_OPENCV":
+        k1, k2, p1, p2, k3, k4, k5, k6 = params
+        radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+        return (
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y),
+        )
+    r = math.sqrt(r2)
+    theta = math.atan(r)
+    bent = theta * (1 + sum(k * theta ** (2 * n + 2) for n, k in enumerate(params)))
+    return (x * bent / r, y * bent / r) if r else (x, y)
+
+
+# Focal lengths, principal point, and what the lens does.
+LENSES = {
+    "SIMPLE_RADIAL": (120.0, 80.0, 60.0, -0.2),
+    "RADIAL": (120.0, 81.0, 59.0, 0.15, 0.05),
+    "OPENCV": (120.0, 121.0, 79.0, 61.0, -0.25, 0.08, 0.004, -0.003),
+    "FULL_OPENCV": (120.0, 121.0, 79.0, 61.0, 0.1, 0.02, 0.001, 0.002, 0.01, 0.2, 0.03, 0.01),
+    "OPENCV_FISHEYE": (90.0, 91.0, 79.0, 61.0, 0.05, -0.02, 0.003, -0.001),
+    "SIMPLE_RADIAL_FISHEYE": (90.0, 80.0, 60.0, 0.03),
+    "RADIAL_FISHEYE": (90.0, 80.0, 60.0, 0.03, -0.01),
+}
+NUMBERS = {"SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5, "FULL_OPENCV": 6,
+           "SIMPLE_RADIAL_FISHEYE": 8, "RADIAL_FISHEYE": 9}  # fmt: skip
+
+
+def split_params(model):
+    """(fx, fy, cx, cy) and the lens's own."""
+    params = LENSES[model]
+    if model in ("OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"):
+        return params[:4], params[4:]
+    return (params[0], params[0], *params[1:3]), params[3:]
+
+
+def pattern(x, y):
+    """A picture at distance 1, smooth, and different everywhere."""
+    red = 0.5 + 0.4 * np.sin(5 * x + 1) * np.cos(4 * y)
+    return np.stack([red, 0.5 + 0.4 * np.sin(3 * x * y + x), 0.5 + 0.3 * np.cos(6 * y)], axis=-1)
+
+
+def taken(model):
+    """What a camera with that lens sees of the pattern: each pixel's ray is found by iteration."""
+    (fx, fy, cx, cy), lens = split_params(model)
+    u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
+    wanted = np.stack([(u - cx) / fx, (v - cy) / fy], axis=-1)
+    bend = np.vectorize(lambda x, y: by_hand(model, lens, x, y))
+    ray = wanted.copy()
+    for _ in range(30):
+        ray += wanted - np.stack(bend(ray[..., 0], ray[..., 1]), axis=-1)
+    return pattern(ray[..., 0], ray[..., 1])
+
+
+@pytest.fixture(params=LENSES)
+def capture(request, tmp_path):
+    """A COLMAP capture of one lens, every photograph of the pattern."""
+    model = request.param
+    camera = colmap_camera(model=NUMBERS[model], size=SIZE, params=LENSES[model])
+    images = [colmap_image(n + 1, f"{n}.png") for n in range(2)]
+    write_model(tmp_path / "sparse" / "0", [camera], images)
+    (tmp_path / "images").mkdir()
+    photo = Image.fromarray(np.rint(taken(model) * 255).astype(np.uint8))
+    for n in range(2):
+        photo.save(tmp_path / "images" / f"{n}.png")
+    return tmp_path, model
+
+
+def test_photographs_are_straightened(capture):
+    folder, model = capture
+    data = open_dataset(folder)
+    (frame,) = data.split("test")
+    camera = frame.camera
+    assert camera.lens is None
+    (fx, _, cx, cy), _ = split_params(model)
+    assert 1 <= camera.fx / fx < 1.5
+    assert (camera.cx, camera.cy) == (cx, cy)
+    u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
+    seen = pattern((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+    error = np.abs(data.load_photo(frame, WHITE) - seen)
+    assert error.max() < 0.02
+    assert error.mean() < 0.004  # bytes, and the middle between pixels
+
+
+def test_a_straight_photograph_is_no_wider_than_the_one_taken(capture):
+    """No pixel of it is made up: the corners come from inside."""
+    folder, model = capture
+    (frame,) = open_dataset(folder).split("test")
+    camera, ((fx, fy, cx, cy), lens) = frame.camera, split_params(model)
+    for u, v in [(0.5, 0.5), (159.5, 0.5), (0.5, 119.5), (159.5, 119.5), (80, 0.5), (0.5, 60)]:
+        x, y = by_hand(model, lens, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+        assert 0 <= x * fx + cx <= SIZE[0]
+        assert 0 <= y * fy + cy <= SIZE[1]
+
+
+def test_the_same_cameras_as_viewpoints_are_what_they_are(capture):
+    folder, model = capture
+    cameras = cameras_from_file(folder)
+    (fx, fy, cx, cy), _ = split_params(model)
+    assert (cameras[0].fx, cameras[0].fy, cameras[0].cx, cameras[0].cy) == (fx, fy, cx, cy)
+    assert cameras[0].lens.name == model
+    assert lens_notes(cameras) == [
+        "The lens distortion of 2 cameras is left out: views are those of pinholes."
+    ]
+
+
+STATED = {
+    "OPENCV": {"camera_model": "OPENCV", "k1": -0.25, "k2": 0.08, "p1": 0.004, "p2": -0.003},
+    "OPENCV_FISHEYE": {"is_fisheye": True, "k1": 0.05, "k2": -0.02, "k3": 0.003, "k4": -0.001},
+}
+
+
+@pytest.mark.parametrize("model", STATED)
+def test_transforms_files_say_the_same(tmp_path, model):
+    (fx, fy, cx, cy), lens = split_params(model)
+    stated = {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": SIZE[0], "h": SIZE[1]}
+    Image.fromarray(np.rint(taken(model) * 255).astype(np.uint8)).save(tmp_path / "r_0.png")
+    frames = [{"file_path": "r_0", "transform_matrix": np.eye(4).tolist()}]
+    write_json(tmp_path / "transforms_test.json", transforms(frames, **stated, **STATED[model]))
+    data = open_dataset(tmp_path)
+    (frame,) = data.split("test")
+    u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
+    seen = pattern((u - cx) / frame.camera.fx, (v - cy) / frame.camera.fy)
+    assert np.abs(data.load_photo(frame, WHITE) - seen).max() < 0.02
+    (camera,) = cameras_from_file(tmp_path / "transforms_test.json")
+    x, y = camera.lens.distorted(np.array([0.3]), np.array([-0.2]))
+    assert (x[0], y[0]) == pytest.approx(by_hand(model, lens, 0.3, -0.2))
+
+
+@pytest.mark.parametrize(
+    ("stated", "words"),
+    [
+        ({"k1": 0.1, "k4": 0.1}, "PINHOLE, cannot be taken out of the photograph"),
+        ({"k1": -3.0}, "bends too strongly"),
+    ],
+)
+def test_lenses_that_cannot_be_taken_out_are_refused_for_photographs(tmp_path, stated, words):
+    Image.new("RGB", SIZE).save(tmp_path / "r_0.png")
+    frames = [{"file_path": "r_0", "transform_matrix": np.eye(4).tolist()}]
+    file = tmp_path / "transforms_test.json"
+    write_json(file, transforms(frames, w=SIZE[0], h=SIZE[1], fl_x=20.0, **stated))
+    with pytest.raises(FormatError, match=words) as caught:
+        open_dataset(tmp_path).split("test")
+    assert "image_undistorter" in str(caught.value)
+    assert len(cameras_from_file(file)) == 1
+
+
+def test_a_lens_that_turns_back_is_told():
+    assert Lens("a", above=(-0.3,)).turns_back(1.2)
+    assert not Lens("a", above=(-0.3,)).turns_back(1.0)
+    assert not Lens("a", fisheye=True).turns_back(50.0)
+
+
+def test_the_command_says_that_distortion_is_left_out(tmp_path):
+    io.save(random_splats(30), tmp_path / "a.ply")
+    frames = [{"file_path": "v.png", "transform_matrix": np.eye(4).tolist()}]
+    pose = {"fl_x": 60, "w": 64, "h": 48, "k1": -0.1, "camera_model": "OPENCV"}
+    cameras = write_json(tmp_path / "transforms.json", transforms(frames, **pose))
+    result = run("render", tmp_path / "a.ply", tmp_path / "out", "--cameras", cameras)
+    assert result.returncode == 0, result.stderr
+    assert "lens distortion of 1 camera is left out" in result.stderr
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["v.png"]
+    result = run("compare", tmp_path / "a.ply", tmp_path / "a.ply", "--cameras", cameras, "--json")
+    assert any(
+        "lens distortion of 1 camera " in note for note in json.loads(result.stdout)["notes"]
+    )
