@@ -4,10 +4,11 @@ from collections.abc import Iterator
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from nanogs.errors import OptionError
 from nanogs.io import atomic, registry
+from nanogs.io.file_objects import as_named, read_file, write_file
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format
@@ -30,20 +31,33 @@ __all__ = [
 ]
 
 
-def load(path: str | PathLike[str], *, level: int = 0) -> Splats:
+def load(
+    path: str | PathLike[str] | BinaryIO,
+    *,
+    level: int = 0,
+    format: str | None = None,  # noqa: A002 - what it is called everywhere
+) -> Splats:
     """Read a model from a file of any format that nanogs knows.
 
     Args:
-        path: The file.
+        path: The file, or one that is open for reading bytes, such as `io.BytesIO`, which is read
+            from where it stands to its end.
         level: Of a streamed model, which level of detail; 0 is the finest.
+        format: Suffix of the format; by default that of the name, or, of an open file without
+            one, by its first bytes.
 
     Raises:
         FormatError: The suffix is unknown, the file cannot be read, is damaged, or holds
             something that cannot be kept.
-        OptionError: There is no such level.
+        OptionError: There is no such level, or nothing says the format of an open file.
+        OutputError: An open file cannot be copied to a temporary one.
     """
+    if not isinstance(path, str | PathLike):
+        if level != 0:
+            raise OptionError("An open file has no levels of detail; leave the level out.")
+        return read_file(path, format)
     path = Path(path)
-    known = registry.reader(path)
+    known = registry.reader(as_named(path, format))
     if known.read_level is not None:
         return known.read_level(path, level)
     if level != 0:
@@ -74,9 +88,10 @@ def stream(path: str | PathLike[str]) -> Iterator[Splats]:
 
 def save(
     splats: Splats,
-    path: str | PathLike[str],
+    path: str | PathLike[str] | BinaryIO,
     *,
     overwrite: bool = False,
+    format: str | None = None,  # noqa: A002 - what it is called everywhere
     **options: Any,  # noqa: ANN401 - checked against those of the format
 ) -> None:
     """Write a model to a file, which appears whole or not at all.
@@ -86,8 +101,11 @@ def save(
 
     Args:
         splats: The model.
-        path: The file; its suffix says the format.
+        path: The file, or one that is open for writing bytes, such as `io.BytesIO`, into which it
+            is written where that stands.
         overwrite: Replace a file that exists.
+        format: Suffix of the format; by default that of the name. An open file without a name
+            needs it.
         **options: Of the format: `spz_version`, 2, 3 (as by default) or 4.
 
     Raises:
@@ -97,13 +115,17 @@ def save(
         OutputError: The file or folder exists and `overwrite` is off, or it cannot be written.
     """
     refuse_other(splats)
+    if not isinstance(path, str | PathLike):
+        write_file(splats, path, format, options)
+        return
     path = Path(path)
-    known = registry.writable(path)
+    named = as_named(path, format)
+    known = registry.writable(named)
     if known.write_folder:
         folder, chosen = _folder_of(path, known), registry.keywords(known, options)
         known.write_folder(splats, folder, overwrite=overwrite, **chosen)
         return
-    write = registry.writer(path, options)
+    write = registry.writer(named, options)
     with atomic.atomic_write(path, overwrite=overwrite) as file:
         write(splats, file)
 

@@ -1,0 +1,145 @@
+"""Open files in place of names."""
+
+import io
+import tempfile
+import zipfile
+
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs.errors import FormatError, OptionError, OutputError
+from nanogs.io import registry
+from strategies import assert_same
+
+WRITTEN = [known.suffix for known in registry.formats() if known.write]
+
+
+@pytest.fixture(autouse=True)
+def own_temporary_folder(tmp_path, monkeypatch):
+    """What is left behind is seen."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield
+    assert list(folder.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def model():
+    return random_splats(60, degree=1)
+
+
+@pytest.mark.parametrize("suffix", WRITTEN)
+def test_bytes_are_those_of_a_file(model, suffix, tmp_path):
+    path, file = tmp_path / f"a{suffix}", io.BytesIO()
+    nanogs.save(model, path)
+    nanogs.save(model, file, format=suffix.removeprefix("."))
+    assert file.getvalue() == path.read_bytes()
+    if registry.find(path).readable:
+        file.seek(0)
+        assert_same(nanogs.load(file, format=suffix), nanogs.load(path))
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".npz"])
+def test_the_first_bytes_say_the_format(model, suffix):
+    file = io.BytesIO()
+    nanogs.save(model, file, format=suffix)
+    file.seek(0)
+    assert len(nanogs.load(file)) == 60
+
+
+def test_names_of_open_files_say_the_format(model, tmp_path):
+    path = tmp_path / "a.splat"
+    with path.open("wb") as file:
+        nanogs.save(model, file)
+    with path.open("rb") as file:
+        assert len(nanogs.load(file)) == 60
+
+
+def test_a_file_goes_on_from_where_it_stands(model):
+    file = io.BytesIO(b"head")
+    file.seek(4)
+    nanogs.save(model, file, format=".splat")
+    assert file.getvalue()[:4] == b"head"
+    file.seek(4)
+    assert len(nanogs.load(file, format=".splat")) == 60
+
+
+def test_members_of_archives(model, tmp_path):
+    path = tmp_path / "all.zip"
+    with zipfile.ZipFile(path, "w") as archive, archive.open("scene.spz", "w") as member:
+        nanogs.save(model, member, format=".spz", spz_version=3)
+    with zipfile.ZipFile(path) as archive, archive.open("scene.spz") as member:
+        assert len(nanogs.load(member)) == 60
+
+
+def test_paths_with_a_format_that_is_not_their_name(model, tmp_path):
+    path = tmp_path / "model.bin"
+    nanogs.save(model, path, format=".splat")
+    assert path.stat().st_size == 60 * 32
+    assert len(nanogs.load(path, format="splat")) == 60
+    with pytest.raises(FormatError, match="unknown suffix"):
+        nanogs.load(path)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda m: nanogs.load(io.BytesIO(b"abc")), OptionError, "does not say its format"),
+        (lambda m: nanogs.load(io.BytesIO(b"abc"), format="obj"), FormatError, "unknown suffix"),
+        (lambda m: nanogs.load(io.BytesIO(b""), format=".ply"), FormatError, r"^stream\.ply is em"),
+        (lambda m: nanogs.load(io.BytesIO(b"ply\n")), FormatError, r"^stream\.ply"),
+        (lambda m: nanogs.load(io.StringIO("ply")), OptionError, 'as text; open it with "rb"'),
+        (lambda m: nanogs.load(7), OptionError, "path or an open file is needed to read .*not int"),
+        (lambda m: nanogs.load(io.BytesIO(b""), level=1), OptionError, "no levels"),
+        (lambda m: nanogs.save(m, io.BytesIO()), OptionError, "has no format by itself"),
+        (lambda m: nanogs.save(m, io.StringIO(), format=".ply"), OptionError, 'with "wb"'),
+        (lambda m: nanogs.save(m, 7), OptionError, "is needed to write a model, not int"),
+        (lambda m: nanogs.save(m, io.BytesIO(), format="ksplat"), OptionError, "does not write"),
+        (lambda m: nanogs.save(m, io.BytesIO(), format=".ply", spz_version=4), OptionError, "spz"),
+    ],
+)
+def test_what_is_refused(model, call, error, message):
+    with pytest.raises(error, match=message):
+        call(model)
+
+
+def test_a_format_of_folders_does_not_go_into_a_file(model):
+    with pytest.raises(OptionError, match="folder of files"):
+        nanogs.save(model, io.BytesIO(), format="meta.json")
+
+
+class Broken(io.RawIOBase):
+    """A disk that is full, or a line that is cut."""
+
+    def write(self, data):
+        raise OSError(28, "No space left on device")
+
+    def read(self, size=-1):
+        raise OSError(5, "Input/output error")
+
+
+def test_failures_of_the_file_are_said(model):
+    with pytest.raises(OutputError, match=r"cannot be written \(No space left"):
+        nanogs.save(model, Broken(), format=".ply")
+    with pytest.raises(OutputError, match=r"cannot be copied .*\(Input/output error\)"):
+        nanogs.load(Broken(), format=".ply")
+
+
+def test_nothing_half_written_where_a_format_cannot_hold_the_model(model):
+    file = io.BytesIO()
+    bad = random_splats(3, extras={"a\0b": model.opacity_logits[:3]})
+    with pytest.raises(OutputError):
+        nanogs.save(bad, file, format=".npz")
+    assert file.getvalue() == b""
+
+
+def test_large_files_go_to_the_disk(model, monkeypatch):
+    from nanogs.io import file_objects
+
+    monkeypatch.setattr(file_objects, "_IN_MEMORY", 16)
+    file = io.BytesIO()
+    nanogs.save(model, file, format=".ply")
+    file.seek(0)
+    assert_same(nanogs.load(file), model)
