@@ -190,3 +190,36 @@ def test_lod_says_that_the_finest_level_is_not_the_whole(folder, tmp_path):
     text = run("lod", folder / "a.ply", tmp_path / "l", *fast, "--levels", "1,0.1").stderr
     assert "finest level" not in text
     assert len(nanogs.load(tmp_path / "l" / "level_0.ply")) == 400
+
+
+# The degree of spherical harmonics
+
+
+def test_simplify_drops_bands(folder, tmp_path):
+    small = tmp_path / "small.ply"
+    arguments = ("simplify", folder / "a.ply", small, "--preset", "fast", "--sh-degree", "0")
+    result = run(*arguments, "-r", "0.1")
+    assert result.returncode == 0, result.stderr
+    assert "above degree 0 were dropped" in result.stderr
+    assert nanogs.load(small).sh_degree == 0
+    assert run(*arguments, "--size", "3kB", "-w").returncode == 0
+    assert nanogs.load(small).sh_degree == 0
+    assert 2900 < small.stat().st_size <= 3000
+    planned = json.loads(run(*arguments, "-r", "0.1", "-w", "--dry-run", "--json").stdout)
+    whole = json.loads(run(*arguments[:-2], "-r", "0.1", "-w", "--dry-run", "--json").stdout)
+    assert planned["memory_bytes"]["peak"] < whole["memory_bytes"]["peak"]
+    # A model of that degree has nothing to drop.
+    same = run("simplify", small, tmp_path / "same.ply", "-r", "1", *arguments[3:])
+    assert "dropped" not in same.stderr
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (["--sh-degree", "5", "-r", "0.1"], ["0 to 4", "5"]),
+        (["--sh-degree", "1", "--psnr", "30"], ["--psnr", "nanogs convert"]),
+    ],
+)
+def test_degrees_that_make_no_sense_are_refused(folder, tmp_path, given, words):
+    assert_refused(run("simplify", folder / "a.ply", tmp_path / "x.ply", *given), *words)
+    assert list(tmp_path.iterdir()) == []

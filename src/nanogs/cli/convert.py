@@ -18,10 +18,7 @@ def convert(
         int,
         typer.Option(min=0, help="Level of detail to read of a lod-meta.json; 0 is the finest."),
     ] = 0,
-    sh_degree: Annotated[
-        int | None,
-        typer.Option(help="Drop the spherical harmonics above this degree, 0 to 4."),
-    ] = None,
+    sh_degree: file_options.ShDegree = None,
     turn: Annotated[
         bool,
         typer.Option(

@@ -73,6 +73,13 @@ FrameOption = Annotated[
         metavar="[IN:]OUT",
     ),
 ]
+ShDegree = Annotated[
+    int | None,
+    typer.Option(
+        help="Drop the spherical harmonics above this degree, 0 to 4, before anything else.",
+        metavar="DEGREE",
+    ),
+]
 Crop = Annotated[
     list[str] | None,
     typer.Option(

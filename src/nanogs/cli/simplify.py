@@ -50,6 +50,7 @@ def simplify(
     preset: method.Preset = DEFAULT_PRESET,
     nan: method.NanOption = method.Nan.drop,
     frame: file_options.FrameOption = None,
+    sh_degree: file_options.ShDegree = None,
     spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
     threads: options.Threads = None,
@@ -91,7 +92,7 @@ def simplify(
     """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
-        from nanogs.cli import filtering, framing, many, streams, too_large
+        from nanogs.cli import framing, many, reading, streams, too_large
         from nanogs.cli.simplify_report import print_report
         from nanogs.cli.simplify_run import Request, plan_one, run_one
         from nanogs.simplify.target import Goal
@@ -110,7 +111,9 @@ def simplify(
         goal=Goal(ratio, count, None if size is None else parse_bytes(size), psnr),
         preset=preset,
         chosen=chosen,
-        filters=filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters),
+        reading=reading.parse_reading(
+            crop, min_opacity, drop_floaters=drop_floaters, sh_degree=sh_degree, psnr=psnr
+        ),
         saving={"overwrite": overwrite, "spz_version": spz_version},
         frames=framing.parse_frames(frame),
         cameras=cameras,

@@ -1,7 +1,6 @@
 """What `nanogs simplify` does with each file: plan it, and simplify it."""
 
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,10 +9,10 @@ from nanogs.ahead import compile_ahead
 from nanogs.cli.console import with_file_seconds
 from nanogs.cli.framing import Frames, frames_of
 from nanogs.cli.importing import uncollected
+from nanogs.cli.reading import Reading
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_wish
 from nanogs.cli.too_large import Blocks, refuse_whole_model_wishes
 from nanogs.errors import OptionError
-from nanogs.filters import Filter, FilterReport, apply
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
@@ -25,9 +24,8 @@ from nanogs.simplify.api import simplify as library_simplify
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.job import import_stages, usable_rows
 from nanogs.simplify.presets import Parameters, renders
-from nanogs.simplify.stages import read_weight, simplify_stages, write_weight
+from nanogs.simplify.stages import simplify_stages, write_weight
 from nanogs.simplify.target import Goal
-from nanogs.splats import Splats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +36,7 @@ class Request:
         goal: The wish.
         preset: Name of the preset.
         chosen: Parameters of the method.
-        filters: To apply first.
+        reading: What is done to the model first.
         saving: What `save` takes.
         frames: From and to where the result is turned, as given, or None.
         cameras: As `requested_cameras` takes it.
@@ -53,7 +51,7 @@ class Request:
     goal: Goal
     preset: str
     chosen: Parameters
-    filters: Sequence[Filter]
+    reading: Reading
     saving: dict[str, Any]
     frames: Frames | None
     cameras: str
@@ -101,7 +99,7 @@ def run_one(request: Request, pair: Pair, progress: Progress) -> dict[str, Any]:
 
 def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
     """Check the files and the goal; the count that it comes to, where that is known yet."""
-    goal, filters = request.goal, request.filters
+    goal, reading = request.goal, request.reading
     refuse_searches(goal, request.preset, pair.target)
     frames = frames_of(pair, request.frames)
     if frames and goal.size is not None and not registry.has_known_size(pair.target):
@@ -110,6 +108,7 @@ def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
             " it with `nanogs convert` before."
         )
     info, blocks = inspect(pair.source), request.blocks
+    info = replace(info, sh_degree=reading.degree(info.sh_degree))
     if blocks.joined:
         info = replace(info, splats=sum(inspect(path).splats for path in blocks.joined))
     begun = blocks.is_begun(pair.target, overwrite=request.saving["overwrite"])
@@ -118,14 +117,15 @@ def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
     whole = Plan(info, goal, None, request.preset, request.chosen)
     if blocks.needed(whole):
         refuse_whole_model_wishes(
-            whole, filtered=bool(filters), looks=request.looks, turned=bool(frames)
-        )
+            whole, filtered=bool(reading.filters), looks=request.looks, turned=bool(frames),
+            reduced=reading.sh_degree is not None,
+        )  # fmt: skip
     else:
         blocks.refuse_fitting(pair.target)
-    if goal.size is None and not (filters and dry_run):
+    if goal.size is None and not (reading.filters and dry_run):
         count = goal.target(info.splats, lambda _count: 0)
     elif dry_run:  # what a row takes and what filters leave is only known from the columns
-        splats, _ = apply(load(pair.source), filters)
+        splats = reading.prepare(load(pair.source)).splats
         info = replace(info, splats=len(splats))
         usable = usable_rows(splats, request.given["nan"])
         count = target_of(goal, splats, len(usable), pair.target)
@@ -144,15 +144,8 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
     if renders(plan.parameters):
         when_compiling(compile_ahead)
     progress = Tracker(told, _stages(plan, request, target))
-    progress.begin("read")
-    with clock.time("read"):
-        joined = request.blocks.joined
-        splats = _load_joined(joined) if joined else load(source)
-    took: Sequence[FilterReport] = ()
-    if request.filters:
-        progress.begin("filter")
-        with clock.time("filter"):
-            splats, took = apply(splats, request.filters)
+    prepared = request.reading.load(request.blocks.sources(pair), progress, clock)
+    splats = prepared.splats
     small, report = library_simplify(
         splats,
         ratio=goal.ratio,
@@ -172,8 +165,8 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
         save(small, target, **saving)
     progress.finish()
     run = with_file_seconds(report.to_dict(), clock, start)
-    run["notes"] = [*run["notes"], *losses(small, target)]
-    run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in took]}
+    run["notes"] = [*run["notes"], *prepared.notes, *losses(small, target)]
+    run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in prepared.took]}
     run["frames"] = frames
     run |= {"input": str(source), "output": str(target)}
     run |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(target)}
@@ -183,14 +176,6 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
 def _stages(plan: Plan, request: Request, target: Path) -> list[Stage]:
     """What comes: reading, filters, the method's own stages, writing."""
     splats, suffix = plan.info.splats, target.suffix
-    read = [Stage("read", read_weight(splats))]
-    read += [Stage("filter", read_weight(splats))] if request.filters else []
     method = simplify_stages(plan.parameters, plan.goal, splats, plan.count, suffix)
     write = Stage("write", write_weight(suffix, plan.count or splats // 10))
-    return [*read, *method, write]
-
-
-def _load_joined(parts: Sequence[Path]) -> Splats:
-    from nanogs.scale.source import load_joined
-
-    return load_joined(parts)
+    return [*request.reading.stages(splats), *method, write]

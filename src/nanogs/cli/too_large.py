@@ -121,7 +121,7 @@ def refuse_other_files(suffix: str) -> None:
 
 
 def refuse_whole_model_wishes(
-    plan: Plan, *, filtered: bool, looks: bool, turned: bool = False
+    plan: Plan, *, filtered: bool, looks: bool, turned: bool = False, reduced: bool = False
 ) -> None:
     """Refuse what only a model in memory can be asked.
 
@@ -130,6 +130,7 @@ def refuse_whole_model_wishes(
         filtered: Whether there are filters.
         looks: Whether views are asked for.
         turned: Whether the frame is changed.
+        reduced: Whether spherical harmonics are dropped.
 
     Raises:
         OptionError: Something asked for needs the whole model.
@@ -140,6 +141,7 @@ def refuse_whole_model_wishes(
         "a filter": filtered,
         "--views, --cameras or --up": looks,
         "--frame": turned,
+        "--sh-degree": reduced,
     }
     for wish, asked in wishes.items():
         if asked:

@@ -1,0 +1,112 @@
+"""What is done to a model before it is simplified: joined from parts, splats and bands left out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from nanogs.cli.filtering import parse_filters
+from nanogs.errors import OptionError
+from nanogs.filters import Filter, FilterReport, apply
+from nanogs.io import load
+from nanogs.progress import Stage, Tracker
+from nanogs.report import StageClock
+from nanogs.simplify.stages import read_weight
+from nanogs.splats import MAX_SH_DEGREE, Splats
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A model as it is simplified.
+
+    Attributes:
+        splats: The model.
+        took: What each filter took.
+        notes: What else the user should know, one sentence each.
+    """
+
+    splats: Splats
+    took: tuple[FilterReport, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What is asked to be done.
+
+    Attributes:
+        filters: To apply first.
+        sh_degree: The highest that stays, or None for all.
+    """
+
+    filters: Sequence[Filter] = ()
+    sh_degree: int | None = None
+
+    def degree(self, degree: int) -> int:
+        """What is left of a degree of spherical harmonics."""
+        return degree if self.sh_degree is None else min(degree, self.sh_degree)
+
+    def stages(self, splats: int) -> list[Stage]:
+        """The stages of `load`."""
+        read = [Stage("read", read_weight(splats))]
+        return [*read, Stage("filter", read_weight(splats))] if self.filters else read
+
+    def load(self, paths: Sequence[Path], progress: Tracker, clock: StageClock) -> Prepared:
+        """Read a model of one or several files, and prepare it.
+
+        Raises:
+            NanogsError: A file cannot be read, or a filter leaves nothing.
+        """
+        progress.begin("read")
+        with clock.time("read"):
+            splats = _load(paths)
+        if not self.filters:
+            return self.prepare(splats)
+        progress.begin("filter")
+        with clock.time("filter"):
+            return self.prepare(splats)
+
+    def prepare(self, splats: Splats) -> Prepared:
+        """Leave out what is not wanted.
+
+        Raises:
+            ModelError: A filter leaves nothing.
+        """
+        left, took = apply(splats, self.filters)
+        if self.sh_degree is None or self.sh_degree >= left.sh_degree:
+            return Prepared(left, took, ())
+        note = (
+            f"Spherical harmonics above degree {self.sh_degree} were dropped first; PSNR is against"
+            " the model without them."
+        )
+        return Prepared(left.with_sh_degree(self.sh_degree), took, (note,))
+
+
+def parse_reading(
+    crops: list[str] | None,
+    min_opacity: float | None,
+    *,
+    drop_floaters: bool,
+    sh_degree: int | None,
+    psnr: float | None = None,
+) -> Reading:
+    """What the options ask for.
+
+    Raises:
+        OptionError: One of them makes no sense, or a PSNR would be of another model.
+    """
+    if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
+        raise OptionError(f"--sh-degree is from 0 to {MAX_SH_DEGREE}, not {sh_degree}.")
+    if sh_degree is not None and psnr is not None:
+        raise OptionError(
+            "--psnr is against the whole model, of which --sh-degree leaves out some; run"
+            " `nanogs convert --sh-degree` first."
+        )
+    return Reading(parse_filters(crops, min_opacity, drop_floaters=drop_floaters), sh_degree)
+
+
+def _load(paths: Sequence[Path]) -> Splats:
+    if len(paths) == 1:
+        return load(paths[0])
+    from nanogs.scale.source import load_joined
+
+    return load_joined(paths)
