@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import nanogs
 from builders import random_splats
+from nanogs.errors import OutputError
 from nanogs.simplify.extent import core_radius
 from nanogs.simplify.gaussians import scene_origin
 from nanogs.simplify.presets import PRESETS
@@ -34,15 +35,18 @@ def assert_finite(splats):
 
 
 @st.composite
-def extreme_splats(draw, most=24):
-    """A model of ordinary splats, some of whose numbers are as large or small as they can be."""
+def extreme_splats(draw, most=24, more=()):
+    """A model of ordinary splats, some of whose numbers are as large or small as they can be.
+
+    more: further values that any column may have.
+    """
     count = draw(st.integers(2, most))
     splats = random_splats(count, degree=draw(st.integers(0, 1)), seed=draw(st.integers(0, 99)))
     for name in draw(st.lists(st.sampled_from(sorted(COLUMNS)), min_size=1, unique=True)):
         column = getattr(splats, name).reshape(-1)
         for _ in range(draw(st.integers(1, 4))):
-            value = draw(st.sampled_from(COLUMNS[name])) * draw(st.sampled_from([1, 1, -1]))
-            if name != "log_scales" or value < 88.7:
+            value = draw(st.sampled_from([*COLUMNS[name], *more])) * draw(st.sampled_from([1, -1]))
+            if more or name != "log_scales" or value < 88.7:
                 column[draw(st.integers(0, len(column) - 1))] = value
     return splats
 
@@ -105,3 +109,23 @@ def test_a_centre_beyond_single_precision_is_not_finite():
     far = replace(splats, means=splats.means.astype(np.float64))
     far.means[2, 1] = 1e39
     assert far.finite().tolist() == [True, True, False, True, True]
+
+
+WRITTEN = [".ply", ".compressed.ply", ".splat", ".spz", ".sog", ".glb", ".npz"]
+
+
+@pytest.mark.parametrize("suffix", WRITTEN)
+@given(data=st.data())
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_file_holds_every_splat_or_is_refused(suffix, data, tmp_path):
+    splats = data.draw(extreme_splats(more=(np.nan, np.inf, 1e18, LARGEST, 100.0)))
+    path = tmp_path / f"a{suffix}"
+    try:
+        nanogs.save(splats, path)
+    except OutputError:
+        assert not list(tmp_path.iterdir())
+        return
+    back = nanogs.load(path)
+    path.unlink()
+    assert len(back) == len(splats)
+    assert back.finite().sum() == splats.finite().sum()

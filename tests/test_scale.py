@@ -435,7 +435,7 @@ def test_a_folder_that_holds_something_else_is_left_alone(scene, tmp_path):
 def test_an_output_that_exists_is_kept_unless_told(scene, tmp_path):
     out = tmp_path / "small.ply"
     out.write_text("mine")
-    with pytest.raises(OutputError, match="-w"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         nanogs.simplify_blocks(scene, out, ratio=0.3, **FAST)
     assert (out.read_text(), names(tmp_path)) == ("mine", ["small.ply"])
     nanogs.simplify_blocks(scene, out, ratio=0.3, overwrite=True, **FAST)

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from conftest import scene_path
 from nanogs import io
-from nanogs.errors import ModelError, OptionError, OutputError
+from nanogs.errors import OptionError, OutputError
 from nanogs.io import sog_write
 from nanogs.io.codebook import codebook, nearest
 from nanogs.io.palette import palette
@@ -114,8 +114,6 @@ def test_render_mode_is_kept(tmp_path, mode):
 
 def test_what_is_left_out_is_said(tmp_path):
     model = random_model(20, 4)
-    model.means[3] = np.nan
-    model.log_scales[4, 0] = np.inf
     extras = {"label": np.arange(20)}
     camera = ExtraElement("camera", np.zeros(1, [("x", "f4")]))
     model = replace(model, extras=extras, elements=[camera])
@@ -123,19 +121,49 @@ def test_what_is_left_out_is_said(tmp_path):
         "Extra columns are left out, .sog has no room for them: label.",
         "Further elements are left out, .sog has no room for them: camera.",
         "Spherical harmonics above degree 3 are left out, .sog holds no more.",
-        "2 splats with NaN or infinite values are left out.",
     )
     back = saved(tmp_path, model)
-    assert (len(back), back.sh_degree) == (18, 3)
+    assert (len(back), back.sh_degree) == (20, 3)
     assert io.losses(random_model(20, 3), "a.sog") == ()
 
 
-def test_no_splat_to_write_is_refused(tmp_path):
-    model = random_model(3)
-    model.means[:] = np.nan
-    with pytest.raises(ModelError, match="no finite splat"):
-        io.save(model, tmp_path / "a.sog")
+@pytest.mark.parametrize("name", ["a.sog", "a/meta.json"])
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("means", np.nan, "1 splats hold NaN or infinite values, the first in row 2"),
+        ("log_scales", 100.0, "1 splats hold NaN or infinite values, the first in row 2"),
+        ("log_scales", -3e38, "log-scales beyond ±1e\\+18, the first in row 2"),
+        ("sh", 1e30, "1 splats hold colour coefficients or log-scales beyond .*write .ply"),
+    ],
+)
+def test_what_cannot_be_stored_is_refused_before_anything_is_written(
+    tmp_path, name, column, value, said
+):
+    model = random_model(3, 1)
+    getattr(model, column).reshape(3, -1)[2, -1] = value
+    with pytest.raises(OutputError, match=said):
+        io.save(model, tmp_path / name)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_model_of_no_splats_is_refused(tmp_path):
+    with pytest.raises(OutputError, match="no splats"):
+        io.save(random_model(3).take(slice(0)), tmp_path / "a.sog")
+    assert not list(tmp_path.iterdir())
+
+
+def test_values_at_the_limit_are_kept(tmp_path):
+    model = random_model(300, 1)
+    model.means[7] = (1e30, -3.4e38, 1e-38)
+    model.sh[5, 0, 0], model.sh[6, 3, 1] = 1e18, -1e18
+    model.log_scales[9, 2] = -1e18
+    back = saved(tmp_path, model)
+    assert len(back) == 300
+    assert back.finite().all()
+    assert back.sh[:, 0].max() == np.float32(1e18)
+    assert back.sh[:, 3].min() == pytest.approx(-1e18)
+    assert back.means[:, 1].min() == pytest.approx(-3.4e38, rel=1e-3)
 
 
 def test_same_bytes_again_and_for_any_number_of_threads(tmp_path):

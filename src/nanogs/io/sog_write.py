@@ -17,10 +17,9 @@ import numpy as np
 
 from nanogs._types import F32, F64, I64, U8, U16, U64, Array
 from nanogs._version import __version__
-from nanogs.errors import ModelError
+from nanogs.errors import OutputError
 from nanogs.io import limits, sog_meta
 from nanogs.io.codebook import codebook, nearest
-from nanogs.io.findings import Finding
 from nanogs.io.folder import atomic_folder
 from nanogs.io.json_fields import is_plain
 from nanogs.io.palette import palette
@@ -32,6 +31,7 @@ _BLOCK = 4  # sides of textures are multiples of it
 _GENERATOR = "nanogs"
 _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
 _VISIBILITY = (1e-3, 1e3)  # of the mean: least and most that a splat counts in the palette
+_FARTHEST = 1e18  # squares of colours that far apart are still float32
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can state
 
 Submit = Callable[[str, U8], None]
@@ -42,10 +42,12 @@ def write(splats: Splats, file: BinaryIO) -> None:
     """Write a `.sog` file.
 
     Raises:
-        ModelError: No splat is finite, or there are more than a texture holds.
+        OutputError: A value is NaN, infinite or beyond what a codebook holds, or there are more
+            splats than a texture holds; nothing has been written then.
     """
+    files = contents(splats)
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
-        for name, data in contents(splats).items():
+        for name, data in files.items():
             entry = zipfile.ZipInfo(name, _EPOCH)
             entry.create_system = 3  # the same bytes on every system
             entry.external_attr = 0o644 << 16
@@ -56,8 +58,8 @@ def write_folder(splats: Splats, path: Path, *, overwrite: bool = False) -> None
     """Write `meta.json` and its textures to a folder, which appears whole or not at all.
 
     Raises:
-        ModelError: As for `write`.
-        OutputError: The folder exists and may not be replaced, or it cannot be made.
+        OutputError: As for `write`, or the folder exists and may not be replaced, or it cannot be
+            made.
     """
     with atomic_folder(path, ours, overwrite=overwrite) as folder:
         write_files(splats, folder)
@@ -75,7 +77,7 @@ def write_files(splats: Splats, folder: Path, groups: I64 | None = None) -> int:
         Bytes written.
 
     Raises:
-        ModelError: As for `write`.
+        OutputError: As for `write`.
     """
     files = contents(splats, groups)
     for name, data in files.items():
@@ -92,22 +94,18 @@ def contents(splats: Splats, groups: I64 | None = None) -> dict[str, bytes]:
             order; by default all are one group.
 
     Raises:
-        ModelError: As for `write`.
+        OutputError: As for `write`.
     """
     import numba
 
-    rows = np.flatnonzero(splats.finite())
-    if not len(rows):
-        raise ModelError("The model holds no finite splat; there is nothing to write.")
-    if len(rows) > MAX_SIDE**2 // 2:
-        raise ModelError(f"{len(rows)} splats are too many for one SOG file; simplify the model.")
+    _refuse_unstorable(splats)
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         encoding: dict[str, Future[bytes]] = {}
 
         def submit(name: str, texels: U8) -> None:
             encoding[name] = pool.submit(encode, texels)
 
-        meta = _encode(splats, rows, None if groups is None else groups[rows], submit)
+        meta = _encode(splats, groups, submit)
         files = {name: future.result() for name, future in encoding.items()}
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
     return files | {"meta.json": text.encode()}
@@ -115,10 +113,26 @@ def contents(splats: Splats, groups: I64 | None = None) -> dict[str, bytes]:
 
 def losses(splats: Splats) -> tuple[str, ...]:
     """What a SOG file cannot hold of a model, one sentence each."""
-    found = limits.left_out(splats, ".sog", max_degree=MAX_DEGREE)
-    if wrong := len(splats) - int(splats.finite().sum()):
-        found.append(Finding("{} splats with NaN or infinite values are left out.", wrong))
-    return tuple(found)
+    return tuple(limits.left_out(splats, ".sog", max_degree=MAX_DEGREE))
+
+
+def _refuse_unstorable(splats: Splats) -> None:
+    """Refuse a model that the file would hold in part, or with other values."""
+    limits.refuse_unstorable(splats, ".sog")
+    if len(splats) > MAX_SIDE**2 // 2:
+        raise OutputError(
+            f"{len(splats):,} splats are too many for one .sog file; simplify the model."
+        )
+    coefficients = splats.sh[:, : (MAX_DEGREE + 1) ** 2]
+    scales = np.where(np.isneginf(splats.log_scales), 0, splats.log_scales)
+    good = (np.abs(coefficients) <= _FARTHEST).all(axis=(1, 2))
+    good &= (np.abs(scales) <= _FARTHEST).all(axis=1)
+    if not good.all():
+        raise OutputError(
+            f"{int((~good).sum()):,} splats hold colour coefficients or log-scales beyond"
+            f" ±{_FARTHEST:g}, the first in row {int(np.argmin(good))}, and .sog cannot hold them"
+            " beside usual ones; correct them, or write .ply."
+        )
 
 
 def leaps(splats: Splats) -> tuple[int, ...]:
@@ -146,11 +160,11 @@ def ours(folder: Path) -> frozenset[str] | None:
     return frozenset({"meta.json", *filter(is_plain, named)})
 
 
-def _encode(splats: Splats, rows: I64, groups: I64 | None, submit: Submit) -> dict[str, Any]:
+def _encode(splats: Splats, groups: I64 | None, submit: Submit) -> dict[str, Any]:
     """Submit every texture; the contents of `meta.json`."""
-    codes, bounds = _codes(splats.means[rows])
-    order = _morton_order(codes, groups)
-    rows, codes = rows[order], codes[order]
+    codes, bounds = _codes(splats.means)
+    rows = _morton_order(codes, groups)
+    codes = codes[rows]
     submit("means_l.webp", _picture((codes & 255).astype(np.uint8)))
     submit("means_u.webp", _picture((codes >> 8).astype(np.uint8)))
     submit("quats.webp", _picture(_quats(splats.unit_quats()[rows])))
