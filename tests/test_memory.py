@@ -5,7 +5,8 @@ import sys
 
 import pytest
 
-from nanogs.simplify.memory import LIBRARIES, plan_memory
+from nanogs.memory import LIBRARIES
+from nanogs.simplify.memory import plan_memory
 from nanogs.simplify.presets import parameters
 
 COUNT = 300_000
@@ -40,7 +41,8 @@ def test_a_run_takes_what_the_plan_says_and_no_more_than_promised(preset, large_
     assert planned.input_columns == COUNT * COLUMNS
     assert 0.88 < (peak - before) / planned.peak < 1.08
     assert peak - before < MOST[preset] * COUNT * COLUMNS
-    assert 0.8 * LIBRARIES < before < 1.05 * LIBRARIES
+    # The oldest Numba and NumPy that are allowed take three quarters of what the newest do.
+    assert 0.65 * LIBRARIES < before < 1.05 * LIBRARIES
 
 
 @pytest.mark.parametrize("preset", MOST)

@@ -20,6 +20,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs.errors import FormatError, NanogsError, OptionError, OutputError
+from nanogs.memory import LIBRARIES
 from nanogs.progress import Tracker
 from nanogs.scale import cluster
 from nanogs.scale.api import block_parameters, plan_job
@@ -27,7 +28,6 @@ from nanogs.scale.plan import held_bytes
 from nanogs.scale.run import Here, run_tasks
 from nanogs.scale.scratch import FolderScratch, open_scratch
 from nanogs.scale.settings import Layout
-from nanogs.simplify.memory import LIBRARIES
 from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.target import Goal
 

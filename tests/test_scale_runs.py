@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 import nanogs
 from builders import random_splats
+from nanogs.memory import LIBRARIES
 from nanogs.progress import Tracker
 from nanogs.report import StageClock
 from nanogs.scale import cluster
@@ -24,7 +25,6 @@ from nanogs.scale.result import write_result
 from nanogs.scale.run import Here, run_tasks
 from nanogs.scale.scratch import FolderScratch
 from nanogs.scale.settings import Layout
-from nanogs.simplify.memory import LIBRARIES
 from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.target import Goal
 

@@ -50,6 +50,10 @@ class ExistsError(OutputError):
         return f"{fact}; {remedy} to {deed}."
 
 
+class NotEnoughMemoryError(NanogsError):
+    """The memory that is free, or was allowed, is less than this takes."""
+
+
 def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.6) -> str:
     """` (did you mean 'x'?)` for the choice most like a word, to follow it; empty without one.
 

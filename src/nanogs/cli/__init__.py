@@ -23,8 +23,11 @@ def _run() -> int:
         from nanogs.cli.app import app
         from nanogs.cli.wording import wording
         from nanogs.errors import NanogsError
+        from nanogs.memory import refuse_without_numpy
 
     try:
+        if not {"--help", "-h", "--version"} & set(sys.argv):  # these need nothing else
+            refuse_without_numpy()
         code = app(prog_name="nanogs", standalone_mode=False)
     except NanogsError as error:
         return _refuse(wording(error))
@@ -33,11 +36,13 @@ def _run() -> int:
     except typer.Abort:
         return 130  # as the shell has it of interrupted programs
     except Exception as error:
+        from nanogs.cli.failures import sentence_of
         from nanogs.cli.mistyped import is_usage, sentence
 
-        if not is_usage(error):
+        said = sentence(error) if is_usage(error) else sentence_of(error)
+        if said is None:
             raise
-        return _refuse(sentence(error))
+        return _refuse(said)
     return code if isinstance(code, int) else 0
 
 

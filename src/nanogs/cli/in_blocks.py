@@ -6,11 +6,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from nanogs.cli.console import err, key_value_table, show
+from nanogs.cli.console import err, key_value_table, show, warn
 from nanogs.cli.progress import shown
 from nanogs.cli.simplify_report import Plan
 from nanogs.cli.too_large import Blocks
-from nanogs.defaults import DEFAULT_MEMORY
 from nanogs.formatting import bytes_text
 from nanogs.io import FileInfo, bytes_on_disk
 from nanogs.io.collect import Pair
@@ -31,9 +30,22 @@ def plan_of(pair: Pair, plan: Plan, blocks: Blocks, nan: Any) -> ScalePlan:  # n
         NanogsError: It cannot be.
     """
     chosen = block_parameters(plan.preset, asdict(plan.parameters))
-    return plan_job(
-        blocks.sources(pair), (plan.goal,), chosen, blocks.max_memory, None, nan
-    )[1]  # fmt: skip
+    size = blocks.size_of_blocks(pair.target)
+    return plan_job(blocks.sources(pair), (plan.goal,), chosen, *size, nan)[1]
+
+
+def warn_of_blocks(plan: Plan, blocks: Blocks, target: Path, *, quiet: bool) -> None:
+    """Say why a model is simplified in blocks where nobody asked for it.
+
+    Args:
+        plan: What is going to be done.
+        blocks: How models are treated that do not fit.
+        target: What is written.
+        quiet: Whether nothing is said.
+    """
+    reason = blocks.reason(plan, target)
+    if reason and not quiet:
+        warn(reason)
 
 
 def plan_rows(plan: ScalePlan) -> None:
@@ -54,12 +66,12 @@ def simplify_in_blocks(
     start, sources = time.perf_counter(), blocks.sources(pair)
     report = library_simplify_blocks(
         sources, pair.target, ratio=plan.goal.ratio, count=plan.goal.count,
-        max_memory=blocks.max_memory or DEFAULT_MEMORY, job=blocks.job, resume=blocks.resume,
+        max_memory=blocks.process_memory(pair.target), job=blocks.job, resume=blocks.resume,
         progress=progress, **blocks.given, **given,
     )  # fmt: skip
     run = report.to_dict() | {"total_seconds": time.perf_counter() - start}
     run |= {"read_count": report.input_count, "filters": []}
-    run |= {"input": ", ".join(map(str, sources)), "output": str(pair.target)}
+    run |= {"input": plan.name, "output": str(pair.target)}
     run["input_bytes"] = sum(bytes_on_disk(path) for path in sources)
     return run | {"output_bytes": bytes_on_disk(pair.target)}
 
@@ -74,14 +86,15 @@ def levels_encoding(
 
 
 def levels_plan(
-    source: Path, ratios: Sequence[float], blocks: Blocks, given: dict[str, Any]
+    source: Path, output: Output, ratios: Sequence[float], blocks: Blocks, given: dict[str, Any]
 ) -> ScalePlan:
     """How a model would be divided of which levels are to be made.
 
     Raises:
         NanogsError: It cannot be.
     """
-    return plan_levels([source], ratios, max_memory=blocks.max_memory, **given)[1]
+    max_memory, block = blocks.size_of_blocks(output.folder)
+    return plan_levels([source], ratios, max_memory=max_memory, block=block, **given)[1]
 
 
 def levels_in_blocks(
@@ -101,8 +114,9 @@ def levels_in_blocks(
     where = Where(threads, None, rest["scheduler"], rest["workers"], rest["patience"])
     with shown(quiet=quiet) as progress:
         manifest, reports = write_levels_in_blocks(
-            [source], output.folder, ratios, max_memory=blocks.max_memory, job=blocks.job,
-            scratch=rest["scratch"], resume=blocks.resume, where=where,
+            [source], output.folder, ratios, job=blocks.job,
+            max_memory=blocks.process_memory(output.folder), scratch=rest["scratch"],
+            resume=blocks.resume, where=where,
             progress=progress, **given,
         )  # fmt: skip
     run = manifest.to_dict() | {"input": str(source), "output": str(output.path)}

@@ -1,5 +1,6 @@
 """`nanogs lod`."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -94,7 +95,7 @@ def lod(
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
         from nanogs.cli import in_blocks, too_large
-        from nanogs.cli.console import print_json
+        from nanogs.cli.console import print_json, warn
         from nanogs.cli.lod_run import print_levels, print_levels_plan, write_whole
         from nanogs.cli.simplify_report import Plan
         from nanogs.io import inspect
@@ -129,13 +130,16 @@ def lod(
     given = {name: value for name, value in overrides.items() if value is not None}
     given |= {"preset": preset, "nan": nan.value, "chunk": chunk, "plain": plain}
     given["layout"] = output.layout
-    divided = asked.needed(plan)
-    if divided:
+    if divided := asked.needed(plan, output.folder):
+        plan = replace(plan, divided=True)
         too_large.refuse_other_files(output.suffix)
         looks = views is not None or cameras != "auto" or up is not None
-        too_large.refuse_whole_model_wishes(plan, filtered=False, looks=looks)
+        too_large.refuse_whole_model_wishes(plan, asked, filtered=False, looks=looks)
+        in_blocks.warn_of_blocks(plan, asked, output.folder, quiet=quiet or json)
     if dry_run:
-        made_in = in_blocks.levels_plan(source, ratios, asked, given) if divided else None
+        for note in [] if divided or json or quiet else asked.unused():
+            warn(note)
+        made_in = in_blocks.levels_plan(source, output, ratios, asked, given) if divided else None
         print_levels_plan(plan, output, ratios, made_in, json=json)
         return
     if divided:
@@ -145,8 +149,9 @@ def lod(
         )  # fmt: skip
     else:
         asked.refuse_fitting(output.folder)
-        given["threads"] = threads
+        given |= {"threads": threads, "max_memory": asked.max_memory}
         run = write_whole(plan, output, ratios, overwrite, cameras, direction, given, quiet or json)
+        run["notes"] = [*asked.unused(), *run["notes"]]
     if json:
         print_json(run)
     elif not quiet:

@@ -9,6 +9,7 @@ from typing import Any
 import typer
 
 from nanogs.cli.console import fail, notes_about, print_json
+from nanogs.cli.failures import sentence_of
 from nanogs.cli.progress import Watch, shown
 from nanogs.cli.streams import DASH, Streams, names
 from nanogs.cli.wording import wording
@@ -109,8 +110,10 @@ def _run_several(
                 runs.append(run_one(pair, watch.of_file(number, len(pairs))))
                 if show:
                     show(runs[-1])
-        except NanogsError as error:
-            said = wording(error)
+        except Exception as error:
+            said = wording(error) if isinstance(error, NanogsError) else sentence_of(error)
+            if said is None:
+                raise
             fail(said if name in said else f"{name}: {said}")
             failed.append({"input": name, "error": said})
     return runs, failed

@@ -3,7 +3,7 @@
 from dataclasses import asdict
 
 from nanogs.cli import options
-from nanogs.simplify.presets import DEFAULT_PRESET, PRESETS, SUMMARIES
+from nanogs.simplify.presets import DEFAULT_PRESET, PRESETS, SUMMARIES, effective
 
 
 def presets(json: options.Json = False) -> None:
@@ -17,7 +17,7 @@ def presets(json: options.Json = False) -> None:
         return
     rows = {}
     for name, own in PRESETS.items():
-        parameters = ", ".join(f"{key} {value}" for key, value in asdict(own).items())
+        parameters = ", ".join(f"{key} {value}" for key, value in effective(own).items())
         usual = " (where none is named)" if name == DEFAULT_PRESET else ""
         rows[name] = f"{SUMMARIES[name]}{usual}\n{parameters}"
     show(out, key_value_table(rows))

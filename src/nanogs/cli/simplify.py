@@ -120,6 +120,7 @@ def simplify(
         up=method.check_views(preset, chosen, views, cameras, up),
         given=given | {"preset": preset, "nan": nan.value, "threads": threads},
         json=json,
+        quiet=quiet or json,
         folder_later=out_dir is not None and not out_dir.exists(),
         blocks=too_large.parse_blocks(
             paths,

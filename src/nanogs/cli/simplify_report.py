@@ -2,6 +2,7 @@
 
 from dataclasses import asdict, dataclass, replace
 from operator import itemgetter
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
@@ -11,9 +12,11 @@ from nanogs.cli.filtering import report_filters
 from nanogs.compare.protocol import Judged, Protocol
 from nanogs.formatting import bytes_text, number_text
 from nanogs.io import FileInfo
+from nanogs.memory import LIBRARIES
 from nanogs.report import StopReason
-from nanogs.simplify.memory import LIBRARIES, MemoryPlan, plan_memory
-from nanogs.simplify.presets import Parameters
+from nanogs.scale.plan import can_do_without_renders, in_blocks
+from nanogs.simplify.memory import MemoryPlan, plan_memory
+from nanogs.simplify.presets import Parameters, effective
 from nanogs.simplify.target import Goal
 
 if TYPE_CHECKING:
@@ -31,6 +34,8 @@ class Plan:
         preset: Name of the preset.
         parameters: Of the method.
         encoding: What chunks take, for levels that may lie in them.
+        joined: The files of the input where it is several, parts of one scene.
+        divided: Whether it is simplified in blocks, by which nothing is rendered.
     """
 
     info: FileInfo
@@ -39,6 +44,19 @@ class Plan:
     preset: str
     parameters: Parameters
     encoding: "Encoding | None" = None
+    joined: tuple[Path, ...] = ()
+    divided: bool = False
+
+    @property
+    def name(self) -> str:
+        """What the input is called."""
+        return ", ".join(map(str, self.joined or (self.info.path,)))
+
+    def method(self) -> Parameters:
+        """The parameters that are worked with."""
+        if not (self.divided and can_do_without_renders(self.parameters)):
+            return self.parameters
+        return in_blocks(self.parameters)
 
     def memory(self) -> MemoryPlan:
         """What it takes; an unknown count takes what the whole model would."""
@@ -105,11 +123,11 @@ def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> No
 def describe_plan(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
     """What a run would do and what is asked of it, for JSON."""
     return {
-        "input": str(plan.info.path),
+        "input": plan.name,
         "input_count": plan.info.splats,
         **asked,
         "preset": plan.preset,
-        "parameters": asdict(plan.parameters),
+        "parameters": asdict(plan.method()),
         "memory_bytes": asdict(plan.memory()),
     }
 
@@ -119,9 +137,10 @@ def _print_rows(plan: Plan, text: str) -> None:
 
 
 def _wish_rows(plan: Plan, text: str) -> dict[str, str]:
-    info, parameters = plan.info, asdict(plan.parameters)
+    info = plan.info
+    parameters = effective(plan.method(), judged=plan.goal.psnr is not None)
     return {
-        "would read": f"{info.path} ({info.splats:,} splats, SH degree {info.sh_degree})",
+        "would read": f"{plan.name} ({info.splats:,} splats, SH degree {info.sh_degree})",
         "would write": text,
         "preset": plan.preset,
         "parameters": ", ".join(f"{name} {value}" for name, value in parameters.items()),

@@ -1,12 +1,13 @@
 """What `nanogs simplify` does with each file: plan it, and simplify it."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from nanogs.ahead import compile_ahead
-from nanogs.cli.console import with_file_seconds
+from nanogs.cli.console import warn, with_file_seconds
 from nanogs.cli.framing import Frames, frames_of
 from nanogs.cli.importing import uncollected
 from nanogs.cli.reading import Reading
@@ -14,7 +15,7 @@ from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_wish
 from nanogs.cli.too_large import Blocks, refuse_whole_model_wishes
 from nanogs.errors import OptionError
 from nanogs.frames import change_frame
-from nanogs.io import bytes_on_disk, check_writable, inspect, load, losses, registry, save
+from nanogs.io import FileInfo, bytes_on_disk, check_writable, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
 from nanogs.progress import Progress, Stage, Tracker
@@ -43,6 +44,7 @@ class Request:
         up: Up direction of automatic views, or None.
         given: What the library's `simplify` takes beside.
         json: Whether a plan is said as JSON alone.
+        quiet: Whether nothing is said on the way but errors.
         folder_later: Whether the folder of the results is still to be made.
         blocks: How a model is treated that does not fit into memory.
         looks: Whether views are asked for.
@@ -58,6 +60,7 @@ class Request:
     up: tuple[float, float, float] | None
     given: dict[str, Any]
     json: bool
+    quiet: bool
     folder_later: bool
     blocks: Blocks
     looks: bool
@@ -70,14 +73,17 @@ def plan_one(request: Request, pair: Pair, _progress: Progress) -> dict[str, Any
         NanogsError: It cannot be done.
     """
     plan, divided = _plan(pair, request, dry_run=True), None
-    if request.blocks.needed(plan):
-        from nanogs.cli.in_blocks import plan_of, plan_rows
+    if plan.divided:
+        from nanogs.cli.in_blocks import plan_of, plan_rows, warn_of_blocks
 
+        warn_of_blocks(plan, request.blocks, pair.target, quiet=request.quiet)
         divided = plan_of(pair, plan, request.blocks, request.given["nan"])
         if not request.json:
             print_wish(plan)
             plan_rows(divided)
     elif not request.json:
+        for note in request.blocks.unused():
+            warn(note)
         print_plan(plan)
     return plan_json(plan) | {"blocks": asdict(divided) if divided else None}
 
@@ -89,9 +95,10 @@ def run_one(request: Request, pair: Pair, progress: Progress) -> dict[str, Any]:
         NanogsError: It cannot be done.
     """
     plan = _plan(pair, request, dry_run=False)
-    if request.blocks.needed(plan):
-        from nanogs.cli.in_blocks import simplify_in_blocks
+    if plan.divided:
+        from nanogs.cli.in_blocks import simplify_in_blocks, warn_of_blocks
 
+        warn_of_blocks(plan, request.blocks, pair.target, quiet=request.quiet)
         given = request.given | request.saving
         return simplify_in_blocks(pair, plan, request.blocks, given, progress)
     return _simplify_file(plan, pair, request, progress)
@@ -110,14 +117,15 @@ def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
     info, blocks = inspect(pair.source), request.blocks
     info = replace(info, sh_degree=reading.degree(info.sh_degree))
     if blocks.joined:
-        info = replace(info, splats=sum(inspect(path).splats for path in blocks.joined))
+        info = _joined_info(info, blocks.joined)
     begun = blocks.is_begun(pair.target, overwrite=request.saving["overwrite"])
     if not (dry_run and request.folder_later) and not begun:
         check_writable(pair.target, **request.saving)
-    whole = Plan(info, goal, None, request.preset, request.chosen)
-    if blocks.needed(whole):
+    plan = Plan(info, goal, None, request.preset, request.chosen, joined=blocks.joined)
+    if blocks.needed(plan, pair.target):
+        plan = replace(plan, divided=True)
         refuse_whole_model_wishes(
-            whole, filtered=bool(reading.filters), looks=request.looks, turned=bool(frames),
+            plan, blocks, filtered=bool(reading.filters), looks=request.looks, turned=bool(frames),
             reduced=reading.sh_degree is not None,
         )  # fmt: skip
     else:
@@ -126,18 +134,29 @@ def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
         count = goal.target(info.splats, lambda _count: 0)
     elif dry_run:  # what a row takes and what filters leave is only known from the columns
         splats = reading.prepare(load(pair.source)).splats
-        info = replace(info, splats=len(splats))
+        plan = replace(plan, info=replace(info, splats=len(splats)))
         usable = usable_rows(splats, request.given["nan"])
         count = target_of(goal, splats, len(usable), pair.target)
     else:
         count = None
-    return Plan(info, goal, count, request.preset, request.chosen)
+    return replace(plan, count=count)
+
+
+def _joined_info(first: FileInfo, parts: Sequence[Path]) -> FileInfo:
+    """The first part's description with the numbers of all."""
+    infos = [inspect(path) for path in parts]
+    return replace(
+        first,
+        splats=sum(info.splats for info in infos),
+        file_bytes=sum(info.file_bytes for info in infos),
+        sh_degree=max(info.sh_degree for info in infos),
+    )
 
 
 def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> dict[str, Any]:
     """Read, simplify and write; the report with the files' names and the seconds of I/O."""
     start, clock, goal = time.perf_counter(), StageClock(), plan.goal
-    source, target, saving = pair.source, pair.target, request.saving
+    target, saving = pair.target, request.saving
     known = registry.find(target)
     with uncollected():
         import_stages(plan.parameters)
@@ -155,6 +174,7 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
         format=known.suffix if known else target.suffix,
         format_options={"spz_version": saving["spz_version"]},
         cameras=requested_cameras(splats, request.cameras, request.up, request.chosen),
+        max_memory=request.blocks.max_memory,
         progress=progress.passing(),
         **request.given,
     )
@@ -165,10 +185,15 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
         save(small, target, **saving)
     progress.finish()
     run = with_file_seconds(report.to_dict(), clock, start)
-    run["notes"] = [*run["notes"], *prepared.notes, *losses(small, target)]
+    run["notes"] = [
+        *request.blocks.unused(),
+        *run["notes"],
+        *prepared.notes,
+        *losses(small, target),
+    ]
     run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in prepared.took]}
     run["frames"] = frames
-    run |= {"input": str(source), "output": str(target)}
+    run |= {"input": plan.name, "output": str(target)}
     run |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(target)}
     return run
 

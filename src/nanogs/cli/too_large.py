@@ -8,11 +8,11 @@ from typing import Any
 from nanogs.cli import options
 from nanogs.cli.simplify_report import Plan
 from nanogs.cli.streams import DASH
-from nanogs.defaults import DEFAULT_MEMORY
-from nanogs.errors import OptionError
+from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.formatting import bytes_text
 from nanogs.io.collect import Pair
-from nanogs.simplify.memory import LIBRARIES
+from nanogs.memory import Memory, allowed_memory, process_memory
+from nanogs.scale.plan import can_do_without_renders
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,22 +20,80 @@ class Blocks:
     """How models are treated that do not fit.
 
     Attributes:
-        max_memory: Bytes of a process, or None where models are held whatever they take.
+        memory: What the work may take, of what is free or of --max-memory.
+        max_memory: Bytes of a process as given, or None.
+        piped: Whether a model comes from stdin or goes to stdout.
         joined: Inputs that are parts of one scene, or none.
         job: The job folder, or None for that beside the output.
         resume: Whether a job is continued.
         given: What the library takes beside.
     """
 
+    memory: Memory
     max_memory: int | None
+    piped: bool
     joined: tuple[Path, ...]
     job: Path | None
     resume: bool
     given: dict[str, Any]
 
-    def needed(self, plan: Plan) -> bool:
-        """Whether a model takes more memory than there is."""
-        return self.max_memory is not None and plan.memory().peak + LIBRARIES > self.max_memory
+    def needed(self, plan: Plan, target: Path) -> bool:
+        """Whether a model takes more memory than there is, or was begun so before."""
+        if self.max_memory is None and self._begun(target):
+            return True
+        return plan.memory().peak > self.memory.bytes
+
+    def process_memory(self, target: Path) -> int | None:
+        """Bytes that each process may take; None where the library finds it.
+
+        Args:
+            target: What is written, beside which a job may be that was begun.
+        """
+        if self.max_memory is not None or self.given["scheduler"] or self._begun(target):
+            return self.max_memory
+        return process_memory(self.memory, self.given["workers"] or 1)
+
+    def size_of_blocks(self, target: Path) -> tuple[int | None, int | None]:
+        """What decides the size of the blocks, as `block_memory` has it."""
+        from nanogs.scale.api import block_memory
+        from nanogs.scale.folder import job_folder
+
+        folder = job_folder(target, self.job) if self.resume else None
+        rest = self.given
+        allowed = self.process_memory(target)
+        return block_memory(allowed, None, folder, rest["workers"], rest["scheduler"])
+
+    def reason(self, plan: Plan, target: Path) -> str:
+        """Why a model is simplified in blocks, where nobody has said so; otherwise nothing."""
+        allowed = self.process_memory(target)
+        if self.max_memory is not None or allowed is None:
+            return ""
+        return (
+            f"{plan.name} takes about {bytes_text(plan.memory().peak)} of memory, and"
+            f" {self.memory}: it is simplified in blocks, as with --max-memory"
+            f" {allowed / 1e6:g}MB."
+        )
+
+    def unused(self) -> list[str]:
+        """Say that options for blocks had no effect on a model that is held whole."""
+        named = {"--job": self.job, "--resume": self.resume, "--scratch": self.given["scratch"]}
+        named |= {"--workers": self.given["workers"], "--scheduler": self.given["scheduler"]}
+        found = " and ".join(option for option, value in named.items() if value)
+        if not found:
+            return []
+        note = (
+            "The model fits into memory, so it is simplified in one process and not in blocks:"
+            f" {found} had no effect; --max-memory makes blocks."
+        )
+        return [note]
+
+    def _begun(self, target: Path) -> bool:
+        """Whether there is a job in blocks to continue."""
+        if not self.resume:
+            return False
+        from nanogs.scale.folder import MANIFEST, job_folder
+
+        return (job_folder(target, self.job) / MANIFEST).exists()
 
     def sources(self, pair: Pair) -> tuple[Path, ...]:
         """The files that make up the model."""
@@ -49,12 +107,11 @@ class Blocks:
         """
         if not self.resume:
             return False
-        from nanogs.scale.folder import MANIFEST, job_folder, refuse_finished
+        from nanogs.scale.folder import job_folder, refuse_finished
 
-        folder = job_folder(target, self.job)
         if not overwrite:
-            refuse_finished(folder, target)
-        return (folder / MANIFEST).exists()
+            refuse_finished(job_folder(target, self.job), target)
+        return self._begun(target)
 
     def refuse_fitting(self, target: Path) -> None:
         """Refuse to simplify in memory what was begun in blocks.
@@ -62,15 +119,13 @@ class Blocks:
         Raises:
             OptionError: There is a job to continue.
         """
-        if not self.resume:
-            return
-        from nanogs.scale.folder import MANIFEST, job_folder
+        if self._begun(target):
+            from nanogs.scale.folder import job_folder
 
-        folder = job_folder(target, self.job)
-        if (folder / MANIFEST).exists():
             raise OptionError(
-                f"{folder} holds a job in blocks, and this model fits into the memory given; resume"
-                " it with the --max-memory it was begun with, or remove the folder."
+                f"{job_folder(target, self.job)} holds a job in blocks, and this model fits into"
+                " the memory given; resume it with the --max-memory it was begun with, or remove"
+                " the folder."
             )
 
 
@@ -91,20 +146,17 @@ def parse_blocks(
     Raises:
         OptionError: The options do not go together.
     """
-    far = workers is not None or scheduler is not None
-    given = bool(job) or resume or scratch is not None or far
-    memory = None if max_memory is None else options.parse_memory(max_memory)
-    if memory is None and given:
-        memory = DEFAULT_MEMORY
+    allowed = None if max_memory is None else options.parse_memory(max_memory)
     if workers is not None and scheduler is not None:
         raise OptionError("Give --workers or --scheduler, not both.")
-    if (memory is not None or join) and DASH in paths:
+    if (allowed is not None or join) and DASH in paths:
         raise OptionError("With --max-memory or --join models are files; name them in place of -.")
     if join and len(paths) < 2:
         raise OptionError("--join takes the parts of a scene and OUT; this is one path.")
     rest: dict[str, Any] = {"scratch": scratch, "workers": workers, "scheduler": scheduler}
     rest["patience"] = patience
-    return Blocks(memory, tuple(paths[:-1]) if join else (), job, resume, rest)
+    joined, piped = tuple(paths[:-1]) if join else (), DASH in paths
+    return Blocks(allowed_memory(allowed), allowed, piped, joined, job, resume, rest)
 
 
 def refuse_other_files(suffix: str) -> None:
@@ -115,25 +167,32 @@ def refuse_other_files(suffix: str) -> None:
     """
     if suffix != ".ply":
         raise OptionError(
-            f"This model is larger than --max-memory, and levels made in blocks are .ply files, not"
+            f"This model does not fit into memory, and levels made in blocks are .ply files, not"
             f" {suffix}; leave --format out, or name OUT lod-meta.json."
         )
 
 
 def refuse_whole_model_wishes(
-    plan: Plan, *, filtered: bool, looks: bool, turned: bool = False, reduced: bool = False
+    plan: Plan,
+    blocks: Blocks,
+    *,
+    filtered: bool,
+    looks: bool,
+    turned: bool = False,
+    reduced: bool = False,
 ) -> None:
     """Refuse what only a model in memory can be asked.
 
     Args:
         plan: Of the run.
+        blocks: How models are treated that do not fit.
         filtered: Whether there are filters.
         looks: Whether views are asked for.
         turned: Whether the frame is changed.
         reduced: Whether spherical harmonics are dropped.
 
     Raises:
-        OptionError: Something asked for needs the whole model.
+        NotEnoughMemoryError: Something asked for needs the whole model.
     """
     wishes = {
         "--size": plan.goal.size is not None,
@@ -142,10 +201,13 @@ def refuse_whole_model_wishes(
         "--views, --cameras or --up": looks,
         "--frame": turned,
         "--sh-degree": reduced,
+        "a model in a pipe, which blocks cannot read or write,": blocks.piped,
+        f"the preset {plan.preset}": not can_do_without_renders(plan.parameters),
     }
     for wish, asked in wishes.items():
         if asked:
-            raise OptionError(
-                f"This model takes {bytes_text(plan.memory().peak)}, more than --max-memory, and"
-                f" {wish} needs the whole of it; raise --max-memory, or leave that out."
+            raise NotEnoughMemoryError(
+                f"{plan.name} takes about {bytes_text(plan.memory().peak)} of memory, and"
+                f" {blocks.memory}; blocks would take less, but {wish} needs the whole model: leave"
+                " that out, or give it more memory."
             )

@@ -21,11 +21,12 @@ from nanogs.lod.manifest import (
 )
 from nanogs.progress import Progress
 from nanogs.report import SimplifyReport, StageClock
-from nanogs.scale.api import block_parameters, plan_job, refuse_full_disk
+from nanogs.scale.api import block_memory, block_parameters, plan_job, refuse_full_disk
 from nanogs.scale.folder import job_folder
 from nanogs.scale.plan import ScalePlan
 from nanogs.scale.settings import Chunks, Settings
 from nanogs.simplify.job import NanPolicy
+from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.target import Goal
 
 if TYPE_CHECKING:
@@ -130,12 +131,16 @@ def write_levels_in_blocks(
     from nanogs.lod.blocks_folder import LevelsFolder
     from nanogs.scale.job import BlockJob
 
+    kept = job_folder(folder, job)
+    max_memory, block = block_memory(
+        max_memory, block, kept if resume else None, where.workers, where.client or where.scheduler
+    )
     settings, plan = plan_levels(
         inputs, ratios, layout=layout, chunk=chunk, plain=plain, preset=preset,
         max_memory=max_memory, block=block, nan=nan, **overrides,
     )  # fmt: skip
-    told = _Telling(inputs[0].name, preset, tuple(ratios), StageClock(), time.perf_counter())
-    kept = job_folder(folder, job)
+    chosen, start = block_parameters(preset, overrides), time.perf_counter()
+    told = _Telling(inputs[0].name, preset, chosen, tuple(ratios), StageClock(), start)
     if not resume:
         refuse_full_disk(plan, kept, scratch)
     ending = LevelsFolder(folder, layout, told.write_plain, overwrite)
@@ -152,6 +157,7 @@ class _Telling:
 
     source: str
     preset: str
+    asked: ForestParameters
     ratios: tuple[float, ...]
     clock: StageClock
     start: float
@@ -167,7 +173,9 @@ class _Telling:
         from nanogs.scale.outcome import report_of
 
         reports = [
-            report_of(self.preset, Goal(ratio=r), done, counts[n], self.clock, self.start, n)
+            report_of(
+                self.preset, self.asked, Goal(ratio=r), done, counts[n], self.clock, self.start, n
+            )
             for n, r in enumerate(self.ratios)
         ]
         manifest = Manifest(

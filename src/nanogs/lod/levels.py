@@ -28,6 +28,7 @@ def levels(
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     threads: int | None = None,
+    max_memory: int | None = None,
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
@@ -43,6 +44,7 @@ def levels(
         cameras: Views that matter, for presets that render; by default automatic ones.
         nan: As `simplify` takes it.
         threads: Threads to use; all by default. The result does not depend on it.
+        max_memory: As `simplify` takes it.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`; a level is a stage, such as "level_0".
         **overrides: Parameters of the preset to replace, such as `k=8`.
@@ -55,6 +57,7 @@ def levels(
         FormatError: The path cannot be read as a model.
         OptionError: An option is out of range.
         ModelError: No splat is usable, or `nan="error"` and one is not.
+        NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
     check_ratios(ratios)
     parameters(preset, overrides)
@@ -62,6 +65,7 @@ def levels(
     job = prepare_job(splats, preset, overrides, cameras, nan)
     refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
     counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
+    job.refuse_too_large(counts[0], max_memory)
     stages = levels_stages(job.parameters, len(job.rows), counts)
     return _drawn(job, tuple(ratios), threads, progress, stages)
 

@@ -11,11 +11,12 @@ from nanogs.bar import drawn
 from nanogs.defaults import DEFAULT_MEMORY, PATIENCE
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
+from nanogs.memory import allowed_memory, process_memory
 from nanogs.progress import Progress
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
-from nanogs.scale.folder import job_folder
-from nanogs.scale.plan import ScalePlan, in_blocks, plan_blocks
+from nanogs.scale.folder import job_folder, read_manifest
+from nanogs.scale.plan import ScalePlan, can_do_without_renders, in_blocks, plan_blocks
 from nanogs.scale.scratch import is_url
 from nanogs.scale.settings import Chunks, Settings
 from nanogs.scale.source import look_at, segments_of
@@ -35,7 +36,7 @@ def simplify_blocks(
     ratio: float | None = None,
     count: int | None = None,
     preset: str = DEFAULT_PRESET,
-    max_memory: int = DEFAULT_MEMORY,
+    max_memory: int | None = None,
     block: int | None = None,
     job: str | PathLike[str] | None = None,
     scratch: str | None = None,
@@ -63,7 +64,9 @@ def simplify_blocks(
         ratio: Compaction ratio in (0, 1]; exactly one of both is given.
         count: Splats to deliver.
         preset: `default` or `fast`.
-        max_memory: Bytes that each process may take; it decides the size of the blocks.
+        max_memory: Bytes that each process may take; it decides the size of the blocks. By default
+            what is free, less a tenth, shared by the workers of this machine; 4 GB with a client
+            or scheduler. A job that is resumed keeps its blocks.
         block: Splats of a block, in place of that.
         job: Folder for what has to survive a crash; by default the output's name with `.job`. It
             is removed when the run ends well.
@@ -95,10 +98,13 @@ def simplify_blocks(
     if sum(each is not None for each in (client, scheduler, workers)) > 1:
         raise OptionError("Give one of a client, a scheduler and a number of workers.")
     paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
-    goal = Goal(ratio=ratio, count=count)
+    output, goal = Path(output), Goal(ratio=ratio, count=count)
+    folder, chosen = job_folder(output, job), block_parameters(preset, overrides)
+    max_memory, block = block_memory(
+        max_memory, block, folder if resume else None, workers, client is not None or scheduler
+    )
     settings, plan = plan_job(
-        [Path(path) for path in paths], (goal,), block_parameters(preset, overrides),
-        None if block else max_memory, block, nan,
+        [Path(path) for path in paths], (goal,), chosen, max_memory, block, nan
     )  # fmt: skip
     # Here and not above: these bring Numba, which `--help` and `info` do without.
     from nanogs.scale.ending import Files
@@ -106,10 +112,8 @@ def simplify_blocks(
     from nanogs.scale.outcome import report_of
     from nanogs.scale.result import refuse_large
 
-    output = Path(output)
     most = target_count(settings.splats, ratio, count)
-    refuse_large(output, most, row_bytes(settings.layout), None if block else max_memory)
-    folder = job_folder(output, job)
+    refuse_large(output, most, row_bytes(settings.layout), max_memory)
     if not resume:
         refuse_full_disk(plan, folder, scratch)
     saving = {"spz_version": spz_version}
@@ -117,7 +121,36 @@ def simplify_blocks(
     where = Where(threads, client, scheduler, workers, patience)
     with drawn(progress) as tell:
         done, counts = made.run(where, clock, tell, resume=resume)
-    return report_of(preset, goal, done, counts[0], clock, start)
+    return report_of(preset, chosen, goal, done, counts[0], clock, start)
+
+
+def block_memory(
+    max_memory: int | None,
+    block: int | None,
+    begun: Path | None,
+    workers: int | None,
+    elsewhere: object,
+) -> tuple[int | None, int | None]:
+    """What decides the size of the blocks: the memory of a process, or a number of splats.
+
+    Args:
+        max_memory: Bytes that each process may take, or None.
+        block: Splats of a block, or None.
+        begun: Folder of a job to continue, or None.
+        workers: Processes of this machine that share its memory, or None for this one.
+        elsewhere: Whether the work is done by processes whose machines are not known.
+
+    Returns:
+        Bytes that each process may take, or splats of a block; the other is None.
+    """
+    if block or max_memory is not None:
+        return (None, block) if block else (max_memory, None)
+    found = read_manifest(begun) if begun else None
+    if found is not None:
+        return None, found[0].block
+    if elsewhere:
+        return DEFAULT_MEMORY, None
+    return process_memory(allowed_memory(None), workers or 1), None
 
 
 def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters:
@@ -127,10 +160,10 @@ def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters
         OptionError: There is no such preset or parameter, or blocks cannot be simplified so.
     """
     chosen = parameters(preset, overrides)
-    if not isinstance(chosen, ForestParameters) or chosen.refit:
+    if not can_do_without_renders(chosen):
         raise OptionError(
-            f"The preset {preset} needs the whole model in memory; use default or fast, or raise"
-            " --max-memory."
+            f"The preset {preset} needs the whole model in memory; use default or fast, or give it"
+            " more memory."
         )
     return chosen
 

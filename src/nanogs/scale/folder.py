@@ -20,8 +20,22 @@ MANIFEST, LOCK, SCRATCH, RESULT = "job.json", "lock", "scratch", "result-"
 
 
 def job_folder(output: Path, job: str | PathLike[str] | None) -> Path:
-    """The job folder: the one named, or that beside the output."""
-    return output.with_name(f"{output.name}.job") if job is None else Path(job)
+    """The job folder: the one named, or that beside the output.
+
+    Raises:
+        OutputError: There can be none of that name.
+    """
+    folder = output.with_name(f"{output.name}.job") if job is None else Path(job)
+    try:
+        folder.lstat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        pass  # that is found out, and said, where it is made
+    except OSError as error:
+        raise OutputError(
+            f"The folder {folder} cannot be made ({error.strerror}), in which a job in blocks keeps"
+            " its files; name another one with --job."
+        ) from error
+    return folder
 
 
 @contextmanager

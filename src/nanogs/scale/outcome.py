@@ -8,21 +8,32 @@ from nanogs.report import BlocksReport, SimplifyReport, StageClock, StopReason
 from nanogs.scale.columns import count_of
 from nanogs.scale.run import Done
 from nanogs.scale.work import Task
+from nanogs.simplify.presets import ForestParameters, renders
 from nanogs.simplify.target import Goal
 
-UNRENDERED = (
-    "The model was simplified block by block, so nothing was rendered: splats were reassigned after"
-    " the cut, but results were not compared with views of the original."
+_UNRENDERED = (
+    "The model was simplified block by block, so nothing was rendered: splats were not weighed by"
+    " what is seen of them, results not compared with views of the original, colours not fitted{}."
+    " Expect less quality than in memory, by up to 5 dB; more memory makes blocks needless."
 )
+_REASSIGNED = "; splats were reassigned after the cut"
 
 
 def report_of(
-    preset: str, goal: Goal, done: Done, count: int, clock: StageClock, start: float, level: int = 0
+    preset: str,
+    asked: ForestParameters,
+    goal: Goal,
+    done: Done,
+    count: int,
+    clock: StageClock,
+    start: float,
+    level: int = 0,
 ) -> SimplifyReport:
     """What was asked, delivered and spent.
 
     Args:
         preset: Its name.
+        asked: The parameters asked for; the job's own render nothing.
         goal: What was asked.
         done: What the job did.
         count: Splats delivered.
@@ -36,7 +47,8 @@ def report_of(
     segments = work.segments()
     settled = work.of_blocks("settle", level) if settings.parameters.rounds else []
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
-    unrendered = [UNRENDERED] if preset != "fast" else []
+    moved = _REASSIGNED if settings.parameters.rounds else ""
+    unrendered = [_UNRENDERED.format(moved)] if renders(asked) else []
     return SimplifyReport(
         preset=preset,
         parameters=asdict(settings.parameters),

@@ -4,15 +4,17 @@ No Numba here: `--dry-run` uses it.
 """
 
 from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 from nanogs.errors import OptionError
 from nanogs.io.files import splat_bytes
+from nanogs.memory import LIBRARIES
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.encoding import encoding_of
 from nanogs.scale.settings import MOST_SEEN, Chunks, Layout
 from nanogs.scale.unpack import Cost
-from nanogs.simplify.memory import LIBRARIES, plan_memory
-from nanogs.simplify.presets import ForestParameters
+from nanogs.simplify.memory import plan_memory
+from nanogs.simplify.presets import ForestParameters, Parameters
 
 _MANY = 1_000_000
 _KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the making
@@ -63,6 +65,11 @@ class ScalePlan:
             )
         memory = max(self.memory, LIBRARIES + cost.memory if cost.memory else 0)
         return replace(self, memory=memory, scratch=self.scratch + cost.scratch)
+
+
+def can_do_without_renders(parameters: Parameters) -> TypeGuard[ForestParameters]:
+    """Whether a method can be done in blocks at all."""
+    return isinstance(parameters, ForestParameters) and not parameters.refit
 
 
 def in_blocks(parameters: ForestParameters) -> ForestParameters:

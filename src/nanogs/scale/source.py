@@ -15,7 +15,7 @@ from nanogs.scale.settings import Access, InputFile, Layout, Segment, Settings
 from nanogs.scale.unpack import Unpacked
 from nanogs.splats import RenderMode, Splats, concatenate, padded
 
-_SPANS, _SPAN_ROWS = 256, 1024  # of the rows that stand for all
+_SPAN_ROWS, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # of the rows that stand for all
 
 
 def look_at(paths: Sequence[Path]) -> tuple[tuple[InputFile, ...], Layout]:
@@ -123,7 +123,9 @@ def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None
 
 
 def sample(settings: Settings, unpacked: Unpacked | None = None) -> Splats:
-    """Evenly spread stretches of the usable rows of all inputs, some 260,000 at most.
+    """Evenly spread stretches of the usable rows of all inputs, without higher harmonics.
+
+    They are some 260,000 at most, and no more than a block, so that memory for a block is enough.
 
     Args:
         settings: The job.
@@ -133,12 +135,14 @@ def sample(settings: Settings, unpacked: Unpacked | None = None) -> Splats:
         FormatError: As for `read_segment`.
     """
     parts = []
-    every = max(settings.splats // (_SPANS * _SPAN_ROWS), 1)
+    bare = replace(settings.layout, sh_degree=0, extras=())
+    spans = min(max(settings.block // _SPAN_ROWS, _LEAST_SPANS), _MOST_SPANS)
+    every = -(-settings.splats // (spans * _SPAN_ROWS))
     for number, file in enumerate(settings.inputs):
         with _opened(settings, number, unpacked) as read:
             for start in range(0, file.splats, _SPAN_ROWS * every):
-                part = read(start, min(start + _SPAN_ROWS, file.splats))
-                parts.append(_with_layout(part.take(part.finite()), settings.layout))
+                part = read(start, min(start + _SPAN_ROWS, file.splats)).with_sh_degree(0)
+                parts.append(_with_layout(part.take(part.finite()), bare))
     return concatenate(parts)
 
 

@@ -37,6 +37,7 @@ def simplify(
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     threads: int | None = None,
+    max_memory: int | None = None,
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[Splats, SimplifyReport]:
@@ -61,6 +62,8 @@ def simplify(
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise.
         threads: Threads to use; all by default. The result does not depend on it.
+        max_memory: Bytes that this process may take; by default what is free, less a tenth. More
+            is refused before anything is computed.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`: the stage, which of how many it is, and the
             fraction of the whole that is done; the last step has the fraction 1.
@@ -72,6 +75,7 @@ def simplify(
     Raises:
         FormatError: The path cannot be read as a model.
         OptionError: An option is out of range, or the size is less than one splat takes.
+        NotEnoughMemoryError: It takes more memory than is free or allowed.
         ModelError: No splat is usable, `nan="error"` and one is not, or a PSNR is asked for and
             nothing is visible.
     """
@@ -90,6 +94,7 @@ def simplify(
             job = prepare_job(splats, preset, overrides, cameras, nan)
             target = target_of(goal, splats, len(job.rows), path)
             refuse_misaligned_elements(splats, 1 if target is None else target)
+            job.refuse_too_large(target, max_memory, judged=psnr is not None)
         tracker = Tracker(
             tell,
             simplify_stages(job.parameters, goal, len(job.rows), target, path.suffix),

@@ -9,8 +9,10 @@ import numpy as np
 
 from nanogs._types import I32
 from nanogs.errors import ModelError
+from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport, StageClock, StopReason
+from nanogs.simplify.memory import plan_memory
 from nanogs.simplify.outcome import Outcome
 from nanogs.simplify.presets import ForestParameters, PaperParameters, Parameters, parameters
 from nanogs.simplify.target import Goal
@@ -42,6 +44,31 @@ class Job:
     preset: str
     parameters: Parameters
     cameras: "Sequence[Camera] | None"
+
+    def refuse_too_large(
+        self, target: int | None, max_memory: int | None, *, judged: bool = False
+    ) -> None:
+        """Refuse what takes more memory than there is, the model being held already.
+
+        Args:
+            target: Splats of the largest result, or None where that is not known beforehand.
+            max_memory: Bytes that this process may take; None for what is free.
+            judged: Whether results are held against views of the original whatever the preset.
+
+        Raises:
+            NotEnoughMemoryError: It takes more.
+        """
+        splats = self.splats
+        extra = sum(column.itemsize for column in splats.extras.values())
+        most = len(splats) if target is None else target
+        plan = plan_memory(
+            len(splats), splats.sh_degree, extra, self.parameters, most, judged=judged
+        )
+        held = 0 if max_memory else plan.input_columns
+        refuse_too_large(
+            "Simplifying this model", plan.peak - held, allowed_memory(max_memory),
+            "free some, or use nanogs.simplify_blocks, which works on files block by block",
+        )  # fmt: skip
 
     def build(self, threads: int, clock: StageClock, progress: Tracker) -> "Build":
         """The forest that any count is cut from; for presets that grow one.

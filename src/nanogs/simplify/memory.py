@@ -9,8 +9,6 @@ from nanogs.simplify.blocks import BLOCK_PAIRS
 from nanogs.simplify.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
 from nanogs.simplify.presets import PaperParameters, Parameters
 
-LIBRARIES = 205_000_000  # bytes, measured, of Python and its libraries, which the plan leaves out
-
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # Gaussians; their features are the model's
 _LEFT = 0.55  # share of the splats that a pass leaves at least; the method leaves half or more
@@ -18,7 +16,7 @@ _LEFT = 0.55  # share of the splats that a pass leaves at least; the method leav
 
 @dataclass(frozen=True, slots=True)
 class MemoryPlan:
-    """Bytes that a simplification keeps, stage by stage; see `LIBRARIES` for what comes on top.
+    """Bytes that a simplification keeps, stage by stage; the libraries come on top.
 
     Attributes:
         input_columns: The model as loaded.

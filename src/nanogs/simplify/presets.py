@@ -114,7 +114,7 @@ def _require(ok: bool, name: str, value: float, expected: str) -> None:
 PRESETS: Mapping[str, Parameters] = MappingProxyType(
     {
         "default": ForestParameters(),
-        "fast": ForestParameters(rounds=0, measure=False),
+        "fast": ForestParameters(rounds=0, measure=False, recolour=False),
         "best": ForestParameters(refit=True),
         "paper": PaperParameters(),
     }
@@ -170,6 +170,21 @@ def refuse_search(preset: str, wish: str) -> None:
             f"The preset {preset} cannot be asked for {wish}, since each count tried would be a "
             "run of its own; choose another preset."
         )
+
+
+def effective(chosen: Parameters, *, judged: bool = False) -> dict[str, Any]:
+    """The parameters that have an effect, by name: without views, none that is about views.
+
+    Args:
+        chosen: Of the method.
+        judged: Whether results are held against views of the original whatever the preset.
+    """
+    unused = {"hidden", "recolour"} if isinstance(chosen, ForestParameters) else set()
+    if renders(chosen) or judged:
+        unused = set()
+    elif unused:
+        unused.add("views")
+    return {name: value for name, value in dataclasses.asdict(chosen).items() if name not in unused}
 
 
 def renders(chosen: Parameters) -> bool:

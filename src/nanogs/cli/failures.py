@@ -1,0 +1,46 @@
+"""What a failure of the system means for the user: memory that ran out, names too long."""
+
+import re
+import traceback
+
+_REMEDY = (
+    "free some, raise its limit (`ulimit`, the container), or let simplify and lod work in less"
+    " with --max-memory"
+)
+
+
+def sentence_of(error: Exception) -> str | None:
+    """One sentence for an error that the system caused; None for any other.
+
+    Args:
+        error: What ended the command; what its frames held is given back first.
+    """
+    if is_shortage(error):
+        traceback.clear_frames(error.__traceback__)
+        asked = re.search(r"Unable to allocate ([\d.]+ \w+)", str(error))  # as NumPy says it
+        wanted = f" ({asked[1]} more were wanted)" if asked else ""
+        return f"Memory ran out{wanted}; {_REMEDY}."
+    if isinstance(error, OSError) and error.errno is not None and error.filename is not None:
+        reason = error.strerror or type(error).__name__
+        return f"{error.filename}: {reason}; name another file or folder."
+    return None
+
+
+def is_shortage(error: Exception) -> bool:
+    """Whether there was no memory for numbers, a thread, or a library."""
+    if isinstance(error, MemoryError):
+        return True
+    if isinstance(error, RuntimeError):
+        return "can't start new thread" in str(error)
+    if isinstance(error, ImportError | OSError):
+        said = str(error).lower()
+        unmapped = "shared object" in said or "cannot allocate memory" in said
+        return unmapped and _is_limited()
+    return False
+
+
+def _is_limited() -> bool:
+    """Whether `ulimit` bounds what can be mapped, which libraries are too."""
+    from nanogs.memory import set_ulimits
+
+    return any(True for _ in set_ulimits())

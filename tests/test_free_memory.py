@@ -1,0 +1,350 @@
+"""What is free, by made-up descriptions of a system, and what happens where it is not enough."""
+
+import json
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+import nanogs
+from nanogs import memory
+from nanogs.cli.failures import sentence_of
+from nanogs.datasets.synthetic import make_scene
+from nanogs.errors import NotEnoughMemoryError
+from nanogs.memory import LIBRARIES, Memory, allowed_memory, free_memory, process_memory
+
+GB = 10**9
+COUNT = 60_000
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="its limits are Linux's")
+
+
+@pytest.fixture
+def system(tmp_path, monkeypatch):
+    """A machine with 8 GB available, no limits, and a process that has all its libraries."""
+    psutil = pytest.importorskip("psutil")
+    facts = SimpleNamespace(rss=LIBRARIES, vms=700_000_000, data=300_000_000)
+    monkeypatch.setattr(psutil, "Process", lambda: SimpleNamespace(memory_info=lambda: facts))
+    available = SimpleNamespace(available=8 * GB)
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: available)
+    monkeypatch.setattr(memory, "set_ulimits", lambda: iter(()))
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    proc, groups = tmp_path / "proc", tmp_path / "cgroup"
+    (proc / "self").mkdir(parents=True)
+    groups.mkdir()
+
+    def group(line, files=None, inner=""):
+        (proc / "self" / "cgroup").write_text(line)
+        (groups / inner).mkdir(parents=True, exist_ok=True)
+        for name, text in (files or {}).items():
+            (groups / inner / name).write_text(f"{text}\n")
+
+    return SimpleNamespace(
+        facts=facts, available=available, group=group, free=lambda: free_memory(proc, groups)
+    )
+
+
+def test_without_limits_what_the_machine_has_available_counts(system):
+    assert system.free() == Memory(8 * GB, "free on this machine")
+
+
+def test_libraries_that_are_still_to_be_loaded_are_allowed_for(system):
+    system.facts.rss = LIBRARIES - 150_000_000
+    assert system.free().bytes == 8 * GB - 150_000_000
+
+
+def second(limit, used, stat="", high="max"):
+    return {
+        "memory.max": limit, "memory.current": used, "memory.stat": stat, "memory.high": high,
+    }  # fmt: skip
+
+
+@LINUX
+@pytest.mark.parametrize(
+    ("files", "free"),
+    [
+        (second(2 * GB, GB // 2), 3 * GB // 2),
+        (second("max", GB), 8 * GB),
+        (second(2 * GB, GB, "anon 5\ninactive_file 300\nactive_file 200"), GB + 500),
+        (second("max", GB, high=3 * GB), 2 * GB),
+        (second(9 * GB, 0), 8 * GB),
+        ({"memory.max": 2 * GB}, 8 * GB),
+        ({}, 8 * GB),
+    ],
+)
+def test_a_control_group_leaves_its_limit_less_what_is_used_but_for_files(system, files, free):
+    system.group("0::/job\n", files, "job")
+    assert system.free().bytes == free
+
+
+@LINUX
+def test_the_groups_above_count_too(system):
+    system.group("0::/slice/job\n", second(4 * GB, GB), "slice")
+    system.group("0::/slice/job\n", second(6 * GB, GB), "slice/job")
+    assert system.free() == Memory(3 * GB, "free in this control group")
+
+
+@LINUX
+def test_a_container_that_sees_its_group_as_the_root(system):
+    system.group("0::/docker/0123\n", second(2 * GB, GB))
+    assert system.free().bytes == GB
+
+
+@LINUX
+@pytest.mark.parametrize(
+    ("limit", "stat", "free"),
+    [
+        (2 * GB, "", GB),
+        (2 * GB, "cache 9\ntotal_inactive_file 7\ntotal_active_file 3", GB + 10),
+        (9223372036854771712, "", 8 * GB),
+    ],
+)
+def test_control_groups_of_version_1(system, limit, stat, free):
+    files = {
+        "memory.limit_in_bytes": limit, "memory.usage_in_bytes": GB, "memory.stat": stat,
+    }  # fmt: skip
+    system.group("5:cpu,cpuacct:/x\n4:memory:/job\n1:name=systemd:/\n", files, "memory/job")
+    assert system.free().bytes == free
+
+
+@pytest.mark.parametrize("option", ["-v", "-d"])
+def test_ulimit_leaves_what_is_not_mapped(system, monkeypatch, option):
+    monkeypatch.setattr(memory, "set_ulimits", lambda: iter([(2 * GB, option)]))
+    mapped = {"-v": 700_000_000, "-d": 300_000_000}[option]
+    assert system.free() == Memory(2 * GB - mapped, f"left by `ulimit {option}`")
+
+
+def test_libraries_map_more_for_each_thread(system, monkeypatch):
+    monkeypatch.setattr(memory, "set_ulimits", lambda: iter([(8 * GB, "-v")]))
+    system.facts.vms = 0
+    found = []
+    for threads in ("1", "2", "16"):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+        found.append(8 * GB - system.free().bytes)
+    assert found[1] - found[0] == (found[2] - found[1]) / 14 > 72e6
+
+
+@LINUX
+@pytest.mark.parametrize("threads", [1, 4])
+def test_the_libraries_map_what_is_planned_for(threads):
+    """In a process of its own, since a test's has mapped much else."""
+    code = (
+        "import psutil, nanogs\n"
+        "from nanogs.datasets.synthetic import make_scene\n"
+        "nanogs.simplify(make_scene(500), ratio=0.1)\n"
+        "print(psutil.Process().memory_info().vms)"
+    )
+    import os
+
+    names = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    env = os.environ | dict.fromkeys(names, str(threads))
+    run = [sys.executable, "-c", code]
+    subprocess.run(run, env=env, check=True, capture_output=True)  # compiles what is not cached
+    found = subprocess.run(run, env=env, check=True, capture_output=True, text=True)
+    planned = memory._MAPPED + (threads - 1) * memory._MAPPED_THREAD
+    assert 0.5 * planned < int(found.stdout) < planned
+
+
+def test_nothing_left_is_said_at_once(system, monkeypatch):
+    monkeypatch.setattr(memory, "free_memory", lambda: Memory(-5_000_000, "left by `ulimit -v`"))
+    with pytest.raises(NotEnoughMemoryError, match=r"5\.0 MB more .* left by `ulimit -v`"):
+        allowed_memory(None)
+
+
+def test_a_tenth_is_kept_free_unless_the_memory_is_given(monkeypatch):
+    monkeypatch.setattr(memory, "free_memory", lambda: Memory(10 * GB, "free on this machine"))
+    assert allowed_memory(None).bytes == 9 * GB
+    assert allowed_memory(GB).bytes == GB - LIBRARIES
+    assert allowed_memory(5).bytes == 0
+
+
+@pytest.mark.parametrize(
+    ("free", "processes", "each"),
+    [
+        (3_456_000_000, 1, 3_660_000_000),
+        (7_400_000, 1, 212_000_000),
+        (4_000_000_000, 4, 1_050_000_000),
+    ],
+)
+def test_each_process_gets_its_share_in_three_digits(free, processes, each):
+    assert process_memory(Memory(free, ""), processes) == each
+
+
+# ---- what is done about it --------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("free") / "scene.ply"
+    nanogs.save(make_scene(COUNT), path)
+    return path
+
+
+@pytest.fixture
+def little(monkeypatch):
+    """Memory for half of what the scene takes."""
+    free = Memory(22_000_000, "free on this machine")
+    monkeypatch.setattr(memory, "free_memory", lambda: free)
+
+
+def command(*args):
+    """Run the command in this process; its exit code."""
+    import nanogs.cli
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["nanogs", *map(str, args)])
+        with pytest.raises(SystemExit) as ended:
+            nanogs.cli.main()
+    return ended.value.code
+
+
+def test_a_model_that_does_not_fit_goes_to_blocks_and_says_so(scene, tmp_path, little, capsys):
+    out = tmp_path / "small.ply"
+    assert command("simplify", scene, out, "-r", "0.1", "--preset", "fast") == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert (
+        "19.8 MB are free on this machine: it is simplified in blocks, as with --max-memory" in said
+    )
+    assert len(nanogs.load(out)) == COUNT // 10
+    assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
+
+
+def test_levels_that_do_not_fit_go_to_blocks(scene, tmp_path, little, capsys):
+    folder = tmp_path / "levels"
+    assert command("lod", scene, folder, "--levels", "0.2,0.1", "--preset", "fast") == 0
+    assert "in blocks, as with --max-memory" in " ".join(capsys.readouterr().err.split())
+    assert (folder / "levels.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("wish", "said"),
+    [
+        (["--psnr", "30"], "--psnr needs the whole model"),
+        (["--size", "1MB"], "--size needs the whole model"),
+        (["-r", "0.1", "--frame", "rub:rdf"], "--frame needs the whole model"),
+        (["-r", "0.1", "--views", "3"], "--views, --cameras or --up needs the whole model"),
+        (["-r", "0.1", "--crop", "sphere:0,0,0,1"], "a filter needs the whole model"),
+        (["-r", "0.1", "--preset", "paper"], "the preset paper needs the whole model"),
+    ],
+)
+def test_what_blocks_cannot_do_is_refused_at_once(scene, tmp_path, little, capsys, wish, said):
+    assert command("simplify", scene, tmp_path / "a.ply", *wish) == 2
+    text = " ".join(capsys.readouterr().err.split())
+    assert said in text
+    assert "leave that out, or give it more memory" in text
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_in_python_a_model_that_would_not_fit_is_refused_before_work(monkeypatch):
+    splats, stages = make_scene(2000), []
+    monkeypatch.setattr(memory, "free_memory", lambda: Memory(100_000, "free on this machine"))
+    with pytest.raises(NotEnoughMemoryError, match="simplify_blocks"):
+        nanogs.simplify(splats, ratio=0.1, progress=lambda *each: stages.append(each))
+    with pytest.raises(NotEnoughMemoryError):
+        nanogs.levels(splats, [0.5, 0.1])
+    assert stages == []
+    small, _ = nanogs.simplify(splats, ratio=0.1, preset="fast", max_memory=GB)
+    assert len(small) == 200
+
+
+def test_blocks_that_are_resumed_keep_their_size_whatever_is_free(scene, tmp_path, monkeypatch):
+    from nanogs.scale.api import block_memory
+    from nanogs.scale.folder import read_manifest
+
+    job, out = tmp_path / "job", tmp_path / "small.ply"
+
+    class StoppedError(Exception):
+        pass
+
+    def stop(step):
+        if step.stage == "cut":
+            raise StoppedError
+
+    given = {"ratio": 0.1, "job": job, "threads": 1}
+    with pytest.raises(StoppedError):
+        nanogs.simplify_blocks(
+            scene, out, max_memory=LIBRARIES + 25_000_000, progress=stop, **given
+        )
+    block = read_manifest(job)[0].block
+    assert block_memory(None, None, job, None, None) == (None, block)
+    report = nanogs.simplify_blocks(scene, out, resume=True, **given)
+    assert report.blocks.allowed == block
+    assert report.blocks.resumed > 0
+
+
+@pytest.mark.parametrize("option", [["--workers", "2"], ["--resume"], ["--scratch", "x"]])
+def test_options_for_blocks_that_have_no_effect_are_named(scene, tmp_path, capsys, option):
+    given = ["simplify", scene, tmp_path / "a.ply", "-r", "0.1", "--preset", "fast", *option]
+    assert command(*given, "--json") == 0
+    (note, *_rest) = json.loads(capsys.readouterr().out)["notes"]
+    assert f"{option[0]} had no effect" in note
+
+
+# ---- whatever still runs out ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "Memory ran out;"),
+        (
+            MemoryError("Unable to allocate 91.6 MiB for an array with shape (500, 16)"),
+            r"Memory ran out \(91.6 MiB more were wanted\);",
+        ),
+        (RuntimeError("can't start new thread"), "Memory ran out;"),
+        (OSError(36, "File name too long", "aaa"), "aaa: File name too long;"),
+    ],
+)
+def test_failures_of_the_system_are_said_in_one_sentence(error, said):
+    import re
+
+    assert re.match(said, sentence_of(error))
+
+
+@pytest.mark.parametrize("error", [RuntimeError("ours"), ValueError("x"), OSError("no number")])
+def test_defects_of_ours_are_not_taken_for_the_systems(error):
+    assert sentence_of(error) is None
+
+
+def test_memory_that_runs_out_halfway_leaves_nothing(scene, tmp_path, monkeypatch, capsys):
+    import nanogs.io.ply_write
+
+    def run_out(*_args, **_options):
+        raise MemoryError
+
+    monkeypatch.setattr(nanogs.io.ply_write, "write", run_out)
+    monkeypatch.setattr("nanogs.cli.convert_run.save", run_out)
+    assert command("convert", scene, tmp_path / "a.ply") == 2
+    assert "error: Memory ran out; free some" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@LINUX
+@pytest.mark.parametrize("limit", [60, 400])
+def test_too_low_a_ulimit_is_said_in_one_sentence(scene, tmp_path, limit):
+    import resource
+
+    def limited():
+        resource.setrlimit(resource.RLIMIT_AS, (limit * 10**6, limit * 10**6))
+
+    run = [sys.executable, "-m", "nanogs", "simplify", scene, tmp_path / "a.ply", "-r", "0.1"]
+    found = subprocess.run(run, preexec_fn=limited, capture_output=True, text=True)
+    assert found.returncode == 2
+    assert found.stderr.startswith("error: ")
+    assert found.stderr.count("\n") == 1
+    assert "`ulimit -v`" in found.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---- names without room for a suffix ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("option", [["--job", "a" * 254 + ".ply"], []])
+def test_a_name_too_long_for_a_job_is_said(scene, tmp_path, capsys, option):
+    out = tmp_path / ("a.ply" if option else "b" * 248 + ".ply")
+    given = ["simplify", scene, out, "-r", "0.1", "--max-memory", "220MB", *option]
+    assert command(*given) == 2
+    said = capsys.readouterr().err
+    assert "(File name too long)" in said
+    assert said.rstrip().endswith("name another one with --job.")
+    assert list(tmp_path.iterdir()) == []
