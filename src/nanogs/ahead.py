@@ -11,6 +11,8 @@ import subprocess
 import sys
 from functools import cache
 
+from nanogs.cleanup import clean_at_end, undisturbed
+
 
 @cache
 def compile_ahead() -> None:
@@ -20,12 +22,14 @@ def compile_ahead() -> None:
     """
     if (os.cpu_count() or 1) < 2:
         return
-    process = subprocess.Popen(
-        [sys.executable, "-m", "nanogs.ahead"],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    with undisturbed():
+        process = subprocess.Popen(
+            [sys.executable, "-m", "nanogs.ahead"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        clean_at_end(process.kill)
     atexit.register(process.kill)  # the cache's files are written beside their places and renamed
 
 

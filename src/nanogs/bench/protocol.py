@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from nanogs.bench.rows import ORIGINAL, Against, BenchRow, Status
 from nanogs.bench.scenes import BenchScene, SceneViews, fill, scene_of_file, scene_views
 from nanogs.bench.settings import BenchSettings, refuse_twins
 from nanogs.bench.worker import Job, run_job
+from nanogs.cleanup import temporary_folder
 from nanogs.compare.scoring import EXTRA_METRICS, score
 from nanogs.errors import NanogsError, OptionError
 from nanogs.io import load
@@ -97,11 +97,11 @@ def _scene_rows(
     yield _original_row(scene, splats, views, settings)
     finite = int(splats.finite().sum())
     del splats
-    with TemporaryDirectory(prefix="nanogs-bench-") as folder:
+    with temporary_folder("nanogs-bench-") as folder:
         for ratio in settings.ratios:
             for method in settings.methods:
                 progress(f"{scene.name}: {method} at {ratio:g}")
-                yield _method_row(scene, method, ratio, views, settings, Path(folder))
+                yield _method_row(scene, method, ratio, views, settings, folder)
             asked = target_count(finite, ratio, None)
             for name in settings.externals:
                 progress(f"{scene.name}: {name} at {ratio:g}")

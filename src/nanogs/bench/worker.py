@@ -4,7 +4,7 @@ import multiprocessing
 import signal
 import sys
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 
 from nanogs.bench.baselines import Method, MethodContext
 from nanogs.bench.methods import find_method
+from nanogs.cleanup import cleaned_up, undisturbed
 from nanogs.errors import NanogsError
 from nanogs.io import load, save
 from nanogs.render.camera import Camera
@@ -72,19 +73,22 @@ def run_job(job: Job) -> Outcome:
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_serve, args=(job, sender), daemon=True)
-    process.start()
-    sender.close()
-    try:
-        outcome = receiver.recv()
-    except EOFError:
-        process.join()
-        outcome = Outcome(
-            error=f"Its process ended without a result ({_ending(process.exitcode)})."
-        )
-    finally:  # the result is written before it is announced
-        receiver.close()
-        process.kill()
-        process.join()
+
+    def end() -> None:  # the result is written before it is announced
+        if process.pid is not None:
+            process.kill()
+            process.join()
+
+    with cleaned_up(end), closing(receiver):
+        with undisturbed():
+            process.start()
+        sender.close()
+        try:
+            outcome = receiver.recv()
+        except EOFError:
+            process.join()
+            reason = _ending(process.exitcode)
+            outcome = Outcome(error=f"Its process ended without a result ({reason}).")
     assert isinstance(outcome, Outcome)  # noqa: S101 - what `_serve` sends
     return outcome
 

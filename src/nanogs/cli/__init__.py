@@ -3,11 +3,13 @@
 import gc
 import sys
 
+from nanogs.cli.cancel import listen
 from nanogs.cli.importing import uncollected
 
 
 def main() -> None:
     """Run the command; errors of the user's end with one sentence and exit code 2."""
+    listen()
     try:
         code = _run()
     finally:

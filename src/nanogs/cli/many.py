@@ -3,11 +3,13 @@
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import typer
 
+from nanogs.cleanup import cleaned_up
 from nanogs.cli.console import fail, notes_about, print_json
 from nanogs.cli.failures import sentence_of
 from nanogs.cli.progress import Watch, shown
@@ -69,8 +71,9 @@ def run_all(
         NanogsError: The only file failed, or the folder cannot be made.
         typer.Exit: With code 2, one of several failed.
     """
+    hushed = json or quiet
     if out_dir is None:
-        with shown(quiet=quiet or json) as watch, streams.opened(pairs[0]) as real:
+        with shown(quiet=hushed) as watch, streams.opened(pairs[0]) as real:
             run = run_one(real, watch)
             runs = [run | {k: v for k, v in names(pairs[0]).items() if k in run}]
         failed: list[dict[str, str]] = []
@@ -78,11 +81,8 @@ def run_all(
         for pair in pairs:
             streams.check(pair)
         made = writes and _make(out_dir)
-        with shown(quiet=quiet or json) as watch:
-            runs, failed = _run_several(pairs, run_one, None if json or quiet else show, watch)
-        if made:
-            with suppress(OSError):  # unless it holds something
-                out_dir.rmdir()
+        with cleaned_up(partial(_remove_empty, out_dir, made)), shown(quiet=hushed) as watch:
+            runs, failed = _run_several(pairs, run_one, None if hushed else show, watch)
     if json:
         data = runs[0] if out_dir is None else {"files": runs, "failed": failed}
         print_json(data, sys.stderr if pairs[0].target == DASH else sys.stdout)
@@ -117,6 +117,13 @@ def _run_several(
             fail(said if name in said else f"{name}: {said}")
             failed.append({"input": name, "error": said})
     return runs, failed
+
+
+def _remove_empty(folder: Path, made: bool) -> None:
+    """Take a folder away that was made and is empty all the same."""
+    if made:
+        with suppress(OSError):  # unless it holds something
+            folder.rmdir()
 
 
 def _make(folder: Path) -> bool:

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
+from nanogs.cleanup import temporary_folder
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.collect import Pair
@@ -61,9 +61,9 @@ class Streams:
         if DASH not in (pair.source, pair.target):
             yield pair
             return
-        with TemporaryDirectory(prefix="nanogs-") as folder:
+        with temporary_folder("nanogs-") as folder:
             try:
-                real = self._stand_ins(pair, Path(folder))
+                real = self._stand_ins(pair, folder)
                 yield real
             except NanogsError as error:  # which names a folder the user has never seen
                 inside = f"{folder}{os.sep}"

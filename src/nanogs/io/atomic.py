@@ -4,10 +4,8 @@ The bytes go to a temporary file beside the target, which then takes the target'
 that is a symbolic link is written through: the file it points to is replaced, the link stays.
 """
 
-import contextlib
 import errno
 import os
-import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from nanogs.errors import ExistsError, OutputError
+from nanogs.io.temporary import temporary
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
@@ -30,18 +29,15 @@ def atomic_write(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
         OutputError: The target exists and `overwrite` is off, or it cannot be written.
     """
     target = _target(path, overwrite=overwrite)
-    temporary = target.with_name(f".nanogs-{secrets.token_hex(8)}.tmp")
     try:
-        with temporary.open("xb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        _take_place(temporary, target, path, overwrite=overwrite)
+        with temporary(target, _make) as made:
+            with made.open("wb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            _take_place(made, target, path, overwrite=overwrite)
     except OSError as error:
         raise output_error(path, error) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def check_writable(path: Path, *, overwrite: bool = False) -> None:
@@ -52,12 +48,15 @@ def check_writable(path: Path, *, overwrite: bool = False) -> None:
     """
     target = _target(path, overwrite=overwrite)
     # Only creating a file shows read-only mounts and access lists.
-    probe = target.with_name(f".nanogs-{secrets.token_hex(8)}.tmp")
     try:
-        probe.open("xb").close()
-        probe.unlink()
+        with temporary(target, _make):
+            pass
     except OSError as error:
         raise output_error(path, error) from error
+
+
+def _make(path: Path) -> None:
+    path.open("xb").close()
 
 
 def _target(path: Path, *, overwrite: bool) -> Path:
@@ -87,12 +86,12 @@ def _check_target(path: Path, target: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{path} is read-only; change its permissions or the output.")
 
 
-def _take_place(temporary: Path, target: Path, path: Path, *, overwrite: bool) -> None:
+def _take_place(made: Path, target: Path, path: Path, *, overwrite: bool) -> None:
     """Rename, after looking again: minutes may have passed since the first check."""
     _check_target(path, target, overwrite=overwrite)
     if target.exists():
-        temporary.chmod(stat.S_IMODE(target.stat().st_mode))
-    temporary.replace(target)
+        made.chmod(stat.S_IMODE(target.stat().st_mode))
+    made.replace(target)
 
 
 def output_error(path: Path, error: OSError) -> OutputError:

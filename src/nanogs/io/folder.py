@@ -6,14 +6,15 @@ existing folder is only replaced if it holds nothing but files that its own mani
 
 import contextlib
 import os
-import secrets
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
+from nanogs.cleanup import undisturbed
 from nanogs.errors import ExistsError, OutputError
 from nanogs.io.atomic import output_error
+from nanogs.io.temporary import left_beside, locked, name_beside, temporary
 
 Ours = Callable[[Path], frozenset[str] | None]
 """The files that nanogs made in a folder, as paths from it with slashes, or None for a folder that
@@ -33,16 +34,13 @@ def atomic_folder(path: Path, ours: Ours, *, overwrite: bool = False) -> Iterato
         OutputError: The folder exists and may not be replaced, or it cannot be made.
     """
     target = _target(path, ours, overwrite=overwrite)
-    temporary = _beside(target)
     try:
-        temporary.mkdir()
-        yield temporary
-        # Looked at again: minutes may have passed.
-        _take_place(temporary, _target(path, ours, overwrite=overwrite), ours)
+        with temporary(target, Path.mkdir) as made:
+            yield made
+            # Looked at again: minutes may have passed.
+            _take_place(made, _target(path, ours, overwrite=overwrite), ours)
     except OSError as error:
         raise output_error(path, error) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def move_folder(folder: Path, path: Path, ours: Ours, *, overwrite: bool = False) -> None:
@@ -64,8 +62,8 @@ def move_folder(folder: Path, path: Path, ours: Ours, *, overwrite: bool = False
         except OSError as error:
             raise output_error(path, error) from error
         return
-    with atomic_folder(path, ours, overwrite=overwrite) as temporary:
-        shutil.copytree(folder, temporary, dirs_exist_ok=True)
+    with atomic_folder(path, ours, overwrite=overwrite) as made:
+        shutil.copytree(folder, made, dirs_exist_ok=True)
     shutil.rmtree(folder)
 
 
@@ -75,22 +73,19 @@ def check_folder_writable(path: Path, ours: Ours, *, overwrite: bool = False) ->
     Raises:
         OutputError: As for `atomic_folder`.
     """
-    probe = _beside(_target(path, ours, overwrite=overwrite))
+    target = _target(path, ours, overwrite=overwrite)
     try:
-        probe.mkdir()
-        probe.rmdir()
+        with temporary(target, Path.mkdir):
+            pass
     except OSError as error:
         raise output_error(path, error) from error
-
-
-def _beside(target: Path) -> Path:
-    return target.with_name(f".nanogs-{secrets.token_hex(8)}.tmp")
 
 
 def _target(path: Path, ours: Ours, *, overwrite: bool) -> Path:
     """The folder to make, links resolved, after every check that changes nothing."""
     try:
         target = Path(os.path.realpath(path))
+        _finish_swaps(target, ours)
         _check_target(path, target, ours, overwrite=overwrite)
     except OSError as error:
         raise output_error(path, error) from error
@@ -131,19 +126,38 @@ def _contents(folder: Path, prefix: str = "") -> Iterator[str]:
             yield f"{prefix}{entry.name}/"
 
 
-def _take_place(temporary: Path, target: Path, ours: Ours) -> None:
+def _take_place(made: Path, target: Path, ours: Ours) -> None:
     """Rename; an older folder steps aside first and is deleted last."""
+    with undisturbed():
+        _swap(made, target, ours)
+
+
+def _swap(made: Path, target: Path, ours: Ours) -> None:
     if not target.exists():
-        temporary.replace(target)
+        made.replace(target)
         return
-    old = _beside(target)
-    target.replace(old)
-    try:
-        temporary.replace(target)
-    except BaseException:
-        old.replace(target)
-        raise
-    # By name and not as a tree: what came into it meanwhile is not ours to delete.
+    old = name_beside(target, ".old")
+    with locked(target):
+        target.replace(old)
+        try:
+            made.replace(target)
+        except BaseException:
+            old.replace(target)
+            raise
+        _discard(old, ours)
+
+
+def _finish_swaps(target: Path, ours: Ours) -> None:
+    """Do what a run did not come to that was killed while it replaced a folder."""
+    for old in left_beside(target, ".old"):
+        if target.exists():
+            _discard(old, ours)
+        else:
+            old.replace(target)
+
+
+def _discard(old: Path, ours: Ours) -> None:
+    """Delete a folder by name and not as a tree: what came into it meanwhile is not ours."""
     names = ours(old) or frozenset()
     for name in names:
         (old / name).unlink(missing_ok=True)

@@ -1,18 +1,21 @@
 """Renderings as PNG files."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from nanogs._types import F32, U8, Array
-from nanogs.errors import OptionError, OutputError
+from nanogs.errors import OptionError
 from nanogs.io.atomic import atomic_write
+from nanogs.io.folder import atomic_folder
 from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.render.camera import Camera
 from nanogs.render.lens import lens_notes
-from nanogs.render.rasterize import Rendering, prepare, render
+from nanogs.render.rasterize import PreparedSplats, Rendering, prepare, render
 from nanogs.splats import Splats
 
 _PHOTO = re.compile(r"\.(png|jpe?g|webp)$", re.IGNORECASE)
@@ -50,22 +53,53 @@ def render_images(
         OutputError: The folder cannot be made, or a file exists or cannot be written.
     """
     folder, names = _places(target, cameras)
-    prepared = prepare(splats)
-    written: list[str] = []
-    notes: dict[str, None] = dict.fromkeys(lens_notes(cameras))
+    options: dict[str, Any] = {"background": background, "transparent": transparent, "depth": depth}
     tracker = Tracker(progress, [Stage("render", 1.0)])
-    for camera, name in each(zip(cameras, names, strict=True), tracker.part):
+    views = each(zip(cameras, names, strict=True), tracker.part)
+    with _filled(folder) as place:
+        files, notes = _render(prepare(splats), views, place, overwrite=overwrite, **options)
+    tracker.finish()
+    return [str(folder / name) for name in files], [*lens_notes(cameras), *notes]
+
+
+@contextmanager
+def _filled(folder: Path) -> Iterator[Path]:
+    """Where the files of a folder are written: one that is new appears whole or not at all."""
+    if folder.is_dir():
+        yield folder
+        return
+    with atomic_folder(folder, _nothing_of) as place:
+        yield place
+
+
+def _nothing_of(_folder: Path) -> None:
+    """What is not replaced."""
+
+
+def _render(
+    prepared: PreparedSplats,
+    views: Iterable[tuple[Camera, str]],
+    folder: Path,
+    *,
+    background: tuple[float, float, float],
+    transparent: bool,
+    depth: bool,
+    overwrite: bool,
+) -> tuple[list[str], list[str]]:
+    """Render each camera into a folder; the names of the files, and what the user should know."""
+    written: list[str] = []
+    notes: dict[str, None] = {}
+    for camera, name in views:
         rendering = render(prepared, camera, background=background, depth=depth)
         images: dict[str, Array] = {f"{name}.png": color_image(rendering, transparent)}
         if depth:
             images[f"{name}_depth.png"] = depth_image(rendering)
         for file_name, image in images.items():
             save_png(image, folder / file_name, overwrite=overwrite)
-            written.append(str(folder / file_name))
+            written.append(file_name)
         notes.update(dict.fromkeys(rendering.notes))
         if not rendering.alpha.any():
             notes[f"{name}: nothing of the model is seen"] = None
-    tracker.finish()
     if prepared.skipped:
         notes[f"{prepared.skipped:,} splats with a NaN or infinite value were not drawn"] = None
     return written, list(notes)
@@ -74,9 +108,7 @@ def render_images(
 def _places(target: Path, cameras: Sequence[Camera]) -> tuple[Path, list[str]]:
     """The folder of the files and their names without suffix."""
     if target.suffix.lower() != ".png":
-        names = file_names(cameras)
-        make_folder(target)
-        return target, names
+        return target, file_names(cameras)
     if len(cameras) > 1:
         raise OptionError(
             f"{target} is one picture, and there are {len(cameras)} views; name a folder for them."
@@ -103,19 +135,6 @@ def file_names(cameras: Sequence[Camera]) -> list[str]:
         if name in names[:index]:
             raise OptionError(f"Two cameras are called {name!r}; give them names of their own.")
     return names
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder if it is missing.
-
-    Raises:
-        OutputError: Its parent is missing, or it is a file or cannot be made.
-    """
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or "it cannot be made"
-        raise OutputError(f"{folder}: {reason}; name a folder whose parent exists.") from error
 
 
 def color_image(rendering: Rendering, transparent: bool) -> Array:

@@ -3,12 +3,14 @@
 import asyncio
 import logging
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from typing import TYPE_CHECKING
 
+from nanogs.cleanup import clean_at_end
 from nanogs.errors import OptionError
 
 if TYPE_CHECKING:
@@ -58,8 +60,35 @@ def starting(workers: int) -> Iterator[Callable[[], "Client"]]:
         What waits for them, and returns their client.
     """
     with ExitStack() as stack, ThreadPoolExecutor(1) as pool:
-        begun = pool.submit(stack.enter_context, connected(None, workers))
+        clean_at_end(_end_children)
+        begun = pool.submit(_shielded, stack, workers)
         yield begun.result
+
+
+def _shielded(stack: ExitStack, workers: int) -> "Client":
+    """Start workers that an interrupt from the terminal does not reach: it is this process's.
+
+    Threads and processes inherit what is blocked in the thread that starts them.
+    """
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()  # or it would be started later, and unblock them
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    return stack.enter_context(connected(None, workers))
+
+
+def _end_children() -> None:
+    """Kill all processes that this one has started, and take away their semaphores."""
+    from multiprocessing import util
+
+    import psutil  # Dask brings it
+
+    util._run_finalizers(0)  # type: ignore[attr-defined]  # noqa: SLF001 - what Python calls when it ends
+    for child in psutil.Process().children(recursive=True):
+        with suppress(psutil.Error):
+            if not any("resource_tracker" in word for word in child.cmdline()):
+                child.kill()
 
 
 def _answering(scheduler: str) -> "Client":

@@ -8,10 +8,12 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import BinaryIO
 
+from nanogs.cleanup import cleaned_up
 from nanogs.errors import ExistsError, FormatError, OutputError
 from nanogs.io.atomic import atomic_write, output_error
 from nanogs.scale.settings import Settings, settings_of
@@ -55,17 +57,21 @@ def locked(folder: Path) -> Iterator[None]:
         raise output_error(folder, error) from error
     with file:
         _take(file, folder)
-        try:
+        with cleaned_up(partial(_remove_unless_begun, folder)):
             yield
-        finally:
-            if not (folder / MANIFEST).exists():
-                with suppress(OSError):
-                    for path in folder.glob(f"{RESULT}*"):
-                        shutil.rmtree(path) if path.is_dir() else path.unlink()
-                    if (folder / SCRATCH).exists():
-                        (folder / SCRATCH).rmdir()
-                    (folder / LOCK).unlink()
-                    folder.rmdir()
+
+
+def _remove_unless_begun(folder: Path) -> None:
+    """Take a job's folder away that holds no job."""
+    if (folder / MANIFEST).exists():
+        return
+    with suppress(OSError):
+        for path in folder.glob(f"{RESULT}*"):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        if (folder / SCRATCH).exists():
+            (folder / SCRATCH).rmdir()
+        (folder / LOCK).unlink()
+        folder.rmdir()
 
 
 def _refuse_foreign(folder: Path) -> None:

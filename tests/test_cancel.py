@@ -1,0 +1,226 @@
+"""What is left of a run that is ended in the middle: nothing, at any moment."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from tests.builders import random_splats
+
+import nanogs
+from nanogs import cleanup
+from nanogs.io.atomic import atomic_write
+from nanogs.io.folder import atomic_folder
+from nanogs.io.temporary import name_beside
+
+posix = pytest.mark.skipif(os.name == "nt", reason="Windows has other signals, and no such locks")
+COMMAND = [sys.executable, "-m", "nanogs"]
+CAUGHT = {signal.SIGINT, signal.SIGTERM}
+
+
+def started(*arguments, **options):
+    command = [*COMMAND, *map(str, arguments)]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        **options,
+    )  # fmt: skip
+
+
+def listens(child):
+    """Whether a process has begun to catch signals; before that Python has not begun ours."""
+    status = Path(f"/proc/{child.pid}/status")
+    if not status.exists():
+        time.sleep(0.3)  # no Linux: long enough for any machine
+        return True
+    mask = next(line for line in status.read_text().splitlines() if line.startswith("SigCgt"))
+    caught = int(mask.split()[1], 16)
+    return all(caught >> (number - 1) & 1 for number in CAUGHT)
+
+
+def cancelled(child, number, delay):
+    """Send a signal after some seconds; the exit code and what was said."""
+    while child.poll() is None and not listens(child):
+        time.sleep(0.002)
+    time.sleep(delay)
+    if child.poll() is None:
+        # Ctrl-C reaches all that the terminal has in the foreground, others one process.
+        (os.killpg if number == signal.SIGINT else os.kill)(child.pid, number)
+    said = child.communicate(timeout=60)[1]
+    return child.returncode, said
+
+
+def contents(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
+
+
+def living(session):
+    """Processes of a session that have not ended."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == session and fields[0] != "Z":
+            found.append(stat.parent.name)
+    return found
+
+
+def assert_nothing_left(code, said, number, folder, before):
+    assert "Traceback" not in said, said
+    assert "Exception" not in said, said
+    if code == 0:  # it was done before
+        assert not [name for name in contents(folder) if ".nanogs" in name]
+        return
+    assert code == 128 + number, said
+    assert said.splitlines()[-1] == "cancelled"
+    assert contents(folder) in (before, [*before, "out"], sorted([*before, "out.ply"]))
+    if (folder / "out.ply").exists():
+        assert len(nanogs.load(folder / "out.ply")) == 2000
+
+
+@posix
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "term"])
+@pytest.mark.parametrize("command", ["simplify", "lod", "render"])
+def test_a_run_that_is_cancelled_leaves_nothing(tmp_path, command, number):
+    nanogs.save(random_splats(4000), tmp_path / "in.ply")
+    arguments = {
+        "simplify": ["out.ply", "--ratio", "0.5", "--preset", "fast"],
+        "lod": ["out/lod-meta.json", "--preset", "fast", "--levels", "0.5,0.1"],
+        "render": ["out", "--views", "60"],
+    }[command]
+    delays = random.Random(f"{command} {number}")
+    for _ in range(6):
+        child = started(command, tmp_path / "in.ply", *arguments, cwd=tmp_path)
+        code, said = cancelled(child, number, delays.uniform(0, 1.5))
+        assert_nothing_left(code, said, number, tmp_path, ["in.ply"])
+        for path in tmp_path.glob("out*"):
+            subprocess.run(["rm", "-r", path], check=True)
+
+
+@posix
+def test_workers_end_with_the_run_that_started_them(tmp_path):
+    pytest.importorskip("distributed")
+    nanogs.save(random_splats(20_000), tmp_path / "in.ply")
+    delays = random.Random(0)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
+        child = started(
+            "simplify", tmp_path / "in.ply", tmp_path / "out.ply", "--ratio", "0.1", "--preset",
+            "fast", "--max-memory", "230MB", "--workers", "2",
+        )  # fmt: skip
+        code, said = cancelled(child, number, delays.uniform(0.5, 2.5))
+        assert "Traceback" not in said
+        assert code in (0, 128 + number), said
+        end = time.monotonic() + 10
+        while living(child.pid) and time.monotonic() < end:
+            time.sleep(0.05)
+        assert not living(child.pid)
+        subprocess.run(["rm", "-rf", tmp_path / "out.ply", tmp_path / "out.ply.job"], check=True)
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from nanogs.io.atomic import atomic_write
+from nanogs.io.folder import atomic_folder
+out = Path(sys.argv[1])
+with (atomic_folder(out, lambda _: None) if sys.argv[2] == "folder" else atomic_write(out)) as made:
+    if sys.argv[2] == "folder":
+        (made / "file").write_bytes(b"half")
+    print("ready", flush=True)
+    time.sleep(100)
+"""
+
+
+def holding(out, kind):
+    child = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(out), kind], stdout=subprocess.PIPE, text=True
+    )
+    assert child.stdout.readline() == "ready\n"
+    return child
+
+
+def write(out, kind):
+    if kind == "folder":
+        with atomic_folder(out, lambda _: None) as made:
+            (made / "file").write_bytes(b"whole")
+    else:
+        with atomic_write(out) as file:
+            file.write(b"whole")
+
+
+@posix
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_the_next_run_takes_away_what_a_killed_one_left(tmp_path, kind):
+    out = tmp_path / "out"
+    child = holding(out, kind)
+    (left,) = contents(tmp_path)[:1]
+    assert left.startswith(".nanogs-")
+    write(tmp_path / "other", kind)  # what is for another output stays
+    assert left in contents(tmp_path)
+    child.kill()
+    child.communicate()
+    write(tmp_path / "another", kind)
+    assert left in contents(tmp_path)
+    write(out, kind)
+    assert left not in contents(tmp_path)
+    assert not any(".nanogs" in name for name in contents(tmp_path))
+
+
+@posix
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_what_a_living_run_holds_stays(tmp_path, kind):
+    child = holding(tmp_path / "out", kind)
+    before = contents(tmp_path)
+    write(tmp_path / "out", kind)
+    assert set(before) < set(contents(tmp_path))
+    child.kill()
+    child.communicate()
+
+
+@posix
+@pytest.mark.parametrize("swapped", [True, False])
+def test_a_folder_that_was_being_replaced_is_whole_again(tmp_path, swapped):
+    """Killed after the old one stepped aside: before or after the new one came."""
+    out = tmp_path / "out"
+    old = name_beside(out, ".old")
+    old.mkdir()
+    (old / "file").write_text("old")
+    if swapped:
+        out.mkdir()
+        (out / "file").write_text("new")
+
+    def ours(_folder):
+        return frozenset({"file"})
+
+    with pytest.raises(nanogs.NanogsError, match="exists already"), atomic_folder(out, ours):
+        pass
+    assert contents(tmp_path) == ["out", "out/file"]
+    assert (out / "file").read_text() == ("new" if swapped else "old")
+
+
+def test_what_is_pending_is_done_in_reverse_and_once_it_is_done_no_more():
+    done = []
+    with cleanup.cleaned_up(lambda: done.append(1)):
+        with cleanup.cleaned_up(lambda: done.append(2)):
+            cleanup.clean_all()
+        assert done == [2, 1, 2]
+    assert done == [2, 1, 2, 1]
+    cleanup.clean_all()
+    assert done == [2, 1, 2, 1]
+
+
+def test_the_end_waits_for_what_is_not_to_be_disturbed(monkeypatch):
+    ended = []
+    with cleanup.undisturbed():
+        with cleanup.undisturbed():
+            cleanup.when_undisturbed(lambda: ended.append(1))
+        assert ended == []
+    assert ended == [1]
+    monkeypatch.setattr(cleanup, "_postponed", None)
+    cleanup.when_undisturbed(lambda: ended.append(2))
+    assert ended == [1, 2]
