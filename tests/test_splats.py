@@ -176,6 +176,15 @@ def test_lists_and_other_numbers_become_float32():
             assert getattr(taken, name).dtype == (np.float64 if double else np.float32)
 
 
+def test_a_render_mode_may_be_its_value():
+    model = replace(random_splats(2), render_mode="mip")
+    assert model.render_mode is RenderMode.MIP
+    taken = Splats.from_gsplat(model.to_gsplat(), render_mode="2dgs")
+    assert taken.render_mode is RenderMode.SURFEL
+    with pytest.raises(ModelError, match="render_mode must be one of"):
+        Splats.from_gsplat(model.to_gsplat(), render_mode="classic")
+
+
 def test_float32_is_not_copied():
     given_arrays = arrays_of(random_splats(4))
     model = Splats(**given_arrays)
@@ -215,6 +224,10 @@ def test_tensors_of_pytorch_are_taken():
         ({"sh": np.zeros((4, 1, 3), complex)}, "sh must hold real numbers"),
         ({"log_scales": [[1], [2, 3]]}, "log_scales cannot be made an array"),
         ({"log_scales": np.full((4, 3), 1e39)}, "log_scales holds numbers that are too large"),
+        (
+            {"render_mode": "antialiased"},
+            "render_mode must be one of default, mip, 2dgs, not 'anti",
+        ),
         ({"extras": {"label": [1, 2]}}, r"extra column 'label' must be \(4,\), not \(2,\)"),
     ],
 )

@@ -4,7 +4,7 @@ PyTorch is not needed: whatever NumPy makes an array of is taken, and NumPy's ar
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -18,7 +18,7 @@ _NEEDED = ("means", *_SHAPED.values())
 _COLOURS = ("colors", "sh0", "shN")
 
 
-def from_gsplat(tensors: Mapping[str, object], render_mode: RenderMode) -> Splats:
+def from_gsplat(tensors: Mapping[str, object], render_mode: RenderMode | str) -> Splats:
     """See `Splats.from_gsplat`."""
     given = dict(tensors)
     missing = [name for name in _NEEDED if name not in given]
@@ -40,7 +40,7 @@ def from_gsplat(tensors: Mapping[str, object], render_mode: RenderMode) -> Splat
         means=means,
         **columns,
         sh=_harmonics(given, len(means) if means.ndim else 0),
-        render_mode=render_mode,
+        render_mode=cast("RenderMode", render_mode),  # which looks at it
         notes=[f"Of gsplat's dictionary was left out: {', '.join(left_out)}."] if left_out else (),
     )
 

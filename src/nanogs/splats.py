@@ -69,7 +69,7 @@ class Splats:
         sh: (N, (degree + 1)², 3) float32, spherical-harmonic coefficients, RGB last; `sh[:, 0]` is
             the base colour's (`f_dc`).
         extras: Further columns by name, each (N,) of any dtype; never interpreted, never averaged.
-        render_mode: The rasteriser the model was trained for.
+        render_mode: The rasteriser the model was trained for, or its value, such as "mip".
         comments: Comment lines of the file, without the keyword.
         elements: Further PLY elements, carried through.
         notes: What a reader had to change or could not carry, one sentence each, for the user.
@@ -104,6 +104,10 @@ class Splats:
         object.__setattr__(self, "extras", MappingProxyType(extras))
         for name in ("comments", "elements", "notes"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
+        if self.render_mode not in tuple(RenderMode):
+            modes = ", ".join(RenderMode)
+            raise ModelError(f"render_mode must be one of {modes}, not {self.render_mode!r}.")
+        object.__setattr__(self, "render_mode", RenderMode(self.render_mode))
 
     def _check(self) -> None:
         n = len(self.means) if self.means.ndim else 0
@@ -150,7 +154,7 @@ class Splats:
 
     @classmethod
     def from_gsplat(
-        cls, tensors: Mapping[str, object], *, render_mode: RenderMode = RenderMode.DEFAULT
+        cls, tensors: Mapping[str, object], *, render_mode: RenderMode | str = RenderMode.DEFAULT
     ) -> "Splats":
         """A model from a dictionary as gsplat trains it, of arrays or of tensors on any device.
 
@@ -159,8 +163,7 @@ class Splats:
                 (N,) logits, `sh0` (N, 1, 3) and `shN` (N, K, 3); or in place of the last two
                 `colors`: (N, 1 + K, 3) for both, or (N, 3) for RGB from 0 to 1. Other names are
                 left out, with a note.
-            render_mode: `RenderMode.MIP` where it was trained antialiased, `RenderMode.SURFEL`
-                where with 2DGS.
+            render_mode: "mip" where it was trained antialiased, "2dgs" where with 2DGS.
 
         Raises:
             ModelError: A name is missing, a shape is wrong, or the colours come from a network.
