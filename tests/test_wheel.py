@@ -1,6 +1,7 @@
 """What is built from the sources: the viewer and its licences are in it, or the build fails."""
 
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -10,6 +11,7 @@ import zipfile
 
 import pytest
 
+import nanogs
 from viewer_bundle import ROOT, bundle_script, require_bundle
 
 pytest.importorskip("hatchling", reason="hatchling is not installed: make installs it")
@@ -138,3 +140,22 @@ def test_an_unknown_licence_stops_the_build(sources, monkeypatch):
         (folder / "LICENSE").write_text(text, encoding="utf-8")
     with pytest.raises(script.BundleError, match=r"lacks the licence of node_modules/@sparkjsdev"):
         script._check_licences()
+
+
+def test_links_of_the_page_on_pypi_lead_to_the_repository(sources):
+    """Relative ones would be dead there."""
+    home = "https://example.org/someone/nanogs"
+    for environment in ({}, {"NANOGS_REPOSITORY": f"{home}/"}):
+        result = build(sources, "wheel", **environment)
+        assert result.returncode == 0, result.stderr
+        [wheel] = (sources / "dist").glob("*.whl")
+        with zipfile.ZipFile(wheel) as archive:
+            [name] = [name for name in archive.namelist() if name.endswith("/METADATA")]
+            page = archive.read(name).decode()
+        assert "# nanogs" in page
+        targets = re.findall(r"\]\(([^)]+)\)", page)
+        assert targets
+        assert all(target.startswith("https://") for target in targets)
+        known = f"{home}/raw/v{nanogs.__version__}/docs/images/plant_10.jpg"
+        assert (known in targets) == bool(environment)
+        assert (f"Project-URL: Homepage, {home}\n" in page) == bool(environment)
