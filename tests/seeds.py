@@ -304,10 +304,10 @@ def _bundles():
     return out
 
 
-def _checkpoints(suffix, content):
+def _checkpoints(suffix, content, **options):
     extra = [random_splats(5_000, degree=3)]
     whole = [*(random_splats(n, degree=d) for n in (3, 300) for d in (0, 3)), *extra]
-    return [{f"a{suffix}": torchfiles.File(content(model)).bytes()} for model in whole]
+    return [{f"a{suffix}": torchfiles.File(content(model), **options).bytes()} for model in whole]
 
 
 def _streamed():
@@ -410,6 +410,8 @@ FORMATS = {
     "tileset.json": (_tilesets, [plain, whole_json, whole_json, one_description, one_missing]),
     ".pt": (lambda: _checkpoints(".pt", torchfiles.gsplat), [plain, inside_stored_zip]),
     ".ckpt": (lambda: _checkpoints(".ckpt", torchfiles.nerfstudio), [plain, inside_stored_zip]),
+    ".pth": (lambda: _checkpoints(".pth", torchfiles.captured), [plain, inside_stored_zip]),
+    ".pt, old": (lambda: _checkpoints(".pt", torchfiles.gsplat, legacy=True), [plain]),
 }
 
 

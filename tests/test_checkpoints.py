@@ -1,4 +1,4 @@
-"""Checkpoints of gsplat and nerfstudio, and files that try to do more than hold tensors."""
+"""Checkpoints of trainers, and files that try to do more than hold tensors."""
 
 import dataclasses
 import subprocess
@@ -15,8 +15,9 @@ from damage import mutate, outcome
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import checkpoint
+from nanogs.io.sniff import sniff
 from strategies import assert_same, splats
-from torchfiles import File, Raw, call, gsplat, name, nerfstudio, pickled
+from torchfiles import File, Raw, call, captured, gsplat, name, nerfstudio, pickled
 
 SHARED = settings(
     suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=30
@@ -193,6 +194,8 @@ def test_what_holds_no_splats(tmp_path):
     cases = {
         "no splats": {"weights": np.ones(3, np.float32)},
         "its tensors: none": [1, 2],
+        r"its tensors: 0, 1\.0": (np.ones(3, np.float32), [np.ones(2, np.float32)]),
+        "flat 2DGS": captured(model)[0][:4] + (model.log_scales[:, :2],) + captured(model)[0][5:],
         "network": {"splats": {"means": model.means, "features": model.means}},
         "2 models": {"a": gsplat(model)["splats"], "b": gsplat(model)["splats"]},
         "not floats": {"splats": gsplat(model)["splats"] | {"means": np.ones((4, 3), np.int64)}},
@@ -204,7 +207,10 @@ def test_what_holds_no_splats(tmp_path):
         with pytest.raises(FormatError, match=words):
             io.load(path)
     (tmp_path / "a.pt").write_bytes(b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.")
-    with pytest.raises(FormatError, match=r"PyTorch 1\.6"):
+    with pytest.raises(FormatError, match="is damaged"):
+        io.load(tmp_path / "a.pt")
+    (tmp_path / "a.pt").write_bytes(b"other")
+    with pytest.raises(FormatError, match="neither like a zip file nor like an old file"):
         io.load(tmp_path / "a.pt")
     packed = written(tmp_path / "a.pt", gsplat(model), method=zipfile.ZIP_DEFLATED)
     with pytest.raises(FormatError, match="packed"):
@@ -225,6 +231,61 @@ def test_damaged_files_give_a_format_error_or_a_model(tmp_path):
         path.write_bytes(mutate(rng, seed, header=1500, anywhere=0.3))
         outcomes[outcome(path)] += 1
     assert min(outcomes.values()) > 0
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+@pytest.mark.parametrize("degree", [0, 3])
+def test_what_the_reference_trainer_captures(tmp_path, degree, legacy):
+    model = random_splats(30, degree=degree)
+    path = written(tmp_path / "chkpnt30000.pth", captured(model), legacy=legacy)
+    assert_same(io.load(path), model)
+    info = io.inspect(path)
+    assert (info.splats, info.sh_degree) == (30, degree)
+    assert info.encoding == ("binary_little_endian" if legacy else "zip")
+    written(path, captured(model)[0], legacy=legacy)  # without the iteration
+    assert_same(io.load(path), model)
+
+
+# Before PyTorch 1.6
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+@pytest.mark.parametrize("content", [gsplat, nerfstudio])
+def test_old_files_hold_the_same(tmp_path, content, order):
+    model = random_splats(60, degree=2)
+    path = written(tmp_path / "a.pt", content(model), legacy=True, order=order)
+    assert_same(io.load(path), model)
+    assert io.inspect(path).encoding == f"binary_{order}_endian"
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_code_is_refused_in_old_files_too(tmp_path, legacy):
+    evil = {"splats": call(name("os", "system"), "touch /tmp/evil")}
+    path = written(tmp_path / "a.pt", evil, legacy=legacy)
+    with pytest.raises(FormatError, match=r"names os\.system, which no tensors need"):
+        io.load(path)
+
+
+def test_every_cut_of_an_old_file_is_refused(tmp_path):
+    data = File(gsplat(random_splats(2, degree=0)), legacy=True).bytes()
+    for size in range(1, len(data)):
+        (tmp_path / "a.pt").write_bytes(data[:size])
+        with pytest.raises(FormatError):
+            io.load(tmp_path / "a.pt")
+
+
+def test_an_old_file_whose_storages_lie(tmp_path):
+    file = File(gsplat(random_splats(4, degree=0)), legacy=True)
+    for size in (-1, 11, 13, 2**40, 2**62):
+        file.sizes[0] = size
+        (tmp_path / "a.pt").write_bytes(file.bytes())
+        with pytest.raises(FormatError):
+            io.load(tmp_path / "a.pt")
+
+
+def test_an_old_file_in_a_pipe_is_known(tmp_path):
+    path = written(tmp_path / "a.pt", gsplat(random_splats(9)), legacy=True)
+    assert sniff(path) == ".pt"
 
 
 # As people use it
@@ -274,8 +335,12 @@ def test_files_of_pytorch_itself(tmp_path):
     )
     torch.save({"splats": parameters.state_dict()}, tmp_path / "d.pt",
                _use_new_zipfile_serialization=False)  # fmt: skip
-    with pytest.raises(FormatError, match=r"PyTorch 1\.6"):
-        io.load(tmp_path / "d.pt")
+    assert_same(io.load(tmp_path / "d.pt"), expected)
+    names = ("means", "sh0", "shN", "scales", "quats", "opacities")
+    given = (3, *(parameters[name] for name in names), torch.zeros(50), optimiser.state_dict())
+    for old in (False, True):
+        torch.save((given, 7), tmp_path / "c.pth", _use_new_zipfile_serialization=not old)
+        assert_same(io.load(tmp_path / "c.pth"), expected)
     torch.save(parameters, tmp_path / "e.pt")  # a module, whose class a pickle has to name
     with pytest.raises(FormatError, match="save the state dictionary alone"):
         checkpoint.read(tmp_path / "e.pt")

@@ -22,11 +22,14 @@ def call(function, *arguments):
 
 
 class File:
-    """A zip of a pickle and the storages of the arrays in it."""
+    """A zip of a pickle and the storages of the arrays in it; or what PyTorch wrote before 1.6."""
 
-    def __init__(self, content, *, order="little", order_file=True, method=zipfile.ZIP_STORED):
+    def __init__(
+        self, content, *, order="little", order_file=True, method=zipfile.ZIP_STORED, legacy=False
+    ):
+        self.legacy = legacy
         self.order, self.order_file, self.method = order, order_file, method
-        self.storages = []
+        self.storages, self.sizes = [], []
         self.pickle = b"\x80\x02" + pickled(content, self.tensor) + b"."
 
     def tensor(self, array):
@@ -36,12 +39,28 @@ class File:
         self.storages.append(base.astype(base.dtype.newbyteorder(self.order[0].upper())).tobytes())
         storage = name("torch", f"{KINDS[array.dtype.str[1:]]}Storage")
         key = str(len(self.storages) - 1)
-        identity = pickled(("storage", storage, key, "cpu", base.size))
+        view = (None,) if self.legacy else ()
+        identity = pickled(("storage", storage, key, "cpu", base.size, *view))
+        self.sizes.append(base.size)
         steps = tuple(step // array.itemsize for step in array.strides)
         rest = (offset, array.shape, steps, False, call(name("collections", "OrderedDict")))
         return call(name("torch._utils", "_rebuild_tensor_v2"), Raw(identity + b"Q"), *rest)
 
     def bytes(self):
+        return self.one_after_the_other() if self.legacy else self.zipped()
+
+    def one_after_the_other(self):
+        facts = {"protocol_version": 1001, "little_endian": self.order == "little"}
+        keys = [str(number) for number in range(len(self.storages))]
+        out = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
+        for content in (1001, facts):
+            out += b"\x80\x02" + pickled(content) + b"."
+        out += self.pickle + b"\x80\x02" + pickled(keys) + b"."
+        for size, data in zip(self.sizes, self.storages, strict=True):
+            out += struct.pack("<q", size) + data
+        return out
+
+    def zipped(self):
         buffer = io.BytesIO()
         with zipfile.ZipFile(buffer, "w", self.method) as archive:
             archive.writestr("archive/data.pkl", self.pickle)
@@ -92,6 +111,30 @@ def gsplat(model):
         "shN": np.ascontiguousarray(model.sh[:, 1:]),
     }
     return {"step": 29_999, "splats": splats}
+
+
+def captured(model):
+    """What the reference trainer saves: what `capture` gives, and the iteration."""
+    n = len(model)
+    moments = {0: {"step": 9.0, "exp_avg": np.ones((n, 3), np.float32)}}
+    optimiser = {"state": moments, "param_groups": [{"lr": 0.1, "name": "xyz", "params": [0]}]}
+    return (
+        (
+            model.sh_degree,
+            model.means,
+            np.ascontiguousarray(model.sh[:, :1]),
+            np.ascontiguousarray(model.sh[:, 1:]),
+            model.log_scales,
+            model.quats,
+            model.opacity_logits[:, None],
+            np.zeros(n, np.float32),
+            np.zeros((n, 1), np.float32),
+            np.zeros((n, 1), np.float32),
+            optimiser,
+            4.2,
+        ),
+        30_000,
+    )
 
 
 def nerfstudio(model, prefix="_model.gauss_params."):

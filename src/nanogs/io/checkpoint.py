@@ -1,10 +1,12 @@
-"""Checkpoints of trainers: gsplat's `.pt`, nerfstudio's `.ckpt`, and dictionaries like them.
+"""Checkpoints of trainers: gsplat's `.pt`, nerfstudio's `.ckpt`, Inria's `chkpnt*.pth`.
 
 gsplat (examples/simple_trainer.py) saves `splats`: means, scales (logarithms), quats (wxyz),
 opacities (logits), sh0 and shN. nerfstudio (models/splatfacto.py) has features_dc and features_rest
 in their place, below `pipeline` as `_model.gauss_params.<name>`, once `_model.<name>`; trained
-without harmonics, its features_dc are logits of the colours. Only what is needed is read; the state
-of optimisers, most of a checkpoint, is not.
+without harmonics, its features_dc are logits of the colours. The
+reference trainer (scene/gaussian_model.py, capture) saves a tuple: the degree it has come to, xyz,
+features_dc, features_rest, scaling, rotation, opacity and what its optimiser needs. Only what is
+needed is read; the state of optimisers, most of a checkpoint, is not.
 """
 
 import re
@@ -19,14 +21,17 @@ from nanogs.errors import FormatError, ModelError
 from nanogs.io.compressed_ply import base_colour
 from nanogs.io.info import FileInfo
 from nanogs.io.ply_header import printable
-from nanogs.io.torch_file import Tensor, TorchFile
+from nanogs.io.torch_file import TorchFile
+from nanogs.io.torch_pickle import Tensor
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 
 FRAME = "that of the training, as stored; nerfstudio and gsplat turn scenes to have z up by default"
 _SHAPED = ("scales", "quats", "opacities")
 _COLOURS = (("sh0", "shN"), ("features_dc", "features_rest"))
 _LEARNED = ("features", "colors")  # gsplat's appearance model makes colours of these
-_MOST_DICTIONARIES = 200
+_MOST_CONTAINERS = 200
+# What `capture` puts behind the degree; the names are those that a model has here.
+_CAPTURED = ("means", "sh0", "shN", "scales", "quats", "opacities")
 _RANK = re.compile(r"(.*_rank)[0-9]+(\.[^.]+)")
 _KINDS = {"f4": "float", "f8": "double", "f2": "float16", "bf": "bfloat16"}
 
@@ -73,7 +78,7 @@ def inspect(path: Path) -> FileInfo:
     return FileInfo(
         path=path,
         format="checkpoint",
-        encoding="zip",
+        encoding=file.encoding,
         file_bytes=file.file_bytes,
         splats=found["means"].shape[0] if found["means"].shape else 0,
         sh_degree=degrees[coefficients],
@@ -88,6 +93,13 @@ def inspect(path: Path) -> FileInfo:
 
 def _find(path: Path, content: Any) -> dict[str, Tensor]:  # noqa: ANN401 - whatever was saved
     """The tensors of the one model in a saved object, by their last names."""
+    if captured := _captured(content):
+        if captured["scales"].shape[1:] == (2,):
+            raise FormatError(
+                f"{path} has two scales a splat: flat 2DGS splats cannot be merged as ellipsoids;"
+                " export the model with a third scale."
+            )
+        return captured
     tensors = dict(_flatten(content, "", set()))
     models = [found for name in tensors if (found := _model(tensors, name))]
     if len(models) == 1:
@@ -102,20 +114,35 @@ def _find(path: Path, content: Any) -> dict[str, Tensor]:  # noqa: ANN401 - what
         )
     shown = ", ".join(printable(name) for name in sorted(tensors)[:6]) or "none"
     raise FormatError(
-        f"{path} holds no splats as gsplat or nerfstudio save them (its tensors: {shown});"
-        " export the splats as .ply."
+        f"{path} holds no splats as gsplat, nerfstudio or the reference trainer save them (its"
+        f" tensors: {shown}); export the splats as .ply."
     )
 
 
+def _captured(content: Any) -> dict[str, Tensor] | None:  # noqa: ANN401
+    """The tensors of what `capture` gives, alone or with the iteration; None for all else."""
+    for given in (content, content[0] if isinstance(content, tuple) and content else None):
+        if not isinstance(given, tuple) or len(given) <= len(_CAPTURED):
+            continue
+        degree, tensors = given[0], given[1 : 1 + len(_CAPTURED)]
+        if type(degree) is int and all(isinstance(each, Tensor) for each in tensors):
+            return dict(zip(_CAPTURED, tensors, strict=True))
+    return None
+
+
 def _flatten(value: Any, prefix: str, seen: set[int]) -> Iterator[tuple[str, Tensor]]:  # noqa: ANN401
-    """The tensors in nested dictionaries, each dictionary once: they may hold each other."""
+    """The tensors in nested dictionaries and tuples, each once: they may hold each other."""
     if isinstance(value, Tensor):
         yield prefix, value
-    elif isinstance(value, dict) and id(value) not in seen and len(seen) < _MOST_DICTIONARIES:
+    elif isinstance(value, dict) and id(value) not in seen and len(seen) < _MOST_CONTAINERS:
         seen.add(id(value))
         for key, entry in value.items():
             if isinstance(key, str):  # those of optimisers are numbers
                 yield from _flatten(entry, f"{prefix}.{key}" if prefix else key, seen)
+    elif isinstance(value, tuple | list) and id(value) not in seen and len(seen) < _MOST_CONTAINERS:
+        seen.add(id(value))
+        for place, entry in enumerate(value):
+            yield from _flatten(entry, f"{prefix}.{place}" if prefix else str(place), seen)
 
 
 def _model(tensors: Mapping[str, Tensor], means: str) -> dict[str, Tensor] | None:

@@ -124,6 +124,7 @@ FORMATS = (
     ),
     Format(".pt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME, axes=None),
     Format(".ckpt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME, axes=None),
+    Format(".pth", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME, axes=None),
     Format(
         "meta.json",
         sog.read,

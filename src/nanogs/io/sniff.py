@@ -3,12 +3,15 @@
 import zipfile
 from pathlib import Path
 
+from nanogs.io.torch_file import LEGACY_START
+
 _MAGIC = (
     (b"ply\n", ".ply"),  # a compressed one too: the header tells them apart
     (b"ply\r\n", ".ply"),
     (b"glTF", ".glb"),
     (b"NGSP", ".spz"),
     (b"\x1f\x8b", ".spz"),
+    (LEGACY_START, ".pt"),
 )
 
 
