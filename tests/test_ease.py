@@ -205,9 +205,6 @@ def test_simplify_drops_bands(folder, tmp_path):
     assert run(*arguments, "--size", "3kB", "-w").returncode == 0
     assert nanogs.load(small).sh_degree == 0
     assert 2900 < small.stat().st_size <= 3000
-    planned = json.loads(run(*arguments, "-r", "0.1", "-w", "--dry-run", "--json").stdout)
-    whole = json.loads(run(*arguments[:-2], "-r", "0.1", "-w", "--dry-run", "--json").stdout)
-    assert planned["memory_bytes"]["peak"] < whole["memory_bytes"]["peak"]
     # A model of that degree has nothing to drop.
     same = run("simplify", small, tmp_path / "same.ply", "-r", "1", *arguments[3:])
     assert "dropped" not in same.stderr
@@ -223,3 +220,76 @@ def test_simplify_drops_bands(folder, tmp_path):
 def test_degrees_that_make_no_sense_are_refused(folder, tmp_path, given, words):
     assert_refused(run("simplify", folder / "a.ply", tmp_path / "x.ply", *given), *words)
     assert list(tmp_path.iterdir()) == []
+
+
+# Levels take the options of simplify
+
+FAST = ("--preset", "fast", "--levels", "0.5,0.1")
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ("--crop", "sphere:0,0,0,0.9", "--min-opacity", "0.2"),
+        ("--drop-floaters",),
+        ("--sh-degree", "0"),
+        ("--frame", "rub"),
+    ],
+)
+def test_each_option_of_simplify_gives_the_same_levels(folder, tmp_path, given):
+    result = run("lod", folder / "a.ply", tmp_path / "l", *FAST, *given)
+    assert result.returncode == 0, result.stderr
+    for level, ratio in enumerate(("0.5", "0.1")):
+        alone = tmp_path / f"{level}.ply"
+        simplified = run("simplify", folder / "a.ply", alone, "-r", ratio, *FAST[:2], *given)
+        assert simplified.returncode == 0
+        assert (tmp_path / "l" / f"level_{level}.ply").read_bytes() == alone.read_bytes()
+    plan = run("lod", folder / "a.ply", tmp_path / "new", *FAST, *given, "--dry-run", "--json")
+    counts = [level["count"] for level in json.loads(plan.stdout)["levels"]]
+    assert counts == [len(nanogs.load(tmp_path / f"{level}.ply")) for level in (0, 1)]
+    if "--crop" in given:
+        assert "crop sphere:0,0,0,0.9 took" in result.stderr
+        assert counts[0] < 200
+
+
+def test_parts_of_a_scene_are_joined_into_levels(folder, tmp_path):
+    parts = (folder / "a.ply", folder / "b.ply")
+    result = run("lod", *parts, tmp_path / "l", "--join", *FAST, "--json")
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
+    assert report["source"] == "a.ply, b.ply"
+    assert report["source_count"] == 500
+    assert [level["count"] for level in report["levels"]] == [250, 50]
+    alone = run("simplify", *parts, tmp_path / "s.ply", "--join", "-r", "0.5", *FAST[:2])
+    assert alone.returncode == 0
+    assert (tmp_path / "l" / "level_0.ply").read_bytes() == (tmp_path / "s.ply").read_bytes()
+
+
+def test_verbose_tells_of_each_level(folder, tmp_path):
+    plain = run("lod", folder / "a.ply", tmp_path / "l", *FAST).stderr
+    verbose = run("lod", folder / "a.ply", tmp_path / "l", *FAST, "-v", "-w").stderr
+    assert "level 1" not in plain
+    assert "level 1" in verbose
+    assert verbose.count("stages (s)") == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (["a.ply", "b.ply", "out"], ["2 models", "--join"]),
+        (["a.ply"], ["OUT is missing", "a.ply"]),
+        (["a.ply", "out/tileset.json", "--frame", "rub"], [".glb has a frame of its own"]),
+        (["a.ply", "out", "--crop", "cube"], ["--crop"]),
+        (["a.ply", "out", "--max-memory", "240MB", "--sh-degree", "0"], ["--sh-degree needs"]),
+        (["a.ply", "out", "--max-memory", "240MB", "--min-opacity", "0"], ["a filter needs"]),
+        (["a.ply", "out", "--max-memory", "240MB", "--format", "sog"], [".ply files, not .sog"]),
+    ],
+)
+def test_what_levels_cannot_have_is_refused(folder, tmp_path, given, words, monkeypatch):
+    if "--max-memory" in given:
+        nanogs.save(random_splats(60_000, degree=3), tmp_path / "a.ply")
+        monkeypatch.chdir(tmp_path)
+    else:
+        monkeypatch.chdir(folder)
+    assert_refused(run("lod", *given), *words)
+    assert not (folder / "out").exists()

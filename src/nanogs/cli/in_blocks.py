@@ -86,7 +86,11 @@ def levels_encoding(
 
 
 def levels_plan(
-    source: Path, output: Output, ratios: Sequence[float], blocks: Blocks, given: dict[str, Any]
+    sources: Sequence[Path],
+    output: Output,
+    ratios: Sequence[float],
+    blocks: Blocks,
+    given: dict[str, Any],
 ) -> ScalePlan:
     """How a model would be divided of which levels are to be made.
 
@@ -94,11 +98,11 @@ def levels_plan(
         NanogsError: It cannot be.
     """
     max_memory, block = blocks.size_of_blocks(output.folder)
-    return plan_levels([source], ratios, max_memory=max_memory, block=block, **given)[1]
+    return plan_levels(sources, ratios, max_memory=max_memory, block=block, **given)[1]
 
 
 def levels_in_blocks(
-    source: Path,
+    sources: Sequence[Path],
     output: Output,
     ratios: Sequence[float],
     blocks: Blocks,
@@ -114,12 +118,17 @@ def levels_in_blocks(
     where = Where(threads, None, rest["scheduler"], rest["workers"], rest["patience"])
     with shown(quiet=quiet) as progress:
         manifest, reports = write_levels_in_blocks(
-            [source], output.folder, ratios, job=blocks.job,
+            sources, output.folder, ratios, job=blocks.job,
             max_memory=blocks.process_memory(output.folder), scratch=rest["scratch"],
             resume=blocks.resume, where=where,
             progress=progress, **given,
         )  # fmt: skip
-    run = manifest.to_dict() | {"input": str(source), "output": str(output.path)}
-    run |= {"layout": output.layout.value, "dropped_nonfinite": reports[0].dropped_nonfinite}
+    run = manifest.to_dict() | {"input": ", ".join(map(str, sources))}
+    run |= {
+        "output": str(output.path),
+        "filters": [],
+        "layout": output.layout.value,
+        "dropped_nonfinite": reports[0].dropped_nonfinite,
+    }
     run["reports"] = [report.to_dict() for report in reports]
     return run | {"total_seconds": time.perf_counter() - start}

@@ -1,25 +1,30 @@
 """`nanogs lod`."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from nanogs.cli import blocks, method, options
+from nanogs.cli import blocks, file_options, method, options
 from nanogs.cli.importing import uncollected
 from nanogs.defaults import CHUNK, PATIENCE
+from nanogs.errors import OptionError
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters
+
+if TYPE_CHECKING:
+    from nanogs.cli.reading import Reading
+    from nanogs.cli.simplify_report import Plan
 
 
 def lod(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
-    target: Annotated[
-        Path,
+    paths: Annotated[
+        list[Path],
         typer.Argument(
-            metavar="OUT",
-            help="Folder to make, for a file a level; or lod-meta.json (streamed SOG) or"
-            " tileset.json (3D Tiles) in it.",
+            metavar="IN OUT",
+            help="Model to read, and folder to make, for a file a level; or lod-meta.json (streamed"
+            " SOG) or tileset.json (3D Tiles) in it. With --join several models before OUT.",
         ),
     ],
     levels: Annotated[
@@ -42,6 +47,8 @@ def lod(
     ] = None,
     preset: method.Preset = DEFAULT_PRESET,
     nan: method.NanOption = method.Nan.drop,
+    frame: file_options.FrameOption = None,
+    sh_degree: file_options.ShDegree = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", "-w", help="Replace the folder if nanogs lod made it.")
     ] = False,
@@ -63,6 +70,9 @@ def lod(
     threads: options.Threads = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Show how each level was made.")
+    ] = False,
     dry_run: method.DryRun = False,
     views: method.Views = None,
     cameras: options.Cameras = "auto",
@@ -77,7 +87,11 @@ def lod(
     seed: method.Seed = None,
     lambda_geo: method.LambdaGeo = None,
     merge_cap: method.MergeCap = None,
+    crop: file_options.Crop = None,
+    min_opacity: file_options.MinOpacity = None,
+    drop_floaters: file_options.DropFloaters = False,
     max_memory: blocks.MaxMemory = None,
+    join: blocks.Join = False,
     job: blocks.JobFolder = None,
     resume: blocks.Resume = False,
     scratch: blocks.Scratch = None,
@@ -94,11 +108,11 @@ def lod(
     """
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
-        from nanogs.cli import in_blocks, too_large
+        from nanogs.cli import framing, in_blocks, reading, too_large
         from nanogs.cli.console import print_json, warn
         from nanogs.cli.lod_run import print_levels, print_levels_plan, write_whole
         from nanogs.cli.simplify_report import Plan
-        from nanogs.io import inspect
+        from nanogs.io.collect import Pair
         from nanogs.io.folder import check_folder_writable
         from nanogs.lod.layout import check_options, made_files, output_of
         from nanogs.lod.levels import check_ratios
@@ -113,20 +127,25 @@ def lod(
     chosen = parameters(preset, overrides)
     ratios = options.parse_ratios(levels)
     check_ratios(ratios)
+    parts, target = _parts(paths, join=join)
+    read = reading.parse_reading(
+        crop, min_opacity, drop_floaters=drop_floaters, sh_degree=sh_degree
+    )
     output = output_of(target, level_format)
+    turn = framing.frames_of(Pair(parts[0], output.model), framing.parse_frames(frame))
     check_options(output.layout, chunk, plain=plain)
     direction = method.check_views(preset, chosen, views, cameras, up)
     asked = too_large.parse_blocks(
-        [source], max_memory, join=False, job=job, resume=resume, scratch=scratch,
+        paths, max_memory, join=join, job=job, resume=resume, scratch=scratch,
         workers=workers, scheduler=scheduler, patience=patience,
     )  # fmt: skip
-    info = inspect(source)
+    info = reading.inspect_parts(parts)
     # A job sees to its output itself.
     if not asked.is_begun(output.folder, overwrite=overwrite):
         check_folder_writable(output.folder, made_files, overwrite=overwrite)
     finest = target_count(info.splats, ratios[0], None)
     encoding = in_blocks.levels_encoding(info, ratios, output, chunk, plain=plain)
-    plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen, encoding)
+    plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen, encoding, asked.joined)
     given = {name: value for name, value in overrides.items() if value is not None}
     given |= {"preset": preset, "nan": nan.value, "chunk": chunk, "plain": plain}
     given["layout"] = output.layout
@@ -134,29 +153,62 @@ def lod(
         plan = replace(plan, divided=True)
         too_large.refuse_other_files(output.suffix)
         looks = views is not None or cameras != "auto" or up is not None
-        too_large.refuse_whole_model_wishes(plan, asked, filtered=False, looks=looks)
+        too_large.refuse_whole_model_wishes(
+            plan, asked, filtered=bool(read.filters), looks=looks, turned=bool(turn),
+            reduced=sh_degree is not None,
+        )  # fmt: skip
         in_blocks.warn_of_blocks(plan, asked, output.folder, quiet=quiet or json)
     if dry_run:
+        if read.filters:
+            plan = _filtered(plan, parts, read)
         for note in [] if divided or json or quiet else asked.unused():
             warn(note)
-        made_in = in_blocks.levels_plan(source, output, ratios, asked, given) if divided else None
+        made_in = in_blocks.levels_plan(parts, output, ratios, asked, given) if divided else None
         print_levels_plan(plan, output, ratios, made_in, json=json)
         return
     if divided:
         run = in_blocks.levels_in_blocks(
-            source, output, ratios, asked, threads, given | {"overwrite": overwrite},
+            parts, output, ratios, asked, threads, given | {"overwrite": overwrite},
             quiet=quiet or json,
         )  # fmt: skip
     else:
         asked.refuse_fitting(output.folder)
-        given |= {"threads": threads, "max_memory": asked.max_memory}
-        run = write_whole(plan, output, ratios, overwrite, cameras, direction, given, quiet or json)
+        given |= {"threads": threads, "turn": turn, "max_memory": asked.max_memory}
+        run = write_whole(
+            plan, parts, read, output, ratios, overwrite, cameras, direction, given, quiet or json
+        )
         run["notes"] = [*asked.unused(), *run["notes"]]
     if json:
         print_json(run)
     elif not quiet:
-        print_levels(run)
+        print_levels(run, verbose=verbose)
     exit_if_short(run)
+
+
+def _filtered(plan: "Plan", parts: Sequence[Path], read: "Reading") -> "Plan":
+    """The plan for what filters leave, which only the splats tell."""
+    from nanogs.cli.reading import read_parts
+    from nanogs.simplify.target import target_count
+
+    splats = len(read.prepare(read_parts(parts)).splats)
+    count = target_count(splats, plan.goal.ratio, None)
+    return replace(plan, info=replace(plan.info, splats=splats), count=count)
+
+
+def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
+    """The files of the model, and the output.
+
+    Raises:
+        OptionError: There is none of one, or several models without --join.
+    """
+    if len(paths) == 1:
+        raise OptionError(f"OUT is missing: name the folder to make of {paths[0]}.")
+    if len(paths) > 2 and not join:
+        raise OptionError(
+            f"These are {len(paths) - 1} models before OUT; name one, or give --join where they are"
+            " parts of one scene."
+        )
+    return list(paths[:-1]), paths[-1]
 
 
 def exit_if_short(run: dict[str, Any]) -> None:

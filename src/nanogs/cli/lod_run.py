@@ -1,32 +1,37 @@
 """What `nanogs lod` does with a model that fits into memory, and how its levels are shown."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
 from nanogs.ahead import compile_ahead
-from nanogs.cli.console import err, print_json, show, warn
+from nanogs.cli.console import err, key_value_table, print_json, show, warn
+from nanogs.cli.filtering import report_filters
 from nanogs.cli.importing import uncollected
 from nanogs.cli.progress import shown
+from nanogs.cli.reading import Reading
 from nanogs.cli.simplify_report import (
     Plan,
+    choice_text,
     describe_plan,
     print_divided,
+    recolour_text,
     show_plan,
     warn_of_input,
 )
 from nanogs.formatting import bytes_text, number_text
-from nanogs.io import load
 from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.layout import Output
 from nanogs.lod.write import write_levels, write_levels_stages
-from nanogs.progress import Stage, Tracker
+from nanogs.progress import Tracker
+from nanogs.report import StageClock
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.job import import_stages
 from nanogs.simplify.presets import renders
-from nanogs.simplify.stages import read_weight
 from nanogs.simplify.target import target_count
 
 if TYPE_CHECKING:
@@ -35,6 +40,8 @@ if TYPE_CHECKING:
 
 def write_whole(
     plan: Plan,
+    parts: Sequence[Path],
+    read: Reading,
     output: Output,
     ratios: tuple[float, ...],
     overwrite: bool,
@@ -52,21 +59,23 @@ def write_whole(
     layout = given["layout"]
     stages = write_levels_stages(plan.parameters, info.splats, ratios, layout, output.suffix)
     with shown(quiet=quiet) as watch:
-        progress = Tracker(watch, [Stage("read", read_weight(info.splats)), *stages])
-        progress.begin("read")
-        splats = load(info.path)
+        progress = Tracker(watch, [*read.stages(info.splats), *stages])
+        prepared = read.load(parts, progress, StageClock())
+        splats = prepared.splats
         manifest, reports = write_levels(
             splats,
             output.folder,
             ratios,
-            source=info.path.name,
+            source=", ".join(part.name for part in parts),
             suffix=output.suffix,
             overwrite=overwrite,
             cameras=requested_cameras(splats, cameras, up, plan.parameters),
             progress=progress.passing(),
             **given,
         )
-    run = manifest.to_dict() | {"input": str(info.path), "output": str(output.path)}
+    run = manifest.to_dict() | {"input": ", ".join(map(str, parts))}
+    run |= {"output": str(output.path), "filters": [asdict(each) for each in prepared.took]}
+    run["notes"] = [*run["notes"], *prepared.notes]
     run["layout"] = output.layout.value
     run["dropped_nonfinite"] = reports[0].dropped_nonfinite
     run["reports"] = [report.to_dict() for report in reports]
@@ -97,8 +106,9 @@ def print_levels_plan(
         plan_rows(divided)
 
 
-def print_levels(run: dict[str, Any]) -> None:
-    """Show on stderr the levels that were made."""
+def print_levels(run: dict[str, Any], *, verbose: bool) -> None:
+    """Show on stderr the levels that were made, and with `verbose` how each came to be."""
+    report_filters(run)
     warn_of_input(run)
     finest = run["levels"][0]
     if finest["ratio"] < 1:
@@ -121,8 +131,22 @@ def print_levels(run: dict[str, Any]) -> None:
             f"{level['seconds']:.2f}",
         )
     show(err, table)
+    for number, report in enumerate(run["reports"] if verbose else []):
+        show(err, key_value_table({f"level {number}": ""} | _details(report)))
     text = f"{run['output']}: {len(run['levels'])} levels, {run['total_seconds']:.2f} s"
     err.print(text, markup=False, soft_wrap=True)
+
+
+def _details(report: dict[str, Any]) -> dict[str, str]:
+    """How a level was made: passes, what was chosen, and where its time went."""
+    stages = ", ".join(f"{name} {value:.2f}" for name, value in report["seconds"].items())
+    rows = {
+        "passes": f"{len(report['passes'])}" if report["passes"] else "",
+        "chosen": choice_text(report["candidates"]),
+        "colours": recolour_text(report["recolour"]),
+        "stages (s)": stages,
+    }
+    return {f"  {name}": text for name, text in rows.items() if text}
 
 
 def _name(number: int, level: dict[str, Any]) -> str:

@@ -1,13 +1,13 @@
 """What is done to a model before it is simplified: joined from parts, splats and bands left out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from nanogs.cli.filtering import parse_filters
 from nanogs.errors import OptionError
 from nanogs.filters import Filter, FilterReport, apply
-from nanogs.io import load
+from nanogs.io import FileInfo, inspect, load
 from nanogs.progress import Stage, Tracker
 from nanogs.report import StageClock
 from nanogs.simplify.stages import read_weight
@@ -41,10 +41,6 @@ class Reading:
     filters: Sequence[Filter] = ()
     sh_degree: int | None = None
 
-    def degree(self, degree: int) -> int:
-        """What is left of a degree of spherical harmonics."""
-        return degree if self.sh_degree is None else min(degree, self.sh_degree)
-
     def stages(self, splats: int) -> list[Stage]:
         """The stages of `load`."""
         read = [Stage("read", read_weight(splats))]
@@ -58,7 +54,7 @@ class Reading:
         """
         progress.begin("read")
         with clock.time("read"):
-            splats = _load(paths)
+            splats = read_parts(paths)
         if not self.filters:
             return self.prepare(splats)
         progress.begin("filter")
@@ -79,6 +75,21 @@ class Reading:
             " the model without them."
         )
         return Prepared(left.with_sh_degree(self.sh_degree), took, (note,))
+
+
+def inspect_parts(paths: Sequence[Path]) -> FileInfo:
+    """What the first file says, with the splats and bytes of all.
+
+    Raises:
+        FormatError: A file cannot be read.
+    """
+    infos = [inspect(path) for path in paths]
+    return replace(
+        infos[0],
+        splats=sum(info.splats for info in infos),
+        file_bytes=sum(info.file_bytes for info in infos),
+        sh_degree=max(info.sh_degree for info in infos),
+    )
 
 
 def parse_reading(
@@ -104,7 +115,12 @@ def parse_reading(
     return Reading(parse_filters(crops, min_opacity, drop_floaters=drop_floaters), sh_degree)
 
 
-def _load(paths: Sequence[Path]) -> Splats:
+def read_parts(paths: Sequence[Path]) -> Splats:
+    """The model of one file, or of several that are its parts.
+
+    Raises:
+        NanogsError: A file cannot be read, or they do not go together.
+    """
     if len(paths) == 1:
         return load(paths[0])
     from nanogs.scale.source import load_joined

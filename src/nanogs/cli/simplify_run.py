@@ -1,7 +1,6 @@
 """What `nanogs simplify` does with each file: plan it, and simplify it."""
 
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,12 +9,12 @@ from nanogs.ahead import compile_ahead
 from nanogs.cli.console import warn, with_file_seconds
 from nanogs.cli.framing import Frames, frames_of
 from nanogs.cli.importing import uncollected
-from nanogs.cli.reading import Reading
+from nanogs.cli.reading import Reading, inspect_parts, read_parts
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_wish
 from nanogs.cli.too_large import Blocks, refuse_whole_model_wishes
 from nanogs.errors import OptionError
 from nanogs.frames import change_frame
-from nanogs.io import FileInfo, bytes_on_disk, check_writable, inspect, load, losses, registry, save
+from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
 from nanogs.progress import Progress, Stage, Tracker
@@ -114,10 +113,8 @@ def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
             f"--frame changes the size of a {pair.target.suffix} file that --size has found; turn"
             " it with `nanogs convert` before."
         )
-    info, blocks = inspect(pair.source), request.blocks
-    info = replace(info, sh_degree=reading.degree(info.sh_degree))
-    if blocks.joined:
-        info = _joined_info(info, blocks.joined)
+    blocks = request.blocks
+    info = inspect_parts(blocks.sources(pair))
     begun = blocks.is_begun(pair.target, overwrite=request.saving["overwrite"])
     if not (dry_run and request.folder_later) and not begun:
         check_writable(pair.target, **request.saving)
@@ -133,24 +130,13 @@ def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
     if goal.size is None and not (reading.filters and dry_run):
         count = goal.target(info.splats, lambda _count: 0)
     elif dry_run:  # what a row takes and what filters leave is only known from the columns
-        splats = reading.prepare(load(pair.source)).splats
+        splats = reading.prepare(read_parts(blocks.sources(pair))).splats
         plan = replace(plan, info=replace(info, splats=len(splats)))
         usable = usable_rows(splats, request.given["nan"])
         count = target_of(goal, splats, len(usable), pair.target)
     else:
         count = None
     return replace(plan, count=count)
-
-
-def _joined_info(first: FileInfo, parts: Sequence[Path]) -> FileInfo:
-    """The first part's description with the numbers of all."""
-    infos = [inspect(path) for path in parts]
-    return replace(
-        first,
-        splats=sum(info.splats for info in infos),
-        file_bytes=sum(info.file_bytes for info in infos),
-        sh_degree=max(info.sh_degree for info in infos),
-    )
 
 
 def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> dict[str, Any]:

@@ -139,8 +139,9 @@ def write_levels_in_blocks(
         inputs, ratios, layout=layout, chunk=chunk, plain=plain, preset=preset,
         max_memory=max_memory, block=block, nan=nan, **overrides,
     )  # fmt: skip
-    chosen, start = block_parameters(preset, overrides), time.perf_counter()
-    told = _Telling(inputs[0].name, preset, chosen, tuple(ratios), StageClock(), start)
+    source, start = ", ".join(part.name for part in inputs), time.perf_counter()
+    chosen = block_parameters(preset, overrides)
+    told = _Telling(source, preset, chosen, tuple(ratios), StageClock(), start)
     if not resume:
         refuse_full_disk(plan, kept, scratch)
     ending = LevelsFolder(folder, layout, told.write_plain, overwrite)

@@ -49,6 +49,12 @@ class Output:
         """What a viewer opens: the file that describes the folder, or the folder."""
         return self.folder / NAMES.get(self.layout, "")
 
+    @property
+    def model(self) -> Path:
+        """The name of one model in it, whose suffix is that of all."""
+        suffix = {Layout.SOG: ".sog", Layout.TILES: ".glb"}.get(self.layout, self.suffix)
+        return self.folder / level_name(0, suffix)
+
 
 def output_of(path: Path, suffix: str | None = None) -> Output:
     """The folder and the layout that a name asks for.

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from nanogs._version import __version__
+from nanogs.frames import change_frame
 from nanogs.io.folder import atomic_folder
 from nanogs.lod.chunks import Written
 from nanogs.lod.file_levels import PLY
@@ -32,6 +33,7 @@ def write_levels(
     chunk: int | None = None,
     plain: bool = False,
     suffix: str = PLY,
+    turn: tuple[str, str] | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401 - as `levels` takes them
@@ -49,6 +51,7 @@ def write_levels(
         plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
             them.
         suffix: Format of levels in files of their own.
+        turn: Frames from and to which the levels are turned before they are written.
         overwrite: Replace the folder if it holds nothing but earlier levels.
         progress: As `levels` takes it; a stage "write" follows each level.
         **options: As `levels` takes them.
@@ -72,7 +75,7 @@ def write_levels(
         out = writer(layout, temporary, chunk, plain=plain, suffix=suffix)
         for ratio in ratios:
             start = time.perf_counter()
-            report, written, losses = _write_next(made, out, tracker)
+            report, written, losses = _write_next(made, out, turn, tracker)
             seconds = time.perf_counter() - start
             # Said once of the finest level, and of others where it is not the same.
             prefix = f"Level {len(reports)}: " if reports else ""
@@ -92,10 +95,13 @@ def write_levels(
 def _write_next(
     made: Iterator[tuple[Splats, SimplifyReport]],
     out: LevelWriter,
+    turn: tuple[str, str] | None,
     progress: Tracker,
 ) -> tuple[SimplifyReport, Written, tuple[str, ...]]:
     """Make and write one level; nothing of it is kept but its report and what was left out."""
     small, report = next(made)
+    if turn:
+        small = change_frame(small, *turn)
     progress.begin("write")
     return report, out.add(small, progress.part), out.losses(small)
 
