@@ -13,6 +13,7 @@ import pytest
 import nanogs
 from builders import cloud_pair, random_splats
 from nanogs.errors import FormatError, ModelError, OptionError
+from nanogs.render.rasterize import prepare
 from nanogs.render.views import automatic_cameras
 from strategies import assert_same
 
@@ -132,6 +133,19 @@ def test_a_size_is_a_number_or_text(pair):
         nanogs.simplify(pair[0], size="a lot")
 
 
+def test_memory_is_a_number_or_text(files, tmp_path):
+    texts = []
+    for place, limit in enumerate((2_000_000_000, "2GB")):
+        report = nanogs.simplify_blocks(
+            files[0], tmp_path / f"{place}.ply", ratio=0.5, preset="fast", max_memory=limit
+        )
+        texts.append((tmp_path / f"{place}.ply").read_bytes())
+    assert texts[0] == texts[1]
+    assert report.achieved_count == 200
+    with pytest.raises(OptionError, match="not 'much'"):
+        nanogs.simplify_blocks(files[0], tmp_path / "c.ply", ratio=0.5, max_memory="much")
+
+
 def test_options_are_refused_before_a_file_is_read():
     with pytest.raises(OptionError, match="ratio"):
         nanogs.simplify("missing.ply", ratio=2)
@@ -162,6 +176,14 @@ def test_models_and_paths_the_wrong_way_round(tmp_path):
         nanogs.save(str(path), random_splats(3))
     with pytest.raises(ModelError, match="A model is needed, Splats, not NoneType"):
         nanogs.save(None, path)
+    for call in (
+        lambda given: nanogs.filters.min_opacity(given, 0.5),
+        lambda given: nanogs.frames.change_frame(given, "rdf", "rub"),
+        automatic_cameras,
+        prepare,
+    ):
+        with pytest.raises(ModelError, match=r"not the path 'a\.ply'; nanogs\.load\('a\.ply'\)"):
+            call("a.ply")
     assert not list(tmp_path.iterdir())
 
 

@@ -69,6 +69,12 @@ def test_every_column_is_taken_with_its_row(rows):
         assert some.extras["label"].dtype == labels.dtype
 
 
+@pytest.mark.parametrize("row", [0, 11, -1, -2, -12, np.int8(3), np.array(5)])
+def test_a_number_is_a_model_of_one_splat(row):
+    model = random_splats(12, extras={"label": np.arange(12)})
+    assert model[row].extras["label"].tolist() == [np.arange(12)[row]]
+
+
 def test_a_row_that_is_not_there_is_refused():
     for rows in (np.array([12]), [12], 12, -13):
         with pytest.raises(IndexError):

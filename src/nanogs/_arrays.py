@@ -31,7 +31,7 @@ def as_array(name: str, value: object) -> Array:
         return np.asarray(value)
     except (TypeError, ValueError, RuntimeError) as error:
         reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
-        raise ModelError(f"{name} cannot be made an array ({reason}).") from None
+        raise ModelError(f"{name} cannot be made an array ({reason}); convert it first.") from None
 
 
 def as_floats(name: str, value: object, *, double: bool = False) -> F:

@@ -13,7 +13,7 @@ import numpy as np
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError, OptionError
 from nanogs.simplify.job import refuse_misaligned_elements
-from nanogs.splats import Splats
+from nanogs.splats import Splats, refuse_other
 
 NEIGHBOURS = 8  # clusters of up to so many splats can be floaters
 DEVIATIONS = 5.0  # of the logarithm of distances
@@ -59,6 +59,7 @@ def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[Filt
     Raises:
         ModelError: Nothing is left, or an element has one row a splat.
     """
+    refuse_other(splats)
     reports = []
     for each in filters:
         keep = each.keep(splats)

@@ -19,7 +19,7 @@ import numpy as np
 from nanogs._types import F32, F64, Array
 from nanogs.datasets.harmonics import basis
 from nanogs.errors import OptionError
-from nanogs.splats import Splats
+from nanogs.splats import Splats, refuse_other
 
 TRAINED, Y_UP = "rdf", "rub"
 _ALONG = {"r": (0, 1), "l": (0, -1), "u": (1, 1), "d": (1, -1), "b": (2, 1), "f": (2, -1)}
@@ -90,6 +90,7 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
     Raises:
         OptionError: One of them is no frame.
     """
+    refuse_other(splats)
     change = change_between(source, target)
     if change.is_nothing:
         return splats

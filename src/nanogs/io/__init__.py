@@ -13,8 +13,7 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format
 from nanogs.io.info import FileInfo
-from nanogs.io.models import refuse_other
-from nanogs.splats import Splats
+from nanogs.splats import Splats, refuse_other
 
 __all__ = [
     "FileInfo",

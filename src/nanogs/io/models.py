@@ -1,6 +1,5 @@
 """A model that is given as such, or as the name of its file."""
 
-import os
 from os import PathLike
 from typing import TypeAlias
 
@@ -25,20 +24,7 @@ def as_splats(model: Model, name: str = "the model") -> Splats:
     if isinstance(model, Splats):
         return model
     if isinstance(model, str | PathLike):
-        from nanogs.io import load  # not above: it refuses what is no model by what is below
+        from nanogs.io import load  # `--help` does without
 
         return load(model)
     raise ModelError(f"{name} must be Splats or a path, not {type(model).__name__}.")
-
-
-def refuse_other(model: object) -> None:
-    """Refuse what is no model where no path can stand for one.
-
-    Raises:
-        ModelError: It is none.
-    """
-    if isinstance(model, str | PathLike):
-        path = os.fspath(model)
-        raise ModelError(f"A model is needed, not the path {path!r}; nanogs.load({path!r}) is one.")
-    if not isinstance(model, Splats):
-        raise ModelError(f"A model is needed, Splats, not {type(model).__name__}.")

@@ -17,7 +17,7 @@ from nanogs.kernels import listing, raster
 from nanogs.kernels import project as projection
 from nanogs.kernels.radix import radix_sort
 from nanogs.render.camera import Camera
-from nanogs.splats import RenderMode, Splats
+from nanogs.splats import RenderMode, Splats, refuse_other
 
 Floats = TypeVar("Floats", F32, F64)
 
@@ -115,6 +115,7 @@ def prepare(splats: Splats) -> PreparedSplats:
     Returns:
         Arrays that `render` and `project` read; means and sh are shared, not copied.
     """
+    refuse_other(splats)
     finite = splats.finite()
     opacities = splats.opacities().astype(np.float32)
     keep = finite & (opacities >= projection.MIN_ALPHA)

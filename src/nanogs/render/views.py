@@ -20,7 +20,7 @@ from nanogs.render.heading import body_of, seen_from
 from nanogs.render.occupancy import Core, Matter, find_core, sample
 from nanogs.render.stance import UPRIGHT, own_stance, upright
 from nanogs.render.up import detect_up
-from nanogs.splats import Splats
+from nanogs.splats import Splats, refuse_other
 
 Kind = Literal["auto", "orbit", "inside"]
 Split = Literal["fit", "test"]
@@ -128,6 +128,7 @@ def survey(
     """
     if kind not in ("auto", "orbit", "inside"):
         raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
+    refuse_other(splats)
     given = None if up is None else _unit(up)
     matter = sample(splats)
     if given is not None:

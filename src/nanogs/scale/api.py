@@ -13,6 +13,7 @@ from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.progress import Progress
+from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.folder import job_folder, read_manifest
@@ -36,7 +37,7 @@ def simplify_blocks(
     ratio: float | None = None,
     count: int | None = None,
     preset: str = DEFAULT_PRESET,
-    max_memory: int | None = None,
+    max_memory: int | str | None = None,
     block: int | None = None,
     job: str | PathLike[str] | None = None,
     scratch: str | None = None,
@@ -64,9 +65,9 @@ def simplify_blocks(
         ratio: Compaction ratio in (0, 1]; exactly one of both is given.
         count: Splats to deliver.
         preset: `default` or `fast`.
-        max_memory: Bytes that each process may take; it decides the size of the blocks. By default
-            what is free, less a tenth, shared by the workers of this machine; 4 GB with a client
-            or scheduler. A job that is resumed keeps its blocks.
+        max_memory: Bytes that each process may take, a number or text like "4GB"; it decides the
+            size of the blocks. By default what is free, less a tenth, shared by the workers of
+            this machine; 4 GB with a client or scheduler. A job that is resumed keeps its blocks.
         block: Splats of a block, in place of that.
         job: Folder for what has to survive a crash; by default the output's name with `.job`. It
             is removed when the run ends well.
@@ -101,7 +102,11 @@ def simplify_blocks(
     output, goal = Path(output), Goal(ratio=ratio, count=count)
     folder, chosen = job_folder(output, job), block_parameters(preset, overrides)
     max_memory, block = block_memory(
-        max_memory, block, folder if resume else None, workers, client is not None or scheduler
+        None if max_memory is None else as_bytes(max_memory),
+        block,
+        folder if resume else None,
+        workers,
+        client is not None or scheduler,
     )
     settings, plan = plan_job(
         [Path(path) for path in paths], (goal,), chosen, max_memory, block, nan
