@@ -356,6 +356,7 @@ def test_without_gsplat_there_is_no_figure(monkeypatch):
 # The command
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
     out = tmp_path / "out"
     options = ("--ratios", "0.1", "--methods", "paper,random", "--pixels", "64", "--views", "2")

@@ -121,6 +121,7 @@ def test_a_psnr_is_reached_or_it_is_said(scene, tmp_path):
     assert len(nanogs.load(tmp_path / "b.ply")) == 500
 
 
+@pytest.mark.slow
 def test_refit_reaches_the_method(scene, tmp_path):
     options = ("-r", "0.1", "--preset", "fast", "--refit", "--json")
     report = json.loads(run("simplify", scene, tmp_path / "a.ply", *options).stdout)
@@ -128,6 +129,7 @@ def test_refit_reaches_the_method(scene, tmp_path):
     assert report["refit"]["psnr_after"] >= report["refit"]["psnr_before"]
 
 
+@pytest.mark.slow
 def test_views_reach_the_method(scene, tmp_path):
     def candidates(name, up):
         options = ("-r", "0.1", "--cameras", "orbit", "--up", up, "--views", "2", "--json")

@@ -39,6 +39,7 @@ def scene(tmp_path):
     return tmp_path / "scene.ply"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", WRITTEN)
 def test_every_written_format_holds_what_the_library_writes(scene, tmp_path, suffix):
     result = run(scene, tmp_path / f"a{suffix}")

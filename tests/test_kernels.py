@@ -665,6 +665,7 @@ def test_equal_clusters_keep_their_own():
     assert least == pytest.approx([1.5] * 3)  # half the trace of the identity
 
 
+@pytest.mark.slow
 def test_kernels_run_uncompiled_too():
     """As plain Python, where a debugger reaches them: all of this file again."""
     if os.environ.get("NUMBA_DISABLE_JIT") == "1":

@@ -86,6 +86,7 @@ def test_centres_that_differ_by_less_than_squares_can_tell_still_have_neighbours
     assert all(len({row, *others}) == 5 for row, others in enumerate(found.tolist()))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
 def test_lanes_compiled_do_as_their_plain_python_says(seed, k):
     rng = np.random.default_rng(seed)

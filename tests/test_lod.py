@@ -90,6 +90,7 @@ def test_bad_ratios_are_refused_at_once(splats, ratios, word):
 # The folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["default", "fast", "paper"])
 def test_every_file_is_what_the_command_simplify_writes(scene, tmp_path, preset):
     folder = tmp_path / "levels"

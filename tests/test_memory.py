@@ -31,6 +31,7 @@ print(before, status("VmHWM"))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("preset", MOST)
 def test_a_run_takes_what_the_plan_says_and_no_more_than_promised(preset, large_scene):

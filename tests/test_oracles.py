@@ -62,6 +62,7 @@ def some_scene(name):
         return load_plant()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("name", ["splat-transform", "gsply", "gaussforge"])
 def test_another_program_reads_and_writes_the_same(tmp_path, oracles, name, degree):

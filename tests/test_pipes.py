@@ -105,6 +105,7 @@ def test_spz_4_is_told_by_its_own_magic(tmp_path):
     assert sniff(tmp_path / "a") == ".spz"
 
 
+@pytest.mark.slow
 def test_what_is_refused(scene, tmp_path):
     data = scene.read_bytes()
     splat = run("convert", scene, "-", "--to", "splat").stdout

@@ -39,6 +39,7 @@ def test_infinite_opacities_of_real_files_are_kept(name, count):
     assert (kept.opacity_logits == np.inf).sum() == count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.01, 0.001])
 def test_as_good_as_the_published_code(ratio):
     """Within 0.3 dB on the mean over scenes and seeds.
@@ -67,6 +68,7 @@ def test_as_good_as_the_published_code(ratio):
 LEADS = {("biker", 0.1): 1.0, ("biker", 0.01): 0.6, ("plant", 0.1): 2.0, ("plant", 0.01): 0.5}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["biker", "plant"])
 def test_better_than_the_peers_and_as_bright_as_the_original(name):
     """Mean PSNR in views that had no part in the choice; the mean colour at a tenth is kept.

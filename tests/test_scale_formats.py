@@ -112,6 +112,7 @@ def test_the_bytes_are_those_of_the_same_model_as_ply(tmp_path, splats, name, fe
     assert left(tmp_path / "in") == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kitchen.spz", "chair.splat"])
 def test_a_real_scene_comes_out_as_if_it_had_been_converted(tmp_path, name):
     origin, plain = scene_path(name), tmp_path / "plain.ply"

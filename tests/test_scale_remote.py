@@ -131,6 +131,7 @@ def worker(address):
     return dask("worker", address, "--nthreads", "1", "--memory-limit", "0", "--no-nanny")
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_killed_ends_the_run_and_the_job_goes_on_anywhere(
     scene, tmp_path, expected
 ):
@@ -296,6 +297,7 @@ def keyed(store, monkeypatch):
     return store
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of boto3's own
 def test_a_killed_run_with_a_store_is_resumed_and_the_store_emptied(
     scene, tmp_path, expected, keyed
@@ -318,6 +320,7 @@ def test_a_killed_run_with_a_store_is_resumed_and_the_store_emptied(
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
+@pytest.mark.slow
 def test_a_worker_uses_a_store_too(scene, tmp_path, keyed):
     here, out = tmp_path / "here.ply", tmp_path / "small.ply"
     nanogs.simplify_blocks(scene, here, preset="fast", **GIVEN)

@@ -55,6 +55,7 @@ def run(*arguments, code=0):
     return done.stdout, done.stderr
 
 
+@pytest.mark.slow
 def test_what_fits_is_simplified_as_ever(scene, tmp_path):
     plain, bounded = tmp_path / "plain.ply", tmp_path / "bounded.ply"
     run("simplify", scene, plain, "--ratio", "0.1", "--preset", "fast", "-q")
@@ -76,6 +77,7 @@ def test_what_does_not_fit_is_simplified_in_blocks(scene, tmp_path, memory):
     assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
 
 
+@pytest.mark.slow
 def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
     given = ["lod", scene, tmp_path / "levels", "--levels", "0.2,0.01", "--preset", "fast"]
     run(*given, "--max-memory", memory, "-q", "--threads", "1")
@@ -107,6 +109,7 @@ def test_what_cannot_be_done_in_blocks_is_said(scene, tmp_path, memory, more, sa
     assert [path.name for path in tmp_path.iterdir()] == []
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path, memory):
     out = tmp_path / "small.ply"
     given = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, "--resume", "-q"]
@@ -140,6 +143,7 @@ def client():
         yield client
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_workers_make_the_same_bytes_and_may_be_lost(scene, tmp_path, client):
     here, there = tmp_path / "here.ply", tmp_path / "there.ply"
@@ -158,6 +162,7 @@ def test_workers_make_the_same_bytes_and_may_be_lost(scene, tmp_path, client):
     assert {("segment", 3, 3), ("part", 3, 3)} <= set(told)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_workers_unpack_too(tmp_path, client):
     path, plain = tmp_path / "a.spz", tmp_path / "plain.ply"
@@ -221,6 +226,7 @@ def in_blocks(splats, folder, ratio, rounds):
     return nanogs.load(folder / "out.ply"), of_block
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rounds", [0, 2])
 def test_no_seam_shows_between_blocks(tmp_path, rounds):
     """The error of pixels near a border is that of the others, to a few hundredths."""
