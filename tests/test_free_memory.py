@@ -161,8 +161,8 @@ def test_a_tenth_is_kept_free_unless_the_memory_is_given(monkeypatch):
 @pytest.mark.parametrize(
     ("free", "processes", "each"),
     [
-        (3_456_000_000, 1, 3_660_000_000),
-        (7_400_000, 1, 212_000_000),
+        (3_456_000_000, 1, 3_690_000_000),
+        (7_400_000, 1, 242_000_000),
         (4_000_000_000, 4, 1_050_000_000),
     ],
 )
@@ -342,7 +342,7 @@ def test_too_low_a_ulimit_is_said_in_one_sentence(scene, tmp_path, limit):
 @pytest.mark.parametrize("option", [["--job", "a" * 254 + ".ply"], []])
 def test_a_name_too_long_for_a_job_is_said(scene, tmp_path, capsys, option):
     out = tmp_path / ("a.ply" if option else "b" * 248 + ".ply")
-    given = ["simplify", scene, out, "-r", "0.1", "--max-memory", "220MB", *option]
+    given = ["simplify", scene, out, "-r", "0.1", "--max-memory", "250MB", *option]
     assert command(*given) == 2
     said = capsys.readouterr().err
     assert "(File name too long)" in said
