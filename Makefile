@@ -20,8 +20,11 @@ NEWEST := build/newest
 PYTHONS ?= 3.14
 # What `make floors` and `make newest` run.
 TESTS ?= tests
+# What `make bounds` runs: whatever calls kernels, with small models.
+BOUNDS := $(patsubst %,tests/test_%.py,kernels extremes sheets forest knn spread raster blocks \
+	visibility recolour refit metrics simplify scale sog_write)
 
-.PHONY: demo test quick lint types check oracles floors newest docs dist clean help
+.PHONY: demo test bounds quick lint types check oracles floors newest docs dist clean help
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -40,6 +43,12 @@ demo: $(STAMP) ## simplify a real scene to 10 % in two ways, and show all in dem
 
 test: $(STAMP) ## run the tests
 	$(BIN)/python -m pytest -n 2
+
+# Each index of each kernel is checked as it is used: one that is out of its array raises, where a
+# kernel as usual would read or write beside it. Kernels so compiled are kept in build/bounds.
+bounds: $(STAMP) ## run the kernels' tests with checks of bounds
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/bounds \
+	  $(BIN)/python -m pytest -n 2 -m "not slow" $(BOUNDS)
 
 quick: $(STAMP) ## run the tests that take less than some 5 seconds each
 	$(BIN)/python -m pytest -n 2 -m "not slow"
