@@ -400,6 +400,7 @@ FORMATS = {
     ".glb": (_usual("a.glb"), [plain, inside_glb, inside_glb]),
     ".glb, packed": (_packed_glbs, [plain, inside_glb, inside_packed_glb]),
     ".gltf": (_gltfs, [plain, inside_gltf, inside_gltf, one_missing]),
+    ".usda": (_usual("a.usda"), [text, text, plain]),
     ".sog": (_bundles, [plain, inside_zip, inside_zip]),
     "SOG v1, folder": (_sogs_1, [plain, whole_json, one_texture, one_missing]),
     "SOG v2, folder": (

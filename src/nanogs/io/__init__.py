@@ -151,7 +151,7 @@ def as_stored(
 ) -> Splats:
     """The model as `load` would give it back after `save`, by way of a temporary file.
 
-    Itself where nothing changes, in `.ply` files, and where nanogs does not read the format.
+    Itself where nothing changes, in `.ply` files.
 
     Raises:
         NanogsError: As for `save`.
@@ -159,7 +159,7 @@ def as_stored(
     from tempfile import TemporaryDirectory
 
     known = registry.writable(Path(path))
-    if known.suffix == ".ply" or not known.readable:
+    if known.suffix == ".ply":
         return splats
     with TemporaryDirectory(prefix="nanogs-") as folder:
         file = Path(folder) / "model" / known.suffix

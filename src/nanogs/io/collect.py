@@ -73,8 +73,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _readable(file: Path) -> bool:
-    known = registry.find(file)
-    return known is not None and known.readable
+    return registry.find(file) is not None
 
 
 def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[Pair]:

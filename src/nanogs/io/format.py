@@ -3,9 +3,8 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, Protocol
 
-from nanogs.errors import FormatError
 from nanogs.frames import TRAINED
 from nanogs.io.folder import Ours
 from nanogs.io.info import FileInfo
@@ -26,15 +25,6 @@ class FolderWriter(Protocol):
 
     def __call__(self, splats: Splats, path: Path, *, overwrite: bool) -> None:
         """Write the model; see `io.save` for what it raises."""
-
-
-def unread(path: Path) -> NoReturn:
-    """In place of the reader of a format that is only written.
-
-    Raises:
-        FormatError: Always.
-    """
-    raise FormatError(f"{path}: nanogs writes this format but does not read it; name another file.")
 
 
 def _none(_path: Path) -> None:
@@ -97,11 +87,6 @@ class Format:
     options: Mapping[str, WriteOption] = field(default_factory=dict)
     write_folder: FolderWriter | None = None
     ours: Ours | None = None
-
-    @property
-    def readable(self) -> bool:
-        """Whether nanogs reads it."""
-        return self.read is not unread
 
     @property
     def writable(self) -> bool:

@@ -18,9 +18,10 @@ from nanogs.io import (
     spz,
     spz_write,
     tileset,
+    usda,
     usda_write,
 )
-from nanogs.io.format import Format, WriteOption, unread
+from nanogs.io.format import Format, WriteOption
 from nanogs.io.registry import LEVELS, TILESET
 
 _SPZ_FRAME = (
@@ -28,7 +29,7 @@ _SPZ_FRAME = (
 )
 _GLTF_FRAME = "y up (luf) in the file, turned to y down (rdf) when read"
 _TILES_FRAME = "z up in the tileset, turned to y down (rdf) when read"
-_USD_FRAME = "y up in the file, by a transform; the model's own y is taken to be down (rdf)"
+_USD_FRAME = "y up or z up as the file says, turned to y down (rdf) when read"
 
 
 # Both PLY layouts share a reader: the header tells them apart, whatever the file is called.
@@ -115,8 +116,8 @@ FORMATS = (
     ),
     Format(
         ".usda",
-        unread,
-        unread,
+        usda.read,
+        usda.inspect,
         usda_write.write,
         losses=usda_write.losses,
         frame=_USD_FRAME,

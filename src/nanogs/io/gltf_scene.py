@@ -4,7 +4,7 @@ A node's transform is similar (uniform positive scale, rotation, translation) or
 ones shear the splats. Spherical harmonics turn with the rotation, as the extension asks for.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,7 +99,7 @@ def placed_splats(document: Document, above: F64) -> tuple[list[Placed], int]:
             if EXTENSION not in primitive.part("extensions").data:
                 others += 1
                 continue
-            found.append(Placed(primitive, _pose(node, matrix)))
+            found.append(Placed(primitive, pose_of(matrix, node.error)))
             if len(found) > _MAX_PRIMITIVES:
                 raise node.error(f"is one of too many: nanogs reads {_MAX_PRIMITIVES} primitives")
     if not found:
@@ -154,8 +154,16 @@ def _local(node: Part) -> F64:
     return matrix
 
 
-def _pose(node: Part, matrix: F64) -> Pose:
-    """Decompose a global matrix, followed by the turn into the frame of `.ply` files."""
+def pose_of(matrix: F64, error: Callable[[str], FormatError]) -> Pose:
+    """Decompose a matrix that leads to y up, followed by the turn into the frame of `.ply` files.
+
+    Args:
+        matrix: (4, 4) float64.
+        error: Makes the error of what is wrong with it.
+
+    Raises:
+        FormatError: It is no similarity.
+    """
     with np.errstate(all="ignore"):
         matrix = _TO_PLY @ matrix
         linear = matrix[:3, :3]
@@ -163,9 +171,9 @@ def _pose(node: Part, matrix: F64) -> Pose:
         rotation = linear / scale
         skew = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not (np.isfinite(matrix).all() and np.isfinite(scale) and scale > 0):
-        raise node.error("mirrors or flattens its splats, or is too large")
+        raise error("mirrors or flattens its splats, or is too large")
     if not skew <= 1e-4:  # nor NaN
-        raise node.error("scales its splats differently along the axes; apply its transform first")
+        raise error("scales its splats differently along the axes; apply its transform first")
     left, _, right = np.linalg.svd(rotation)
     rotation = left @ right
     whole = rotation.round()

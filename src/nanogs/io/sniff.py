@@ -12,6 +12,7 @@ _MAGIC = (
     (b"NGSP", ".spz"),
     (b"\x1f\x8b", ".spz"),
     (LEGACY_START, ".pt"),
+    (b"#usda 1.", ".usda"),
 )
 
 

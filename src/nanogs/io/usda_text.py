@@ -1,0 +1,218 @@
+"""The text of OpenUSD layers, `.usda`, as far as it takes to find the prims of some type.
+
+Grammar: https://github.com/PixarAnimationStudios/OpenUSD, pxr/usd/sdf. A layer is its metadata in
+parentheses and prims; a prim holds attributes, `type name = value`, and further prims. Values are
+found and not read: arrays of numbers, which are most of a file, are passed over in one step. What
+is composed from other layers, from variants or from time samples is not seen.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from nanogs.errors import FormatError
+
+_TOKEN = re.compile(
+    rb'"""[^"\\]*(?:(?:\\.|"(?!""))[^"\\]*)*"""'
+    rb"|'''[^'\\]*(?:(?:\\.|'(?!''))[^'\\]*)*'''"
+    rb'|"[^"\\\n]*(?:\\.[^"\\\n]*)*"'
+    rb"|'[^'\\\n]*(?:\\.[^'\\\n]*)*'"
+    rb"|<[^<>\n]*>|@[^@\n]*@|[\[\](){}=,;]|[^\s\[\](){}=,;\"'<>@#]+",
+    re.DOTALL,
+)
+_SPACE = re.compile(rb"\s*")
+_OPEN, _CLOSE = {b"(": b")", b"[": b"]", b"{": b"}"}, (b")", b"]", b"}")
+_PRIM = (b"def", b"over", b"class")
+_MOST_DEPTH = 100
+_NUMBERS = re.compile(rb"(?:half|float|double|int|point3[fhd]|quat[fhd]|color3[fhd])[234]?")
+
+Span = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Prim:
+    """A prim of a layer.
+
+    Attributes:
+        kind: Its type, such as `Xform`; empty without one.
+        name: Its name.
+        parent: The prim that it is in.
+        values: First byte of each attribute's value in the file, and the one after its last;
+            without the brackets of an array.
+    """
+
+    kind: str
+    name: str
+    parent: "Prim | None"
+    values: dict[str, Span] = field(default_factory=dict)
+
+    def depth(self) -> int:
+        """Prims around it."""
+        count, prim = 0, self.parent
+        while prim is not None:
+            count, prim = count + 1, prim.parent
+        return count
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """A layer's prims in the file's order, and its metadata.
+
+    Attributes:
+        path: The file.
+        text: Its bytes.
+        metadata: Words and texts by name, such as `upAxis`.
+        prims: All of them, those in others too.
+    """
+
+    path: Path
+    text: bytes
+    metadata: Mapping[str, str]
+    prims: tuple[Prim, ...]
+
+    def error(self, what: str) -> FormatError:
+        """The error for a layer that is not as it must be."""
+        return FormatError(f"{self.path}: {what}; export it again.")
+
+
+def read_layer(path: Path, text: bytes) -> Layer:
+    """Find the prims of a layer.
+
+    Raises:
+        FormatError: It is no text of USD, or is cut short.
+    """
+    if not text.startswith(b"#usda 1."):
+        raise FormatError(
+            f"{path} does not begin with '#usda 1.', so it is no text of USD; give it the suffix of"
+            " its real format."
+        )
+    return _Parser(path, text).layer()
+
+
+class _Parser:
+    """Goes through a text from its beginning to its end, once."""
+
+    def __init__(self, path: Path, text: bytes) -> None:
+        self._path, self._text, self._at = path, text, 0
+        self._prims: list[Prim] = []
+        self._metadata: dict[str, str] = {}
+
+    def layer(self) -> Layer:
+        """All of it."""
+        inside: Prim | None = None
+        words: list[bytes] = []
+        while token := self._next():
+            if token in _PRIM:
+                inside, words = self._prim(inside), []
+            elif token == b"}":
+                if inside is None:
+                    raise self._damaged("a } closes nothing")
+                inside, words = inside.parent, []
+            elif token == b"=" and words:
+                self._value(inside, words)
+                words = []
+            elif token == b"(" and inside is None and not self._prims:
+                self._read_metadata()
+            elif token == b"[" and self._peek() == b"]":  # of a type, as in float3[]
+                self._next()
+                words.append(b"[]")
+            elif token in _OPEN:
+                self._skip(token)
+            else:
+                words.append(token)
+                del words[:-4]  # a declaration has no more: custom uniform type name
+        if inside is not None:
+            raise self._damaged(f"it ends inside the prim {inside.name[:40]!a}")
+        return Layer(self._path, self._text, self._metadata, tuple(self._prims))
+
+    def _prim(self, parent: Prim | None) -> Prim:
+        """The head of a prim, up to what is in it."""
+        kind, name = "", self._next()
+        if not name.startswith((b'"', b"'")):
+            kind, name = name.decode("utf-8", "replace"), self._next()
+        prim = Prim(kind, _plain(name), parent)
+        opening = self._next()
+        if opening == b"(":
+            self._skip(opening)
+            opening = self._next()
+        if opening != b"{" or prim.depth() > _MOST_DEPTH:
+            raise self._damaged(f"the prim {prim.name[:40]!a} is none")
+        self._prims.append(prim)
+        return prim
+
+    def _value(self, prim: Prim | None, words: list[bytes]) -> None:
+        """Note where a value lies, and pass over it."""
+        array = len(words) > 2 and words[-2] == b"[]" and _NUMBERS.fullmatch(words[-3])
+        opening, start = self._next(), self._at
+        if opening == b"[" and array:
+            end = self._text.find(b"]", start)
+            if end < 0:
+                raise self._damaged("an array has no end")
+            self._at = end + 1
+        elif opening in _OPEN:
+            self._skip(opening)
+            end = self._at - 1
+        else:
+            start, end = start - len(opening), start
+        if prim is not None:
+            prim.values[words[-1].decode("utf-8", "replace")] = start, end
+
+    def _read_metadata(self) -> None:
+        """What the layer says of itself; values in brackets are passed over."""
+        name = b""
+        while (token := self._next()) != b")":
+            if token == b"=":
+                value = self._next()
+                if value in _OPEN:
+                    self._skip(value)
+                else:
+                    self._metadata[name.decode("utf-8", "replace")] = _plain(value)
+            elif token in _OPEN:
+                self._skip(token)
+            elif not token:
+                raise self._damaged("its metadata has no end")
+            name = token
+
+    def _skip(self, opening: bytes) -> None:
+        """Go to behind the bracket that closes one."""
+        waiting = [_OPEN[opening]]
+        while waiting:
+            token = self._next()
+            if token in _OPEN:
+                waiting.append(_OPEN[token])
+            elif token in _CLOSE and token != waiting.pop():
+                raise self._damaged("its brackets do not match")
+            elif not token:
+                raise self._damaged("a bracket has no end")
+
+    def _peek(self) -> bytes:
+        at = self._at
+        token = self._next()
+        self._at = at
+        return token
+
+    def _next(self) -> bytes:
+        """The next word, text or sign; nothing at the end."""
+        while True:
+            space = _SPACE.match(self._text, self._at)
+            self._at = space.end() if space else self._at
+            if self._text[self._at : self._at + 1] != b"#":
+                break
+            line = self._text.find(b"\n", self._at)
+            self._at = len(self._text) if line < 0 else line
+        if self._at == len(self._text):
+            return b""
+        found = _TOKEN.match(self._text, self._at)
+        if found is None:
+            raise self._damaged(f"byte {self._at} begins nothing that is known")
+        self._at = found.end()
+        return found[0]
+
+    def _damaged(self, what: str) -> FormatError:
+        return FormatError(f"{self._path}: {what}; export or download it again.")
+
+
+def _plain(token: bytes) -> str:
+    """A word, or what is between quotes."""
+    return token.decode("utf-8", "replace").strip("\"'")
