@@ -40,8 +40,12 @@ def upright_cameras(original, count=12):
     return automatic_cameras(original, count, width=64, height=64, up=(0, -1, 0))
 
 
+def pulls(small, views):
+    return stage._pulls(small, views, lambda _done, _of: None, 0)
+
+
 def step(small, merged, views):
-    return stage._moved(small, merged, *stage._pulls(small, views), stage.PRIORS[0])
+    return stage._moved(small, merged, *pulls(small, views), stage.PRIORS[0])
 
 
 def tinted(splats, seed=0, size=0.3):
@@ -115,14 +119,14 @@ def test_where_views_differ_much_a_more_cautious_step_is_tried(monkeypatch):
     views = visibility.look(original, upright_cameras(original, 6))
     everything = np.ones(len(small), bool)
     before = visibility.judge(small, views)
-    first = stage._pulls(small, views.other)
+    first = pulls(small, views.other)
     cautious = stage._moved(small, everything, *first, stage.PRIORS[1])
     judged = iter([(before[0] - 1, before[1]), visibility.judge(cautious, views)])
     monkeypatch.setattr(stage, "judge", lambda *_: next(judged))
     found, report = recolour(small, everything, views, before)
     assert report.kept
-    pulls, held = stage._pulls(cautious, views.judging)
-    second = stage._moved(cautious, everything, pulls, held + first[1], stage.PRIORS[1])
+    pulled, held = pulls(cautious, views.judging)
+    second = stage._moved(cautious, everything, pulled, held + first[1], stage.PRIORS[1])
     assert model_bytes(found) == model_bytes(second)
 
 
