@@ -32,6 +32,7 @@ from nanogs.bench.scenes import (
 )
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.worker import Job, Outcome, peak_memory, run_job
+from nanogs.compare.run import compare_files
 from nanogs.errors import OptionError, OutputError
 from nanogs.io import load
 from nanogs.render.camera import Camera
@@ -288,7 +289,8 @@ def write_photographs(folder, model, angle=0.8, size=32):
         color = render(nanogs.load(model), camera, background=(1.0, 1.0, 1.0)).color
         pixels = np.rint(np.clip(color, 0, 1) * 255).astype(np.uint8)
         (folder / "test").mkdir(parents=True, exist_ok=True)
-        Image.fromarray(pixels).save(folder / "test" / f"{name}.png")
+        alpha = np.full((size, size, 1), 255, np.uint8)  # as the data set's, which are on white
+        Image.fromarray(np.dstack([pixels, alpha])).save(folder / "test" / f"{name}.png")
         to_world = np.linalg.inv(pose) @ np.diag([1, -1, -1, 1])
         frames.append({"file_path": f"./test/{name}", "transform_matrix": to_world.tolist()})
     data = {"camera_angle_x": angle, "frames": frames}
@@ -305,6 +307,31 @@ def test_photographs_are_what_counts_where_there_are_any(model, tmp_path):
     assert small.psnr < whole.psnr - 3
     assert (whole.views, small.views) == (2, 2)
     assert any("no training views" in note for note in whole.notes)
+
+
+def test_compare_and_bench_show_photographs_over_the_same(model, tmp_path):
+    """White for photographs with alpha, black for opaque ones, and what is asked for."""
+    write_photographs(tmp_path, model)
+    named = ("ball", model)
+
+    def compared(**options):
+        comparison = compare_files(named, [named], photos=tmp_path, **options)
+        return comparison.models[0].psnr, comparison.protocol.text
+
+    def measured(**options):
+        settings = BenchSettings(ratios=(0.5,), methods=("opacity",), **options)
+        whole, _ = run_bench([BenchScene("ball", model, tmp_path)], settings)
+        return whole.psnr, whole.notes[0]
+
+    assert compared()[1] == "2 test photographs of 32 pixels over white"
+    assert compared()[0] == measured()[0] > 45
+    assert measured()[1] == "photographs over white"
+    black = (0.0, 0.0, 0.0)
+    assert compared(background=black)[0] == measured(background=black)[0] < 45
+    for path in (tmp_path / "test").iterdir():
+        Image.open(path).convert("RGB").save(path)
+    assert compared()[1] == "2 test photographs of 32 pixels over black"
+    assert compared()[0] == measured()[0] < 45
 
 
 def test_a_data_set_without_a_test_split_is_a_stated_skip(model, tmp_path):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, overload
 from nanogs.bench.published import DATASETS, image_folder
 from nanogs.bench.rows import Against
 from nanogs.bench.settings import BenchSettings
-from nanogs.compare.protocol import BLACK, WHITE, Background
+from nanogs.compare.protocol import BLACK, Background, background_text
 from nanogs.errors import FormatError, OptionError
 from nanogs.render.camera import Camera
 from nanogs.splats import Splats
@@ -181,14 +181,13 @@ def _photographs(scene: BenchScene, splats: Splats, settings: BenchSettings) -> 
     assert folder is not None  # noqa: S101 - asked by the caller
     dataset = open_dataset(folder, images=scene.images)
     frames = dataset.split("test")
-    # The synthetic scenes are shown on white, by a convention as old as they are.
-    background = WHITE if dataset.kind == "blender" else BLACK
-    notes: tuple[str, ...] = ()
+    background = settings.background or dataset.background(frames)
+    notes: tuple[str, ...] = (f"photographs over {background_text(background)}",)
     try:
         fit = [frame.camera for frame in dataset.split("train")]
     except FormatError as error:
         fit = _automatic(scene, splats, settings, settings.fit_views, "fit")
-        notes = (f"methods learn from automatic views, as there are no training views: {error}",)
+        notes += (f"methods learn from automatic views, as there are no training views: {error}",)
     views = PhotoViews(dataset, frames, background)
     return SceneViews(views, tuple(fit), background, Against.PHOTOGRAPHS, notes)
 

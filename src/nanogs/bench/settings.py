@@ -6,6 +6,7 @@ from typing import Literal
 
 from nanogs.bench.methods import all_methods, find_method
 from nanogs.bench.rows import ORIGINAL
+from nanogs.compare.protocol import Background
 from nanogs.errors import OptionError
 
 RATIOS = (0.1, 0.01, 0.001)
@@ -25,6 +26,8 @@ class BenchSettings:
         size: Their width and height, pixels.
         camera_kind: Their arrangement, as `automatic_cameras` takes it.
         fit_views: Automatic views to learn from, for methods that do.
+        background: RGB in [0, 1] behind photographs and what is held against them; None for the
+            data set's own (see `Dataset.background`).
         metrics: Further metrics: "lpips", "flip".
         seed: Seed of whatever methods draw.
         threads: Threads to use; None for all.
@@ -40,6 +43,7 @@ class BenchSettings:
     size: int = 512
     camera_kind: Literal["auto", "orbit", "inside"] = "auto"
     fit_views: int = 40
+    background: Background | None = None
     metrics: tuple[str, ...] = ()
     seed: int = 0
     threads: int | None = None

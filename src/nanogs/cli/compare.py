@@ -54,7 +54,7 @@ def compare(
     pixels: options.Pixels = str(PIXELS),
     cameras: options.Cameras = "auto",
     up: options.Up = None,
-    background: options.BackgroundOption = "black",
+    background: options.PhotoBackground = None,
     metrics: Annotated[
         str, typer.Option(help="Further metrics: flip, lpips (each needs its extra).")
     ] = "",
@@ -70,7 +70,7 @@ def compare(
     from nanogs.io.atomic import check_writable
 
     width, height = options.parse_pixels(pixels)
-    color = options.parse_background(background)
+    color = None if background is None else options.parse_background(background)
     direction = options.parse_direction(up)
     extras = [name.strip() for name in metrics.split(",") if name.strip()]
     if report:

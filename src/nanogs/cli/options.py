@@ -54,6 +54,16 @@ BackgroundOption = Annotated[
         "--background", help="black, white, or #rrggbb.", metavar="COLOUR", rich_help_panel=VIEWS
     ),
 ]
+PhotoBackground = Annotated[
+    str | None,
+    typer.Option(
+        "--background",
+        help="black, white, or #rrggbb.",
+        metavar="COLOUR",
+        show_default="black; white for NeRF-Synthetic photographs with alpha",
+        rich_help_panel=VIEWS,
+    ),
+]
 SpzVersion = Annotated[
     int | None,
     typer.Option(

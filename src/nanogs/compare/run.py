@@ -33,7 +33,7 @@ def compare_files(
     width: int = PIXELS,
     height: int = PIXELS,
     up: Sequence[float] | None = None,
-    background: Background = BLACK,
+    background: Background | None = None,
     extras: Sequence[str] = (),
     photos: Path | None = None,
     images: str | None = None,
@@ -53,7 +53,8 @@ def compare_files(
         width: Width of automatic views, pixels.
         height: Height of automatic views, pixels.
         up: Up direction of automatic views.
-        background: RGB in [0, 1].
+        background: RGB in [0, 1]; by default black, and for photographs the data set's own (see
+            `Dataset.background`).
         extras: Further metrics.
         photos: Data-set folder; the reference is then scored against its photographs too.
         images: Folder of the photographs in a COLMAP data set.
@@ -75,7 +76,6 @@ def compare_files(
     for name, path in each((reference, *tests), tracker.part):
         models.append(NamedModel(name, load(path), inspect(path).file_bytes))
     options: dict[str, Any] = {
-        "background": background,
         "extras": extras,
         "pictures": report is not None,
         "progress": tracker,
@@ -85,13 +85,16 @@ def compare_files(
             models[0].splats, cameras, count=views, width=width, height=height, up=up
         )
         kind: Kind = AUTOMATIC.get(cameras, "given")
-        comparison, sheets = compare_models(models[0], models[1:], chosen, kind=kind, **options)
+        behind = background or BLACK
+        comparison, sheets = compare_models(
+            models[0], models[1:], chosen, kind=kind, background=behind, **options
+        )
     else:
         tracker.begin("photographs")
-        frames = photographs(photos, images, split, background)
+        behind, frames = photographs(photos, images, split, background)
         chosen = [frame.camera for frame in frames]
         comparison, sheets = compare_with_photographs(
-            str(photos), models, frames, split=split, **options
+            str(photos), models, frames, split=split, background=behind, **options
         )
     if report:
         viewer = None
@@ -99,7 +102,7 @@ def compare_files(
             tracker.begin("encode")
             place = chosen[0] if photos else AUTOMATIC.get(cameras, chosen[0])
             start = opening_for(models[0].splats, place, up)
-            viewer = viewer_part(_shown(models, comparison, start), start, background)
+            viewer = viewer_part(_shown(models, comparison, start), start, behind)
         tracker.begin("write")
         page_text = render_page(comparison, sheets, f"{reference[0]}: comparison", viewer)
         with atomic_write(report, overwrite=overwrite) as file:
@@ -138,15 +141,18 @@ def _shown(models: Sequence[NamedModel], comparison: Comparison, start: Opening)
 
 
 def photographs(
-    folder: Path, images: str | None, split: str, background: Background
-) -> list[ReferenceView]:
+    folder: Path, images: str | None, split: str, background: Background | None
+) -> tuple[Background, list[ReferenceView]]:
     """Cameras and photographs of a data set's split.
 
     Args:
         folder: NeRF-Synthetic or COLMAP data set.
         images: Folder of the photographs in a COLMAP data set.
         split: "test" or "train".
-        background: RGB in [0, 1] behind transparent parts.
+        background: RGB in [0, 1] behind transparent parts; None for the data set's own.
+
+    Returns:
+        The background, and the photographs over it.
 
     Raises:
         NanogsError: The folder holds no such data set, split or photograph.
@@ -157,7 +163,8 @@ def photographs(
     if split not in splits:
         raise OptionError(f"The split must be test or train, not {split!r}.")
     dataset = open_dataset(folder, images=images)
-    return [
-        ReferenceView(frame.camera, dataset.load_photo(frame, background))
-        for frame in dataset.split(splits[split])
+    frames = dataset.split(splits[split])
+    behind = background or dataset.background(frames)
+    return behind, [
+        ReferenceView(frame.camera, dataset.load_photo(frame, behind)) for frame in frames
     ]

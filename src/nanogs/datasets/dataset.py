@@ -11,7 +11,7 @@ from nanogs.datasets.colmap import find_model, read_model, scaled
 from nanogs.datasets.fields import read_json
 from nanogs.datasets.frame import Frame
 from nanogs.datasets.inria import read_cameras_json
-from nanogs.datasets.photos import find_photo, is_file, photo_size, read_photo
+from nanogs.datasets.photos import find_photo, is_file, is_transparent, photo_size, read_photo
 from nanogs.datasets.undistort import straightened, undistorted
 from nanogs.errors import FormatError, OptionError
 from nanogs.render.camera import Camera
@@ -65,6 +65,22 @@ class Dataset:
                 f"{self.path}: its few images leave none for the {name} split; use a larger set"
             )
         return frames
+
+    def background(self, frames: Sequence[Frame]) -> tuple[float, float, float]:
+        """What its photographs are shown over by convention, RGB: white or black.
+
+        White for NeRF-Synthetic photographs with transparent parts, which models are trained on
+        over white; black for all others.
+
+        Args:
+            frames: Of a split; the first one's photograph tells.
+
+        Raises:
+            FormatError: That photograph cannot be read.
+        """
+        photo = frames[0].photo_path if frames else None
+        over_white = self.kind == "blender" and photo is not None and is_transparent(photo)
+        return (1.0, 1.0, 1.0) if over_white else (0.0, 0.0, 0.0)
 
     def load_photo(self, frame: Frame, background: Sequence[float] | F) -> F32:
         """Decode one frame's photograph, composited on a background where it is transparent.

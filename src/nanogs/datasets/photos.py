@@ -65,6 +65,19 @@ def photo_size(path: Path) -> tuple[int, int]:
         raise _unreadable(path, error) from error
 
 
+def is_transparent(path: Path) -> bool:
+    """Whether a photograph has an alpha channel or a transparent colour; pixels are not decoded.
+
+    Raises:
+        FormatError: It is missing or no image that can be read.
+    """
+    try:
+        with Image.open(path) as image:
+            return image.has_transparency_data
+    except _DAMAGED as error:
+        raise _unreadable(path, error) from error
+
+
 def read_photo(path: Path, size: tuple[int, int], background: Sequence[float] | F) -> F32:
     """Decode a photograph over a background colour.
 
