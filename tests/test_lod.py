@@ -121,12 +121,38 @@ def test_the_manifest_describes_the_files(scene, tmp_path):
         assert level["sha256"] == hashlib.sha256(content).hexdigest()
         assert 0 < level["psnr"] <= 100
         assert 0 < level["ssim"] <= 1
-        assert level["seconds"] > 0
+        assert "seconds" not in level
+    assert manifest["protocol"]["views"] == 8
 
 
 def test_nothing_is_measured_where_nothing_is_rendered(splats, tmp_path):
     manifest, _ = write_levels(splats, tmp_path / "l", [0.1], source="a.ply", preset="fast")
-    assert manifest.levels[0].psnr is manifest.levels[0].ssim is None
+    assert manifest.levels[0].psnr is manifest.levels[0].ssim is manifest.protocol is None
+
+
+@pytest.mark.parametrize(
+    "out", ["levels", "levels/lod-meta.json", "levels/tileset.json", "levels --format sog"]
+)
+def test_the_same_input_gives_the_same_bytes(scene, tmp_path, out):
+    """Of every file, whatever the threads and the moment."""
+    made = []
+    for number in (1, 2):
+        (tmp_path / str(number)).mkdir()
+        path, *options = out.split(" ")
+        options += ["--levels", "0.5,0.1", "--threads", number, "-q"]
+        result = run("lod", scene, tmp_path / str(number) / path, *options)
+        assert result.returncode == 0, result.stderr
+        folder = tmp_path / str(number) / "levels"
+        files = sorted(path for path in folder.rglob("*") if path.is_file())
+        made.append({str(path.relative_to(folder)): path.read_bytes() for path in files})
+    assert len(made[0]) > 1
+    assert made[0] == made[1]
+
+
+def test_a_level_equal_to_the_model_lacks_nothing(splats, tmp_path):
+    manifest, _ = write_levels(splats, tmp_path / "l", [1.0], source="a.ply", measured=True)
+    assert (manifest.levels[0].psnr, manifest.levels[0].ssim) == (None, pytest.approx(1))
+    assert json.loads((tmp_path / "l" / "levels.json").read_text())["levels"][0]["psnr"] is None
 
 
 def test_dry_run_plans_and_writes_nothing(scene, tmp_path):

@@ -93,6 +93,7 @@ def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
     [
         (["--psnr", "30"], "--psnr needs the whole"),
         (["--size", "1MB"], "--size needs the whole"),
+        (["--ratio", "0.1", "--measure"], "--measure needs the whole"),
         (["--ratio", "0.1", "--min-opacity", "0.1"], "a filter needs the whole"),
         (["--ratio", "0.1", "--preset", "best"], "best needs the whole model"),
         (["--ratio", "0.1", "--max-memory", "100MB"], "--max-memory must be at least"),

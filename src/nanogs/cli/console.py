@@ -86,8 +86,10 @@ def with_file_seconds(run: dict[str, Any], clock: "StageClock", start: float) ->
         clock: Holds the stages before, such as "read", and "write".
         start: `time.perf_counter()` at the start of the command.
     """
-    before = {stage: spent for stage, spent in clock.seconds.items() if stage != "write"}
-    seconds = before | run["seconds"] | {"write": clock.seconds["write"]}
+    around = clock.seconds
+    after = {stage: around[stage] for stage in ("write", "measure") if stage in around}
+    seconds = {stage: spent for stage, spent in around.items() if stage not in after}
+    seconds |= run["seconds"] | after
     return run | {"seconds": seconds, "total_seconds": time.perf_counter() - start}
 
 

@@ -11,7 +11,7 @@ from nanogs.cli import blocks, file_options, method, options
 from nanogs.cli.importing import uncollected
 from nanogs.defaults import CHUNK, PATIENCE
 from nanogs.errors import OptionError
-from nanogs.simplify.presets import DEFAULT_PRESET, parameters
+from nanogs.simplify.presets import DEFAULT_PRESET, parameters, renders
 
 if TYPE_CHECKING:
     from nanogs.cli.reading import Reading
@@ -46,6 +46,7 @@ def lod(
         ),
     ] = None,
     preset: method.Preset = DEFAULT_PRESET,
+    measure: method.Measure = None,
     nan: method.NanOption = method.Nan.drop,
     frame: file_options.FrameOption = None,
     sh_degree: file_options.ShDegree = None,
@@ -145,7 +146,11 @@ def lod(
         check_folder_writable(output.folder, made_files, overwrite=overwrite)
     finest = target_count(info.splats, ratios[0], None)
     encoding = in_blocks.levels_encoding(info, ratios, output, chunk, plain=plain)
-    plan = Plan(info, Goal(ratio=ratios[0]), finest, preset, chosen, encoding, asked.joined)
+    measured = renders(chosen) if measure is None else measure
+    plan = Plan(
+        info, Goal(ratio=ratios[0]), finest, preset, chosen, encoding, measured=measured,
+        joined=asked.joined,
+    )  # fmt: skip
     given = {name: value for name, value in overrides.items() if value is not None}
     given |= {"preset": preset, "nan": nan.value, "chunk": chunk, "plain": plain}
     given["layout"] = output.layout
@@ -155,7 +160,7 @@ def lod(
         looks = views is not None or cameras != "auto" or up is not None
         too_large.refuse_whole_model_wishes(
             plan, asked, filtered=bool(read.filters), looks=looks, turned=bool(turn),
-            reduced=sh_degree is not None,
+            reduced=sh_degree is not None, measured=bool(measure),
         )  # fmt: skip
         in_blocks.warn_of_blocks(plan, asked, output.folder, quiet=quiet or json)
     if dry_run:
@@ -174,6 +179,7 @@ def lod(
     else:
         asked.refuse_fitting(output.folder)
         given |= {"threads": threads, "turn": turn, "max_memory": asked.max_memory}
+        given["measured"] = measured
         run = write_whole(
             plan, parts, read, output, ratios, overwrite, cameras, direction, given, quiet or json
         )

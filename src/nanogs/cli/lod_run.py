@@ -23,6 +23,7 @@ from nanogs.cli.simplify_report import (
     show_plan,
     warn_of_input,
 )
+from nanogs.compare.protocol import Protocol
 from nanogs.formatting import bytes_text, number_text
 from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.layout import Output
@@ -54,10 +55,12 @@ def write_whole(
     start, info = time.perf_counter(), plan.info
     with uncollected():
         import_stages(plan.parameters)
-    if renders(plan.parameters):
+    if renders(plan.parameters) or plan.measured:
         when_compiling(compile_ahead)
     layout = given["layout"]
-    stages = write_levels_stages(plan.parameters, info.splats, ratios, layout, output.suffix)
+    stages = write_levels_stages(
+        plan.parameters, info.splats, ratios, layout, output.suffix, measured=plan.measured
+    )
     with shown(quiet=quiet) as watch:
         progress = Tracker(watch, [*read.stages(info.splats), *stages])
         prepared = read.load(parts, progress, StageClock())
@@ -128,9 +131,12 @@ def print_levels(run: dict[str, Any], *, verbose: bool) -> None:
             bytes_text(level["bytes"]),
             number_text(level["psnr"]),
             number_text(level["ssim"], 4),
-            f"{level['seconds']:.2f}",
+            f"{run['reports'][number]['total_seconds']:.2f}",
         )
     show(err, table)
+    if run["protocol"]:
+        text = f"PSNR in dB; means over {Protocol(**run['protocol']).text}"
+        err.print(text, markup=False, soft_wrap=True)
     for number, report in enumerate(run["reports"] if verbose else []):
         show(err, key_value_table({f"level {number}": ""} | _details(report)))
     text = f"{run['output']}: {len(run['levels'])} levels, {run['total_seconds']:.2f} s"

@@ -37,6 +37,14 @@ NanOption = Annotated[
     Nan,
     typer.Option("--nan", help="Splats with a NaN or infinite value: leave out, or stop."),
 ]
+Measure = Annotated[
+    bool | None,
+    typer.Option(
+        "--measure/--no-measure",
+        help="Say the PSNR that `nanogs compare` measures.",
+        show_default="where the preset renders",
+    ),
+]
 DryRun = Annotated[
     bool,
     typer.Option("--dry-run", help="Say what would be done and how much memory it takes."),

@@ -48,6 +48,7 @@ def simplify(
         ),
     ] = None,
     preset: method.Preset = DEFAULT_PRESET,
+    measure: method.Measure = None,
     nan: method.NanOption = method.Nan.drop,
     frame: file_options.FrameOption = None,
     sh_degree: file_options.ShDegree = None,
@@ -134,6 +135,7 @@ def simplify(
             patience=patience,
         ),
         looks=views is not None or cameras != "auto" or up is not None,
+        measure=measure,
     )
     pipes = streams.Streams(read_as, write_as)
     if dry_run:

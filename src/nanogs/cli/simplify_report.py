@@ -16,7 +16,7 @@ from nanogs.memory import LIBRARIES
 from nanogs.report import StopReason
 from nanogs.scale.plan import can_do_without_renders, in_blocks
 from nanogs.simplify.memory import MemoryPlan, plan_memory
-from nanogs.simplify.presets import Parameters, effective
+from nanogs.simplify.presets import Parameters, effective, renders
 from nanogs.simplify.target import Goal
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ class Plan:
         preset: Name of the preset.
         parameters: Of the method.
         encoding: What chunks take, for levels that may lie in them.
+        measured: Whether results are held against the input on views held out.
         joined: The files of the input where it is several, parts of one scene.
         divided: Whether it is simplified in blocks, by which nothing is rendered.
     """
@@ -44,6 +45,7 @@ class Plan:
     preset: str
     parameters: Parameters
     encoding: "Encoding | None" = None
+    measured: bool = False
     joined: tuple[Path, ...] = ()
     divided: bool = False
 
@@ -58,13 +60,18 @@ class Plan:
             return self.parameters
         return in_blocks(self.parameters)
 
+    def _judged(self) -> bool:
+        """Whether measuring counts: where the preset looks, that has taken as much before."""
+        afterwards = self.measured and not renders(self.parameters)
+        return afterwards or self.goal.psnr is not None
+
     def memory(self) -> MemoryPlan:
         """What it takes; an unknown count takes what the whole model would."""
         info = self.info
         most = self.count or info.splats
         plan = plan_memory(
             info.splats, info.sh_degree, info.extra_bytes(), self.parameters, most,
-            judged=self.goal.psnr is not None,
+            judged=self._judged(),
         )  # fmt: skip
         if not (self.encoding and self.encoding.each):
             return plan

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from nanogs.cli.importing import uncollected
 from nanogs.cli.reading import Reading, inspect_parts, read_parts
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_wish
 from nanogs.cli.too_large import Blocks, refuse_whole_model_wishes
-from nanogs.errors import OptionError
+from nanogs.compare.protocol import Judged
+from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io.collect import Pair
@@ -24,8 +26,9 @@ from nanogs.simplify.api import simplify as library_simplify
 from nanogs.simplify.cameras import requested_cameras
 from nanogs.simplify.job import import_stages, usable_rows
 from nanogs.simplify.presets import Parameters, renders
-from nanogs.simplify.stages import simplify_stages, write_weight
+from nanogs.simplify.stages import measure_stage, simplify_stages, write_weight
 from nanogs.simplify.target import Goal
+from nanogs.splats import Splats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +50,8 @@ class Request:
         folder_later: Whether the folder of the results is still to be made.
         blocks: How a model is treated that does not fit into memory.
         looks: Whether views are asked for.
+        measure: Whether the result is held against the input as `nanogs compare` does it; None for
+            where the preset renders anyway.
     """
 
     goal: Goal
@@ -63,6 +68,12 @@ class Request:
     folder_later: bool
     blocks: Blocks
     looks: bool
+    measure: bool | None
+
+    @property
+    def measured(self) -> bool:
+        """Whether the result is held against the input."""
+        return renders(self.chosen) if self.measure is None else self.measure
 
 
 def plan_one(request: Request, pair: Pair, _progress: Progress) -> dict[str, Any]:
@@ -118,12 +129,15 @@ def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
     begun = blocks.is_begun(pair.target, overwrite=request.saving["overwrite"])
     if not (dry_run and request.folder_later) and not begun:
         check_writable(pair.target, **request.saving)
-    plan = Plan(info, goal, None, request.preset, request.chosen, joined=blocks.joined)
+    plan = Plan(
+        info, goal, None, request.preset, request.chosen, measured=request.measured,
+        joined=blocks.joined,
+    )  # fmt: skip
     if blocks.needed(plan, pair.target):
         plan = replace(plan, divided=True)
         refuse_whole_model_wishes(
             plan, blocks, filtered=bool(reading.filters), looks=request.looks, turned=bool(frames),
-            reduced=reading.sh_degree is not None,
+            reduced=reading.sh_degree is not None, measured=bool(request.measure),
         )  # fmt: skip
     else:
         blocks.refuse_fitting(pair.target)
@@ -146,7 +160,7 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
     known = registry.find(target)
     with uncollected():
         import_stages(plan.parameters)
-    if renders(plan.parameters):
+    if renders(plan.parameters) or request.measured:
         when_compiling(compile_ahead)
     progress = Tracker(told, _stages(plan, request, target))
     prepared = request.reading.load(request.blocks.sources(pair), progress, clock)
@@ -169,13 +183,20 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
     progress.begin("write")
     with clock.time("write"):
         save(small, target, **saving)
+    judged, unmeasured = report.judged, tuple[str, ...]()
+    if request.measured and judged is None:
+        progress.begin("measure")
+        with clock.time("measure"):
+            judged, unmeasured = _judge(splats, pair, request, progress)
     progress.finish()
     run = with_file_seconds(report.to_dict(), clock, start)
+    run["judged"] = judged and asdict(judged)
     run["notes"] = [
         *request.blocks.unused(),
         *run["notes"],
         *prepared.notes,
         *losses(small, target),
+        *unmeasured,
     ]
     run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in prepared.took]}
     run["frames"] = frames
@@ -184,9 +205,30 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
     return run
 
 
+def _judge(
+    splats: Splats, pair: Pair, request: Request, progress: Tracker
+) -> tuple[Judged | None, tuple[str, ...]]:
+    """What `nanogs compare` would say of the file, or why nothing can be measured."""
+    from nanogs.compare.held_out import judge_file
+
+    frames = frames_of(pair, request.frames)
+    try:
+        judged = judge_file(
+            splats,
+            pair.target,
+            back=partial(change_frame, source=frames[1], target=frames[0]) if frames else None,
+            threads=request.given["threads"],
+            tell=progress.part,
+        )
+    except (ModelError, FormatError) as error:
+        return None, (f"The result was not measured: {error}",)
+    return judged, ()
+
+
 def _stages(plan: Plan, request: Request, target: Path) -> list[Stage]:
     """What comes: reading, filters, the method's own stages, writing."""
     splats, suffix = plan.info.splats, target.suffix
     method = simplify_stages(plan.parameters, plan.goal, splats, plan.count, suffix)
     write = Stage("write", write_weight(suffix, plan.count or splats // 10))
-    return [*request.reading.stages(splats), *method, write]
+    measure = [measure_stage(splats)] if request.measured and plan.goal.psnr is None else []
+    return [*request.reading.stages(splats), *method, write, *measure]

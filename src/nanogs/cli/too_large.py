@@ -180,6 +180,7 @@ def refuse_whole_model_wishes(
     looks: bool,
     turned: bool = False,
     reduced: bool = False,
+    measured: bool = False,
 ) -> None:
     """Refuse what only a model in memory can be asked.
 
@@ -190,6 +191,7 @@ def refuse_whole_model_wishes(
         looks: Whether views are asked for.
         turned: Whether the frame is changed.
         reduced: Whether spherical harmonics are dropped.
+        measured: Whether the result is to be measured.
 
     Raises:
         NotEnoughMemoryError: Something asked for needs the whole model.
@@ -201,6 +203,7 @@ def refuse_whole_model_wishes(
         "--views, --cameras or --up": looks,
         "--frame": turned,
         "--sh-degree": reduced,
+        "--measure": measured,
         "a model in a pipe, which blocks cannot read or write,": blocks.piped,
         f"the preset {plan.preset}": not can_do_without_renders(plan.parameters),
     }

@@ -4,17 +4,20 @@ Nothing is learnt from them: what methods look at, choose by and fit to are view
 split (see `render.views`). So a number from here is the one that `compare` prints.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Judged, Protocol
 from nanogs.compare.scoring import ReferenceView, mean_psnr, reference_views, score
 from nanogs.errors import ModelError
+from nanogs.io import load
 from nanogs.metrics import psnr
 from nanogs.progress import Parts, untold
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.source import cameras_for
 from nanogs.splats import Splats
+from nanogs.threads import use_threads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +43,32 @@ class HeldOut:
         """Hold a model against the original."""
         means = score("", prepare(small), self.views, BLACK)
         return Judged(means.psnr, means.ssim, self.protocol)
+
+
+def judge_file(
+    original: Splats,
+    path: Path,
+    *,
+    back: Callable[[Splats], Splats] | None = None,
+    threads: int | None = None,
+    tell: Parts = untold,
+) -> Judged:
+    """Hold a file against the original that it was made of.
+
+    Args:
+        original: The model.
+        path: The file.
+        back: Turns the file's model into the original's frame, where it is in another.
+        threads: Threads to use; all by default.
+        tell: Told of the original's views rendered.
+
+    Raises:
+        FormatError: nanogs does not read the file.
+        ModelError: Nothing of the original is visible.
+    """
+    with use_threads(threads):
+        small = load(path)
+        return held_out(original, tell).judge(back(small) if back else small)
 
 
 def held_out(original: Splats, tell: Parts = untold) -> HeldOut:

@@ -197,16 +197,15 @@ class _Telling:
 def _entry(
     done: "Done", folder: Path, level: int, ratio: float, report: SimplifyReport
 ) -> Level | ChunkedLevel:
-    """What the manifest says of a level; the first one has the seconds of all."""
-    seconds = report.total_seconds if level == 0 else 0.0
+    """What the manifest says of a level."""
     if done.work.settings.chunks is None:
-        return describe_level(folder / level_name(level), ratio, report, seconds)
+        return describe_level(folder / level_name(level), ratio, report)
     records = done.work.of_blocks("chunk", level)
     # A model in a folder of its own is named by what describes it.
     files = [name for record in records for name in record.columns]
     named = [name for name in files if "/" not in name or name.endswith("/meta.json")]
     size = sum(record.bytes for record in records)
-    return describe_chunks(tuple(named), size, ratio, report, seconds)
+    return describe_chunks(tuple(named), size, ratio, report)
 
 
 def _left_out(done: "Done") -> list[str]:

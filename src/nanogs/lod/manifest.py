@@ -2,11 +2,13 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from nanogs.compare.protocol import Judged, Protocol
 from nanogs.report import SimplifyReport, StopReason
 
 NAME = "levels.json"
@@ -25,11 +27,10 @@ class Level:
         count: Splats in it.
         bytes: Size of its file.
         sha256: Of its file, hexadecimal.
-        psnr: Mean over the views it was chosen by, dB, or None where nothing was measured or the
-            result was fitted afterwards.
-        ssim: Mean over the same views, or None.
+        psnr: As `nanogs compare` measures its file, dB; None where that was not measured or where
+            every view equals the original's.
+        ssim: Over the same views, or None.
         stop: Why its merging stopped.
-        seconds: Making and writing it; the first level's hold what all levels share.
     """
 
     file: str
@@ -40,7 +41,6 @@ class Level:
     psnr: float | None
     ssim: float | None
     stop: StopReason
-    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,6 @@ class ChunkedLevel:
         psnr: As in `Level`.
         ssim: As in `Level`.
         stop: Why its merging stopped.
-        seconds: Making and writing it; the first level's hold what all levels share.
     """
 
     files: tuple[str, ...]
@@ -65,7 +64,6 @@ class ChunkedLevel:
     psnr: float | None
     ssim: float | None
     stop: StopReason
-    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +78,7 @@ class Manifest:
         parameters: Every parameter of the method by name.
         levels: From the finest to the coarsest.
         notes: What else the user should know, one sentence each.
+        protocol: How PSNR and SSIM were measured, or None.
     """
 
     generator: str
@@ -89,44 +88,38 @@ class Manifest:
     parameters: dict[str, float | int | str | bool]
     levels: tuple[Level | ChunkedLevel, ...]
     notes: tuple[str, ...]
+    protocol: Protocol | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
         return {"format": FORMAT, "version": VERSION, **asdict(self)}
 
 
-def describe_level(file: Path, ratio: float, report: SimplifyReport, seconds: float) -> Level:
+def describe_level(file: Path, ratio: float, report: SimplifyReport) -> Level:
     """One entry, from the file as it was written."""
-    psnr, ssim = _measured(report)
     return Level(
         file=file.name,
         ratio=ratio,
         count=report.achieved_count,
         bytes=file.stat().st_size,
         sha256=_sha256(file),
-        psnr=psnr,
-        ssim=ssim,
+        psnr=None,
+        ssim=None,
         stop=report.stop,
-        seconds=seconds,
     )
 
 
 def describe_chunks(
-    files: tuple[str, ...], size: int, ratio: float, report: SimplifyReport, seconds: float
+    files: tuple[str, ...], size: int, ratio: float, report: SimplifyReport
 ) -> ChunkedLevel:
     """One entry of a level in chunks, whose files take `size` bytes."""
-    psnr, ssim = _measured(report)
-    return ChunkedLevel(files, ratio, report.achieved_count, size, psnr, ssim, report.stop, seconds)
+    return ChunkedLevel(files, ratio, report.achieved_count, size, None, None, report.stop)
 
 
-def _measured(report: SimplifyReport) -> tuple[float | None, float | None]:
-    """PSNR and SSIM of the result, on views that nothing was fitted to; None where not known."""
-    chosen = next((entry for entry in report.candidates if entry.chosen), None)
-    if chosen is None or report.refit is not None:
-        return None, None
-    if report.recolour is not None and report.recolour.kept:
-        return report.recolour.psnr_after, report.recolour.ssim_after
-    return chosen.psnr, chosen.ssim
+def judged_level(entry: Level | ChunkedLevel, judged: Judged) -> Level | ChunkedLevel:
+    """The entry with what was measured; JSON has no infinity."""
+    psnr = judged.psnr if math.isfinite(judged.psnr) else None
+    return replace(entry, psnr=psnr, ssim=judged.ssim)
 
 
 def made_files(folder: Path) -> frozenset[str] | None:

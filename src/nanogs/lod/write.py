@@ -1,7 +1,7 @@
 """Write the levels of a model into a folder, one at a time, with what describes them."""
 
-import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,14 @@ from nanogs.frames import change_frame
 from nanogs.io.folder import atomic_folder
 from nanogs.lod.chunks import Written
 from nanogs.lod.file_levels import PLY
-from nanogs.lod.layout import Layout, LevelWriter, check_options, made_files, writer
+from nanogs.lod.layout import NAMES, Layout, LevelWriter, check_options, made_files, writer
 from nanogs.lod.levels import levels
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, describe_chunks, describe_level
+from nanogs.lod.measured import LevelJudge, level_judge
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport
 from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters
-from nanogs.simplify.stages import levels_stages, write_weight
+from nanogs.simplify.stages import levels_stages, measure_stage, write_weight
 from nanogs.simplify.target import target_count
 from nanogs.splats import Splats
 
@@ -35,6 +36,7 @@ def write_levels(
     suffix: str = PLY,
     turn: tuple[str, str] | None = None,
     overwrite: bool = False,
+    measured: bool = False,
     progress: Progress | None = None,
     **options: Any,  # noqa: ANN401 - as `levels` takes them
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
@@ -53,6 +55,7 @@ def write_levels(
         suffix: Format of levels in files of their own.
         turn: Frames from and to which the levels are turned before they are written.
         overwrite: Replace the folder if it holds nothing but earlier levels.
+        measured: Hold what was written of each level against the model, as `nanogs compare` does.
         progress: As `levels` takes it; a stage "write" follows each level.
         **options: As `levels` takes them.
 
@@ -68,26 +71,32 @@ def write_levels(
     reports: list[SimplifyReport] = []
     left_out: list[str] = []
     check_options(layout, chunk, plain=plain)
-    stages = write_levels_stages(_parameters(options), len(splats), ratios, layout, suffix)
+    stages = write_levels_stages(
+        _parameters(options), len(splats), ratios, layout, suffix, measured=measured
+    )
     tracker = Tracker(progress, stages)
     made = levels(splats, ratios, progress=tracker.passing(), **options)
+    threads = options.get("threads")
+    judge = level_judge(splats, turn, threads, tracker) if measured else LevelJudge()
     with atomic_folder(folder, made_files, overwrite=overwrite) as temporary:
         out = writer(layout, temporary, chunk, plain=plain, suffix=suffix)
         for ratio in ratios:
-            start = time.perf_counter()
             report, written, losses = _write_next(made, out, turn, tracker)
-            seconds = time.perf_counter() - start
             # Said once of the finest level, and of others where it is not the same.
             prefix = f"Level {len(reports)}: " if reports else ""
             left_out += [prefix + loss for loss in losses if loss not in left_out]
             reports.append(report)
             if layout is Layout.FILES:
                 path = temporary / written.names[0]
-                entries.append(describe_level(path, ratio, report, seconds))
+                entries.append(judge.of_file(describe_level(path, ratio, report), path))
             else:
-                entries.append(describe_chunks(*written, ratio, report, seconds))
-        manifest = _manifest(source, entries, reports, left_out)
+                entries.append(describe_chunks(*written, ratio, report))
+        manifest = _manifest(source, entries, reports, [*left_out, *judge.notes])
+        if judge.views:
+            manifest = replace(manifest, protocol=judge.views.protocol)
         out.finish(manifest)
+        if layout is not Layout.FILES:  # what describes the chunks is there now
+            manifest = judge.of_chunks(manifest, temporary / NAMES[layout])
     tracker.finish()
     return manifest, tuple(reports)
 
@@ -107,16 +116,26 @@ def _write_next(
 
 
 def write_levels_stages(
-    parameters: Parameters, splats: int, ratios: Sequence[float], layout: Layout, suffix: str = PLY
+    parameters: Parameters,
+    splats: int,
+    ratios: Sequence[float],
+    layout: Layout,
+    suffix: str = PLY,
+    *,
+    measured: bool = False,
 ) -> list[Stage]:
-    """The stages of `write_levels`: those of `levels`, and a "write" after each level."""
+    """The stages of `write_levels`: those of `levels`, and a "write" after each level.
+
+    Where levels are measured, "measure" comes first, and the rest of it belongs to the writing.
+    """
+    measure = [measure_stage(splats)] if measured else []
     counts = [target_count(splats, ratio, None) for ratio in ratios]
     stages = levels_stages(parameters, splats, counts)
     ending = ".sog" if layout is Layout.SOG else suffix
     writes = [Stage("write", write_weight(ending, count)) for count in counts]
     first = len(stages) - len(counts)
     pairs = zip(stages[first:], writes, strict=True)
-    return [*stages[:first], *(stage for pair in pairs for stage in pair)]
+    return [*measure, *stages[:first], *(stage for pair in pairs for stage in pair)]
 
 
 def _parameters(options: dict[str, Any]) -> Parameters:

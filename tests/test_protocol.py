@@ -1,0 +1,93 @@
+"""One PSNR for one model, whichever command says it."""
+
+import json
+from dataclasses import asdict
+
+import pytest
+
+import nanogs
+from nanogs.compare.held_out import held_out
+from nanogs.compare.protocol import Protocol
+from nanogs.datasets.synthetic import make_scene
+from nanogs.render.views import automatic_cameras
+from nanogs.simplify.visibility import look
+from test_cli import run
+from viewer_bundle import require_bundle
+
+WORDS = "8 held-out views of 512 pixels"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("protocol") / "scene.ply"
+    nanogs.save(make_scene(3000), path)
+    return path
+
+
+def said(*words):
+    result = run(*words, "--json")
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def test_simplify_lod_compare_and_view_say_the_same(scene, tmp_path):
+    require_bundle()
+    small, levels = tmp_path / "small.ply", tmp_path / "levels"
+    numbers = [said("simplify", scene, small, "-r", "0.2")["judged"]]
+    [compared] = (report := said("compare", scene, small))["models"]
+    numbers.append({name: compared[name] for name in ("psnr", "ssim")})
+    numbers.append(said("view", scene, small, "-o", tmp_path / "a.html")["judged"])
+    numbers.append(said("lod", scene, levels, "--levels", "0.2")["levels"][0])
+    numbers.append(json.loads((levels / "levels.json").read_text())["levels"][0])
+    for other in numbers[1:]:
+        assert other["psnr"] == pytest.approx(numbers[0]["psnr"], abs=0.01)
+        assert other["ssim"] == pytest.approx(numbers[0]["ssim"], abs=1e-4)
+    protocol = json.loads((levels / "levels.json").read_text())["protocol"]
+    assert protocol == report["protocol"] == numbers[0]["protocol"] == numbers[2]["protocol"]
+    assert protocol == json.loads(json.dumps(asdict(Protocol())))
+    assert Protocol().text == WORDS
+    asked = f"{compared['psnr'] - 0.1:.2f}"
+    reached = said("simplify", scene, small, "--psnr", asked, "-w")["judged"]
+    [compared] = said("compare", scene, small)["models"]
+    assert reached["psnr"] == pytest.approx(compared["psnr"], abs=0.01)
+    assert float(asked) <= compared["psnr"] <= float(asked) + 0.3
+
+
+def test_what_is_said_is_of_the_file(scene, tmp_path):
+    """Packed, turned into another frame, and in chunks."""
+    for name, *options in (("a.spz",), ("a.ply", "--frame", "rub")):
+        run_of = said("simplify", scene, tmp_path / name, "-r", "0.1", *options)
+        seen = nanogs.load(tmp_path / name)
+        if options:
+            seen = nanogs.frames.change_frame(seen, *reversed(run_of["frames"]))
+        expected = held_out(nanogs.load(scene)).judge(seen)
+        assert run_of["judged"]["psnr"] == pytest.approx(expected.psnr, abs=1e-6)
+    made = said("lod", scene, tmp_path / "l" / "lod-meta.json", "--levels", "0.5,0.1")["levels"]
+    for number, level in enumerate(made):
+        seen = nanogs.load(tmp_path / "l" / "lod-meta.json", level=number)
+        expected = held_out(nanogs.load(scene)).judge(seen)
+        assert level["psnr"] == pytest.approx(expected.psnr, abs=1e-6)
+
+
+def test_nothing_is_measured_where_nothing_is_rendered_unless_asked(scene, tmp_path):
+    fast = ("-r", "0.1", "--preset", "fast", "-w")
+    assert said("simplify", scene, tmp_path / "a.ply", *fast)["judged"] is None
+    asked = run("simplify", scene, tmp_path / "a.ply", *fast, "--measure", "-v")
+    assert f"dB on {WORDS}" in asked.stderr
+    quick = said("simplify", scene, tmp_path / "a.ply", "-r", "0.1", "-w", "--no-measure")
+    assert quick["judged"] is None
+
+
+def test_a_file_that_is_not_read_is_not_measured(scene, tmp_path):
+    result = run("simplify", scene, tmp_path / "a.usda", "-r", "0.1")
+    assert result.returncode == 0
+    assert "not measured" in result.stderr
+
+
+def test_nothing_is_learnt_from_the_views_that_judge():
+    scene = make_scene(500)
+    judging = automatic_cameras(scene, split="test")
+    learning = automatic_cameras(scene, 40, split="fit", habit=False)
+    learning += [view.camera for view in look(scene).all]
+    places = {tuple(camera.position.round(6)) for camera in learning}
+    assert not any(tuple(camera.position.round(6)) in places for camera in judging)
