@@ -76,7 +76,7 @@ floors: $(STAMP) ## run quick tests with the lowest versions that pyproject.toml
 	$(UV) pip install --quiet --python $(FLOORS) --resolution lowest-direct '.[flip,cluster,s3]'
 	$(UV) pip freeze --python $(FLOORS) --exclude nanogs >$(FLOORS)/lowest.txt
 	$(UV) pip install --quiet --python $(FLOORS) --constraint $(FLOORS)/lowest.txt --editable '.[dev]'
-	NUMBA_CACHE_DIR=$(FLOORS)/kernels $(FLOORS)/$(SCRIPTS)/python -m pytest -n 2 -m "not slow" $(TESTS)
+	NUMBA_CACHE_DIR=$(CURDIR)/$(FLOORS)/kernels $(FLOORS)/$(SCRIPTS)/python -m pytest -n 2 -m "not slow" $(TESTS)
 
 newest: $(STAMP) ## run quick tests with the newest Python; with OPTIONAL=1 where it can be had
 	@for version in $(PYTHONS); do \
@@ -87,7 +87,7 @@ newest: $(STAMP) ## run quick tests with the newest Python; with OPTIONAL=1 wher
 
 on-newest:
 	$(UV) pip install --quiet --python $(NEWEST) --editable '.[dev]'
-	NUMBA_CACHE_DIR=$(NEWEST)/kernels $(NEWEST)/$(SCRIPTS)/python -m pytest -n 2 -m "not slow" $(TESTS)
+	NUMBA_CACHE_DIR=$(CURDIR)/$(NEWEST)/kernels $(NEWEST)/$(SCRIPTS)/python -m pytest -n 2 -m "not slow" $(TESTS)
 
 $(DOCS_STAMP): $(STAMP)
 	$(PIP) --editable '.[docs]'
@@ -100,4 +100,4 @@ dist: $(STAMP) ## build the source archive, and of it the wheel, into dist
 	$(UV) build --quiet --clear --out-dir dist
 
 clean: ## remove what these targets made
-	rm -rf $(VENV) $(FLOORS) $(NEWEST) build/site dist demo viewer/node_modules tests/npm/node_modules src/nanogs/view/viewer.js
+	rm -rf $(VENV) build/bounds $(FLOORS) $(NEWEST) build/site dist demo viewer/node_modules tests/npm/node_modules src/nanogs/view/viewer.js
