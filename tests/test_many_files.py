@@ -130,7 +130,7 @@ def test_one_failure_leaves_the_others_alone(folder, tmp_path):
     errors = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
     assert ["a.ply" in errors[0], "notes.txt" in errors[1]] == [True, True]
     assert errors[2] == "error: 2 of 3 files failed; the others are done."
-    assert "b.splat: 70 splats" in result.stderr
+    assert "b.spz: 70 splats" in result.stderr
 
 
 def test_json_of_several(folder, tmp_path):

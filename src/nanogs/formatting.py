@@ -22,3 +22,19 @@ def bytes_text(count: int | None) -> str:
             return f"{value:.0f} {unit}" if unit == "B" else f"{value:.1f} {unit}"
         value /= 1000
     return f"{value:.1f} GB"
+
+
+def sizes_text(before: int | None, after: int | None, arrow: str) -> str:
+    """Two sizes with the unit said once where it is the same: 76.0 → 1.2 MB."""
+    first, second = bytes_text(before), bytes_text(after)
+    value, _, unit = first.rpartition(" ")
+    return f"{value if second.endswith(f' {unit}') else first} {arrow} {second}"
+
+
+def time_text(seconds: float) -> str:
+    """Seconds as people say them, roughly: 0.4 s, 6 s, 12 min, 1.5 h."""
+    if seconds < 0.95:
+        return f"{seconds:.1f} s"
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -57,6 +57,21 @@ def warn(message: str) -> None:
     err.print(f"{name}: {message}" if name else message, markup=False, soft_wrap=True)
 
 
+def say(message: str) -> None:
+    """Say what became of a file, in one line."""
+    name = _subject.get()
+    err.print(f"{name}: {message}" if name else message, markup=False, soft_wrap=True)
+
+
+def arrow() -> str:
+    """From one thing to another; plain where the terminal has few characters."""
+    try:
+        "→".encode(err.encoding)
+    except (LookupError, UnicodeEncodeError):
+        return "->"
+    return "→"
+
+
 def print_json(data: dict[str, Any], file: TextIO | None = None) -> None:
     """Write one JSON object, to stdout by default; infinities, which JSON lacks, become strings."""
     stream = file or sys.stdout

@@ -6,11 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from nanogs.cli.console import err, warn, with_file_seconds
+from nanogs.cli.console import arrow, say, warn, with_file_seconds
 from nanogs.cli.filtering import report_filters
 from nanogs.cli.framing import Frames
 from nanogs.filters import Filter, apply
-from nanogs.formatting import bytes_text
+from nanogs.formatting import sizes_text, time_text
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, inspect, load, losses, save
 from nanogs.io.collect import Pair
@@ -24,9 +24,9 @@ def print_report(run: dict[str, Any]) -> None:
     report_filters(run)
     for note in (*run["notes"], *run["losses"]):
         warn(note)
-    sizes = f"{bytes_text(run['input_bytes'])} became {bytes_text(run['output_bytes'])}"
     what = f"{run['splats']:,} splats of SH degree {run['sh_degree']}"
-    err.print(f"{run['output']}: {what}; {sizes}", markup=False, soft_wrap=True)
+    sizes = sizes_text(run["input_bytes"], run["output_bytes"], arrow())
+    say(f"{what}, {sizes}, {time_text(run['total_seconds'])}")
 
 
 def convert_file(

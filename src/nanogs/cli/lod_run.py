@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from nanogs.ahead import compile_ahead
-from nanogs.cli.console import err, key_value_table, print_json, show, warn
+from nanogs.cli.console import arrow, err, key_value_table, print_json, say, show, warn
 from nanogs.cli.filtering import report_filters
 from nanogs.cli.importing import uncollected
 from nanogs.cli.progress import shown
@@ -24,7 +24,7 @@ from nanogs.cli.simplify_report import (
     warn_of_input,
 )
 from nanogs.compare.protocol import Protocol
-from nanogs.formatting import bytes_text, number_text
+from nanogs.formatting import bytes_text, number_text, time_text
 from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.layout import Output
 from nanogs.lod.write import write_levels, write_levels_stages
@@ -139,8 +139,11 @@ def print_levels(run: dict[str, Any], *, verbose: bool) -> None:
         err.print(text, markup=False, soft_wrap=True)
     for number, report in enumerate(run["reports"] if verbose else []):
         show(err, key_value_table({f"level {number}": ""} | _details(report)))
-    text = f"{run['output']}: {len(run['levels'])} levels, {run['total_seconds']:.2f} s"
-    err.print(text, markup=False, soft_wrap=True)
+    many = len(run["levels"])
+    levels = f"{many} level{'' if many == 1 else 's'}"
+    size = bytes_text(sum(level["bytes"] for level in run["levels"]))
+    seconds = time_text(run["total_seconds"])
+    say(f"{run['source_count']:,} splats {arrow()} {levels}, {size}, {seconds}")
 
 
 def _details(report: dict[str, Any]) -> dict[str, str]:

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task
 from rich.text import Text
 
 from nanogs.cli.console import err, warn
+from nanogs.formatting import time_text
 from nanogs.kernels.compiling import watching
 from nanogs.progress import WAITING, Step
 
@@ -105,14 +106,7 @@ class Watch:
         """Per cent of the whole, and the time left where it is known."""
         left = self.left()
         percent = f"{int(100 * self.step.fraction) if self.step else 0} %"
-        return percent if left is None else f"{percent}, {time_text(left)} left"
-
-
-def time_text(seconds: float) -> str:
-    """Seconds as people say them, roughly."""
-    if seconds < 90:
-        return f"{max(round(seconds), 1)} s"
-    return f"{round(seconds / 60)} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+        return percent if left is None else f"{percent}, {time_text(max(left, 1.0))} left"
 
 
 @contextmanager

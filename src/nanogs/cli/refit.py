@@ -10,6 +10,8 @@ from nanogs.cli import options
 from nanogs.refit.parameters import RefitParameters
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from nanogs.progress import Stage
 
 _DEFAULTS = RefitParameters()
@@ -38,6 +40,7 @@ def refit(
     threads: options.Threads = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show every round.")] = False,
 ) -> None:
     """Fit a small model to renders of the original: no photographs, no training data."""
     # What only a run needs is imported here, and not for `--help`.
@@ -58,7 +61,7 @@ def refit(
         return
     for note in run["notes"]:
         warn(note)
-    _print_report(run)
+    _print_report(run, verbose=verbose)
 
 
 def _refit_files(
@@ -120,21 +123,28 @@ def _stages(
     return [Stage("read", read_weight(splats + count)), *fit, write]
 
 
-def _print_report(run: dict[str, Any]) -> None:
+def _print_report(run: dict[str, Any], *, verbose: bool) -> None:
+    from nanogs.cli.console import arrow, err, say, show
+    from nanogs.formatting import number_text, time_text
+
+    if verbose:
+        show(err, _round_table(run["rounds"]))
+    before, after = number_text(run["psnr_before"]), number_text(run["psnr_after"])
+    say(
+        f"{run['count']:,} splats, {before} {arrow()} {after} dB on {len(run['validation_views'])}"
+        f" views kept apart, {time_text(run['total_seconds'])}"
+    )
+
+
+def _round_table(rounds: list[dict[str, Any]]) -> "Table":
     from rich.table import Table
 
-    from nanogs.cli.console import err, show
     from nanogs.formatting import number_text
 
     table = Table("round", "PSNR", "", "seconds", box=None, pad_edge=False)
-    for number, entry in enumerate(run["rounds"], 1):
+    for number, entry in enumerate(rounds, 1):
         kept = "" if entry["accepted"] else "taken back"
         table.add_row(
             str(number), number_text(entry["psnr_after"]), kept, f"{entry['seconds']:.1f}"
         )
-    show(err, table)
-    err.print(
-        f"{run['output']}: {run['count']:,} splats, {run['psnr_before']:.2f} -> "
-        f"{run['psnr_after']:.2f} dB on {len(run['validation_views'])} views kept apart, "
-        f"{run['total_seconds']:.1f} s"
-    )
+    return table

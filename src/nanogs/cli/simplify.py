@@ -58,7 +58,7 @@ def simplify(
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Show every pass and probe.")
+        bool, typer.Option("--verbose", "-v", help="Show how it was done: stages, passes, probes.")
     ] = False,
     dry_run: method.DryRun = False,
     out_dir: file_options.OutDir = None,

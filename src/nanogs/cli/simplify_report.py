@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from nanogs.cli.console import err, key_value_table, print_json, show, warn
+from nanogs.cli.console import arrow, err, key_value_table, print_json, say, show, warn
 from nanogs.cli.filtering import report_filters
 from nanogs.compare.protocol import Judged, Protocol
-from nanogs.formatting import bytes_text, number_text
+from nanogs.formatting import bytes_text, number_text, sizes_text, time_text
 from nanogs.io import FileInfo
 from nanogs.memory import LIBRARIES
 from nanogs.report import StopReason
@@ -195,11 +195,30 @@ def warn_of_input(run: dict[str, Any]) -> None:
 
 
 def print_report(run: dict[str, Any], *, verbose: bool) -> None:
-    """Show on stderr what was asked, what was delivered, and where the time went."""
+    """Show on stderr what was delivered, in a line; with `verbose` all that is known of it."""
     report_filters(run)
     warn_of_input(run)
     if run["prune_limited"]:
         warn("Pruning alone would have gone below the asked count; the most opaque were kept.")
+    if verbose:
+        _print_details(run)
+    say(summary(run))
+
+
+def summary(run: dict[str, Any]) -> str:
+    """Such as "500,000 → 50,000 splats, 76.0 → 1.2 MB, 6 s", with the PSNR where it is known."""
+    to = arrow()
+    parts = [
+        f"{run['read_count']:,} {to} {run['achieved_count']:,} splats",
+        sizes_text(run["input_bytes"], run["output_bytes"], to),
+        _judged_text(run),
+        time_text(run["total_seconds"]),
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def _print_details(run: dict[str, Any]) -> None:
+    """Show what was asked, how it was done, and where the time went."""
     before, after = run["input_count"], run["achieved_count"]
     filtered = " that the filters left" if run["filters"] else ""
     stages = ", ".join(f"{name} {value:.2f}" for name, value in run["seconds"].items())
@@ -212,7 +231,7 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
         "chosen": choice_text(run["candidates"]),
         "colours": recolour_text(run["recolour"]),
         "refit": _refit_text(run["refit"]),
-        "PSNR": _judged_text(run),
+        "probes": f"{len(run['probes'])} counts tried" if run["probes"] else "",
         "size": _size_text(run),
         "time": f"{run['total_seconds']:.2f} s on {run['threads']} threads",
         "stages (s)": stages,
@@ -220,12 +239,12 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
     if run["pruned"]:
         rows["pruned"] = f"{run['pruned']:,} with alpha below {run['prune_threshold']:.3g}"
     show(err, key_value_table({name: text for name, text in rows.items() if text}))
-    if verbose:
+    if run["passes"]:
         show(err, _pass_table(run["passes"]))
-        if run["probes"]:
-            show(err, _probe_table(run["probes"]))
-        if run["size_probes"]:
-            show(err, _size_probe_table(run["size_probes"]))
+    if run["probes"]:
+        show(err, _probe_table(run["probes"]))
+    if run["size_probes"]:
+        show(err, _size_probe_table(run["size_probes"]))
 
 
 def _asked_text(run: dict[str, Any]) -> str:
@@ -240,10 +259,8 @@ def _judged_text(run: dict[str, Any]) -> str:
     """What `nanogs compare` would say of the result, where that was measured."""
     if run["judged"] is None:
         return ""
-    tried = f"; {len(run['probes'])} counts tried" if run["probes"] else ""
     judged = run["judged"]
-    text = Judged(judged["psnr"], judged["ssim"], Protocol(**judged["protocol"])).text
-    return f"{text}{tried}"
+    return Judged(judged["psnr"], judged["ssim"], Protocol(**judged["protocol"])).text
 
 
 def _size_text(run: dict[str, Any]) -> str:

@@ -1,0 +1,213 @@
+"""How the command shows its progress, and the line it ends with."""
+
+import io
+import os
+import re
+import subprocess
+import sys
+import time
+
+import pytest
+from rich.console import Console
+from tests.builders import random_splats
+
+import nanogs
+from nanogs.cli import progress
+from nanogs.cli.progress import Watch, shown
+from nanogs.cli.simplify_report import summary
+from nanogs.formatting import sizes_text, time_text
+from nanogs.kernels import compiling
+from nanogs.progress import WAITING, Stage, Step, Tracker
+
+PLAN = [Stage("first", 1.0), Stage("second", 3.0)]
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "_TICK", 0.01)
+
+
+def lines_of(capsys):
+    return capsys.readouterr().err.splitlines()
+
+
+def walk(watch, pause=0.0):
+    tracker = Tracker(watch, PLAN)
+    for stage in PLAN:
+        tracker.begin(stage.name)
+        for part in range(4):
+            tracker.part(part, 4)
+            time.sleep(pause)
+    tracker.finish()
+
+
+def test_a_pipe_gets_a_numbered_line_a_stage(capsys, at_once):
+    with shown(quiet=False) as watch:
+        walk(watch, 0.02)
+    assert lines_of(capsys) == ["1/2 first", "2/2 second"]
+
+
+def test_a_long_stage_gets_further_lines_with_per_cent_and_the_time_left(
+    capsys, at_once, monkeypatch
+):
+    monkeypatch.setattr(progress, "EVERY", 0.05)
+    with shown(quiet=False) as watch:
+        Tracker(watch, PLAN).begin("second")  # and nothing for a while
+        time.sleep(0.3)
+    first, *others = lines_of(capsys)
+    assert first == "2/2 second"
+    assert len(others) >= 2
+    assert all(re.fullmatch(r"2/2 second: 25 %, \d+ s left", line) for line in others), others
+
+
+def test_short_and_quiet_runs_are_silent(capsys, at_once, monkeypatch):
+    with shown(quiet=True) as watch:
+        walk(watch)
+    monkeypatch.setattr(progress, "PATIENCE", 5.0)
+    with shown(quiet=False) as watch:
+        walk(watch, 0.02)
+    assert lines_of(capsys) == []
+
+
+def test_files_share_one_bar(capsys, at_once):
+    fractions = []
+    with shown(quiet=False) as watch:
+        for number in (1, 2):
+            tell = watch.of_file(number, 2)
+            for step in (Step("a", 1, 1, 0, 1, 0.0), Step("a", 1, 1, 1, 2, 0.5)):
+                tell(step)
+                fractions.append(watch.step.fraction)
+    assert fractions == [0, 0.25, 0.5, 0.75]
+    assert lines_of(capsys) == ["file 1 of 2: 1/1 a", "file 2 of 2: 1/1 a"]
+
+
+def test_compiling_is_said_once_a_run_and_its_time_does_not_count(capsys, at_once):
+    with shown(quiet=False) as watch:
+        tracker = Tracker(watch, PLAN)
+        tracker.begin("first")
+        for _ in range(2):
+            compiling.begin()
+            assert watch.left() is None
+            time.sleep(0.1)
+            compiling.end()
+        watch._start -= 1
+        tracker.part(1, 2)
+        total = watch._told - watch._start
+        assert watch.left() == pytest.approx(7 * (total - 0.2), abs=0.5)
+    assert lines_of(capsys) == ["1/2 first", f"1/2 first, {progress.COMPILING}"]
+
+
+def test_a_wait_for_workers_is_said_once(capsys):
+    watch = Watch()
+    for stage in (WAITING, WAITING, "forest", WAITING):
+        watch(Step(stage, 1, 2, 0, 1, 0.1))
+    note = "note: The cluster has no worker; waiting for one."
+    assert lines_of(capsys) == [note, note]
+
+
+def test_a_terminal_gets_one_bar_that_is_not_full_before_the_end(monkeypatch, at_once):
+    file = io.StringIO()
+    console = Console(file=file, force_terminal=True, width=100)
+    monkeypatch.setattr(progress, "err", console)
+    with shown(quiet=False) as watch:
+        walk(watch, 0.15)
+    drawn = file.getvalue()
+    assert "1/2 first" in drawn
+    assert "2/2 second" in drawn
+    shares = [int(text) for text in re.findall(r"(\d+) %", drawn)]
+    assert shares == sorted(shares)
+    assert len(set(shares)) > 3
+    assert re.search(r"\d+ %, \d+ s left", drawn)
+    before_the_end = [share for share in shares[:-1] if share != 100]
+    assert len(before_the_end) >= len(shares) - 2
+
+
+def test_time_left_goes_by_the_fraction():
+    watch = Watch()
+    assert watch.left() is None
+    watch._start -= 10
+    watch(Step("a", 1, 1, 1, 4, 0.25))
+    assert watch.left() == pytest.approx(30, abs=0.5)
+    watch._told -= 5  # seconds go by without a step
+    watch._start -= 5
+    assert watch.left() == pytest.approx(25, abs=0.5)
+
+
+def test_the_report_is_one_line(tmp_path):
+    run = {
+        "read_count": 500_000, "achieved_count": 50_000, "input_bytes": 76_000_000,
+        "output_bytes": 1_200_000, "judged": None, "total_seconds": 6.2,
+    }  # fmt: skip
+    assert summary(run).replace("->", "→") == "500,000 → 50,000 splats, 76.0 → 1.2 MB, 6 s"
+    protocol = {"views": 12, "pixels": (512, 512)}
+    run["judged"] = {"psnr": 33.1, "ssim": 0.9, "protocol": protocol}
+    assert ", 33.10 dB on 12 held-out views of 512 pixels, 6 s" in summary(run)
+    nanogs.save(random_splats(100), tmp_path / "in.ply")
+    for more, lines in (((), 1), (("-v",), 10)):
+        said = command("simplify", "in.ply", "out.ply", "-r", "0.1", "-w", *more, cwd=tmp_path)
+        said = [line for line in said.splitlines() if not re.match(r"\d/\d ", line)]
+        assert len(said) >= lines
+        assert re.fullmatch(r"100 (→|->) 10 splats, .* [KM]?B, .* s", said[-1]), said
+        assert len(said) == 1 or more
+
+
+def command(*arguments, **options):
+    result = subprocess.run(
+        [sys.executable, "-m", "nanogs", *map(str, arguments)], capture_output=True, text=True,
+        check=True, **options,
+    )  # fmt: skip
+    return result.stderr
+
+
+def test_a_terminal_of_few_characters_gets_a_plain_arrow(tmp_path):
+    nanogs.save(random_splats(100), tmp_path / "in.ply")
+    few = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    said = command("convert", "in.ply", "out.spz", cwd=tmp_path, env=few)
+    assert re.search(r"100 splats of SH degree \d, .* -> ", said)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "text"),
+    [(76e6, 1.2e6, "76.0 → 1.2 MB"), (76e6, 5e5, "76.0 MB → 500.0 KB"), (None, 10, "– → 10 B")],  # noqa: RUF001
+)
+def test_sizes(before, after, text):
+    assert sizes_text(before, after, "→") == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.04, "0.0 s"),
+        (0.44, "0.4 s"),
+        (6.2, "6 s"),
+        (89, "89 s"),
+        (600, "10 min"),
+        (9000, "2.5 h"),
+    ],
+)
+def test_times(seconds, text):
+    assert time_text(seconds) == text
+
+
+LIBRARY = """
+import numpy as np, sys
+from nanogs.kernels import compiling, radix
+if sys.argv[1] == "watched":
+    stack = compiling.watching(lambda begun: None)
+    stack.__enter__()
+for dtype in (np.uint64, np.uint64):
+    radix.radix_sort(np.arange(4, dtype=dtype), np.empty(4, dtype))
+"""
+
+
+@pytest.mark.parametrize(("how", "lines"), [("alone", 1), ("watched", 0)])
+def test_in_python_compiling_is_logged_unless_someone_watches(tmp_path, how, lines):
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DISABLE_JIT": "0"}
+    for expected in (lines, 0):  # the second time there is nothing to compile
+        result = subprocess.run(
+            [sys.executable, "-c", LIBRARY, how], capture_output=True, text=True, check=True,
+            env={**os.environ, **cache},
+        )  # fmt: skip
+        assert result.stderr.count("compiled for this processor") == expected
+        assert len(result.stderr.splitlines()) == expected
