@@ -208,6 +208,7 @@ def test_compare_tells_several_models_in_a_line_each(pair):
     assert [model.name for model in found.models] == ["small", "same"]
     assert found.models[1].psnr == np.inf
     first, second = str(found).splitlines()
+    assert repr(found) == str(found)
     assert first.startswith(f"small: 100 splats, {found.models[0].psnr:.2f} dB on 2 held-out views")
     assert second.startswith("same: 400 splats, ∞ dB")
     assert found.protocol.pixels == (48, 32)

@@ -38,7 +38,7 @@ class NamedModel:
     file_bytes: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Comparison:
     """The result of `compare`.
 
@@ -64,7 +64,7 @@ class Comparison:
         """Plain dictionaries, lists, numbers and strings."""
         return asdict(self)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         return "\n".join(
             f"{model.name}: {model.splats:,} splats, {self.judged(place).text}, SSIM"
             f" {number_text(model.ssim, 4)}"
