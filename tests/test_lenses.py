@@ -131,9 +131,12 @@ def test_a_straight_photograph_is_no_wider_than_the_one_taken(capture):
 def test_the_same_cameras_as_viewpoints_are_what_they_are(capture):
     folder, model = capture
     cameras = cameras_from_file(folder)
-    (fx, fy, cx, cy), _ = split_params(model)
+    (fx, fy, cx, cy), params = split_params(model)
     assert (cameras[0].fx, cameras[0].fy, cameras[0].cx, cameras[0].cy) == (fx, fy, cx, cy)
     assert cameras[0].lens.name == model
+    x, y = cameras[0].lens.distorted(np.array([0.3, 0.0]), np.array([-0.2, 0.0]))
+    assert (x[0], y[0]) == pytest.approx(by_hand(model, params, 0.3, -0.2))
+    assert (x[1], y[1]) == (0, 0)
     assert lens_notes(cameras) == [
         "The lens distortion of 2 cameras is left out: views are those of pinholes."
     ]

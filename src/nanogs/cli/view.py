@@ -33,7 +33,7 @@ def view(
         int | None,
         typer.Option(
             min=0,
-            help="Level of detail to show of a lod-meta.json; 0 is the finest.",
+            help="Level of detail to show of a lod-meta.json or tileset.json; 0 is the finest.",
             show_default=f"the finest of at most {PAGE_SPLATS:,} splats",
         ),
     ] = None,

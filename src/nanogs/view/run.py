@@ -147,7 +147,9 @@ def _read(inputs: Sequence[tuple[str, Path]], level: int | None, tell: Parts) ->
     """The models; of streamed ones the level, which a note tells where it was not asked for."""
     counts = [level_counts(path) for _name, path in inputs]
     if level is not None and not any(counts):
-        raise OptionError("--level is for streamed models (lod-meta.json); leave it out.")
+        raise OptionError(
+            "--level is for levels of detail (lod-meta.json, tileset.json); leave it out."
+        )
     models = []
     for (_name, path), levels in each(zip(inputs, counts, strict=True), tell):
         if not levels:
