@@ -146,13 +146,15 @@ def test_the_libraries_map_what_is_planned_for(threads):
 
 
 def test_nothing_left_is_said_at_once(system, monkeypatch):
-    monkeypatch.setattr(memory, "free_memory", lambda: Memory(-5_000_000, "left by `ulimit -v`"))
+    monkeypatch.setattr(
+        memory, "free_memory", lambda **_: Memory(-5_000_000, "left by `ulimit -v`")
+    )
     with pytest.raises(NotEnoughMemoryError, match=r"5\.0 MB more .* left by `ulimit -v`"):
         allowed_memory(None)
 
 
 def test_a_tenth_is_kept_free_unless_the_memory_is_given(monkeypatch):
-    monkeypatch.setattr(memory, "free_memory", lambda: Memory(10 * GB, "free on this machine"))
+    monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(10 * GB, "free on this machine"))
     assert allowed_memory(None).bytes == 9 * GB
     assert allowed_memory(GB).bytes == GB - LIBRARIES
     assert allowed_memory(5).bytes == 0
@@ -184,7 +186,7 @@ def scene(tmp_path_factory):
 def little(monkeypatch):
     """Memory for half of what the scene takes."""
     free = Memory(22_000_000, "free on this machine")
-    monkeypatch.setattr(memory, "free_memory", lambda: free)
+    monkeypatch.setattr(memory, "free_memory", lambda **_: free)
 
 
 def command(*args):
@@ -237,7 +239,7 @@ def test_what_blocks_cannot_do_is_refused_at_once(scene, tmp_path, little, capsy
 
 def test_in_python_a_model_that_would_not_fit_is_refused_before_work(monkeypatch):
     splats, stages = make_scene(2000), []
-    monkeypatch.setattr(memory, "free_memory", lambda: Memory(100_000, "free on this machine"))
+    monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(100_000, "free on this machine"))
     with pytest.raises(NotEnoughMemoryError, match="simplify_blocks"):
         nanogs.simplify(splats, ratio=0.1, progress=lambda *each: stages.append(each))
     with pytest.raises(NotEnoughMemoryError):
@@ -348,3 +350,101 @@ def test_a_name_too_long_for_a_job_is_said(scene, tmp_path, capsys, option):
     assert "(File name too long)" in said
     assert said.rstrip().endswith("name another one with --job.")
     assert list(tmp_path.iterdir()) == []
+
+
+# ---- looking at models, and converting them -----------------------------------------------------
+
+
+def asked(name, scene, folder):
+    """A command that writes into a folder, and its sentence."""
+    return {
+        "render": (["render", scene, folder / "r"], "Rendering"),
+        "compare": (["compare", scene, scene], "Comparing these models"),
+        "view": (["view", scene, "-o", folder / "a.html", "--no-open"], "Making this page"),
+        "refit": (["refit", scene, scene, folder / "a.ply"], "Fitting"),
+        "convert": (["convert", scene, folder / "a.spz"], "Converting"),
+        "info": (["info", scene], "Describing"),
+    }[name]
+
+
+NAMES = ["render", "compare", "view", "refit", "convert", "info"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_takes_more_than_is_free_is_refused_at_once(
+    scene, tmp_path, monkeypatch, capsys, name
+):
+    monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(500_000, "free on this machine"))
+    given, said = asked(name, scene, tmp_path)
+    assert command(*given) == 2
+    text = capsys.readouterr().err
+    assert text.startswith(f"error: {said}")
+    assert "450.0 KB are free on this machine; free some" in text
+    assert text.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", NAMES[:-1])
+def test_the_memory_may_be_given(scene, tmp_path, capsys, name):
+    given, _said = asked(name, scene, tmp_path)
+    assert command(*given, "--max-memory", "60MB") == 2
+    assert "of the memory allowed" in capsys.readouterr().err
+
+
+def test_a_picture_takes_memory_by_its_pixels(scene, tmp_path, capsys):
+    given = ["render", scene, tmp_path / "a.png", "--max-memory", "400MB", "--pixels"]
+    assert command(*given, "64") == 0
+    assert command(*given[:2], tmp_path / "b.png", *given[3:], "4096") == 2
+
+
+PEAK = """
+import re, sys
+from pathlib import Path
+import nanogs.cli
+
+def run(*args):
+    sys.argv = ["nanogs", *args]
+    try:
+        nanogs.cli.main()
+    except SystemExit as end:
+        assert not end.code
+
+def status(name):
+    text = Path("/proc/self/status").read_text()
+    return int(re.search(name + r":\\s+(\\d+)", text)[1]) * 1024
+
+small, args = sys.argv[1], sys.argv[2:]
+run(*[small if a.endswith("large.ply") else a for a in args])
+Path("/proc/self/clear_refs").write_text("5")
+before = status("VmRSS")
+run(*args)
+print("took", status("VmHWM") - before)
+"""
+
+
+@LINUX
+@pytest.mark.parametrize(
+    ("given", "need"),
+    [
+        (["render", "large.ply", "a.png", "-w"], "render_bytes(large, 1280 * 720)"),
+        (
+            ["compare", "large.ply", "small.ply"],
+            "compare_bytes([large, small], 512**2, 8, paged=0)",
+        ),
+        (["convert", "large.ply", "a.sog", "-w"], "convert_bytes(large, Path('a.sog'))"),
+        (["convert", "large.ply", "a.ply", "-w"], "convert_bytes(large, Path('a.ply'))"),
+    ],
+)
+def test_the_need_is_about_what_is_taken(tmp_path, given, need):
+    from pathlib import Path
+
+    from nanogs import needs
+    from nanogs.io import inspect
+
+    for name, count in (("large.ply", 300_000), ("small.ply", 1000)):
+        nanogs.save(make_scene(count), tmp_path / name)
+    names = {"large": inspect(tmp_path / "large.ply"), "small": inspect(tmp_path / "small.ply")}
+    planned = eval(f"needs.{need}", {"needs": needs, "Path": Path, **names})
+    run = [sys.executable, "-c", PEAK, "small.ply", *given]
+    found = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert 0.5 < int(found.stdout.split()[-1]) / planned < 1.1

@@ -21,12 +21,14 @@ from nanogs.errors import NotEnoughMemoryError
 from nanogs.formatting import bytes_text
 
 LIBRARIES = 235_000_000  # bytes, measured, that Python and its libraries take at the most
+_PLAIN = 70_000_000  # the same without Numba
 SHARE = 0.9  # of what is free is planned with: plans are off by up to a tenth, and others want some
 
 # Address space in bytes, measured (Linux, glibc, wheels of NumPy, SciPy and Numba): of one thread,
 # and for each further one, which has its stack and a reserve of the allocator, twice in OpenBLAS.
 _MAPPED, _MAPPED_THREAD = 520_000_000, 160_000_000
 _DATA, _DATA_THREAD = 190_000_000, 95_000_000  # the part of it that `ulimit -d` counts
+_PLAIN_MAPPED, _PLAIN_THREAD = 200_000_000, 45_000_000  # `ulimit -v`, without Numba
 _NUMPY, _NUMPY_THREAD = 130_000_000, 45_000_000  # what NumPy alone maps
 _BLAS_THREADS = 64  # at the most, as the wheels are built
 _UNLIMITED = 1 << 60  # control groups of version 1 say a little less than 2^63 where there is none
@@ -49,19 +51,20 @@ class Memory:
         return f"{bytes_text(self.bytes)} are {self.limit}"
 
 
-def allowed_memory(max_memory: int | None) -> Memory:
+def allowed_memory(max_memory: int | None, *, compiled: bool = True) -> Memory:
     """What work may take: of the bytes allowed to a process, or of what is free.
 
     Args:
         max_memory: Bytes that a process may take in all; None for what is free, less a tenth.
+        compiled: Whether the work needs Numba.
 
     Raises:
         NotEnoughMemoryError: There is none beside what Python and its libraries take.
     """
     if max_memory is not None:
         limit = "left of the memory allowed, beside Python and its libraries"
-        return Memory(max(max_memory - LIBRARIES, 0), limit)
-    free = free_memory()
+        return Memory(max(max_memory - (LIBRARIES if compiled else _PLAIN), 0), limit)
+    free = free_memory(compiled=compiled)
     if free.bytes <= 0:
         raise NotEnoughMemoryError(
             f"No memory is left beside Python and its libraries: {bytes_text(-free.bytes)} more are"
@@ -100,22 +103,26 @@ def refuse_too_large(what: str, needed: int, memory: Memory, remedy: str) -> Non
         )
 
 
-def free_memory(proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> Memory:
+def free_memory(
+    proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup"), *, compiled: bool = True
+) -> Memory:
     """The least of what the machine, the control group and `ulimit` leave beside the libraries.
 
     Args:
         proc: Where the system describes processes (Linux).
         groups: Where it describes control groups (Linux).
+        compiled: Whether the work needs Numba.
     """
     import psutil
 
     held = psutil.Process().memory_info()
-    coming = max(LIBRARIES - held.rss, 0)  # of the libraries, most of which load later
+    libraries = LIBRARIES if compiled else _PLAIN
+    coming = max(libraries - held.rss, 0)  # most of them load later
     found = [Memory(psutil.virtual_memory().available - coming, "free on this machine")]
     if sys.platform == "linux":
         left = [limit - used for limit, used in _group_limits(proc, groups)]
         found += [Memory(least - coming, "free in this control group") for least in left]
-    for limit, option, mapped in _ulimits(held.vms, getattr(held, "data", 0)):
+    for limit, option, mapped in _ulimits(held.vms, getattr(held, "data", 0), compiled):
         found.append(Memory(limit - mapped, f"left by `ulimit {option}`"))
     return min(found, key=lambda each: each.bytes)
 
@@ -135,15 +142,18 @@ def refuse_without_numpy() -> None:
             )
 
 
-def _ulimits(mapped: int, data: int) -> Iterator[tuple[int, str, int]]:
+def _ulimits(mapped: int, data: int, compiled: bool) -> Iterator[tuple[int, str, int]]:
     """Each limit in force, its option, and the bytes that it counts once all libraries are loaded.
 
     Args:
         mapped: Bytes of address space that this process has.
         data: Bytes of it that are writable and its own.
+        compiled: Whether the work needs Numba.
     """
     more = min(_threads(), _BLAS_THREADS) - 1
     libraries = {"-v": _MAPPED + more * _MAPPED_THREAD, "-d": _DATA + more * _DATA_THREAD}
+    if not compiled:
+        libraries = {"-v": _PLAIN_MAPPED + more * _PLAIN_THREAD, "-d": _PLAIN}
     now = {"-v": mapped, "-d": data}
     for limit, option in set_ulimits():
         yield limit, option, max(now[option], libraries[option])

@@ -12,6 +12,8 @@ from nanogs.io import FileInfo, inspect, level_counts, registry, stream
 from nanogs.io.collect import model_in
 from nanogs.io.findings import join_findings
 from nanogs.lod import manifest
+from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.needs import info_bytes
 from nanogs.splats import Splats
 
 _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
@@ -79,10 +81,14 @@ def info(path: str | PathLike[str]) -> ModelInfo:
         path: The file, or the folder of a model.
 
     Raises:
-        NanogsError: The file is missing, damaged or of no known format.
+        NanogsError: The file is missing, damaged or of no known format, or takes more memory than
+            is free.
     """
     path, given = model_in(Path(path)), Path(path)
     file = inspect(path)
+    refuse_too_large(
+        f"Describing {path}", info_bytes(file), allowed_memory(None, compiled=False), "free some"
+    )
     census = _Census(np.empty(file.splats, np.float32), np.empty((file.splats, 3), np.float32))
     for block in stream(path):
         census.add(block)

@@ -60,6 +60,7 @@ def compare(
     ] = "",
     overwrite: options.Overwrite = False,
     threads: options.Threads = None,
+    max_memory: options.MaxMemory = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -89,6 +90,7 @@ def compare(
             cameras=cameras, views=views, width=width, height=height, up=direction,
             background=color, extras=extras, photos=photos, images=images, split=split,
             report=report, interactive=interactive, overwrite=overwrite, progress=progress,
+            max_memory=options.parse_memory(max_memory) if max_memory else None,
         )  # fmt: skip
     if json:
         print_json(comparison.to_dict())

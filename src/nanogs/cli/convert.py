@@ -30,6 +30,7 @@ def convert(
     frame: file_options.FrameOption = None,
     spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
+    max_memory: options.MaxMemory = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
     out_dir: file_options.OutDir = None,
@@ -43,7 +44,7 @@ def convert(
     """Write a model in another format; the suffixes of the names say which."""
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli import filtering, framing, many, streams
-    from nanogs.cli.convert_run import convert_file, print_report
+    from nanogs.cli.convert_run import convert_file, print_report, refuse_too_large
     from nanogs.frames import TRAINED, Y_UP
     from nanogs.io import check_writable
 
@@ -56,6 +57,7 @@ def convert(
     def run_one(pair: "Pair", progress: "Progress") -> dict[str, Any]:
         frames = (Y_UP, TRAINED) if turn else framing.frames_of(pair, asked)
         check_writable(pair.target, **saving)
+        refuse_too_large(pair, level, options.parse_memory(max_memory) if max_memory else None)
         return convert_file(
             pair, filters, sh_degree, frames, level=level, saving=saving, told=progress
         )

@@ -2,17 +2,18 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from nanogs import memory, needs
 from nanogs.cli.console import arrow, say, warn, with_file_seconds
 from nanogs.cli.filtering import report_filters
 from nanogs.cli.framing import Frames
 from nanogs.filters import Filter, apply
 from nanogs.formatting import sizes_text, time_text
 from nanogs.frames import change_frame
-from nanogs.io import bytes_on_disk, inspect, load, losses, save
+from nanogs.io import bytes_on_disk, inspect, level_counts, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import StageClock
@@ -27,6 +28,30 @@ def print_report(run: dict[str, Any]) -> None:
     what = f"{run['splats']:,} splats of SH degree {run['sh_degree']}"
     sizes = sizes_text(run["input_bytes"], run["output_bytes"], arrow())
     say(f"{what}, {sizes}, {time_text(run['total_seconds'])}")
+
+
+def refuse_too_large(pair: Pair, level: int, max_memory: int | None) -> None:
+    """Refuse a conversion that takes more memory than there is.
+
+    Args:
+        pair: What is read and written.
+        level: Of a streamed model.
+        max_memory: Bytes that this process may take; None for what is free.
+
+    Raises:
+        NotEnoughMemoryError: It takes more.
+    """
+    info, levels = inspect(pair.source), level_counts(pair.source)
+    if levels:
+        info = replace(info, splats=levels[min(level, len(levels) - 1)])
+    known = registry.find(pair.target)
+    compiled = known is not None and known.suffix == ".sog"
+    memory.refuse_too_large(
+        f"Converting {pair.source}",
+        needs.convert_bytes(info, pair.target),
+        memory.allowed_memory(max_memory, compiled=compiled),
+        "free some, or make a smaller model with `nanogs simplify` first, which works in blocks",
+    )
 
 
 def convert_file(

@@ -75,6 +75,14 @@ SpzVersion = Annotated[
 Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Replace what exists.")]
 Json = Annotated[bool, typer.Option("--json", help="As JSON on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+MaxMemory = Annotated[
+    str | None,
+    typer.Option(
+        help="Memory that may be taken, e.g. 4GB: what needs more is refused before it begins.",
+        metavar="SIZE",
+        show_default="what is free",
+    ),
+]
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show_default="all")]
 
 

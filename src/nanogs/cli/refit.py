@@ -38,6 +38,7 @@ def refit(
     ] = _DEFAULTS.rounds,
     overwrite: options.Overwrite = False,
     threads: options.Threads = None,
+    max_memory: options.MaxMemory = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show every round.")] = False,
@@ -45,12 +46,20 @@ def refit(
     """Fit a small model to renders of the original: no photographs, no training data."""
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli.console import print_json, warn
-    from nanogs.io import check_writable
+    from nanogs.io import check_writable, inspect
+    from nanogs.memory import allowed_memory, refuse_too_large
+    from nanogs.needs import refit_bytes
 
     chosen = RefitParameters(views=views, size=pixels, rounds=rounds)
     chosen.check()
     direction = options.parse_direction(up)
     check_writable(target, overwrite=overwrite)
+    refuse_too_large(
+        f"Fitting {small}",
+        refit_bytes(inspect(original), inspect(small), pixels**2, views + chosen.held),
+        allowed_memory(options.parse_memory(max_memory) if max_memory else None),
+        "free some, or take fewer or smaller views (--views, --pixels)",
+    )
     run = _refit_files(
         original, small, target, cameras, direction, chosen, threads, overwrite, quiet or json
     )

@@ -41,6 +41,7 @@ def render(
     ] = False,
     overwrite: options.Overwrite = False,
     threads: options.Threads = None,
+    max_memory: options.MaxMemory = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -48,7 +49,9 @@ def render(
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli.console import err, print_json, warn
     from nanogs.cli.progress import shown
-    from nanogs.io import load
+    from nanogs.io import inspect, load
+    from nanogs.memory import allowed_memory, refuse_too_large
+    from nanogs.needs import render_bytes
 
     count = views or (1 if _is_picture(target) else 8)
     width, height = options.parse_pixels(pixels)
@@ -60,6 +63,12 @@ def render(
     from nanogs.render.source import cameras_for
     from nanogs.threads import use_threads
 
+    refuse_too_large(
+        f"Rendering {source}",
+        render_bytes(inspect(source), width * height),
+        allowed_memory(options.parse_memory(max_memory) if max_memory else None),
+        "free some, or render smaller pictures (--pixels) or a smaller model",
+    )
     stages = [Stage("read", 1.0), Stage("cameras", 0.5), Stage("render", 0.3 * count)]
     with shown(quiet=quiet or json) as watch, use_threads(threads):
         progress = Tracker(watch, stages)

@@ -53,6 +53,7 @@ def view(
     background: options.BackgroundOption = "black",
     overwrite: options.Overwrite = False,
     threads: options.Threads = None,
+    max_memory: options.MaxMemory = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
@@ -79,6 +80,7 @@ def view(
         report = view_files(
             inputs, page, cameras=cameras, views=views, width=width, height=height, up=direction,
             background=color, psnr=psnr, level=level, overwrite=overwrite, progress=progress,
+            max_memory=options.parse_memory(max_memory) if max_memory else None,
         )  # fmt: skip
     if json:
         print_json(report.to_dict())

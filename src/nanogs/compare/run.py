@@ -1,6 +1,7 @@
 """A comparison from file names: what `nanogs compare` does."""
 
 from collections.abc import Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from nanogs.compare.scoring import ReferenceView
 from nanogs.errors import OptionError
 from nanogs.io import inspect, load
 from nanogs.io.atomic import atomic_write
+from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.needs import compare_bytes, pictures_bytes
 from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.render.opening import Opening, opening_for
 from nanogs.render.source import AUTOMATIC, cameras_for
@@ -40,6 +43,7 @@ def compare_files(
     split: str = "test",
     report: Path | None = None,
     interactive: bool = False,
+    max_memory: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Comparison:
@@ -61,15 +65,20 @@ def compare_files(
         split: Photographs to use, "test" or "train".
         report: Page to write, or None.
         interactive: Put the models into the page too, to be loaded and moved there.
+        max_memory: Bytes that this process may take; by default what is free.
         overwrite: Replace the page if it exists.
         progress: Called with each `nanogs.progress.Step`.
 
     Raises:
-        NanogsError: A file or an option is not usable.
+        NanogsError: A file or an option is not usable, or there is too little memory.
     """
     if report and interactive:
         check_built()
     page = interactive if report else None
+    infos = [inspect(path) for _name, path in (reference, *tests)]
+    automatic = photos is None and cameras in AUTOMATIC
+    needed = compare_bytes(infos, width * height, views if automatic else 0, paged=bool(page))
+    refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), _LESS)
     tracker = Tracker(progress, _stages(1 + len(tests), views, page, with_photos=bool(photos)))
     tracker.begin("read")
     models = []
@@ -91,7 +100,7 @@ def compare_files(
         )
     else:
         tracker.begin("photographs")
-        behind, frames = photographs(photos, images, split, background)
+        behind, frames = photographs(photos, images, split, background, max_memory)
         chosen = [frame.camera for frame in frames]
         comparison, sheets = compare_with_photographs(
             str(photos), models, frames, split=split, background=behind, **options
@@ -109,6 +118,9 @@ def compare_files(
             file.write(page_text.encode("utf-8"))
     tracker.finish()
     return comparison
+
+
+_LESS = "free some, or compare fewer or smaller views (--views, --pixels) or smaller models"
 
 
 def _stages(models: int, views: int, page: bool | None, *, with_photos: bool) -> list[Stage]:
@@ -141,7 +153,11 @@ def _shown(models: Sequence[NamedModel], comparison: Comparison, start: Opening)
 
 
 def photographs(
-    folder: Path, images: str | None, split: str, background: Background | None
+    folder: Path,
+    images: str | None,
+    split: str,
+    background: Background | None,
+    max_memory: int | None = None,
 ) -> tuple[Background, list[ReferenceView]]:
     """Cameras and photographs of a data set's split.
 
@@ -150,11 +166,13 @@ def photographs(
         images: Folder of the photographs in a COLMAP data set.
         split: "test" or "train".
         background: RGB in [0, 1] behind transparent parts; None for the data set's own.
+        max_memory: Bytes that this process may take; by default what is free.
 
     Returns:
         The background, and the photographs over it.
 
     Raises:
+        NotEnoughMemoryError: They are too many, or too large.
         NanogsError: The folder holds no such data set, split or photograph.
     """
     from nanogs.datasets.dataset import Split, open_dataset
@@ -164,6 +182,13 @@ def photographs(
         raise OptionError(f"The split must be test or train, not {split!r}.")
     dataset = open_dataset(folder, images=images)
     frames = dataset.split(splits[split])
+    pixels = [frame.camera.width * frame.camera.height for frame in frames]
+    refuse_too_large(
+        f"Comparing with {len(frames)} photographs",
+        sum(map(pictures_bytes, pixels, repeat(1))),
+        allowed_memory(max_memory),
+        "free some, or use smaller photographs, as with --images images_4",
+    )
     behind = background or dataset.background(frames)
     return behind, [
         ReferenceView(frame.camera, dataset.load_photo(frame, behind)) for frame in frames

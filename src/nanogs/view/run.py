@@ -8,10 +8,12 @@ from typing import Any
 from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
-from nanogs.io import level_counts, load
+from nanogs.io import FileInfo, inspect, level_counts, load
 from nanogs.io.atomic import atomic_write
 from nanogs.io.collect import model_in
 from nanogs.io.registry import find
+from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.needs import compare_bytes, page_bytes
 from nanogs.progress import Parts, Progress, Stage, Tracker, each
 from nanogs.render.camera import Camera
 from nanogs.render.opening import opening_for
@@ -82,6 +84,7 @@ def view_files(
     background: Background = BLACK,
     psnr: bool = True,
     level: int | None = None,
+    max_memory: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ViewReport:
@@ -100,6 +103,7 @@ def view_files(
         psnr: Measure the second model.
         level: Of streamed models, which level of detail; by default the finest of at most
             `PAGE_SPLATS` splats, or the coarsest.
+        max_memory: Bytes that this process may take; by default what is free.
         overwrite: Replace the page if it exists.
         progress: Called with each `nanogs.progress.Step`.
 
@@ -113,6 +117,12 @@ def view_files(
     tracker.begin("read")
     with clock.time("read"):
         inputs = [(name, model_in(path)) for name, path in inputs]
+        infos = [_shown_info(path, level) for _name, path in inputs]
+        needed = page_bytes(infos)
+        if measured:
+            needed = compare_bytes(infos, width * height, views, paged=True)
+        allowed = allowed_memory(max_memory, compiled=measured)
+        refuse_too_large("Making this page", needed, allowed, "free some, or view smaller models")
         models = _read(inputs, level, tracker.part)
     tracker.begin("cameras")
     with clock.time("cameras"):
@@ -159,6 +169,15 @@ def _read(inputs: Sequence[tuple[str, Path]], level: int | None, tell: Parts) ->
         else:
             models.append(_with_note(load(path, level=_affordable(levels)), levels))
     return models
+
+
+def _shown_info(path: Path, level: int | None) -> FileInfo:
+    """What a model says of itself, with the splats of the level that is shown."""
+    info, levels = inspect(path), level_counts(path)
+    if not levels:
+        return info
+    chosen = _affordable(levels) if level is None else min(level, len(levels) - 1)
+    return replace(info, splats=levels[chosen])
 
 
 def _affordable(levels: Sequence[int]) -> int:

@@ -1,0 +1,92 @@
+"""How much memory looking at models and converting them takes: bytes, by counts alone.
+
+Measured on half a million splats of SH degree 3; Python and its libraries come on top.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from nanogs.io import FileInfo, registry
+from nanogs.io.files import splat_bytes
+
+_PREPARED, _DRAWN = 45, 136  # a splat: as the rasteriser reads it, and as one view lists it
+_PICTURE, _KEPT = 90, 32  # a pixel: of the view at hand, and of each that is kept to compare with
+_PACKED = 160  # a splat on a page: packed, as text, and in the page
+_FITTED, _FITTING = 450, 1_900  # a splat of the original, and of the model that is fitted to it
+_FIT_KEPT = 8  # a pixel of each view that is fitted to
+_READ = 1.4  # the model and what a reader of a packed file holds beside it, over the model
+# What writing holds beside the model, over the model; palettes take most.
+_WRITE = {".sog": 5.0, ".compressed.ply": 1.0, ".spz": 0.5}
+_DOUBLE = 12  # more bytes for a centre in double precision
+_COUNTED = 20  # a splat: what the percentiles of `info` are from
+
+
+def model_bytes(info: FileInfo) -> int:
+    """The model as loaded."""
+    row = splat_bytes(info.sh_degree) + info.extra_bytes() + _DOUBLE * info.double_means
+    return info.splats * row
+
+
+def render_bytes(info: FileInfo, pixels: int) -> int:
+    """Rendering a model.
+
+    Args:
+        info: The model.
+        pixels: Of the largest view.
+    """
+    return _read(info) + info.splats * (_PREPARED + _DRAWN) + pixels * _PICTURE
+
+
+def compare_bytes(infos: Sequence[FileInfo], pixels: int, views: int, *, paged: bool) -> int:
+    """Scoring models against the first of them.
+
+    Args:
+        infos: The models.
+        pixels: Of a view.
+        views: Their number.
+        paged: Whether the models are put into a page.
+    """
+    drawn = infos[0].splats * _PREPARED + max(info.splats for info in infos) * _DRAWN
+    pages = page_bytes(infos) if paged else sum(map(model_bytes, infos))
+    return max(pages, sum(map(model_bytes, infos)) + drawn + pictures_bytes(pixels, views))
+
+
+def pictures_bytes(pixels: int, views: int) -> int:
+    """Views of the original to compare with, and the one at hand."""
+    return pixels * (_PICTURE + _KEPT * views)
+
+
+def page_bytes(infos: Sequence[FileInfo]) -> int:
+    """A page that shows models."""
+    return sum(model_bytes(info) + info.splats * _PACKED for info in infos)
+
+
+def refit_bytes(original: FileInfo, small: FileInfo, pixels: int, views: int) -> int:
+    """Fitting a model to renders of the original.
+
+    Args:
+        original: The original.
+        small: The model.
+        pixels: Of a view.
+        views: To fit to, and to decide by.
+    """
+    held = model_bytes(original) + 2 * model_bytes(small)
+    working = max(original.splats * _FITTED, small.splats * _FITTING)
+    return held + working + pixels * (_PICTURE + _FIT_KEPT * views)
+
+
+def convert_bytes(info: FileInfo, target: Path) -> int:
+    """Writing a model in another format."""
+    known = registry.find(target)
+    more = _WRITE.get(known.suffix, 0.4) if known else 0.4
+    return max(_read(info), int(model_bytes(info) * (1 + more)))
+
+
+def info_bytes(info: FileInfo) -> int:
+    """Describing a model, which is held whole where its format is not read block by block."""
+    held = 0 if info.format == "ply" else _read(info)
+    return held + info.splats * _COUNTED
+
+
+def _read(info: FileInfo) -> int:
+    return int(model_bytes(info) * (1.0 if info.format == "ply" else _READ))
