@@ -399,7 +399,8 @@ def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expec
     with pytest.raises(OutputError, match=r"its .*ratios.* differ"):
         nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **other)
     fits = [sys.executable, "-m", "nanogs", "simplify", scene, out, "--ratio", "0.1", "--resume"]
-    done = subprocess.run([*map(str, fits), "-w"], capture_output=True, text=True)
+    enough = ["--max-memory", "2GB", "-w"]
+    done = subprocess.run([*map(str, fits), *enough], capture_output=True, text=True)
     assert done.returncode == 2
     assert "resume it with the --max-memory it was begun with" in done.stderr
     report = nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **GIVEN)
