@@ -31,7 +31,8 @@ help: ## list the targets
 
 $(STAMP): pyproject.toml hatch_build.py $(wildcard viewer/*.* viewer/src/*)
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) --editable '.[dev]'
+	$(PIP) uv
+	$(UV) pip install --quiet --python $(VENV) --editable '.[dev]'
 	touch $(STAMP)
 
 demo: $(STAMP) ## simplify a real scene to 10 % in two ways, and show all in demo/report.html
@@ -63,7 +64,7 @@ types: $(STAMP) ## check types
 check: lint types test ## everything CI checks
 
 $(ORACLES_STAMP): $(STAMP) tests/npm/package-lock.json
-	$(PIP) --editable '.[dev,oracles]'
+	$(UV) pip install --quiet --python $(VENV) --editable '.[dev,oracles]'
 	$(PIP) '$(TORCH)' || echo "$(TORCH) cannot be had here: tests with it are skipped"
 	npm ci --silent --prefix tests/npm || echo "tests/npm cannot be had here: tests with it are skipped"
 	touch $(ORACLES_STAMP)
@@ -90,7 +91,7 @@ on-newest:
 	NUMBA_CACHE_DIR=$(CURDIR)/$(NEWEST)/kernels $(NEWEST)/$(SCRIPTS)/python -m pytest -n 2 -m "not slow" $(TESTS)
 
 $(DOCS_STAMP): $(STAMP)
-	$(PIP) --editable '.[docs]'
+	$(UV) pip install --quiet --python $(VENV) --editable '.[docs]'
 	touch $(DOCS_STAMP)
 
 docs: $(DOCS_STAMP) ## build the documentation, with its pictures, into build/site
