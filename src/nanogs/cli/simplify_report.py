@@ -145,7 +145,7 @@ def _print_rows(plan: Plan, text: str) -> None:
 
 def _wish_rows(plan: Plan, text: str) -> dict[str, str]:
     info = plan.info
-    parameters = effective(plan.method(), judged=plan.goal.psnr is not None)
+    parameters = effective(plan.method())
     return {
         "would read": f"{plan.name} ({info.splats:,} splats, SH degree {info.sh_degree})",
         "would write": text,

@@ -172,15 +172,10 @@ def refuse_search(preset: str, wish: str) -> None:
         )
 
 
-def effective(chosen: Parameters, *, judged: bool = False) -> dict[str, Any]:
-    """The parameters that have an effect, by name: without views, none that is about views.
-
-    Args:
-        chosen: Of the method.
-        judged: Whether results are held against views of the original whatever the preset.
-    """
+def effective(chosen: Parameters) -> dict[str, Any]:
+    """The parameters that have an effect, by name: without views, none that is about views."""
     unused = {"hidden", "recolour"} if isinstance(chosen, ForestParameters) else set()
-    if renders(chosen) or judged:
+    if renders(chosen):
         unused = set()
     elif unused:
         unused.add("views")
