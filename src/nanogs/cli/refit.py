@@ -141,7 +141,8 @@ def _print_report(run: dict[str, Any], *, verbose: bool) -> None:
     before, after = number_text(run["psnr_before"]), number_text(run["psnr_after"])
     say(
         f"{run['count']:,} splats, {before} {arrow()} {after} dB on {len(run['validation_views'])}"
-        f" views kept apart of {run['parameters']['size']} pixels, {time_text(run['total_seconds'])}"
+        f" views kept apart of {run['parameters']['size']} pixels,"
+        f" {time_text(run['total_seconds'])}"
     )
 
 
