@@ -197,6 +197,16 @@ def test_renders_and_comparisons(tmp_path):
     assert max(s.done for s in told if s.stage == "score") == 6
 
 
+def test_writing_sog_tells_the_rounds_of_its_palette(tmp_path):
+    told = []
+    splats = random_splats(3000)
+    for name, steps in (("a.sog", 9), ("a.ply", 1)):
+        told.clear()
+        nanogs.save(splats, tmp_path / name, progress=told.append)
+        assert_true(told)
+        assert len(told) >= steps
+
+
 def test_what_the_callback_raises_ends_the_call():
     def stop(step):
         if step.stage == "grow":

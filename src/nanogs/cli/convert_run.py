@@ -82,7 +82,7 @@ def convert_file(
         splats = change_frame(splats, *frames)
     progress.begin("write")
     with clock.time("write"):
-        save(splats, target, **saving)
+        save(splats, target, progress=progress.passing(), **saving)
     progress.finish()
     run = {
         "input": str(source),

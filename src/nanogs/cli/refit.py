@@ -111,7 +111,7 @@ def _refit_files(
         )
         progress.begin("write")
         with clock.time("write"):
-            save(fitted, target, overwrite=overwrite)
+            save(fitted, target, overwrite=overwrite, progress=progress.passing())
     run = with_file_seconds(report.to_dict(), clock, start)
     run["notes"] = [*run["notes"], *losses(fitted, target)]
     return run | {"original": str(original), "input": str(small), "output": str(target)}

@@ -182,7 +182,7 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
         small = change_frame(small, *frames)
     progress.begin("write")
     with clock.time("write"):
-        save(small, target, **saving)
+        save(small, target, progress=progress.passing(), **saving)
     judged, unmeasured = report.judged, tuple[str, ...]()
     if request.measured and judged is None:
         progress.begin("measure")

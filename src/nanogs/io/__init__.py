@@ -13,6 +13,7 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format
 from nanogs.io.info import FileInfo
+from nanogs.progress import Progress, Stage, Tracker
 from nanogs.splats import Splats, refuse_other
 
 __all__ = [
@@ -91,6 +92,7 @@ def save(
     *,
     overwrite: bool = False,
     format: str | None = None,  # noqa: A002 - what it is called everywhere
+    progress: Progress | None = None,
     **options: Any,  # noqa: ANN401 - checked against those of the format
 ) -> None:
     """Write a model to a file, which appears whole or not at all.
@@ -105,6 +107,7 @@ def save(
         overwrite: Replace a file that exists.
         format: Suffix of the format; by default that of the name. An open file without a name
             needs it.
+        progress: Called with each `nanogs.progress.Step` of a file whose writing takes long.
         **options: Of the format: `spz_version`, 2, 3 (as by default) or 4.
 
     Raises:
@@ -125,8 +128,11 @@ def save(
         known.write_folder(splats, folder, overwrite=overwrite, **chosen)
         return
     write = registry.writer(named, options)
+    tracker = Tracker(progress, [Stage("write", 1.0)])
+    told = {"tell": tracker.part} if known.tells else {}
     with atomic.atomic_write(path, overwrite=overwrite) as file:
-        write(splats, file)
+        write(splats, file, **told)
+    tracker.finish()
 
 
 def encoded_bytes(

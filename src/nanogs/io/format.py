@@ -65,7 +65,8 @@ class Format:
     and writing turn. `leaps` are counts, in ascending order, of which a file takes far more than of
     one splat less. `options` are what `save` takes for this format alone. Of a format whose model
     is a folder, described by the file of the name `suffix` in it, `write_folder` makes that folder
-    and `ours` says what in such a folder nanogs made.
+    and `ours` says what in such a folder nanogs made. With `tells`, `write` takes `tell`: it takes
+    long, and tells its parts.
     """
 
     suffix: str
@@ -86,6 +87,7 @@ class Format:
     leaps: Callable[[Splats], Sequence[int]] = _steady
     options: Mapping[str, WriteOption] = field(default_factory=dict)
     write_folder: FolderWriter | None = None
+    tells: bool = False
     ours: Ours | None = None
 
     @property

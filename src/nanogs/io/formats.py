@@ -110,6 +110,7 @@ FORMATS = (
         sog.read,
         sog.inspect,
         sog_write.write,
+        tells=True,
         losses=sog_write.losses,
         packed=sog_packed.packed,
         leaps=sog_write.leaps,

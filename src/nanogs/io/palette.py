@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64
+from nanogs.progress import Parts, each, untold
 
 ENTRIES_PER_CELL = 256
 _SAMPLES_PER_CELL = 64
@@ -26,7 +27,7 @@ class Palette:
     labels: I32
 
 
-def palette(points: F32, size: int, weights: F64 | None = None) -> Palette:
+def palette(points: F32, size: int, weights: F64 | None = None, tell: Parts = untold) -> Palette:
     """Find vectors that stand for the points with little squared error.
 
     Points that are equal are one point of more weight, so a model that came from a palette
@@ -36,12 +37,13 @@ def palette(points: F32, size: int, weights: F64 | None = None) -> Palette:
         points: (N, D), finite, N at least 1.
         size: Most entries.
         weights: (N,) positive, how much a point's error counts; all alike by default.
+        tell: Told of the rounds, where entries have to be looked for.
     """
     distinct, inverse, counts = _distinct(points)
     if len(distinct) <= size:
         return _in_order_of_use(distinct, inverse.astype(np.int32))
     totals = counts if weights is None else np.bincount(inverse, weights)
-    entries, labels = _cluster(distinct, (totals / totals.mean()).astype(np.float32), size)
+    entries, labels = _cluster(distinct, (totals / totals.mean()).astype(np.float32), size, tell)
     return _in_order_of_use(entries, labels[inverse])
 
 
@@ -103,7 +105,7 @@ class _Search:
         self.columns[:, idle] = self.points[worst[first + rank]].T
 
 
-def _cluster(points: F32, weights: F32, size: int) -> tuple[F32, I32]:
+def _cluster(points: F32, weights: F32, size: int, tell: Parts) -> tuple[F32, I32]:
     count = max(1, size // ENTRIES_PER_CELL)
     cells = _cells(points, count)
     starts, order = _by_label(cells[:, 0], count)
@@ -111,7 +113,7 @@ def _cluster(points: F32, weights: F32, size: int) -> tuple[F32, I32]:
     bounds = np.concatenate([[0], np.cumsum(shares)])
     seeds = points[_seeds(starts, order, shares)]
     search = _Search(points, weights, seeds, cells, bounds)
-    for probes in _PROBES:
+    for probes in each(_PROBES, tell):
         search.assign(min(probes, count))
         search.move()
     search.assign(cells.shape[1])

@@ -24,6 +24,7 @@ from nanogs.io.folder import atomic_folder
 from nanogs.io.json_fields import is_plain
 from nanogs.io.palette import palette
 from nanogs.io.texture import MAX_SIDE, encode
+from nanogs.progress import Parts, untold
 from nanogs.splats import RenderMode, Splats
 
 MAX_DEGREE = 3
@@ -38,14 +39,19 @@ Submit = Callable[[str, U8], None]
 """Starts the encoding of a texture, by name."""
 
 
-def write(splats: Splats, file: BinaryIO) -> None:
+def write(splats: Splats, file: BinaryIO, tell: Parts = untold) -> None:
     """Write a `.sog` file.
+
+    Args:
+        splats: The model.
+        file: To write to.
+        tell: Told of the parts of what takes long.
 
     Raises:
         OutputError: A value is NaN, infinite or beyond what a codebook holds, or there are more
             splats than a texture holds; nothing has been written then.
     """
-    files = contents(splats)
+    files = contents(splats, None, tell)
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in files.items():
             entry = zipfile.ZipInfo(name, _EPOCH)
@@ -85,13 +91,14 @@ def write_files(splats: Splats, folder: Path, groups: I64 | None = None) -> int:
     return sum(map(len, files.values()))
 
 
-def contents(splats: Splats, groups: I64 | None = None) -> dict[str, bytes]:
+def contents(splats: Splats, groups: I64 | None = None, tell: Parts = untold) -> dict[str, bytes]:
     """The contents of `meta.json` and its textures by name.
 
     Args:
         splats: N splats.
         groups: (N,) numbers from 0 on. Splats go in their order, those of one group in Morton
             order; by default all are one group.
+        tell: Told of the rounds in which the palette is looked for.
 
     Raises:
         OutputError: As for `write`.
@@ -105,7 +112,7 @@ def contents(splats: Splats, groups: I64 | None = None) -> dict[str, bytes]:
         def submit(name: str, texels: U8) -> None:
             encoding[name] = pool.submit(encode, texels)
 
-        meta = _encode(splats, groups, submit)
+        meta = _encode(splats, groups, submit, tell)
         files = {name: future.result() for name, future in encoding.items()}
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
     return files | {"meta.json": text.encode()}
@@ -160,7 +167,7 @@ def ours(folder: Path) -> frozenset[str] | None:
     return frozenset({"meta.json", *filter(is_plain, named)})
 
 
-def _encode(splats: Splats, groups: I64 | None, submit: Submit) -> dict[str, Any]:
+def _encode(splats: Splats, groups: I64 | None, submit: Submit, tell: Parts) -> dict[str, Any]:
     """Submit every texture; the contents of `meta.json`."""
     codes, bounds = _codes(splats.means)
     rows = _morton_order(codes, groups)
@@ -187,7 +194,7 @@ def _encode(splats: Splats, groups: I64 | None, submit: Submit) -> dict[str, Any
     if splats.render_mode is RenderMode.DEFAULT:
         del meta["model"]  # as untagged as the files of older writers
     if splats.sh_degree:
-        meta["shN"] = _higher(splats, rows, submit)
+        meta["shN"] = _higher(splats, rows, submit, tell)
     return meta
 
 
@@ -234,12 +241,12 @@ def _quats(quats: F32) -> U8:
     return out
 
 
-def _higher(splats: Splats, rows: I64, submit: Submit) -> dict[str, Any]:
+def _higher(splats: Splats, rows: I64, submit: Submit, tell: Parts) -> dict[str, Any]:
     """Submit the palette of the higher coefficients and the labels; their part of `meta.json`."""
     degree = min(splats.sh_degree, MAX_DEGREE)
     coefficients = (degree + 1) ** 2 - 1
     points = splats.sh[rows, 1 : coefficients + 1].reshape(len(rows), -1)
-    found = palette(points, _palette_size(len(rows)), _visibility(splats.take(rows)))
+    found = palette(points, _palette_size(len(rows)), _visibility(splats.take(rows)), tell)
     book = codebook(found.entries)
     count = len(found.entries)
     height = -(-count // sog_meta.PALETTE_COLUMNS)
