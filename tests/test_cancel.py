@@ -16,6 +16,7 @@ from nanogs import cleanup
 from nanogs.io.atomic import atomic_write
 from nanogs.io.folder import atomic_folder
 from nanogs.io.temporary import name_beside
+from nanogs.memory import LIBRARIES
 
 posix = pytest.mark.skipif(os.name == "nt", reason="Windows has other signals, and no such locks")
 COMMAND = [sys.executable, "-m", "nanogs"]
@@ -105,12 +106,12 @@ def test_a_run_that_is_cancelled_leaves_nothing(tmp_path, command, number):
 @posix
 def test_workers_end_with_the_run_that_started_them(tmp_path):
     pytest.importorskip("distributed")
-    nanogs.save(random_splats(20_000), tmp_path / "in.ply")
+    nanogs.save(random_splats(60_000), tmp_path / "in.ply")
     delays = random.Random(0)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
         child = started(
             "simplify", tmp_path / "in.ply", tmp_path / "out.ply", "--ratio", "0.1", "--preset",
-            "fast", "--max-memory", "230MB", "--workers", "2",
+            "fast", "--max-memory", f"{int(1.09 * LIBRARIES)}B", "--workers", "2",
         )  # fmt: skip
         code, said = cancelled(child, number, delays.uniform(0.5, 2.5))
         assert "Traceback" not in said
