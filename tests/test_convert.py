@@ -13,7 +13,7 @@ from nanogs import io
 from nanogs.errors import OptionError
 from nanogs.io.registry import formats
 
-WRITTEN = [known.suffix for known in formats() if known.write]
+WRITTEN = [known.suffix for known in formats() if known.write and known.readable]
 
 
 def run(*arguments):

@@ -9,7 +9,8 @@ import pytest
 
 import nanogs
 from builders import random_splats
-from nanogs.io import level_counts
+from nanogs.errors import OptionError
+from nanogs.io import check_writable, level_counts
 from nanogs.view.run import view_files
 from test_cli import assert_refused
 from test_comfort import run
@@ -293,3 +294,32 @@ def test_what_levels_cannot_have_is_refused(folder, tmp_path, given, words, monk
         monkeypatch.chdir(folder)
     assert_refused(run("lod", *given), *words)
     assert not (folder / "out").exists()
+
+
+# A page as an output
+
+
+def test_a_page_is_a_format(folder, tmp_path):
+    require_bundle()
+    page = tmp_path / "page.html"
+    result = run("simplify", folder / "a.ply", page, "-r", "0.5", "--preset", "fast", "--json")
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["output_bytes"] == page.stat().st_size
+    text = page.read_text(encoding="utf-8")
+    assert "200 splats" in text
+    assert "nanogs-program" in text
+    assert "default-src &#39;none&#39;" in text
+    same = tmp_path / "same.html"
+    small = tmp_path / "small.ply"
+    assert run("simplify", folder / "a.ply", small, "-r", "0.5", "--preset", "fast").returncode == 0
+    converted = run("convert", small, same)
+    assert converted.returncode == 0, converted.stderr
+    assert same.read_bytes() == page.read_bytes()
+    assert_refused(run("convert", folder / "a.ply", same), "-w")
+    assert_refused(run("info", page), "writes this format but does not read it")
+
+
+def test_a_page_needs_the_viewer_and_says_so_at_once(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("nanogs.view.bundle.is_built", lambda: False)
+    with pytest.raises(OptionError, match="without the viewer"):
+        check_writable(tmp_path / "page.html")

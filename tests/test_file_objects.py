@@ -36,8 +36,9 @@ def test_bytes_are_those_of_a_file(model, suffix, tmp_path):
     nanogs.save(model, path)
     nanogs.save(model, file, format=suffix.removeprefix("."))
     assert file.getvalue() == path.read_bytes()
-    file.seek(0)
-    assert_same(nanogs.load(file, format=suffix), nanogs.load(path))
+    if registry.find(path).readable:
+        file.seek(0)
+        assert_same(nanogs.load(file, format=suffix), nanogs.load(path))
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".npz"])

@@ -18,6 +18,7 @@ from nanogs.io.collect import Pair
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import StageClock
 from nanogs.simplify.stages import read_weight, write_weight
+from nanogs.splats import RenderMode, Splats
 
 
 def print_report(run: dict[str, Any]) -> None:
@@ -91,7 +92,7 @@ def convert_file(
         "frames": frames,
         "input_bytes": read_bytes,
         "output_bytes": bytes_on_disk(target),
-        **_written(target),
+        **_written(target, splats),
         "notes": list(splats.notes),
         "losses": list(losses(splats, target)),
         "seconds": {},
@@ -99,8 +100,16 @@ def convert_file(
     return with_file_seconds(run, clock, start)
 
 
-def _written(target: Path) -> dict[str, Any]:
-    """What the file holds, as it says itself."""
+def _written(target: Path, splats: Splats) -> dict[str, Any]:
+    """What the file holds, as it says itself where it can be read."""
+    known = registry.find(target)
+    if known is None or not known.readable:
+        return {
+            "format": target.suffix.lstrip("."),
+            "splats": len(splats),
+            "sh_degree": splats.sh_degree,
+            "render_mode": RenderMode.DEFAULT.value,
+        }
     info = inspect(target)
     return {
         "format": info.format,

@@ -4,6 +4,7 @@ EXAMPLES = {
     "simplify": (
         "nanogs simplify scene.ply small.ply --ratio 10%",
         "nanogs simplify scene.ply small.sog --size 5MB",
+        "nanogs simplify scene.ply page.html --count 100k",
     ),
     "lod": (
         "nanogs lod scene.ply levels/ --format sog",

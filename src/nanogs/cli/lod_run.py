@@ -26,7 +26,7 @@ from nanogs.cli.simplify_report import (
 from nanogs.compare.protocol import Protocol
 from nanogs.formatting import bytes_text, number_text, time_text
 from nanogs.kernels.compiling import when_compiling
-from nanogs.lod.layout import Output
+from nanogs.lod.layout import Layout, Output
 from nanogs.lod.write import write_levels, write_levels_stages
 from nanogs.progress import Tracker
 from nanogs.report import StageClock
@@ -144,6 +144,8 @@ def print_levels(run: dict[str, Any], *, verbose: bool) -> None:
     size = bytes_text(sum(level["bytes"] for level in run["levels"]))
     seconds = time_text(run["total_seconds"])
     say(f"{run['source_count']:,} splats {arrow()} {levels}, {size}, {seconds}")
+    if run["layout"] != Layout.FILES.value:
+        say(f"`nanogs view {run['output']}` makes a page of one level, to look at it")
 
 
 def _details(report: dict[str, Any]) -> dict[str, str]:

@@ -157,7 +157,7 @@ def as_stored(
 ) -> Splats:
     """The model as `load` would give it back after `save`, by way of a temporary file.
 
-    Itself where nothing changes, in `.ply` files.
+    Itself where nothing changes, in `.ply` files, and where nanogs does not read the format.
 
     Raises:
         NanogsError: As for `save`.
@@ -165,7 +165,7 @@ def as_stored(
     from tempfile import TemporaryDirectory
 
     known = registry.writable(Path(path))
-    if known.suffix == ".ply":
+    if known.suffix == ".ply" or not known.readable:
         return splats
     with TemporaryDirectory(prefix="nanogs-") as folder:
         file = Path(folder) / "model" / known.suffix
@@ -234,6 +234,7 @@ def check_writable(
     path = Path(path)
     known = registry.writable(path)
     registry.keywords(known, options)
+    known.check()
     if known.ours:
         check_folder_writable(_folder_of(path, known), known.ours, overwrite=overwrite)
     else:

@@ -73,7 +73,8 @@ def _files(path: Path) -> list[Path]:
 
 
 def _readable(file: Path) -> bool:
-    return registry.find(file) is not None
+    known = registry.find(file)
+    return known is not None and known.readable
 
 
 def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[Pair]:

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
+from nanogs.errors import FormatError
 from nanogs.frames import TRAINED
 from nanogs.io.folder import Ours
 from nanogs.io.info import FileInfo
@@ -27,6 +28,15 @@ class FolderWriter(Protocol):
         """Write the model; see `io.save` for what it raises."""
 
 
+def unread(path: Path) -> NoReturn:
+    """In place of the reader of a format that is only written.
+
+    Raises:
+        FormatError: Always.
+    """
+    raise FormatError(f"{path}: nanogs writes this format but does not read it; name another file.")
+
+
 def _none(_path: Path) -> None:
     return None
 
@@ -37,6 +47,10 @@ def _alone(path: Path) -> Sequence[Path]:
 
 def _nothing(_splats: Splats) -> tuple[str, ...]:
     return ()
+
+
+def _ready() -> None:
+    pass
 
 
 def _steady(_splats: Splats) -> Sequence[int]:
@@ -66,7 +80,8 @@ class Format:
     one splat less. `options` are what `save` takes for this format alone. Of a format whose model
     is a folder, described by the file of the name `suffix` in it, `write_folder` makes that folder
     and `ours` says what in such a folder nanogs made. With `tells`, `write` takes `tell`: it takes
-    long, and tells its parts.
+    long, and tells its parts. `check` fails before any computing where this installation cannot
+    write the format.
     """
 
     suffix: str
@@ -89,6 +104,12 @@ class Format:
     write_folder: FolderWriter | None = None
     tells: bool = False
     ours: Ours | None = None
+    check: Callable[[], None] = _ready
+
+    @property
+    def readable(self) -> bool:
+        """Whether nanogs reads it."""
+        return self.read is not unread
 
     @property
     def writable(self) -> bool:

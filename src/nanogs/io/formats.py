@@ -5,6 +5,7 @@ from nanogs.io import (
     compressed_ply_write,
     gltf,
     gltf_write,
+    html_write,
     ksplat,
     npz,
     npz_packed,
@@ -21,7 +22,7 @@ from nanogs.io import (
     usda,
     usda_write,
 )
-from nanogs.io.format import Format, WriteOption
+from nanogs.io.format import Format, WriteOption, unread
 from nanogs.io.registry import LEVELS, TILESET
 
 _SPZ_FRAME = (
@@ -123,6 +124,14 @@ FORMATS = (
         losses=usda_write.losses,
         frame=_USD_FRAME,
         turns=True,
+    ),
+    Format(
+        ".html",
+        unread,
+        unread,
+        html_write.write,
+        losses=html_write.losses,
+        check=html_write.check,
     ),
     Format(".pt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME, axes=None),
     Format(".ckpt", checkpoint.read, checkpoint.inspect, frame=checkpoint.FRAME, axes=None),

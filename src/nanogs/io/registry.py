@@ -34,7 +34,7 @@ def reader(path: Path) -> Format:
     """
     known = find(path)
     if known is None:
-        suffixes = [known.suffix for known in formats()]
+        suffixes = [known.suffix for known in formats() if known.readable]
         meant = _meant(path, suffixes)
         raise FormatError(f"{path}: unknown suffix{meant}; nanogs reads {', '.join(suffixes)}.")
     return known

@@ -80,11 +80,10 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
             f"{path}: levels are described by a file called {' or '.join(NAMES.values())}; name"
             f" that, as in {path.parent / path.stem / streamed_sog.NAME}, or a folder."
         )
-    if (known := registry.find(path)) or path.suffix.lower() == ".html":
-        suffix = known.suffix if known else ".html"
+    if known := registry.find(path):
         raise OptionError(
-            f"{path} is the name of one {suffix} file, and levels are several: name a folder, as in"
-            f" {path.with_suffix('')}/ --format {suffix.lstrip('.')}."
+            f"{path} is the name of one {known.suffix} file, and levels are several: name a folder,"
+            f" as in {path.with_suffix('')}/ --format {known.suffix.lstrip('.')}."
         )
     if suffix is None:
         return Output(path, Layout.FILES)

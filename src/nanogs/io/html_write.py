@@ -1,0 +1,50 @@
+"""Writing a page, `.html`, that shows the model offline; mouse, touch and keys move it.
+
+The page is that of `nanogs view`: it holds the model as `.spz` and the viewer that draws it.
+"""
+
+from typing import BinaryIO
+
+from nanogs.io import limits
+from nanogs.splats import RenderMode, Splats
+
+SUFFIX = ".html"
+_MAX_DEGREE = 3  # that the viewer draws
+
+
+def check() -> None:
+    """Fail before any computing where the viewer is missing.
+
+    Raises:
+        OptionError: It is.
+    """
+    from nanogs.view.bundle import check_built
+
+    check_built()
+
+
+def write(splats: Splats, file: BinaryIO) -> None:
+    """Write the page.
+
+    Raises:
+        OptionError: This installation has no viewer.
+        OutputError: There is no splat, or one holds values that are not finite.
+        ModelError: The model is too large for a browser.
+    """
+    # Here and not above: a format is known by name before any page is made.
+    from nanogs.render.opening import opening_for
+    from nanogs.view.pack import pack
+    from nanogs.view.page import Shown, facts_of, render_page
+
+    check()
+    limits.refuse_unstorable(splats, SUFFIX)
+    start = opening_for(splats)
+    packed = pack(splats, start)
+    shown = Shown("Model", facts_of(len(splats), len(packed.data)), packed)
+    file.write(render_page([shown], start, (0.0, 0.0, 0.0)).encode("utf-8"))
+
+
+def losses(splats: Splats) -> tuple[str, ...]:
+    """What the page does not show of a model, one sentence each."""
+    found = limits.left_out(splats, SUFFIX, max_degree=_MAX_DEGREE)
+    return (*found, *limits.lost_mode(splats, SUFFIX, RenderMode.MIP))
