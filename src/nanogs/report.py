@@ -18,7 +18,7 @@ class StopReason(StrEnum):
     NO_CANDIDATES = "no_candidates"  # no pair is left whose cost is a number
     NO_PROGRESS = "no_progress"  # a pass merged nothing although candidates were left
     STEP = "step"  # the PSNR steps over what was asked: a hundredth less of the splats misses it
-    UNREACHED = "unreached"  # no smaller model reaches the asked PSNR; the whole one was delivered
+    UNREACHED = "unreached"  # 99 % of the splats miss the asked PSNR; the whole model was delivered
     PROBES = "probes"  # enough counts were tried; a smaller one may reach the asked PSNR too
 
     @property

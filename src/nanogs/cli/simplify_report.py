@@ -167,8 +167,8 @@ def stop_text(run: dict[str, Any]) -> str:
     """Why a result is not what was asked for, in one sentence."""
     if run["stop"] == StopReason.UNREACHED:
         return (
-            f"No smaller model reaches {run['asked_psnr']:g} dB{_nearest_text(run)}, so the whole"
-            f" one was written: {run['stop']}."
+            f"99 % of the splats do not reach {run['asked_psnr']:g} dB{_nearest_text(run)}, so the"
+            f" whole model was written: {run['stop']}."
         )
     if run["stop"] == StopReason.PROBES:
         return (

@@ -20,14 +20,14 @@ from nanogs.splats import Splats
 SPAN = 0.3  # dB above what is asked within which a result is near enough
 MOST_PROBES = 24
 GUESS = 0.1  # share of the splats to begin with
-TOLERANCE = 0.01  # share of a count that is next to it
+TOLERANCE = 0.01  # share of a count that is next to it, and of the splats that must be saved
 STEPS = 6  # counts that are tried below a step
 STRIDE = 0.05  # of its count, how far these are from each other
 PATIENCE = 6  # probes after which what is between two counts is halved as well
 USUAL_SLOPE = 3.0  # dB for e times the splats; trained scenes: 2 to 5
 SLOPES = 1.0, 10.0  # dB, between which a slope that was measured is believed
 LEAP = 3.0  # logarithm of the most that a count changes by where one side is open
-FAR = 0.7  # share of the splats beyond which all but one are tried at once
+FAR = 0.7  # share of the most beyond which that is tried at once
 HOPELESS = 6.0  # dB that a quick result may lack for the delivered one to be worth a probe
 
 Decode = Callable[[Splats], Splats]
@@ -65,7 +65,8 @@ def search_count(
     PSNR grows with the count but for small unevennesses, and nearly in a line over its logarithm.
     That line is followed to both sides of what is asked, and then between them; where it does not
     help, what is between is halved. Where the PSNR steps over the whole span, as another candidate
-    is chosen, some counts below the step are tried.
+    is chosen, some counts below the step are tried. A PSNR that takes more than 99 % of the splats
+    is out of reach: with all but a few, any can be had.
 
     Args:
         psnr_of: Measures the result of a count, dB.
@@ -79,8 +80,9 @@ def search_count(
     probes: list[ProbeReport] = []
     misses: _Probe = None
     reaches: _Probe = None
-    count = min(max(guess, fewest), available - 1)
-    while fewest < available:
+    most = available - max(1, round(TOLERANCE * available))
+    count = min(max(guess, fewest), most)
+    while fewest <= most:
         probe = ProbeReport(count, psnr_of(count), quick=quick)
         probes.append(probe)
         if probe.psnr < asked:
@@ -89,15 +91,15 @@ def search_count(
             reaches = probe
         if quick and abs(probe.psnr - asked) <= SPAN:
             return Found(count, tuple(probes), StopReason.TARGET)
-        if stop := _ending(misses, reaches, asked, fewest, available, len(probes)):
+        if stop := _ending(misses, reaches, asked, fewest, most, len(probes)):
             found = Found(reaches.count if reaches else available, tuple(probes), stop)
             return _below_step(psnr_of, found, asked, fewest, quick=quick)
         if misses and reaches:
             count = _between(misses, reaches, asked, len(probes))
         else:
-            count = _beyond(probes, asked, available, slope)
+            count = _beyond(probes, asked, most, slope)
         lowest = misses.count + 1 if misses else fewest
-        count = min(max(count, lowest), reaches.count - 1 if reaches else available - 1)
+        count = min(max(count, lowest), reaches.count - 1 if reaches else most)
     return Found(available, (), StopReason.UNREACHED)
 
 
@@ -128,14 +130,14 @@ def _is_step(misses: ProbeReport, reaches: ProbeReport, asked: float) -> bool:
 
 
 def _ending(
-    misses: _Probe, reaches: _Probe, asked: float, fewest: int, available: int, tried: int
+    misses: _Probe, reaches: _Probe, asked: float, fewest: int, most: int, tried: int
 ) -> StopReason | None:
     """Why the search ends, or None while it goes on."""
     if reaches and reaches.psnr <= asked + SPAN:
         return StopReason.TARGET
     if reaches and (reaches.count == fewest or (misses and _is_step(misses, reaches, asked))):
         return StopReason.STEP
-    if misses and misses.count == available - 1:
+    if misses and misses.count == most:
         return StopReason.UNREACHED
     if tried < MOST_PROBES:
         return None
@@ -151,16 +153,16 @@ def _between(misses: ProbeReport, reaches: ProbeReport, asked: float, tried: int
     return round(math.exp(low + share * (high - low)))
 
 
-def _beyond(probes: list[ProbeReport], asked: float, available: int, slope: float | None) -> int:
-    """A count along the line from the latest one; all but one splat where that leads far up."""
+def _beyond(probes: list[ProbeReport], asked: float, most: int, slope: float | None) -> int:
+    """A count along the line from the latest one; the most where that leads far up."""
     latest = probes[-1]
     if len(probes) > 1 or slope is None:
         slope = _slope(probes)
     lack = asked + SPAN / 2 - latest.psnr
     step = min(max(lack / slope, -LEAP), LEAP)
     count = round(latest.count * math.exp(step))
-    if step > 0 and count > FAR * available:
-        return available - 1
+    if step > 0 and count > FAR * most:
+        return most
     return count + (1 if step > 0 else -1) if count == latest.count else count
 
 
@@ -239,7 +241,7 @@ def _quick(build: Build) -> Build:
 
 
 def _hopeless(near: Found, asked: float) -> bool:
-    """Whether not even almost the whole model, quickly made, comes near what is asked."""
+    """Whether not even 99 % of the model, quickly made, come near what is asked."""
     return near.stop is StopReason.UNREACHED and (
         not near.probes or near.probes[-1].psnr < asked - HOPELESS
     )
