@@ -11,6 +11,7 @@ from nanogs.io.files import splat_bytes
 
 _PREPARED, _DRAWN = 45, 136  # a splat: as the rasteriser reads it, and as one view lists it
 _PICTURE, _KEPT = 90, 32  # a pixel: of the view at hand, and of each that is kept to compare with
+_PHOTO = 12  # a pixel of a photograph
 _PACKED = 160  # a splat on a page: packed, as text, and in the page
 _FITTED, _FITTING = 450, 1_900  # a splat of the original, and of the model that is fitted to it
 _FIT_KEPT = 8  # a pixel of each view that is fitted to
@@ -54,6 +55,11 @@ def compare_bytes(infos: Sequence[FileInfo], pixels: int, views: int, *, paged: 
 def pictures_bytes(pixels: int, views: int) -> int:
     """Views of the original to compare with, and the one at hand."""
     return pixels * (_PICTURE + _KEPT * views)
+
+
+def photographs_bytes(pixels: Sequence[int]) -> int:
+    """Photographs to compare with, of so many pixels each, and the view at hand."""
+    return _PHOTO * sum(pixels) + (_PICTURE + _KEPT) * max(pixels, default=0)
 
 
 def page_bytes(infos: Sequence[FileInfo]) -> int:

@@ -1,7 +1,6 @@
 """A comparison from file names: what `nanogs compare` does."""
 
 from collections.abc import Sequence
-from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from nanogs.errors import OptionError
 from nanogs.io import inspect, load
 from nanogs.io.atomic import atomic_write
 from nanogs.memory import allowed_memory, refuse_too_large
-from nanogs.needs import compare_bytes, pictures_bytes
+from nanogs.needs import compare_bytes, photographs_bytes
 from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.render.opening import Opening, opening_for
 from nanogs.render.source import AUTOMATIC, cameras_for
@@ -185,7 +184,7 @@ def photographs(
     pixels = [frame.camera.width * frame.camera.height for frame in frames]
     refuse_too_large(
         f"Comparing with {len(frames)} photographs",
-        sum(map(pictures_bytes, pixels, repeat(1))),
+        photographs_bytes(pixels),
         allowed_memory(max_memory),
         "free some, or use smaller photographs, as with --images images_4",
     )
