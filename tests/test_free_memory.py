@@ -448,3 +448,68 @@ def test_the_need_is_about_what_is_taken(tmp_path, given, need):
     run = [sys.executable, "-c", PEAK, "small.ply", *given]
     found = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert 0.5 < int(found.stdout.split()[-1]) / planned < 1.1
+
+
+# ---- what is said of blocks, and of what does not need them --------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "rendered", "reassigned"),
+    [
+        ({"preset": "default"}, True, True),
+        ({"preset": "default", "rounds": 0}, True, False),
+        ({"preset": "default", "measure": False}, False, False),
+        ({"preset": "fast"}, False, False),
+    ],
+)
+def test_the_report_of_blocks_says_what_was_done(scene, tmp_path, given, rendered, reassigned):
+    report = nanogs.simplify_blocks(
+        scene, tmp_path / "a.ply", ratio=0.1, block=30_000, threads=1, **given
+    )
+    notes = " ".join(report.notes)
+    assert ("nothing was rendered" in notes) == rendered
+    assert ("Expect less quality" in notes) == rendered
+    assert ("reassigned" in notes) == reassigned
+
+
+def test_a_plan_in_blocks_names_no_views(scene, tmp_path, little, capsys):
+    given = ["simplify", scene, tmp_path / "a.ply", "-r", "0.1", "--dry-run"]
+    assert command(*given) == 0
+    said = capsys.readouterr().err
+    assert "measure False" in said
+    assert "views" not in said
+    assert command(*given, "--json") == 0
+    parameters = json.loads(capsys.readouterr().out)["parameters"]
+    assert (parameters["measure"], parameters["recolour"]) == (False, False)
+
+
+def test_presets_that_render_nothing_fit_no_colours(capsys):
+    assert command("presets", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["fast"]["recolour"] is False
+
+
+@pytest.mark.parametrize("more", [[], ["--dry-run"]])
+def test_joined_parts_are_all_named_and_counted(scene, tmp_path, capsys, more):
+    other = tmp_path / "other.ply"
+    nanogs.save(make_scene(1000), other)
+    given = ["simplify", scene, other, tmp_path / "a.ply", "--join", "-r", "0.1", "--json"]
+    assert command(*given, "--preset", "fast", *more) == 0
+    run = json.loads(capsys.readouterr().out)
+    assert run["input"] == f"{scene}, {other}"
+    assert run["input_count"] == COUNT + 1000
+    if not more:
+        assert run["input_bytes"] == scene.stat().st_size + other.stat().st_size
+
+
+def test_too_little_for_chunks_is_refused_before_anything_is_read(
+    scene, tmp_path, monkeypatch, capsys
+):
+    def read(*_args, **_options):
+        raise AssertionError
+
+    monkeypatch.setattr("nanogs.scale.work.do", read)
+    monkeypatch.setattr("nanogs.scale.run.do", read)
+    given = ["lod", scene, tmp_path / "web" / "lod-meta.json", "--max-memory", "260MB"]
+    (tmp_path / "web").mkdir()
+    assert command(*given) == 2
+    assert "for chunks; a smaller --chunk takes less" in capsys.readouterr().err
