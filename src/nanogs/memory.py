@@ -25,12 +25,14 @@ _PLAIN = 70_000_000  # the same without Numba
 SHARE = 0.9  # of what is free is planned with: plans are off by up to a tenth, and others want some
 
 # Address space in bytes, measured (Linux, glibc, wheels of NumPy, SciPy and Numba): of one thread,
-# and for each further one, which has its stack and a reserve of the allocator, twice in OpenBLAS.
-_MAPPED, _MAPPED_THREAD = 520_000_000, 160_000_000
+# and for each further one: a stack and the allocator's reserve of 64 MiB each for Numba and for
+# SciPy's searches, and 40 MB each for the OpenBLAS of NumPy and of SciPy.
+_MAPPED, _MAPPED_THREAD = 595_000_000, 235_000_000
 _DATA, _DATA_THREAD = 190_000_000, 95_000_000  # the part of it that `ulimit -d` counts
 _PLAIN_MAPPED, _PLAIN_THREAD = 200_000_000, 45_000_000  # `ulimit -v`, without Numba
 _NUMPY, _NUMPY_THREAD = 130_000_000, 45_000_000  # what NumPy alone maps
 _BLAS_THREADS = 64  # at the most, as the wheels are built
+_UNFRAGMENTED = 0.8  # of address space: what is given back leaves gaps that are mapped all the same
 _UNLIMITED = 1 << 60  # control groups of version 1 say a little less than 2^63 where there is none
 
 
@@ -123,7 +125,9 @@ def free_memory(
         left = [limit - used for limit, used in _group_limits(proc, groups)]
         found += [Memory(least - coming, "free in this control group") for least in left]
     for limit, option, mapped in _ulimits(held.vms, getattr(held, "data", 0), compiled):
-        found.append(Memory(limit - mapped, f"left by `ulimit {option}`"))
+        rest = limit - mapped
+        usable = int(_UNFRAGMENTED * rest) if rest > 0 else rest
+        found.append(Memory(usable, f"left by `ulimit {option}`"))
     return min(found, key=lambda each: each.bytes)
 
 
