@@ -155,6 +155,16 @@ def test_a_level_equal_to_the_model_lacks_nothing(splats, tmp_path):
     assert json.loads((tmp_path / "l" / "levels.json").read_text())["levels"][0]["psnr"] is None
 
 
+def test_memory_that_is_enough_changes_nothing(scene, tmp_path):
+    given = ["--preset", "fast", "--levels", "0.5", "-q"]
+    for folder, more in (("a", []), ("b", ["--max-memory", "4GB"])):
+        result = run("lod", scene, tmp_path / folder, *given, *more)
+        assert result.returncode == 0, result.stderr
+    assert names(tmp_path / "a") == names(tmp_path / "b")
+    for name in names(tmp_path / "a"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
 def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
     result = run("lod", scene, tmp_path / "levels", "--dry-run")
     assert result.returncode == 0

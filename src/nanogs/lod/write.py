@@ -21,7 +21,7 @@ from nanogs.simplify.stages import levels_stages, measure_stage, write_weight
 from nanogs.simplify.target import target_count
 from nanogs.splats import Splats
 
-_NO_PARAMETERS = ("preset", "cameras", "nan", "threads")
+_NO_PARAMETERS = ("preset", "cameras", "nan", "threads", "max_memory")
 
 
 def write_levels(
