@@ -5,6 +5,7 @@ import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from tests.builders import random_splats
 
 import nanogs
 from nanogs import cleanup
+from nanogs.io import as_stored
 from nanogs.io.atomic import atomic_write
 from nanogs.io.folder import atomic_folder
 from nanogs.io.temporary import name_beside
@@ -213,6 +215,19 @@ def test_what_is_pending_is_done_in_reverse_and_once_it_is_done_no_more():
     assert done == [2, 1, 2, 1]
     cleanup.clean_all()
     assert done == [2, 1, 2, 1]
+
+
+def test_a_file_that_is_measured_leaves_nothing_when_the_run_is_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def ended(_path):
+        cleanup.clean_all()
+        assert contents(tmp_path) == []
+        return splats
+
+    splats = random_splats(5)
+    monkeypatch.setattr("nanogs.io.load", ended)
+    assert as_stored(splats, "a.splat") is splats
 
 
 def test_the_end_waits_for_what_is_not_to_be_disturbed(monkeypatch):

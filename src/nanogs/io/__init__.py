@@ -6,6 +6,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError
 from nanogs.io import atomic, registry
 from nanogs.io.file_objects import as_named, read_file, write_file
@@ -162,13 +163,11 @@ def as_stored(
     Raises:
         NanogsError: As for `save`.
     """
-    from tempfile import TemporaryDirectory
-
     known = registry.writable(Path(path))
     if known.suffix == ".ply" or not known.readable:
         return splats
-    with TemporaryDirectory(prefix="nanogs-") as folder:
-        file = Path(folder) / "model" / known.suffix
+    with temporary_folder("nanogs-") as folder:
+        file = folder / "model" / known.suffix
         if not known.write_folder:
             file = file.with_name(f"model{known.suffix}")
             file.parent.mkdir()

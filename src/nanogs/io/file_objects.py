@@ -8,9 +8,10 @@ import io
 import os
 import shutil
 from pathlib import Path
-from tempfile import SpooledTemporaryFile, TemporaryDirectory
+from tempfile import SpooledTemporaryFile
 from typing import Any, BinaryIO, cast
 
+from nanogs.cleanup import temporary_folder
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.sniff import sniff
@@ -37,8 +38,8 @@ def read_file(file: BinaryIO, format: str | None) -> Splats:  # noqa: A002 - as 
         OutputError: It cannot be copied.
     """
     _check_open(file, "read")
-    with TemporaryDirectory(prefix="nanogs-") as folder:
-        copy = Path(folder) / "stream"
+    with temporary_folder("nanogs-") as folder:
+        copy = folder / "stream"
         try:
             with copy.open("xb") as target:
                 shutil.copyfileobj(file, target)
