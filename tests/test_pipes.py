@@ -38,7 +38,7 @@ def scene(tmp_path_factory):
 
 def test_through_the_pipe_come_the_bytes_of_the_file(scene, tmp_path):
     options = ("--ratio", "0.1", "--preset", "fast")
-    piped = run("simplify", "-", "-", *options, data=scene.read_bytes())
+    piped = run("simplify", "-", "-", *options, "-v", data=scene.read_bytes())
     assert piped.returncode == 0
     run("simplify", scene, tmp_path / "a.ply", *options)
     assert piped.stdout == (tmp_path / "a.ply").read_bytes()
