@@ -134,6 +134,17 @@ def test_time_left_goes_by_the_fraction():
     assert watch.left() == pytest.approx(25, abs=0.5)
 
 
+def test_time_left_does_not_shrink_while_kernels_are_compiled():
+    watch = Watch()
+    watch._start -= 10
+    watch(Step("a", 1, 1, 1, 4, 0.25))
+    watch.note_compiling(True)
+    for moment in ("_start", "_told", "_since"):
+        setattr(watch, moment, getattr(watch, moment) - 20)  # seconds that compiling takes
+    watch.note_compiling(False)
+    assert watch.left() == pytest.approx(30, abs=0.5)
+
+
 def test_the_report_is_one_line(tmp_path):
     run = {
         "read_count": 500_000, "achieved_count": 50_000, "input_bytes": 76_000_000,

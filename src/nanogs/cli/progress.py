@@ -39,7 +39,8 @@ class Watch:
     compiling: bool = False
     _start: float = field(default_factory=time.monotonic)
     _told: float = 0.0  # when the latest step came
-    _compiled: float = 0.0  # seconds until then that went into compiling
+    _before: float = 0.0  # seconds until then that went into compiling
+    _compiled: float = 0.0  # seconds until now that did
     _since: float = 0.0  # when compiling began
     _waiting: bool = False
     changed: Callable[[], None] = lambda: None
@@ -49,7 +50,7 @@ class Watch:
         if step.stage == WAITING and not (self.quiet or self._waiting):
             warn("The cluster has no worker; waiting for one.")
         self._waiting = step.stage == WAITING
-        self.step, self._told = step, time.monotonic()
+        self.step, self._told, self._before = step, time.monotonic(), self._compiled
         self.changed()
 
     def of_file(self, number: int, files: int) -> "Callable[[Step], None]":
@@ -88,8 +89,9 @@ class Watch:
         if self.step is None or self.step.fraction < _SURE or self.compiling:
             return None
         fraction = self.step.fraction
-        worked = self._told - self._start - self._compiled
-        return max(worked * (1 - fraction) / fraction - (time.monotonic() - self._told), 0.0)
+        worked = self._told - self._start - self._before
+        since = time.monotonic() - self._told - (self._compiled - self._before)
+        return max(worked * (1 - fraction) / fraction - since, 0.0)
 
     def stage(self) -> str:
         """The stage, and which of how many it is."""
