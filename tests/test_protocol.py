@@ -79,9 +79,17 @@ def test_nothing_is_measured_where_nothing_is_rendered_unless_asked(scene, tmp_p
 
 
 def test_a_file_that_is_not_read_is_not_measured(scene, tmp_path):
-    result = run("simplify", scene, tmp_path / "a.usda", "-r", "0.1")
+    require_bundle()
+    result = run("simplify", scene, tmp_path / "a.html", "-r", "0.1")
     assert result.returncode == 0
     assert "not measured" in result.stderr
+
+
+def test_levels_that_are_not_read_are_not_measured(scene, tmp_path):
+    require_bundle()
+    made = said("lod", scene, tmp_path / "a", "--format", "html", "--levels", "0.1", "--measure")
+    assert made["notes"] == ["Nothing was measured: nanogs does not read .html files."]
+    assert made["protocol"] is None
 
 
 def test_nothing_is_learnt_from_the_views_that_judge():

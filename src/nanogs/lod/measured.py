@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nanogs.errors import FormatError, ModelError
+from nanogs.errors import ModelError
 from nanogs.frames import change_frame
-from nanogs.io import load
+from nanogs.io import load, registry
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, judged_level
 from nanogs.progress import Tracker
 from nanogs.splats import Splats
@@ -46,19 +46,31 @@ class LevelJudge:
         from nanogs.threads import use_threads
 
         with use_threads(self.threads):
-            try:
-                seen = load(path, level=level)
-                if self.turn:
-                    seen = change_frame(seen, self.turn[1], self.turn[0])
-                return judged_level(entry, self.views.judge(seen))
-            except FormatError:  # of a format that is only written
-                return entry
+            seen = load(path, level=level)
+            if self.turn:
+                seen = change_frame(seen, self.turn[1], self.turn[0])
+            return judged_level(entry, self.views.judge(seen))
 
 
 def level_judge(
-    splats: Splats, turn: tuple[str, str] | None, threads: int | None, progress: Tracker
+    splats: Splats,
+    suffix: str,
+    turn: tuple[str, str] | None,
+    threads: int | None,
+    progress: Tracker,
 ) -> LevelJudge:
-    """Render the model once, for all levels."""
+    """Render the model once, for all levels.
+
+    Args:
+        splats: The model.
+        suffix: Format of the levels' files.
+        turn: As `LevelJudge` has it, and so is `threads`.
+        threads: See there.
+        progress: Told of the views rendered.
+    """
+    known = registry.find(Path(f"level{suffix}"))
+    if known and not known.readable:
+        return LevelJudge(notes=(f"Nothing was measured: nanogs does not read {suffix} files.",))
     from nanogs.compare.held_out import held_out
     from nanogs.threads import use_threads
 

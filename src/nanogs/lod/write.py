@@ -77,7 +77,9 @@ def write_levels(
     tracker = Tracker(progress, stages)
     made = levels(splats, ratios, progress=tracker.passing(), **options)
     threads = options.get("threads")
-    judge = level_judge(splats, turn, threads, tracker) if measured else LevelJudge()
+    judge = LevelJudge()
+    if measured:
+        judge = level_judge(splats, suffix, turn, threads, tracker)
     with atomic_folder(folder, made_files, overwrite=overwrite) as temporary:
         out = writer(layout, temporary, chunk, plain=plain, suffix=suffix)
         for ratio in ratios:
