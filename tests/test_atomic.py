@@ -8,7 +8,7 @@ import stat
 import pytest
 
 from nanogs.cli.wording import wording
-from nanogs.errors import ExistsError, OutputError
+from nanogs.errors import ExistsError, OptionError, OutputError
 from nanogs.io.atomic import atomic_write, check_writable
 
 
@@ -66,6 +66,22 @@ def test_existing_target_names_the_argument_and_the_command_its_flag(target, che
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value)
     assert target.read_bytes() == b"old"
+
+
+@pytest.mark.parametrize(
+    ("python", "command"),
+    [
+        ("raise `max_memory`.", "raise --max-memory."),
+        ("`resume=True` continues it", "--resume continues it"),
+        ('leave them out with `nan="drop"`.', "leave them out with --nan drop."),
+        (
+            "fewer neighbours with `k`, and `ulimit -v`",
+            "fewer neighbours with --k, and `ulimit -v`",
+        ),
+    ],
+)
+def test_arguments_are_options_in_the_words_of_the_command(python, command):
+    assert wording(OptionError(python)) == command
 
 
 def test_target_that_appears_meanwhile_is_kept(target):

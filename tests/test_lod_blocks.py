@@ -353,9 +353,9 @@ def test_memory_bounds_blocks_and_files_of_chunks():
     assert max(large.memory, small.memory, plain.memory) <= 500_000_000
     assert plain.seconds < large.seconds
     assert plan(10**9, Chunks(TILES, 32_768, False)).block == plan(10**9, None).block
-    with pytest.raises(OptionError, match="a smaller --chunk"):
+    with pytest.raises(OptionError, match="a smaller `chunk`"):
         plan(300_000_000, Chunks(SOG, 32_768, False))
-    with pytest.raises(OptionError, match="a larger --chunk"):
+    with pytest.raises(OptionError, match="a larger `chunk`"):
         plan(500_000_000, Chunks(TILES, 100, False))
 
 

@@ -402,7 +402,7 @@ def test_a_job_is_not_mistaken_for_another(scene, tmp_path, monkeypatch):
     own, out = tmp_path / "scene.ply", tmp_path / "small.ply"
     own.write_bytes(scene.read_bytes())
     begin(own, out, monkeypatch)
-    with pytest.raises(OutputError, match="--resume continues it"):
+    with pytest.raises(OutputError, match="`resume=True` continues it"):
         nanogs.simplify_blocks(own, out, ratio=0.3, **SETTLED)
     with pytest.raises(OutputError, match="its segments, ratios, block differ"):
         nanogs.simplify_blocks(own, out, ratio=0.2, resume=True, **(SETTLED | {"block": 900}))
@@ -463,7 +463,7 @@ def test_a_full_disk_is_said_and_the_job_kept(scene, tmp_path, expected, monkeyp
 def test_a_disk_that_is_too_small_is_refused_at_once(scene, tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: usage._replace(free=1000))
-    with pytest.raises(OutputError, match="--scratch"):
+    with pytest.raises(OutputError, match="`scratch`"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, **FAST)
     assert names(tmp_path) == []
 

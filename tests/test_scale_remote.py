@@ -393,7 +393,7 @@ def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expec
     with pytest.raises(OutputError, match="exists already; pass overwrite=True"):
         nanogs.simplify_blocks(scene, out, resume=True, **GIVEN)
     assert (out.read_text(), records(out)) == ("mine", before)
-    with pytest.raises(OutputError, match="--resume continues it"):  # -w alone does not
+    with pytest.raises(OutputError, match="`resume=True` continues it"):  # -w alone does not
         nanogs.simplify_blocks(scene, out, overwrite=True, **GIVEN)
     other = GIVEN | {"ratio": 0.2}
     with pytest.raises(OutputError, match=r"its .*ratios.* differ"):

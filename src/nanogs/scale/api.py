@@ -234,5 +234,5 @@ def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None
     if plan.scratch > free:
         raise OutputError(
             f"The job takes about {bytes_text(plan.scratch)} of disk, and {place} has"
-            f" {bytes_text(free)} free; free some space, or name another place with --scratch."
+            f" {bytes_text(free)} free; free some space, or name another place with `scratch`."
         )

@@ -105,7 +105,7 @@ def _answering(scheduler: str) -> "Client":
         reason = type(error).__name__
     raise OptionError(
         f"No Dask scheduler answers at {scheduler!r} ({reason}); start one with `dask scheduler`,"
-        " or leave --scheduler out."
+        " or leave `scheduler` out."
     )
 
 

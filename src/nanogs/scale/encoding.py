@@ -49,7 +49,7 @@ class Encoding:
         if self.each == 0:
             return "."
         size = "larger" if self.described > self.file else "smaller"
-        return f" and {self.held(0) / 1e6:,.0f} MB for chunks; a {size} --chunk takes less."
+        return f" and {self.held(0) / 1e6:,.0f} MB for chunks; a {size} `chunk` takes less."
 
 
 NO_CHUNKS = Encoding()

@@ -35,7 +35,7 @@ def job_folder(output: Path, job: str | PathLike[str] | None) -> Path:
     except OSError as error:
         raise OutputError(
             f"The folder {folder} cannot be made ({error.strerror}), in which a job in blocks keeps"
-            " its files; name another one with --job."
+            " its files; name another one with `job`."
         ) from error
     return folder
 
@@ -97,7 +97,7 @@ def _take(file: BinaryIO, folder: Path) -> None:
             raise OSError
     except OSError:
         raise OutputError(
-            f"Another run is at work in {folder}; wait for it, or name another folder with --job."
+            f"Another run is at work in {folder}; wait for it, or name another folder with `job`."
         ) from None
 
 

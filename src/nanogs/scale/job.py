@@ -140,7 +140,7 @@ class BlockJob:
             return None
         if not resume:
             raise OutputError(
-                f"{self.folder} holds a job that was not finished; --resume continues it, or"
+                f"{self.folder} holds a job that was not finished; `resume=True` continues it, or"
                 " remove the folder to begin anew."
             )
         before, place = found

@@ -87,7 +87,7 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
     if most > settings.block + slack:
         raise OptionError(
             f"{most:,} splats lie in one place and cannot be divided into blocks of"
-            f" {settings.block:,}; raise --max-memory."
+            f" {settings.block:,}; raise `max_memory`."
         )
     return found
 

@@ -60,7 +60,7 @@ class ScalePlan:
         """
         if max_memory is not None and cost.memory > _room(max_memory):
             raise OptionError(
-                f"--max-memory must be at least {_least(cost.memory) / 1e6:,.0f} MB to unpack"
+                f"`max_memory` must be at least {_least(cost.memory) / 1e6:,.0f} MB to unpack"
                 f" {cost.path}; raise it, or convert the file to .ply."
             )
         memory = max(self.memory, LIBRARIES + cost.memory if cost.memory else 0)
@@ -108,7 +108,7 @@ def plan_blocks(
         if block < _LEAST:
             least = _least(max(_LEAST * each, encoding.held(_LEAST)))
             raise OptionError(
-                f"--max-memory must be at least {least / 1e6:,.0f} MB for this model, of which"
+                f"`max_memory` must be at least {least / 1e6:,.0f} MB for this model, of which"
                 f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries{encoding.remedy()}"
             )
     segment = max(min(block, _SEGMENT), 1)

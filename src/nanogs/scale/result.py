@@ -41,7 +41,7 @@ def refuse_large(path: Path, count: int, row: int, max_memory: int | None) -> No
     if known.suffix != _STREAMED and max_memory is not None and 3 * count * row > max_memory:
         raise OptionError(
             f"{path}: only .ply is written block by block, and {count:,} splats are too many to be"
-            " held whole; name a .ply file, or raise --max-memory."
+            " held whole; name a .ply file, or raise `max_memory`."
         )
 
 

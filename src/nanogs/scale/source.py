@@ -87,7 +87,7 @@ def segments_of(inputs: Sequence[InputFile], rows: int) -> tuple[Segment, ...]:
             raise OptionError(
                 f"{file.path}: files of this kind are not read in parts, and this one is too large"
                 " to be read whole within the memory given; convert it to .ply, or raise"
-                " --max-memory."
+                " `max_memory`."
             )
         parts = -(-file.splats // rows)
         bounds = [file.splats * part // parts for part in range(parts + 1)]
@@ -115,8 +115,8 @@ def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None
         if settings.nan == "error":
             first = segment.start + int(np.argmin(finite))
             raise ModelError(
-                f"{file.path}: row {first} holds a NaN or an infinite value; --nan drop leaves"
-                " such splats out."
+                f"{file.path}: row {first} holds a NaN or an infinite value; leave such"
+                ' splats out with `nan="drop"`.'
             )
         splats = splats.take(finite)
     return _with_layout(splats, settings.layout)

@@ -225,7 +225,7 @@ class Table:
             count = self._file.readinto(left)  # type: ignore[attr-defined]
             if not count:
                 raise FormatError(
-                    f"{self.record.name}.bin of the job was cut short; --resume mends it."
+                    f"{self.record.name}.bin of the job was cut short; `resume=True` mends it."
                 )
             left = left[count:]
 

@@ -88,7 +88,7 @@ class Work:
             if found is None:
                 raise OutputError(
                     f"{name} of the job is not in {self.scratch.place}; workers and caller must"
-                    " see the same files there, name such a place with --scratch."
+                    " see the same files there, name such a place with `scratch`."
                 )
             self.known[name] = found
         return self.known[name]

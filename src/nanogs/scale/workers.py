@@ -25,7 +25,7 @@ from nanogs.threads import use_threads
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-KEPT = "the job is kept, --resume continues it"
+KEPT = "the job is kept, `resume=True` continues it"
 _LOOK = 1.0  # seconds between looks at the cluster
 _ANSWER = 10  # seconds for a scheduler to say who its workers are
 _SILENT = 30.0  # seconds after which one that says nothing is lost

@@ -199,7 +199,7 @@ def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
         first = int(np.flatnonzero(~finite)[0])
         raise ModelError(
             f"{len(splats) - len(rows)} splats hold a NaN or an infinite value, the first in row "
-            f'{first}; leave them out with nan="drop" (--nan drop).'
+            f'{first}; leave them out with `nan="drop"`.'
         )
     return rows
 
