@@ -105,7 +105,7 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
     model = random_splats(40)
     nanogs.save(model, scene)
     info = run("info", scene, TERM="xterm-256color")
-    small = run("simplify", scene, tmp_path / "b.ply", "-r", "0.5", "--preset", "fast")
+    small = run("simplify", scene, tmp_path / "b.ply", "-r", "0.5", "--preset", "fast", "-v")
     for text in (info.stdout, small.stderr):
         assert "\x1b" not in text
         assert str(scene) in text
