@@ -180,7 +180,7 @@ def test_bad_rows_are_reported(tmp_path):
     nanogs.save(splats, tmp_path / "scene.ply")
     result = run("simplify", tmp_path / "scene.ply", tmp_path / "small.ply", "-r", "0.1")
     assert result.returncode == 0
-    assert "1 splats hold a NaN" in result.stderr
+    assert "1 splat holds a NaN" in result.stderr
     refused = run(
         "simplify", tmp_path / "scene.ply", tmp_path / "x.ply", "-r", "0.1", "--nan", "error"
     )

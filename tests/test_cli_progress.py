@@ -15,7 +15,7 @@ import nanogs
 from nanogs.cli import progress
 from nanogs.cli.progress import Watch, shown
 from nanogs.cli.simplify_report import summary
-from nanogs.formatting import sizes_text, time_text
+from nanogs.formatting import counted, sizes_text, time_text
 from nanogs.kernels import compiling
 from nanogs.progress import WAITING, Stage, Step, Tracker
 
@@ -184,6 +184,13 @@ def test_a_terminal_of_few_characters_gets_a_plain_arrow(tmp_path):
 )
 def test_sizes(before, after, text):
     assert sizes_text(before, after, "→") == text
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(0, "0 splats hold"), (1, "1 splat holds"), (2000, "2,000 splats hold")]
+)
+def test_one_is_no_plural(count, text):
+    assert counted(count, "splat holds", "splats hold") == text
 
 
 @pytest.mark.parametrize(

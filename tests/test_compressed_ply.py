@@ -252,7 +252,7 @@ def test_infinite_opacities_and_zero_scales_survive_as_far_as_the_format_goes(tm
 def test_what_is_no_number_is_refused_before_a_byte_is_written(tmp_path, field):
     model = random_splats(3)
     getattr(model, field)[1] = np.nan
-    words = "1 splats hold NaN or infinite values, the first in row 1"
+    words = "1 splat holds NaN or infinite values, the first in row 1"
     with pytest.raises(OutputError, match=words):
         io.save(model, tmp_path / "a.compressed.ply")
     assert list(tmp_path.iterdir()) == []

@@ -131,10 +131,10 @@ def test_what_is_left_out_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("column", "value", "said"),
     [
-        ("means", np.nan, "1 splats hold NaN or infinite values, the first in row 2"),
-        ("log_scales", 100.0, "1 splats hold NaN or infinite values, the first in row 2"),
+        ("means", np.nan, "1 splat holds NaN or infinite values, the first in row 2"),
+        ("log_scales", 100.0, "1 splat holds NaN or infinite values, the first in row 2"),
         ("log_scales", -3e38, "log-scales beyond ±1e\\+18, the first in row 2"),
-        ("sh", 1e30, "1 splats hold colour coefficients or log-scales beyond .*write .ply"),
+        ("sh", 1e30, "1 splat holds colour coefficients or log-scales beyond .*write .ply"),
     ],
 )
 def test_what_cannot_be_stored_is_refused_before_anything_is_written(

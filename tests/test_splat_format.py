@@ -155,7 +155,7 @@ def test_losses_are_said(tmp_path):
 def test_unstorable_models_are_refused(saved, tmp_path):
     model = random_splats(3, degree=0)
     model.sh[1] = np.nan
-    with pytest.raises(OutputError, match="1 splats hold NaN"):
+    with pytest.raises(OutputError, match="1 splat holds NaN"):
         saved(model)
     with pytest.raises(OutputError, match="no splats"):
         saved(model.take(np.zeros(0, np.int64)))

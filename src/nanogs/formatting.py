@@ -12,6 +12,11 @@ def number_text(value: float | None, digits: int = 2) -> str:
     return "∞" if math.isinf(value) else f"{value:,.{digits}f}"
 
 
+def counted(count: int, one: str, more: str) -> str:
+    """A number and what it is of: "1 splat holds", "2,000 splats hold"."""
+    return f"{count:,} {one if count == 1 else more}"
+
+
 def bytes_text(count: int | None) -> str:
     """Bytes in the unit that fits: 1,500,000 becomes 1.5 MB; a dash for none."""
     if count is None:

@@ -10,7 +10,7 @@ from rich.table import Table
 from nanogs.cli.console import arrow, err, key_value_table, print_json, say, show, warn
 from nanogs.cli.filtering import report_filters
 from nanogs.compare.protocol import Judged, Protocol
-from nanogs.formatting import bytes_text, number_text, sizes_text, time_text
+from nanogs.formatting import bytes_text, counted, number_text, sizes_text, time_text
 from nanogs.io import FileInfo
 from nanogs.memory import LIBRARIES
 from nanogs.report import StopReason
@@ -191,7 +191,9 @@ def warn_of_input(run: dict[str, Any]) -> None:
     for note in run["notes"]:
         warn(note)
     if run["dropped_nonfinite"]:
-        warn(f"{run['dropped_nonfinite']:,} splats hold a NaN or infinite value and were left out.")
+        dropped = counted(run["dropped_nonfinite"], "splat holds", "splats hold")
+        left = "was" if run["dropped_nonfinite"] == 1 else "were"
+        warn(f"{dropped} a NaN or infinite value and {left} left out.")
 
 
 def print_report(run: dict[str, Any], *, verbose: bool) -> None:
@@ -209,7 +211,7 @@ def summary(run: dict[str, Any]) -> str:
     """Such as "500,000 → 50,000 splats, 76.0 → 1.2 MB, 6 s", with the PSNR where it is known."""
     to = arrow()
     parts = [
-        f"{run['read_count']:,} {to} {run['achieved_count']:,} splats",
+        f"{run['read_count']:,} {to} {counted(run['achieved_count'], 'splat', 'splats')}",
         sizes_text(run["input_bytes"], run["output_bytes"], to),
         _judged_text(run),
         time_text(run["total_seconds"]),

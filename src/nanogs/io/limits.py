@@ -7,6 +7,7 @@ import numpy as np
 
 from nanogs._types import Bool
 from nanogs.errors import OutputError
+from nanogs.formatting import counted
 from nanogs.io import render_tag
 from nanogs.io.columns import NORMALS
 from nanogs.io.findings import Finding, Names
@@ -26,9 +27,9 @@ def refuse_unstorable(splats: Splats, suffix: str) -> None:
         good = splats.finite() & np.isfinite(splats.means.astype(np.float32)).all(axis=1)
     if not good.all():
         raise OutputError(
-            f"{int((~good).sum()):,} splats hold NaN or infinite values, the first in row"
-            f" {int(np.argmin(good))}, which {suffix} has no code for; leave them out with"
-            " `nanogs simplify --ratio 1`."
+            f"{counted(int((~good).sum()), 'splat holds', 'splats hold')} NaN or infinite values,"
+            f" the first in row {int(np.argmin(good))}, which {suffix} has no code for; leave"
+            " such splats out with `nanogs simplify --ratio 1`."
         )
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from nanogs._types import F32, F64, I64, U8, U16, U64, Array
 from nanogs._version import __version__
 from nanogs.errors import OutputError
+from nanogs.formatting import counted
 from nanogs.io import limits, sog_meta
 from nanogs.io.codebook import codebook, nearest
 from nanogs.io.folder import atomic_folder
@@ -136,9 +137,9 @@ def _refuse_unstorable(splats: Splats) -> None:
     good &= (np.abs(scales) <= _FARTHEST).all(axis=1)
     if not good.all():
         raise OutputError(
-            f"{int((~good).sum()):,} splats hold colour coefficients or log-scales beyond"
-            f" ±{_FARTHEST:g}, the first in row {int(np.argmin(good))}, and .sog cannot hold them"
-            " beside usual ones; correct them, or write .ply."
+            f"{counted(int((~good).sum()), 'splat holds', 'splats hold')} colour coefficients or"
+            f" log-scales beyond ±{_FARTHEST:g}, the first in row {int(np.argmin(good))}, and"
+            " .sog cannot hold them beside usual ones; correct them, or write .ply."
         )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from nanogs._types import I32
 from nanogs.errors import ModelError
+from nanogs.formatting import counted
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport, StageClock, StopReason
@@ -198,8 +199,8 @@ def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
     if nan == "error" and len(rows) < len(splats):
         first = int(np.flatnonzero(~finite)[0])
         raise ModelError(
-            f"{len(splats) - len(rows)} splats hold a NaN or an infinite value, the first in row "
-            f'{first}; leave them out with `nan="drop"`.'
+            f"{counted(len(splats) - len(rows), 'splat holds', 'splats hold')} a NaN or an infinite"
+            f' value, the first in row {first}; leave them out with `nan="drop"`.'
         )
     return rows
 
