@@ -151,6 +151,10 @@ def test_the_report_is_one_line(tmp_path):
         "output_bytes": 1_200_000, "judged": None, "total_seconds": 6.2,
     }  # fmt: skip
     assert summary(run).replace("->", "→") == "500,000 → 50,000 splats, 76.0 → 1.2 MB, 6 s"
+    packed = run | {"input": "a.sog", "output": "b.ply", "input_bytes": 1_100_000}
+    assert ", 1.1 → 1.2 MB (.sog → .ply), 6 s" in summary(packed).replace("->", "→")
+    same = packed | {"input": "stdin"}
+    assert ", 1.1 → 1.2 MB, 6 s" in summary(same).replace("->", "→")
     protocol = {"views": 12, "pixels": (512, 512)}
     run["judged"] = {"psnr": 33.1, "ssim": 0.9, "protocol": protocol}
     assert ", 33.10 dB on 12 held-out views of 512 pixels, 6 s" in summary(run)

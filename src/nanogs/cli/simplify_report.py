@@ -11,7 +11,7 @@ from nanogs.cli.console import arrow, err, key_value_table, print_json, say, sho
 from nanogs.cli.filtering import report_filters
 from nanogs.compare.protocol import Judged, Protocol
 from nanogs.formatting import bytes_text, counted, number_text, sizes_text, time_text
-from nanogs.io import FileInfo
+from nanogs.io import FileInfo, registry
 from nanogs.memory import LIBRARIES
 from nanogs.report import StopReason
 from nanogs.scale.plan import can_do_without_renders, in_blocks
@@ -212,11 +212,20 @@ def summary(run: dict[str, Any]) -> str:
     to = arrow()
     parts = [
         f"{run['read_count']:,} {to} {counted(run['achieved_count'], 'splat', 'splats')}",
-        sizes_text(run["input_bytes"], run["output_bytes"], to),
+        sizes_text(run["input_bytes"], run["output_bytes"], to) + _formats_text(run, to),
         _judged_text(run),
         time_text(run["total_seconds"]),
     ]
     return ", ".join(part for part in parts if part)
+
+
+def _formats_text(run: dict[str, Any], to: str) -> str:
+    """Why fewer splats may take more bytes: such as " (.sog → .ply)"."""
+    if run["output_bytes"] <= run["input_bytes"]:
+        return ""
+    known = [registry.find(Path(run[end])) for end in ("input", "output")]
+    names = [each.suffix for each in known if each]
+    return f" ({names[0]} {to} {names[1]})" if len(set(names)) == 2 else ""
 
 
 def _print_details(run: dict[str, Any]) -> None:
