@@ -1,9 +1,8 @@
 """`nanogs lod`."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -11,11 +10,7 @@ from nanogs.cli import blocks, file_options, method, options
 from nanogs.cli.importing import uncollected
 from nanogs.defaults import CHUNK, PATIENCE
 from nanogs.errors import OptionError
-from nanogs.simplify.presets import DEFAULT_PRESET, parameters, renders
-
-if TYPE_CHECKING:
-    from nanogs.cli.reading import Reading
-    from nanogs.cli.simplify_report import Plan
+from nanogs.simplify.presets import DEFAULT_PRESET, parameters
 
 
 def lod(
@@ -109,22 +104,19 @@ def lod(
     """
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
-        from nanogs.cli import framing, in_blocks, reading, too_large
-        from nanogs.cli.console import print_json, warn
-        from nanogs.cli.lod_run import print_levels, print_levels_plan, write_whole
-        from nanogs.cli.simplify_report import Plan
+        from nanogs.cli import framing, lod_request, reading, too_large
+        from nanogs.cli.console import print_json
+        from nanogs.cli.lod_run import print_levels
         from nanogs.io.collect import Pair
-        from nanogs.io.folder import check_folder_writable
-        from nanogs.lod.layout import check_options, made_files, output_of
+        from nanogs.lod.layout import check_options, output_of
         from nanogs.lod.levels import check_ratios
-        from nanogs.simplify.target import Goal, target_count
 
     overrides: dict[str, Any] = {
         "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,
         "refit": refit or None, "views": views, "tau": tau, "samples": samples, "seed": seed,
         "lambda_geo": lambda_geo, "merge_cap": merge_cap,
     }  # fmt: skip
-    # Whatever can be refused is refused here, before minutes of computing.
+    # Whatever can be refused is refused before minutes of computing.
     chosen = parameters(preset, overrides)
     ratios = options.parse_ratios(levels)
     check_ratios(ratios)
@@ -140,65 +132,24 @@ def lod(
         paths, max_memory, join=join, job=job, resume=resume, scratch=scratch,
         workers=workers, scheduler=scheduler, patience=patience,
     )  # fmt: skip
-    info = reading.inspect_parts(parts)
-    # A job sees to its output itself.
-    if not asked.is_begun(output.folder, overwrite=overwrite):
-        check_folder_writable(output.folder, made_files, overwrite=overwrite)
-    finest = target_count(info.splats, ratios[0], None)
-    encoding = in_blocks.levels_encoding(info, ratios, output, chunk, plain=plain)
-    measured = renders(chosen) if measure is None else measure
-    plan = Plan(
-        info, Goal(ratio=ratios[0]), finest, preset, chosen, encoding, measured=measured,
-        joined=asked.joined,
-    )  # fmt: skip
     given = {name: value for name, value in overrides.items() if value is not None}
     given |= {"preset": preset, "nan": nan.value, "chunk": chunk, "plain": plain}
-    given["layout"] = output.layout
-    if divided := asked.needed(plan, output.folder):
-        plan = replace(plan, divided=True)
-        too_large.refuse_other_files(output.suffix)
-        looks = views is not None or cameras != "auto" or up is not None
-        too_large.refuse_whole_model_wishes(
-            plan, asked, filtered=bool(read.filters), looks=looks, turned=bool(turn),
-            reduced=sh_degree is not None, measured=bool(measure),
-        )  # fmt: skip
-        in_blocks.warn_of_blocks(plan, asked, output.folder, quiet=quiet or json)
+    request = lod_request.Request(
+        parts=parts, output=output, ratios=ratios, preset=preset, chosen=chosen, reading=read,
+        blocks=asked, given=given | {"layout": output.layout}, turn=turn, measure=measure,
+        looks=views is not None or cameras != "auto" or up is not None, cameras=cameras,
+        up=direction, threads=threads, overwrite=overwrite, json=json, quiet=quiet,
+    )  # fmt: skip
+    plan = lod_request.plan_levels(request)
     if dry_run:
-        if read.filters:
-            plan = _filtered(plan, parts, read)
-        for note in [] if divided or json or quiet else asked.unused():
-            warn(note)
-        made_in = in_blocks.levels_plan(parts, output, ratios, asked, given) if divided else None
-        print_levels_plan(plan, output, ratios, made_in, json=json)
+        lod_request.show_levels_plan(request, plan)
         return
-    if divided:
-        run = in_blocks.levels_in_blocks(
-            parts, output, ratios, asked, threads, given | {"overwrite": overwrite},
-            quiet=quiet or json,
-        )  # fmt: skip
-    else:
-        asked.refuse_fitting(output.folder)
-        given |= {"threads": threads, "turn": turn, "max_memory": asked.max_memory}
-        given["measured"] = measured
-        run = write_whole(
-            plan, parts, read, output, ratios, overwrite, cameras, direction, given, quiet or json
-        )
-        run["notes"] = [*asked.unused(), *run["notes"]]
+    run = lod_request.make_levels(request, plan)
     if json:
         print_json(run)
     elif not quiet:
         print_levels(run, verbose=verbose)
     exit_if_short(run)
-
-
-def _filtered(plan: "Plan", parts: Sequence[Path], read: "Reading") -> "Plan":
-    """The plan for what filters leave, which only the splats tell."""
-    from nanogs.cli.reading import read_parts
-    from nanogs.simplify.target import target_count
-
-    splats = len(read.prepare(read_parts(parts)).splats)
-    count = target_count(splats, plan.goal.ratio, None)
-    return replace(plan, info=replace(plan.info, splats=splats), count=count)
 
 
 def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
