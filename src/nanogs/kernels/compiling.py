@@ -31,12 +31,6 @@ def watching(callback: Callable[[bool], None]) -> Iterator[None]:
         _watching.remove(callback)
 
 
-def say_nothing() -> None:
-    """Do not log in this process: the one that started it tells it."""
-    global _logged  # noqa: PLW0603
-    _logged = True
-
-
 def begin() -> None:
     """A kernel is being compiled."""
     global _running  # noqa: PLW0603
