@@ -9,7 +9,7 @@ from nanogs.progress import Progress, Step
 
 @contextmanager
 def drawn(progress: Progress | bool | None) -> Iterator[Progress | None]:
-    """What a call is to tell its steps to, for as long as it runs.
+    """The function that a call tells its steps to, for as long as it runs.
 
     Args:
         progress: As the library's functions take it: True draws a bar, False and None nothing; a
@@ -52,7 +52,7 @@ def _bar() -> Iterator[Progress]:
 
 
 def _sayer(say: Callable[[str], None]) -> Callable[[bool], None]:
-    """What is told of kernels that are compiled, which the next step overwrites."""
+    """A line about kernels being compiled, which the next step overwrites."""
 
     def told(begun: bool) -> None:
         if begun:

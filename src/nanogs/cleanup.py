@@ -1,4 +1,4 @@
-"""What must not be left behind when a process is ended in the middle of its work.
+"""Files and processes that must not outlive a run that is ended in the middle.
 
 An exception runs `finally` blocks; a signal that ends the process at once does not. So what they
 would do is also noted here, for the command to do before it ends (`nanogs.cli.cancel`).

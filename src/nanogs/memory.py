@@ -54,7 +54,7 @@ class Memory:
 
 
 def allowed_memory(max_memory: int | None, *, compiled: bool = True) -> Memory:
-    """What work may take: of the bytes allowed to a process, or of what is free.
+    """Bytes that work may take: of those allowed to a process, or of those that are free.
 
     Args:
         max_memory: Bytes that a process may take in all; None for what is free, less a tenth.

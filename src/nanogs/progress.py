@@ -94,7 +94,7 @@ class Tracker:
         return Tracker(lambda step: self.part(before + step.fraction, parts), stages)
 
     def passing(self) -> Progress:
-        """What a call is given whose stages are the next ones here."""
+        """A function for a call whose stages are the next ones here."""
 
         def told(step: Step) -> None:
             self._enter(step.stage)

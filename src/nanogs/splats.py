@@ -49,7 +49,7 @@ class ExtraElement:
         return len(self.rows) == count > 1
 
     def of_rows(self, rows: I64 | Bool | slice, count: int) -> "ExtraElement":
-        """What is left of it with some of `count` splats."""
+        """The element with the rows of some of `count` splats."""
         kept = pick(self.rows, rows) if self.is_per_splat(count) else self.rows
         return ExtraElement(self.name, kept)
 

@@ -200,7 +200,7 @@ def _run(
 
 @dataclass(slots=True)
 class _Observer:
-    """What the library calls while it measures; each row is a stage."""
+    """A function that the library calls while it measures; each row is a stage."""
 
     watch: "Watch"
     total: int

@@ -1,4 +1,4 @@
-"""What `nanogs COMMAND --help` shows at its end."""
+"""Examples, which `nanogs COMMAND --help` shows at its end."""
 
 EXAMPLES = {
     "simplify": (

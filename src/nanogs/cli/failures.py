@@ -1,4 +1,4 @@
-"""What a failure of the system means for the user: memory that ran out, names too long."""
+"""Failures of the system in words for the user: memory that ran out, names too long."""
 
 import re
 import traceback

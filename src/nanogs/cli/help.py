@@ -36,7 +36,7 @@ class Group(TyperGroup):
 
 
 def examples_text(lines: typing.Sequence[str]) -> str:
-    """What follows the options: each example on a line of its own."""
+    """The examples that follow the options, each on a line of its own."""
     return "\n\n".join(["Examples:", *(f"  {line}" for line in lines)])
 
 

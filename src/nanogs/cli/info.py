@@ -42,7 +42,7 @@ def info(
 
 
 def _described(path: Path, source: Path) -> "ModelInfo":
-    """What a file holds, called as the user calls it."""
+    """The contents of a file, called as the user calls it."""
     from nanogs.cli.streams import DASH
     from nanogs.model_info import info as describe
 

@@ -1,4 +1,4 @@
-"""What is asked of `nanogs lod`, once its options have been read: plan it, and do it."""
+"""The request to `nanogs lod`, once its options have been read: plan it, and do it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from nanogs.simplify.target import Goal, target_count
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What is asked.
+    """A request, as the options make it.
 
     Attributes:
         parts: The files of the model.

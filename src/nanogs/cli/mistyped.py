@@ -61,7 +61,7 @@ def _unknown_command(message: str, context: Any) -> str:  # noqa: ANN401
 
 
 def _bad_value(error: Any) -> str:  # noqa: ANN401
-    """What an option takes and what it was given; empty where that is not what is wrong."""
+    """Say what an option takes and what it was given; empty where something else is wrong."""
     param, message = getattr(error, "param", None), str(getattr(error, "message", ""))
     takes = next((word for sign, word in _TAKES if re.search(sign, message)), "")
     if param is None or not takes:

@@ -54,7 +54,7 @@ class Watch:
         self.changed()
 
     def of_file(self, number: int, files: int) -> "Callable[[Step], None]":
-        """What takes the steps of one of several files.
+        """A function that takes the steps of one of several files.
 
         Args:
             number: Of the file, from 1.

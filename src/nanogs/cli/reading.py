@@ -1,4 +1,4 @@
-"""What is done to a model before it is simplified: joined from parts, splats and bands left out."""
+"""Reading a model to be simplified: parts are joined, splats and bands left out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ class Prepared:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What is asked to be done.
+    """Changes to a model before it is simplified.
 
     Attributes:
         filters: To apply first.
@@ -78,7 +78,7 @@ class Reading:
 
 
 def inspect_parts(paths: Sequence[Path]) -> FileInfo:
-    """What the first file says, with the splats and bytes of all.
+    """The first file's description, with the splats and bytes of all.
 
     Raises:
         FormatError: A file cannot be read.
@@ -100,7 +100,7 @@ def parse_reading(
     sh_degree: int | None,
     psnr: float | None = None,
 ) -> Reading:
-    """What the options ask for.
+    """Make the changes that the options ask for.
 
     Raises:
         OptionError: One of them makes no sense, or a PSNR would be of another model.

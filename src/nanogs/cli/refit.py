@@ -120,7 +120,7 @@ def _refit_files(
 def _stages(
     original: Path, small: Path, target: Path, parameters: RefitParameters
 ) -> "list[Stage]":
-    """What comes: reading, the fit's own stages, writing."""
+    """The stages to come: reading, the fit's own ones, writing."""
     from nanogs.io import inspect
     from nanogs.progress import Stage
     from nanogs.refit.stages import refit_stages

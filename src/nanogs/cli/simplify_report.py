@@ -51,7 +51,7 @@ class Plan:
 
     @property
     def name(self) -> str:
-        """What the input is called."""
+        """Name the input."""
         return ", ".join(map(str, self.joined or (self.info.path,)))
 
     def method(self) -> Parameters:
@@ -179,7 +179,7 @@ def stop_text(run: dict[str, Any]) -> str:
 
 
 def _nearest_text(run: dict[str, Any]) -> str:
-    """What the largest of the counts that were tried has."""
+    """The PSNR of the largest count that was tried, in words."""
     if not run["probes"]:
         return ""
     most = max(run["probes"], key=itemgetter("count"))
@@ -267,7 +267,7 @@ def _asked_text(run: dict[str, Any]) -> str:
 
 
 def _judged_text(run: dict[str, Any]) -> str:
-    """What `nanogs compare` would say of the result, where that was measured."""
+    """The numbers that `nanogs compare` gives the result, where they were measured."""
     if run["judged"] is None:
         return ""
     judged = run["judged"]

@@ -208,7 +208,7 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
 def _judge(
     splats: Splats, pair: Pair, request: Request, progress: Tracker
 ) -> tuple[Judged | None, tuple[str, ...]]:
-    """What `nanogs compare` would say of the file, or why nothing can be measured."""
+    """The numbers that `nanogs compare` gives the file, or why nothing can be measured."""
     from nanogs.compare.held_out import judge_file
 
     frames = frames_of(pair, request.frames)
@@ -226,7 +226,7 @@ def _judge(
 
 
 def _stages(plan: Plan, request: Request, target: Path) -> list[Stage]:
-    """What comes: reading, filters, the method's own stages, writing."""
+    """The stages to come: reading, filters, the method's own ones, writing."""
     splats, suffix = plan.info.splats, target.suffix
     method = simplify_stages(plan.parameters, plan.goal, splats, plan.count, suffix)
     write = Stage("write", write_weight(suffix, plan.count or splats // 10))

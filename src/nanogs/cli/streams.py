@@ -130,6 +130,6 @@ def _suffix_of(source: Path) -> str:
 
 
 def names(pair: Pair) -> dict[str, str]:
-    """What a report calls the streams in place of files, if any."""
+    """The names that a report has for streams in place of files, if any."""
     called = {"input": (pair.source, "stdin"), "output": (pair.target, "stdout")}
     return {key: name for key, (path, name) in called.items() if path == DASH}

@@ -54,7 +54,7 @@ class Blocks:
         return process_memory(self.memory, self.given["workers"] or 1)
 
     def size_of_blocks(self, target: Path) -> tuple[int | None, int | None]:
-        """What decides the size of the blocks, as `block_memory` has it."""
+        """The memory that decides the size of the blocks, as `block_memory` takes it."""
         from nanogs.scale.api import block_memory
         from nanogs.scale.folder import job_folder
 

@@ -183,7 +183,7 @@ def compare_with_photographs(
 def protocol_of(
     views: Sequence[ReferenceView], kind: Kind, split: str | None, background: Background
 ) -> Protocol:
-    """What numbers on these views are to name; the arguments are `Protocol`'s."""
+    """The protocol of numbers on these views; the arguments are `Protocol`'s."""
     first = views[0].camera
     return Protocol(len(views), (first.width, first.height), kind, split, background)
 

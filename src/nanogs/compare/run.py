@@ -123,7 +123,7 @@ _LESS = "free some, or compare fewer or smaller views (--views, --pixels) or sma
 
 
 def _stages(models: int, views: int, page: bool | None, *, with_photos: bool) -> list[Stage]:
-    """What comes, for so many models; the page has a part to be moved, none, or is not made."""
+    """The stages to come, for so many models; the page has a 3D part, none, or is not made."""
     looking = Stage("photographs", views) if with_photos else Stage("render", views)
     stages = [Stage("read", 2.0 * models), looking, Stage("score", models * views)]
     stages += [Stage("encode", 3.0 * models)] if page else []

@@ -67,7 +67,7 @@ class Dataset:
         return frames
 
     def background(self, frames: Sequence[Frame]) -> tuple[float, float, float]:
-        """What its photographs are shown over by convention, RGB: white or black.
+        """The colour behind its photographs by convention, RGB: white or black.
 
         White for NeRF-Synthetic photographs with transparent parts, which models are trained on
         over white; black for all others.

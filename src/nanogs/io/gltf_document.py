@@ -220,7 +220,7 @@ class Document:
 
 
 def _decoded(buffer: Part, uri: bytes) -> bytes:
-    """What a `data:` URI holds."""
+    """Decode a `data:` URI."""
     head, comma, payload = uri.partition(b",")
     if not comma or not head.endswith(b";base64"):
         raise buffer.error("has a data: URI that is not in base64")

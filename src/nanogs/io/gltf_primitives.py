@@ -117,7 +117,7 @@ class Packed:
 
     @property
     def mode(self) -> RenderMode:
-        """What the SPZ data say of it."""
+        """The model's properties as the SPZ data have them."""
         return spz.render_mode(self.header)
 
     @property

@@ -45,6 +45,6 @@ def write(splats: Splats, file: BinaryIO) -> None:
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """What the page does not show of a model, one sentence each."""
+    """Name the parts of a model that the page does not show, one sentence each."""
     found = limits.left_out(splats, SUFFIX, max_degree=_MAX_DEGREE)
     return (*found, *limits.lost_mode(splats, SUFFIX, RenderMode.MIP))

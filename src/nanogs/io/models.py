@@ -7,7 +7,7 @@ from nanogs.errors import ModelError
 from nanogs.splats import Splats
 
 Model: TypeAlias = Splats | str | PathLike[str]
-"""What functions take that begin with a model: `Splats`, or a path that `load` reads."""
+"""Models as functions take them: `Splats`, or a path that `load` reads."""
 
 
 def as_splats(model: Model, name: str = "the model") -> Splats:

@@ -41,7 +41,7 @@ def reader(path: Path) -> Format:
 
 
 def _meant(path: Path, suffixes: Sequence[str]) -> str:
-    """What a file's name may have been meant to be, to follow it; empty where nothing is close."""
+    """Guess the name that a file was meant to have, to follow it; empty where none is close."""
     if path.suffix.lower() == ".json":  # somewhat like every name that ends so, and like .sog
         return did_you_mean(path.name, [s for s in suffixes if s.endswith(".json")], cutoff=0.85)
     return did_you_mean(path.suffix, suffixes)

@@ -153,7 +153,7 @@ def encoding(header: Header) -> str:
 
 
 def render_mode(header: Header) -> RenderMode:
-    """What the flags say of it."""
+    """The model's properties as the flags have them."""
     return RenderMode.MIP if header.flags & ANTIALIASED else RenderMode.DEFAULT
 
 

@@ -48,7 +48,7 @@ def temporary(target: Path, make: Callable[[Path], None]) -> Iterator[Path]:
 
 
 def left_beside(target: Path, suffix: str) -> Iterator[Path]:
-    """What killed runs have left beside a target; each is locked until the next is asked for."""
+    """Yield the files that killed runs left beside a target, each locked until the next."""
     if not fcntl:
         return
     for path in target.parent.glob(f"{_prefix(target)}*{suffix}"):

@@ -208,7 +208,7 @@ class _Legacy:
     def _next(
         self, data: bytes, start: int, storages: dict[str, Storage] | None = None
     ) -> tuple[Any, int]:
-        """What is in the pickle that begins at a place, and the place after it."""
+        """Read the pickle that begins at a place; its contents, and the place after it."""
         end = end_of_pickle(data, start)
         return unpickled(data[start:end], self._path, storages), end
 

@@ -56,7 +56,7 @@ class Storage(NamedTuple):  # and not a dataclass: a pickle could set the fields
 
 
 class Tensor(NamedTuple):
-    """What a file says of a tensor; `TorchFile.array` reads its numbers."""
+    """A tensor as its file describes it; `TorchFile.array` reads its numbers."""
 
     storage: Storage
     offset: int

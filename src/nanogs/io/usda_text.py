@@ -159,7 +159,7 @@ class _Parser:
             prim.values[words[-1].decode("utf-8", "replace")] = start, end
 
     def _read_metadata(self) -> None:
-        """What the layer says of itself; values in brackets are passed over."""
+        """Read the layer's own properties; values in brackets are passed over."""
         name = b""
         while (token := self._next()) != b")":
             if token == b"=":

@@ -34,7 +34,7 @@ class FileLevels:
         (self._folder / NAME).write_text(text + "\n", encoding="utf-8")
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
-        """What the files leave out of a model, one sentence each."""
+        """Name the parts of a model that the files leave out, one sentence each."""
         return losses(splats, level_name(0, self._suffix))
 
 

@@ -197,7 +197,7 @@ class _Telling:
 def _entry(
     done: "Done", folder: Path, level: int, ratio: float, report: SimplifyReport
 ) -> Level | ChunkedLevel:
-    """What the manifest says of a level."""
+    """The manifest's entry of a level."""
     if done.work.settings.chunks is None:
         return describe_level(folder / level_name(level), ratio, report)
     records = done.work.of_blocks("chunk", level)

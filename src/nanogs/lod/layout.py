@@ -102,7 +102,7 @@ class LevelWriter(Protocol):
         """Write what describes the folder."""
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
-        """What the files leave out of a model, one sentence each."""
+        """Name the parts of a model that the files leave out, one sentence each."""
 
 
 def check_options(layout: Layout, chunk: int | None, *, plain: bool) -> None:

@@ -196,7 +196,7 @@ class StreamedSog:
         (self._folder / NAME).write_text(text, encoding="utf-8")
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
-        """What the files leave out of a model, one sentence each."""
+        """Name the parts of a model that the files leave out, one sentence each."""
         from nanogs.io import sog_write
 
         return sog_write.losses(splats)

@@ -73,7 +73,7 @@ def _filled(folder: Path) -> Iterator[Path]:
 
 
 def _nothing_of(_folder: Path) -> None:
-    """What is not replaced."""
+    """Pictures that exist are not replaced."""
 
 
 def _render(

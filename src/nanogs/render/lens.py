@@ -56,7 +56,7 @@ class Lens:
         return bool((np.diff(radii * self._factor(radii)) <= 0).any())
 
     def _factor(self, radii: F64) -> F64:
-        """What it multiplies the distance from the axis with."""
+        """The factor of the distance from the axis."""
         base = np.arctan(radii) if self.fisheye else radii
         power = base * base
         factor = _polynomial(self.above, power) / _polynomial(self.below, power)

@@ -136,7 +136,7 @@ def block_memory(
     workers: int | None,
     elsewhere: object,
 ) -> tuple[int | None, int | None]:
-    """What decides the size of the blocks: the memory of a process, or a number of splats.
+    """The limit that decides the size of the blocks: memory of a process, or a number of splats.
 
     Args:
         max_memory: Bytes that each process may take, or None.

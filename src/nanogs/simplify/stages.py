@@ -58,12 +58,12 @@ def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) ->
 
 
 def level_stage(number: int) -> str:
-    """What the stage of a level is called, as its file is."""
+    """Name the stage of a level, as its file is named."""
     return f"level_{number}"
 
 
 def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
-    """What is done once for any count: the original is looked at, and its forest grown."""
+    """Stages done once for any count: the original is looked at, and its forest grown."""
     if isinstance(parameters, PaperParameters):
         return []  # it does all of it for each
     millions = splats / _MILLION
@@ -72,7 +72,7 @@ def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
 
 
 def delivery_stages(parameters: Parameters, splats: int, count: int) -> list[Stage]:
-    """What is done for each count."""
+    """Stages done for each count."""
     if isinstance(parameters, PaperParameters):
         return _published_stages(splats)
     all_of_them, left = splats / _MILLION, count / _MILLION
@@ -92,12 +92,12 @@ def _published_stages(splats: int) -> list[Stage]:
 
 
 def read_weight(splats: int) -> float:
-    """What it takes to read a file."""
+    """The stage of reading a file."""
     return 0.6 * splats / _MILLION
 
 
 def write_weight(suffix: str, splats: int) -> float:
-    """What it takes to write a file; SOG looks for a palette."""
+    """The stage of writing a file; SOG looks for a palette."""
     millions = splats / _MILLION
     return 1 + 25 * millions if suffix in (".sog", "meta.json") else 0.3 * millions
 

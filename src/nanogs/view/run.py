@@ -172,7 +172,7 @@ def _read(inputs: Sequence[tuple[str, Path]], level: int | None, tell: Parts) ->
 
 
 def _shown_info(path: Path, level: int | None) -> FileInfo:
-    """What a model says of itself, with the splats of the level that is shown."""
+    """A model's facts, with the splats of the level that is shown."""
     info, levels = inspect(path), level_counts(path)
     if not levels:
         return info
@@ -198,7 +198,7 @@ def _with_note(splats: Splats, levels: Sequence[int]) -> Splats:
 
 
 def _stages(models: int, views: int) -> list[Stage]:
-    """What comes, for so many models; measured on so many views, or none."""
+    """The stages to come, for so many models; measured on so many views, or none."""
     measuring = [Stage("render", views), Stage("score", views)] if views else []
     return [
         Stage("read", 2.0 * models), Stage("cameras", 1.0), *measuring,
