@@ -105,6 +105,22 @@ def test_a_run_that_is_cancelled_leaves_nothing(tmp_path, command, number):
             subprocess.run(["rm", "-r", path], check=True)
 
 
+LATE = """
+import os, signal
+from nanogs.cli.cancel import listen
+listen()
+class Late:
+    def __del__(self, kill=os.kill, process=os.getpid(), number=signal.SIGTERM):
+        kill(process, number)
+late = Late()  # it goes while Python ends
+"""
+
+
+@posix
+def test_a_request_to_stop_that_comes_when_all_is_done_changes_nothing():
+    assert subprocess.run([sys.executable, "-c", LATE]).returncode == 0
+
+
 @posix
 def test_workers_end_with_the_run_that_started_them(tmp_path):
     pytest.importorskip("distributed")

@@ -4,6 +4,7 @@ No exception is raised: one could be swallowed by whatever happens to run, in Nu
 one, or wait for threads to end.
 """
 
+import atexit
 import os
 import signal
 from collections.abc import Iterable
@@ -17,7 +18,12 @@ _CLEAR = b"\r\x1b[K\x1b[?25h"  # the line of a progress bar, which hides the cur
 
 
 def listen() -> None:
-    """Have requests to stop end the command; those that its caller ignores stay ignored."""
+    """Have requests to stop end the command; those that its caller ignores stay ignored.
+
+    They are ignored once the work is done: Python gives up its handlers as it ends, so that one
+    that comes then would make a failure of a run that has delivered.
+    """
+    atexit.register(_ignore)  # the first to be registered is called last
     for number in _requests():
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
@@ -29,9 +35,13 @@ def _requests() -> Iterable[signal.Signals]:
 
 
 def _stop(number: int, _frame: FrameType | None) -> None:
-    for other in _requests():
-        signal.signal(other, signal.SIG_IGN)
+    _ignore()
     when_undisturbed(partial(_end, number))
+
+
+def _ignore() -> None:
+    for number in _requests():
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _end(number: int) -> None:
