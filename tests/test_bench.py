@@ -5,6 +5,7 @@ import importlib.util
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 import types
@@ -29,6 +30,7 @@ from nanogs.bench.scenes import (
     parse_scene,
     scene_of_file,
     scene_views,
+    scenes_of_files,
 )
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.worker import Job, Outcome, peak_memory, run_job
@@ -381,6 +383,26 @@ def test_without_gsplat_there_is_no_figure(monkeypatch):
 
 
 # The command
+
+
+def test_a_folder_stands_for_its_models_and_a_model_in_a_folder_has_its_name(model, tmp_path):
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    for name in ("b.ply", "a.ply"):
+        shutil.copy(model, folder / name)
+    nanogs.save(random_splats(20), folder / "c" / "meta.json")
+    assert [scene.name for scene in scenes_of_files([folder, folder / "c"])] == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize("content", [None, b"no model"])
+def test_a_model_that_is_none_is_refused_before_anything_is_written(content, model, tmp_path):
+    wrong = tmp_path / "wrong.ply"
+    if content is not None:
+        wrong.write_bytes(content)
+    result = run("bench", model, wrong, "--out", tmp_path / "out")
+    assert result.returncode == 2
+    assert "wrong.ply" in result.stderr
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -30,6 +30,17 @@ def folder(tmp_path_factory):
     return place
 
 
+# Folders
+
+
+def test_a_folder_with_one_model_stands_for_it(folder, tmp_path):
+    small = tmp_path / "small.ply"
+    result = run("simplify", folder / "stream", small, "-n", "9", "--preset", "fast")
+    assert result.returncode == 0, result.stderr
+    assert len(nanogs.load(small)) == 9
+    assert_refused(run("simplify", folder, small, "-n", "9", "-w"), "holds 2 models; name one")
+
+
 # info
 
 

@@ -281,6 +281,9 @@ def test_options_for_blocks_that_have_no_effect_are_named(scene, tmp_path, capsy
     assert command(*given, "--json") == 0
     (note, *_rest) = json.loads(capsys.readouterr().out)["notes"]
     assert f"{option[0]} had no effect" in note
+    assert command(*given, "--json", "-w", "--max-memory", "4GB") == 0
+    (note, *_rest) = json.loads(capsys.readouterr().out)["notes"]
+    assert note.startswith("The model fits into --max-memory")
 
 
 # ---- whatever still runs out ------------------------------------------------------------------

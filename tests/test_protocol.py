@@ -82,7 +82,7 @@ def test_a_file_that_is_not_read_is_not_measured(scene, tmp_path):
     require_bundle()
     result = run("simplify", scene, tmp_path / "a.html", "-r", "0.1")
     assert result.returncode == 0
-    assert "not measured" in result.stderr
+    assert "not measured: nanogs does not read .html files." in result.stderr
 
 
 def test_levels_that_are_not_read_are_not_measured(scene, tmp_path):

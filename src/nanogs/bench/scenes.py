@@ -10,6 +10,8 @@ from nanogs.bench.rows import Against
 from nanogs.bench.settings import BenchSettings
 from nanogs.compare.protocol import BLACK, Background, background_text
 from nanogs.errors import FormatError, OptionError
+from nanogs.io import inspect
+from nanogs.io.collect import WHOLE_FOLDERS, collect
 from nanogs.render.camera import Camera
 from nanogs.splats import Splats
 
@@ -43,9 +45,22 @@ class BenchScene:
 
 
 def scene_of_file(path: str | Path) -> BenchScene:
-    """The scene of a model file, named after it up to the first dot."""
+    """The scene of a model file, named after it up to the first dot, or after its folder."""
     path = Path(path)
-    return BenchScene(path.name.split(".")[0], path)
+    folder = path.name in WHOLE_FOLDERS
+    return BenchScene(path.resolve().parent.name if folder else path.name.split(".")[0], path)
+
+
+def scenes_of_files(paths: Sequence[Path]) -> list[BenchScene]:
+    """The scenes of model files, and of the models in folders; the head of each file is read.
+
+    Raises:
+        NanogsError: A path is no model and holds none.
+    """
+    models = collect(paths)
+    for model in models:
+        inspect(model)
+    return [scene_of_file(model) for model in models]
 
 
 def parse_scene(text: str) -> BenchScene:

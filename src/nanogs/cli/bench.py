@@ -140,9 +140,9 @@ def _methods(names: str | None, ablations: bool) -> tuple[str, ...]:
 def _scenes(
     models: list[Path], named: list[str], datasets: list[str], pattern: str | None
 ) -> "list[BenchScene]":
-    from nanogs.bench.scenes import TRAINED_MODEL, parse_dataset, parse_scene, scene_of_file
+    from nanogs.bench.scenes import TRAINED_MODEL, parse_dataset, parse_scene, scenes_of_files
 
-    scenes = [scene_of_file(model) for model in models]
+    scenes = scenes_of_files(models)
     scenes += [parse_scene(text) for text in named]
     for text in datasets:
         scenes += parse_dataset(text, pattern or TRAINED_MODEL)

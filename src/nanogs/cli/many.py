@@ -16,7 +16,7 @@ from nanogs.cli.progress import Watch, shown
 from nanogs.cli.streams import DASH, Streams, names
 from nanogs.cli.wording import wording
 from nanogs.errors import NanogsError, OptionError, OutputError
-from nanogs.io.collect import Pair, collect, pair_up
+from nanogs.io.collect import Pair, collect, model_in, pair_up
 from nanogs.progress import Progress
 
 
@@ -41,7 +41,7 @@ def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> l
             f"Give IN and OUT, or several inputs and --out-dir FOLDER; these are {len(paths)}"
             " paths without it."
         )
-    return [Pair(*paths)]
+    return [Pair(model_in(paths[0]), paths[1])]
 
 
 def run_all(

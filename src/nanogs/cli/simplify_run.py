@@ -220,7 +220,10 @@ def _judge(
             threads=request.given["threads"],
             tell=progress.part,
         )
-    except (ModelError, FormatError) as error:
+    except (ModelError, FormatError):
+        known = registry.find(pair.target)
+        if known is not None and not known.readable:
+            error = FormatError(f"nanogs does not read {known.suffix} files.")
         return None, (f"The result was not measured: {error}",)
     return judged, ()
 

@@ -81,6 +81,8 @@ class Blocks:
         found = " and ".join(option for option, value in named.items() if value)
         if not found:
             return []
+        if self.max_memory is not None:
+            return [f"The model fits into --max-memory and needs no blocks: {found} had no effect."]
         note = (
             "The model fits into memory, so it is simplified in one process and not in blocks:"
             f" {found} had no effect; --max-memory makes blocks."

@@ -10,7 +10,7 @@ from nanogs.io import registry
 
 FILES = "levels.json"
 # A folder with one of these is a model itself.
-_WHOLE_FOLDERS = (registry.LEVELS, registry.TILESET, "meta.json")
+WHOLE_FOLDERS = (registry.LEVELS, registry.TILESET, "meta.json")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ def _matches(path: Path) -> list[Path]:
 def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
-    for name in _WHOLE_FOLDERS:
+    for name in WHOLE_FOLDERS:
         if (path / name).is_file():
             return [path / name]
     inside = [file for file in sorted(path.iterdir()) if file.is_file() and _readable(file)]
