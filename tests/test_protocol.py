@@ -2,13 +2,18 @@
 
 import json
 from dataclasses import asdict
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import nanogs
+from nanogs.cli.simplify_run import _judge
 from nanogs.compare.held_out import held_out
 from nanogs.compare.protocol import Protocol
 from nanogs.datasets.synthetic import make_scene
+from nanogs.errors import ModelError
+from nanogs.io.collect import Pair
 from nanogs.render.views import automatic_cameras
 from nanogs.simplify.visibility import look
 from test_cli import run
@@ -83,6 +88,17 @@ def test_a_file_that_is_not_read_is_not_measured(scene, tmp_path):
     result = run("simplify", scene, tmp_path / "a.html", "-r", "0.1")
     assert result.returncode == 0
     assert "not measured: nanogs does not read .html files." in result.stderr
+
+
+def test_a_result_that_cannot_be_measured_says_why(monkeypatch):
+    def unseen(*_arguments, **_options):
+        raise ModelError("Nothing is visible.")
+
+    monkeypatch.setattr("nanogs.compare.held_out.judge_file", unseen)
+    request = SimpleNamespace(frames=None, given={"threads": 1})
+    pair, progress = Pair(Path("a.ply"), Path("b.ply")), SimpleNamespace(part=None)
+    notes = ("The result was not measured: Nothing is visible.",)
+    assert _judge(make_scene(10), pair, request, progress) == (None, notes)
 
 
 def test_levels_that_are_not_read_are_not_measured(scene, tmp_path):

@@ -211,6 +211,9 @@ def _judge(
     """The numbers that `nanogs compare` gives the file, or why nothing can be measured."""
     from nanogs.compare.held_out import judge_file
 
+    known = registry.find(pair.target)
+    if known is not None and not known.readable:
+        return None, (f"The result was not measured: nanogs does not read {known.suffix} files.",)
     frames = frames_of(pair, request.frames)
     try:
         judged = judge_file(
@@ -220,10 +223,7 @@ def _judge(
             threads=request.given["threads"],
             tell=progress.part,
         )
-    except (ModelError, FormatError):
-        known = registry.find(pair.target)
-        if known is not None and not known.readable:
-            error = FormatError(f"nanogs does not read {known.suffix} files.")
+    except (ModelError, FormatError) as error:
         return None, (f"The result was not measured: {error}",)
     return judged, ()
 
