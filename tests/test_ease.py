@@ -10,6 +10,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
+from nanogs.formatting import bytes_text
 from nanogs.io import check_writable, level_counts
 from nanogs.view.run import view_files
 from test_cli import assert_refused
@@ -112,6 +113,18 @@ def test_view_takes_two_models(folder, tmp_path):
     assert_refused(run("view", *three, "-o", tmp_path / "x.html"), "one model or two")
 
 
+def bytes_of(*paths):
+    return sum(path.stat().st_size for path in paths)
+
+
+def test_a_converted_level_has_the_bytes_of_its_own_files(folder, tmp_path):
+    tiles = folder / "tiles" / "tileset.json"
+    result = run("convert", tiles, tmp_path / "c.ply", "--level", "3", "--json")
+    assert result.returncode == 0, result.stderr
+    [tile] = tiles.parent.glob("3_*.glb")
+    assert json.loads(result.stdout)["input_bytes"] == bytes_of(tiles, tile)
+
+
 def test_view_shows_a_level_that_suits_a_page(folder, tmp_path, monkeypatch):
     require_bundle()
     stream = folder / "stream" / "lod-meta.json"
@@ -123,6 +136,10 @@ def test_view_shows_a_level_that_suits_a_page(folder, tmp_path, monkeypatch):
 
     assert shown().splats == 200
     assert shown(2).splats == 40
+    assert shown(2).input_bytes == bytes_of(stream, *stream.parent.glob("2_0/*"))
+    assert shown().input_bytes == bytes_of(stream, *stream.parent.glob("0_0/*"))
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert f'"{bytes_text(shown().input_bytes)}"' in text
     monkeypatch.setattr("nanogs.view.run.PAGE_SPLATS", 150)
     assert shown().splats == 100
     assert any("--level 0" in note for note in shown().notes)

@@ -13,7 +13,7 @@ import nanogs
 from builders import random_splats
 from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
-from nanogs.io.sog_levels import read_level
+from nanogs.io.sog_levels import read as read_level
 from nanogs.lod import blocks_folder
 from nanogs.lod.cells import divide
 from nanogs.lod.in_blocks import write_levels_in_blocks

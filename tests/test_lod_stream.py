@@ -22,7 +22,7 @@ from conftest import scene_path
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.folder import atomic_folder
-from nanogs.io.sog_levels import read_level
+from nanogs.io.sog_levels import read as read_level
 from nanogs.lod.boxes import box_around
 from nanogs.lod.cells import LEAF, divide
 from nanogs.lod.layout import Layout, made_files, output_of

@@ -14,7 +14,7 @@ from conftest import scene_path
 from damage import outcome
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
-from nanogs.io.sog_levels import read_level
+from nanogs.io.sog_levels import read as read_level
 from nanogs.splats import RenderMode
 from strategies import assert_same
 from test_convert import run

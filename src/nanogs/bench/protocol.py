@@ -17,7 +17,7 @@ from nanogs.bench.worker import Job, run_job
 from nanogs.cleanup import temporary_folder
 from nanogs.compare.scoring import EXTRA_METRICS, score
 from nanogs.errors import NanogsError, OptionError
-from nanogs.io import load
+from nanogs.io import inspect, load
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import PreparedSplats, prepare, render
 from nanogs.simplify.target import target_count
@@ -129,7 +129,7 @@ def _original_row(
     row = replace(
         _empty_row(scene, ORIGINAL, 1.0),
         splats=len(splats),
-        file_bytes=scene.model.stat().st_size,
+        file_bytes=inspect(scene.model).file_bytes,
         views=len(views.views),
         notes=(*views.notes, *splats.notes),
     )

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from nanogs.cli.framing import Frames
 from nanogs.filters import Filter, apply
 from nanogs.formatting import sizes_text, time_text
 from nanogs.frames import change_frame
-from nanogs.io import bytes_on_disk, inspect, level_counts, load, losses, registry, save
+from nanogs.io import bytes_on_disk, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import StageClock
@@ -42,9 +42,7 @@ def refuse_too_large(pair: Pair, level: int, max_memory: int | None) -> None:
     Raises:
         NotEnoughMemoryError: It takes more.
     """
-    info, levels = inspect(pair.source), level_counts(pair.source)
-    if levels:
-        info = replace(info, splats=levels[min(level, len(levels) - 1)])
+    info = inspect(pair.source, level=level)
     known = registry.find(pair.target)
     compiled = known is not None and known.suffix == ".sog"
     memory.refuse_too_large(
@@ -75,7 +73,8 @@ def convert_file(
     progress.begin("read")
     with clock.time("read"):
         splats = load(source, level=level)
-    read_bytes = inspect(source).file_bytes  # now, as the output may take the input's place
+    # Asked now, as the output may take the place of the input.
+    read_bytes = inspect(source, level=level).file_bytes
     splats, took = apply(splats, filters)
     if sh_degree is not None:
         splats = splats.with_sh_degree(sh_degree)

@@ -61,11 +61,15 @@ def load(
     known = registry.reader(as_named(path, format))
     if known.read_level is not None:
         return known.read_level(path, level)
+    _refuse_level(path, level)
+    return known.read(path)
+
+
+def _refuse_level(path: Path, level: int) -> None:
     if level != 0:
         raise OptionError(
             f"{path} has no levels of detail, so there is no level {level}; leave it out."
         )
-    return known.read(path)
 
 
 def stream(path: str | PathLike[str]) -> Iterator[Splats]:
@@ -184,14 +188,23 @@ def losses(splats: Splats, path: str | PathLike[str]) -> tuple[str, ...]:
     return registry.losses(Path(path), splats)
 
 
-def inspect(path: str | PathLike[str]) -> FileInfo:
+def inspect(path: str | PathLike[str], *, level: int = 0) -> FileInfo:
     """Describe a scene file without reading its body.
+
+    Args:
+        path: The file.
+        level: Of a streamed model, which level of detail; 0 is the finest.
 
     Raises:
         FormatError: As for `load`, except for what only the rows show.
+        OptionError: There is no such level.
     """
     path = Path(path)
-    return registry.reader(path).inspect(path)
+    known = registry.reader(path)
+    if known.inspect_level is not None:
+        return known.inspect_level(path, level)
+    _refuse_level(path, level)
+    return known.inspect(path)
 
 
 def level_counts(path: str | PathLike[str]) -> tuple[int, ...]:

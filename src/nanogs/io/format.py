@@ -73,15 +73,15 @@ class Format:
     `stream` yields the model in blocks of rows. `rows` opens a file whose rows can be read in
     parts, or gives None; `packed` opens one whose columns can be unpacked, or gives None. `files`
     are all files of a model, given the one that is named. Of a format with levels of detail,
-    `read_level` reads one and `level_counts` tells the splats of each, the finest first. `frame`
-    says which way is up, and `axes` is the name of the frame of a model that was read, or None
-    where files differ; with `turns`, files are in the format's own frame, to and from which reading
-    and writing turn. `leaps` are counts, in ascending order, of which a file takes far more than of
-    one splat less. `options` are what `save` takes for this format alone. Of a format whose model
-    is a folder, described by the file of the name `suffix` in it, `write_folder` makes that folder
-    and `ours` says what in such a folder nanogs made. With `tells`, `write` takes `tell`: it takes
-    long, and tells its parts. `check` fails before any computing where this installation cannot
-    write the format.
+    `read_level` reads one, `inspect_level` describes one, and `level_counts` tells the splats of
+    each, the finest first. `frame` says which way is up, and `axes` is the name of the frame of a
+    model that was read, or None where files differ; with `turns`, files are in the format's own
+    frame, to and from which reading and writing turn. `leaps` are counts, in ascending order, of
+    which a file takes far more than of one splat less. `options` are what `save` takes for this
+    format alone. Of a format whose model is a folder, described by the file of the name `suffix` in
+    it, `write_folder` makes that folder and `ours` says what in such a folder nanogs made. With
+    `tells`, `write` takes `tell`: it takes long, and tells its parts. `check` fails before any
+    computing where this installation cannot write the format.
     """
 
     suffix: str
@@ -95,6 +95,7 @@ class Format:
     packed: Callable[[Path], Packed | None] = _none
     files: Callable[[Path], Sequence[Path]] = _alone
     read_level: Callable[[Path, int], Splats] | None = None
+    inspect_level: Callable[[Path, int], FileInfo] | None = None
     level_counts: Callable[[Path], tuple[int, ...]] | None = None
     frame: str = UNSTATED
     axes: str | None = TRAINED

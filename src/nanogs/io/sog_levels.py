@@ -65,28 +65,15 @@ class Levels:
     notes: tuple[str, ...]
 
 
-def read(path: Path) -> Splats:
-    """Read the finest level.
-
-    Raises:
-        FormatError: A file is missing or damaged, or the manifest contradicts it.
-    """
-    return read_level(path, 0)
-
-
-def read_level(path: Path, level: int) -> Splats:
+def read(path: Path, level: int = 0) -> Splats:
     """Read one level of a `lod-meta.json`; 0 is the finest.
 
     Raises:
         OptionError: There is no such level.
-        FormatError: As for `read`.
+        FormatError: A file is missing or damaged, or the manifest contradicts it.
     """
     manifest = read_manifest(path)
-    if not 0 <= level < len(manifest.levels):
-        raise OptionError(
-            f"{path} has levels 0 to {len(manifest.levels) - 1}; level {level} is not among them."
-        )
-    models = [_rows(piece) for piece in manifest.levels[level]]
+    models = [_rows(piece) for piece in _level(path, manifest, level)]
     return _joined(models, manifest.notes)
 
 
@@ -99,14 +86,15 @@ def level_counts(path: Path) -> tuple[int, ...]:
     return tuple(sum(piece.count for piece in level) for level in read_manifest(path).levels)
 
 
-def inspect(path: Path) -> FileInfo:
-    """Describe the finest level, from the manifest and the models' own descriptions.
+def inspect(path: Path, level: int = 0) -> FileInfo:
+    """Describe one level, from the manifest and the models' own descriptions; 0 is the finest.
 
     Raises:
+        OptionError: There is no such level.
         FormatError: As for `read`, except for what only the textures show.
     """
     infos = []
-    for piece in read_manifest(path).levels[0]:
+    for piece in _level(path, read_manifest(path), level):
         info = sog.inspect(piece.path)
         check_rows(piece, info.splats)
         infos.append(replace(info, splats=piece.count))
@@ -119,6 +107,14 @@ def inspect(path: Path) -> FileInfo:
         splats=sum(info.splats for info in infos),
         render_mode=common_mode({info.render_mode for info in infos}),
     )
+
+
+def _level(path: Path, manifest: Levels, level: int) -> tuple[Piece, ...]:
+    if not 0 <= level < len(manifest.levels):
+        raise OptionError(
+            f"{path} has levels 0 to {len(manifest.levels) - 1}; level {level} is not among them."
+        )
+    return manifest.levels[level]
 
 
 def read_manifest(path: Path) -> Levels:

@@ -84,21 +84,12 @@ class _Tileset:
         return list(_drawn(self.root, deepest - number))
 
 
-def read(path: Path) -> Splats:
-    """Read the finest level.
-
-    Raises:
-        FormatError: A file is missing or damaged, holds no splats, or lies outside of the folder.
-    """
-    return read_level(path, 0)
-
-
-def read_level(path: Path, level: int) -> Splats:
+def read(path: Path, level: int = 0) -> Splats:
     """Read one level of a `tileset.json`; 0 is the finest.
 
     Raises:
         OptionError: There is no such level.
-        FormatError: As for `read`.
+        FormatError: A file is missing or damaged, holds no splats, or lies outside of the folder.
     """
     tileset = _read(path)
     tiles = tileset.level(level)
@@ -123,13 +114,14 @@ def level_counts(path: Path) -> tuple[int, ...]:
     return tuple(sum(counts[file] for tile in level for file in tile.contents) for level in drawn)
 
 
-def inspect(path: Path) -> FileInfo:
-    """Describe the finest level, from the descriptions of its contents.
+def inspect(path: Path, level: int = 0) -> FileInfo:
+    """Describe one level, from the descriptions of its contents; 0 is the finest.
 
     Raises:
+        OptionError: There is no such level.
         FormatError: As for `read`.
     """
-    infos = [gltf.inspect(file) for tile in _read(path).level(0) for file in tile.contents]
+    infos = [gltf.inspect(file) for tile in _read(path).level(level) for file in tile.contents]
     widest = max(infos, key=lambda info: info.sh_degree)
     return replace(
         widest,

@@ -32,7 +32,7 @@ class ViewedModel:
     Attributes:
         name: What the user calls it.
         input: Its file.
-        input_bytes: Size of that.
+        input_bytes: Bytes of all its files; of a streamed model, of the files of the level shown.
         splats: Number of splats.
         sh_degree: Spherical-harmonic degree.
         page_bytes: Size of the model in the page, before its encoding as text.
@@ -140,14 +140,14 @@ def view_files(
         packed = [pack(splats, start) for splats in each(models, tracker.part)]
     tracker.begin("write")
     with clock.time("write"):
-        text = render_page(_shown(inputs, models, packed, judged), start, background)
+        text = render_page(_shown(infos, inputs, models, packed, judged), start, background)
         with atomic_write(page, overwrite=overwrite) as file:
             file.write(text.encode("utf-8"))
     tracker.finish()
     return ViewReport(
         output=str(page),
         output_bytes=page.stat().st_size,
-        models=tuple(map(_viewed, inputs, models, packed)),
+        models=tuple(map(_viewed, infos, inputs, models, packed)),
         judged=judged,
         seconds=dict(clock.seconds),
     )
@@ -172,12 +172,11 @@ def _read(inputs: Sequence[tuple[str, Path]], level: int | None, tell: Parts) ->
 
 
 def _shown_info(path: Path, level: int | None) -> FileInfo:
-    """A model's facts, with the splats of the level that is shown."""
-    info, levels = inspect(path), level_counts(path)
+    """A model's facts; of a streamed one, those of the level that is shown."""
+    levels = level_counts(path)
     if not levels:
-        return info
-    chosen = _affordable(levels) if level is None else min(level, len(levels) - 1)
-    return replace(info, splats=levels[chosen])
+        return inspect(path)
+    return inspect(path, level=_affordable(levels) if level is None else level)
 
 
 def _affordable(levels: Sequence[int]) -> int:
@@ -243,25 +242,29 @@ def _measure(
 
 
 def _shown(
+    infos: Sequence[FileInfo],
     inputs: Sequence[tuple[str, Path]],
     models: Sequence[Splats],
     packed: Sequence[Packed],
     judged: Judged | None,
 ) -> list[Shown]:
     shown = []
-    for place, ((name, path), splats, data) in enumerate(zip(inputs, models, packed, strict=True)):
+    together = zip(infos, inputs, models, packed, strict=True)
+    for place, (info, (name, _path), splats, data) in enumerate(together):
         reference, score = (len(models[0]), judged) if place else (None, None)
-        facts = facts_of(len(splats), path.stat().st_size, reference=reference, judged=score)
+        facts = facts_of(len(splats), info.file_bytes, reference=reference, judged=score)
         shown.append(Shown(name, facts, data))
     return shown
 
 
-def _viewed(source: tuple[str, Path], splats: Splats, packed: Packed) -> ViewedModel:
+def _viewed(
+    info: FileInfo, source: tuple[str, Path], splats: Splats, packed: Packed
+) -> ViewedModel:
     name, path = source
     return ViewedModel(
         name=name,
         input=str(path),
-        input_bytes=path.stat().st_size,
+        input_bytes=info.file_bytes,
         splats=len(splats),
         sh_degree=splats.sh_degree,
         page_bytes=len(packed.data),
