@@ -227,8 +227,8 @@ def test_compare_from_cameras_that_are_given(pair):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"names": ["one", "two"]}, "one name for each of the 1 models"),
-        ({"names": "small"}, "one name for each"),
+        ({"names": ["one", "two"]}, "one name for each model, 1 in all"),
+        ({"names": "small"}, "one name for each model"),
         ({"cameras": "missing.json"}, "no camera file 'missing.json'"),
         ({"cameras": []}, "at least one nanogs.Camera"),
         ({"cameras": [1]}, "at least one nanogs.Camera"),

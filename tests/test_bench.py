@@ -274,7 +274,7 @@ def test_external_files_are_scored_and_missing_ones_skipped(model, tmp_path):
     assert (exact.status, exact.splats, exact.seconds) == (Status.OK, 40, 2.0)
     assert exact.peak_memory == 5_000_000
     assert exact.notes == ()
-    assert short.notes == ("39 splats where 200 were asked for",)
+    assert short.notes == ("39 splats instead of the 200 asked for",)
     assert broken.status is Status.FAILED
     assert missing.status is Status.SKIPPED
     assert "ball_0.01_them.ply" in missing.reason

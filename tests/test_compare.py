@@ -97,7 +97,7 @@ def test_other_degrees_and_bad_rows_are_said():
     flat.means[5] = np.nan
     comparison, _ = compare_models(NamedModel("r", splats), [NamedModel("s", flat)], [camera()])
     assert any("SH degree 0" in note for note in comparison.notes)
-    assert any("1 splats" in note for note in comparison.models[0].notes)
+    assert any("1 splat with" in note for note in comparison.models[0].notes)
     assert math.isfinite(comparison.models[0].psnr)
 
 

@@ -113,7 +113,7 @@ def test_extra_columns_and_elements_are_kept(load):
 @pytest.mark.parametrize(
     ("elements", "words"),
     [
-        ([("chunk", chunk(2)), ("vertex", packed())], "1 splats need 1 chunks, not 2"),
+        ([("chunk", chunk(2)), ("vertex", packed())], "1 splat needs 1 chunk, not 2"),
         ([("chunk", chunk()[1:]), ("vertex", packed())], "min_x of type float"),
         ([("chunk", chunk()[:-1]), ("vertex", packed())], "max_b of type float"),
         ([("chunk", chunk()), ("vertex", packed()[:3])], "packed_color of type uint"),
@@ -123,7 +123,7 @@ def test_extra_columns_and_elements_are_kept(load):
                 ("vertex", packed()),
                 ("sh", [(f"f_rest_{i}", "uchar", np.zeros(2)) for i in range(9)]),
             ],
-            "2 rows for 1 splats",
+            "2 rows for 1 splat",
         ),
         (
             [
@@ -245,7 +245,7 @@ def test_infinite_opacities_and_zero_scales_survive_as_far_as_the_format_goes(tm
     again, rows = rewritten(model, tmp_path)
     assert sorted(again.opacities()[np.argsort(rows)].round(2)) == [0, 0.5, 1]
     assert again.log_scales[np.argsort(rows)][0, 0] == -20
-    assert "1 splats have a log-scale beyond ±20" in io.losses(model, "a.compressed.ply")[0]
+    assert "1 splat has a log-scale beyond ±20" in io.losses(model, "a.compressed.ply")[0]
 
 
 @pytest.mark.parametrize("field", ["means", "log_scales", "quats", "opacity_logits", "sh"])

@@ -363,7 +363,7 @@ def test_what_is_not_carried_is_noted(load):
 def test_opacities_out_of_range_are_noted(load):
     table = columns(random_splats(4, seed=7))
     table[PREFIX + "OPACITY"][1] = 1.5
-    assert load(document(table)).notes == ("1 opacities are not from 0 to 1 and became NaN.",)
+    assert load(document(table)).notes == ("1 opacity is not from 0 to 1 and became NaN.",)
 
 
 def broken(path, value):

@@ -76,7 +76,7 @@ def test_extreme_alpha_and_scale_are_infinite_and_negative_scale_is_noted(load):
     assert again.opacity_logits.tolist() == [-math.inf, math.inf]
     assert again.log_scales[0, 0] == -math.inf
     assert math.isnan(again.log_scales[1, 0])
-    assert again.notes == ("1 splats have a negative scale, which became NaN.",)
+    assert again.notes == ("1 splat has a negative scale, which became NaN.",)
 
 
 def test_missing_ranges_have_their_defaults(load):
@@ -90,7 +90,7 @@ def test_missing_ranges_have_their_defaults(load):
 
 def test_what_follows_the_last_section_is_noted(load):
     assert load(ksplat(section(3, 0, 0)) + b"12345").notes == (
-        "5 bytes after the last section were left out.",
+        "Left out: 5 bytes after the last section.",
     )
 
 

@@ -102,20 +102,20 @@ def test_double_centres_stay_double(load, resave):
 def test_other_doubles_become_float_and_the_user_is_told(load):
     model = load(ply(("vertex", vertex(3, BASE, {"opacity": "double"}))))
     assert model.opacity_logits.tolist() == [7, 14, 21]
-    assert model.notes == ("1 double columns became float: opacity.",)
+    assert model.notes == ("1 double column became float: opacity.",)
 
 
 def test_double_beyond_float_is_reported(load):
     columns = vertex(3, BASE, {"opacity": "double"})
     columns[6] = ("opacity", "double", np.array([1.0, 1e300, np.inf]))
     model = load(ply(("vertex", columns)))
-    assert "1 values of 'opacity' are beyond float and became infinite." in model.notes
+    assert "1 value of 'opacity' beyond float became infinite." in model.notes
 
 
 def test_integer_colours_become_float_and_the_user_is_told(load):
     model = load(ply(("vertex", vertex(3, BASE, {"f_dc_0": "int"}))))
     assert model.sh[:, 0, 0].tolist() == [4, 8, 12]
-    assert model.notes == ("1 int columns became float: f_dc_0.",)
+    assert model.notes == ("1 int column became float: f_dc_0.",)
 
 
 def test_extras_keep_dtype_values_and_order(load, resave):

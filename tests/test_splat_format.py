@@ -54,7 +54,7 @@ def test_zero_scale_and_extreme_alpha_are_infinite(load):
 def test_negative_scale_is_noted(load):
     model = load(row(scale=(-1, 1, 1)))
     assert math.isnan(model.log_scales[0, 0])
-    assert model.notes == ("1 splats have a negative scale, which became NaN.",)
+    assert model.notes == ("1 splat has a negative scale, which became NaN.",)
 
 
 def test_blocks_agree(load, monkeypatch):
@@ -144,7 +144,7 @@ def test_losses_are_said(tmp_path):
         "Extra columns are left out, .splat has no room for them: label.",
         "View dependence (SH degree 2) is left out, .splat holds one colour a splat.",
         f"{mode}: viewers will render the model as ordinary splats.",
-        "1 splats have base colours outside 0 to 1, the range of .splat, and are clamped to that.",
+        "1 splat has base colours outside 0 to 1, the range of .splat, clamped to that.",
         "Centres lose their double precision, .splat holds single.",
     )
     plain = random_splats(3, degree=0)

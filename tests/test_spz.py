@@ -237,14 +237,14 @@ def test_losses_are_counted(tmp_path):
     model.sh[0, 0, 0] = 3.5
     model.sh[0:2, 2, 1] = -1.1
     mode = "The render mode 2dgs is left out, .spz has no tag for it"
-    outside = "outside ±1, the range of .spz, and are clamped to that."
+    outside = "outside ±1, the range of .spz, clamped to that."
     assert io.losses(model, tmp_path / "a.spz") == (
         "Extra columns are left out, .spz has no room for them: label.",
         "Further elements are left out, .spz has no room for them: camera.",
         "1 comment line is left out, .spz has no room for them.",
         f"{mode}: viewers will render the model as ordinary splats.",
-        "3 splats have log-scales outside -10 to 5.94, the range of .spz, and are clamped to that.",
-        "1 splats have base colours outside ±3.33, the range of .spz, and are clamped to that.",
+        "3 splats have log-scales outside -10 to 5.94, the range of .spz, clamped to that.",
+        "1 splat has base colours outside ±3.33, the range of .spz, clamped to that.",
         f"2 splats have higher SH coefficients {outside}",
     )
     clamped = written(model, tmp_path / "a.spz")
@@ -319,7 +319,7 @@ def test_a_bomb_is_not_inflated(load):
     """More than the header counts is never expanded, whatever follows."""
     data = encode([row()], 3, records=bytes(100_000_000))
     tracemalloc.start()
-    with pytest.raises(FormatError, match="more data than 1 splats"):
+    with pytest.raises(FormatError, match="more data than 1 splat has"):
         load(data)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()

@@ -254,7 +254,7 @@ REFUSED = {
     "closing": (layer("}"), "closes nothing"),
     "brackets": (layer(prim("int a = (3]")), "brackets do not match"),
     "lacks": (layer(prim().replace("scales", "sizes")), "lacks scales"),
-    "counts": (layer(prim().replace("opacities = [0.5, ", "opacities = [")), "has 1 numbers"),
+    "counts": (layer(prim().replace("opacities = [0.5, ", "opacities = [")), "has 1 number, where"),
     "words": (layer(prim().replace("0.5, 0.5", "0.5, half")), "no number"),
     "degree": (layer(prim().replace("Degree = 0", "Degree = 9")), "none from 0 to 4"),
     "none": (layer(prim(count=0)), "holds no splats"),

@@ -155,7 +155,7 @@ def test_a_far_splat_is_shown_nearer_and_as_large_as_it_looks(tmp_path):
     assert distance == pytest.approx(FARTHEST, rel=1e-3)
     assert np.allclose(shown.means[1] / distance, (0.6, -0.8, 0), atol=1e-3)
     assert np.allclose(shown.scales()[1] / distance, 2e5 / 5e6, rtol=0.05)
-    assert any("1 splats farther" in note for note in packed.notes)
+    assert any("1 splat farther" in note for note in packed.notes)
     assert pack(splats.take(np.array([0, 2])), START).notes == ()
 
 
@@ -167,7 +167,7 @@ def test_what_a_page_does_not_show_is_said(tmp_path):
     packed = pack(splats, START)
     assert len(unpacked(packed, tmp_path)) == 19
     text = " ".join(packed.notes)
-    assert "1 splats with a NaN" in text
+    assert "1 splat with a NaN or infinite value was not drawn" in text
     assert "above degree 3" in text
     assert "label" not in text  # no viewer shows it
     surfels = dataclasses.replace(random_splats(5), render_mode=RenderMode.SURFEL)

@@ -12,6 +12,7 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError, OptionError
+from nanogs.formatting import counted
 from nanogs.simplify.job import refuse_misaligned_elements
 from nanogs.splats import Splats, refuse_other
 
@@ -66,7 +67,9 @@ def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[Filt
         left = int(keep.sum())
         if not left:
             what = f"{each.name} {each.argument}".strip()
-            raise ModelError(f"The filter {what} leaves none of {len(splats):,} splats; relax it.")
+            raise ModelError(
+                f"The filter {what} leaves none of {counted(len(splats), 'splat')}; relax it."
+            )
         reports.append(FilterReport(each.name, each.argument, len(splats) - left, left))
         if left < len(splats):
             refuse_misaligned_elements(splats, left)

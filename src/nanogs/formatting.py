@@ -12,9 +12,21 @@ def number_text(value: float | None, digits: int = 2) -> str:
     return "∞" if math.isinf(value) else f"{value:,.{digits}f}"
 
 
-def counted(count: int, one: str, more: str) -> str:
-    """A number and what it is of: "1 splat holds", "2,000 splats hold"."""
-    return f"{count:,} {one if count == 1 else more}"
+def counted(count: int, one: str, more: str = "") -> str:
+    """A number and what it is of: "1 splat holds", "2,000 splats hold".
+
+    Args:
+        count: The number.
+        one: What follows 1.
+        more: What follows any other number; by default with an s at its end.
+    """
+    return f"{count:,} {one if count == 1 else more or f'{one}s'}"
+
+
+def undrawn(count: int) -> str:
+    """How many splats a picture leaves out, as the rasteriser and the viewer cannot draw them."""
+    one = "splat with a NaN or infinite value was not drawn"
+    return counted(count, one, one.replace("splat", "splats").replace("was", "were"))
 
 
 def bytes_text(count: int | None) -> str:

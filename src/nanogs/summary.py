@@ -6,6 +6,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from nanogs.formatting import counted
 from nanogs.render.camera import Camera
 from nanogs.splats import Splats
 
@@ -17,7 +18,7 @@ _pictures: "WeakKeyDictionary[Splats, bytes | str]" = WeakKeyDictionary()
 def one_line(splats: Splats) -> str:
     """How many there are, of what degree and render mode, where, and which columns they have."""
     parts = [
-        f"{len(splats):,} splat{'' if len(splats) == 1 else 's'}",
+        counted(len(splats), "splat"),
         f"SH degree {splats.sh_degree}",
         f"render mode {splats.render_mode}",
         _bounds_text(splats),

@@ -13,6 +13,7 @@ from nanogs._types import F64, I64
 from nanogs.bench.significance import significance
 from nanogs.bench.voxel import merge_voxels
 from nanogs.errors import ModelError, OptionError
+from nanogs.formatting import counted
 from nanogs.render.camera import Camera
 from nanogs.splats import Splats
 
@@ -123,5 +124,6 @@ def _usable(splats: Splats, count: int) -> I64:
     if count < 1:
         raise OptionError(f"The count must be at least 1, not {count}.")
     if count > len(rows):
-        raise ModelError(f"Only {len(rows)} splats are finite, fewer than the count {count}.")
+        finite = counted(len(rows), "splat is", "splats are")
+        raise ModelError(f"Only {finite} finite, fewer than the count {count:,}.")
     return rows

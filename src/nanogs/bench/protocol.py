@@ -17,6 +17,7 @@ from nanogs.bench.worker import Job, run_job
 from nanogs.cleanup import temporary_folder
 from nanogs.compare.scoring import EXTRA_METRICS, score
 from nanogs.errors import NanogsError, OptionError
+from nanogs.formatting import counted
 from nanogs.io import inspect, load
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import PreparedSplats, prepare, render
@@ -189,7 +190,9 @@ def _external_row(
 
 
 def _count_note(delivered: int, asked: int) -> tuple[str, ...]:
-    return () if delivered == asked else (f"{delivered:,} splats where {asked:,} were asked for",)
+    if delivered == asked:
+        return ()
+    return (f"{counted(delivered, 'splat')} instead of the {asked:,} asked for",)
 
 
 def _producer_figures(path: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from nanogs.bench.rows import Against
 from nanogs.bench.settings import BenchSettings
 from nanogs.compare.protocol import BLACK, Background, background_text
 from nanogs.errors import FormatError, OptionError
+from nanogs.formatting import counted
 from nanogs.io import inspect
 from nanogs.io.collect import WHOLE_FOLDERS, collect
 from nanogs.render.camera import Camera
@@ -184,7 +185,8 @@ def _automatic_views(scene: BenchScene, splats: Splats, settings: BenchSettings)
 
     cameras = _automatic(scene, splats, settings, settings.views, "test")
     views, empty = reference_views(prepare(splats), cameras, BLACK)
-    notes = (f"{len(empty)} views show nothing and are left out: {', '.join(empty)}",)
+    what = counted(len(empty), "view shows nothing and is", "views show nothing and are")
+    notes = (f"{what} left out: {', '.join(empty)}",)
     fit = _automatic(scene, splats, settings, settings.fit_views, "fit")
     return SceneViews(views, tuple(fit), BLACK, Against.ORIGINAL, notes if empty else ())
 

@@ -8,7 +8,7 @@ from nanogs.bench.means import RatioMean, mean_rows, unique
 from nanogs.bench.methods import ABLATED
 from nanogs.bench.published_table import published_tables
 from nanogs.bench.rows import BenchRow, Status
-from nanogs.formatting import NONE, number_text
+from nanogs.formatting import NONE, counted, number_text
 
 Column = tuple[str, Callable[[BenchRow], str]]
 
@@ -49,7 +49,7 @@ def scene_table(rows: Sequence[BenchRow]) -> str:
         rows: Rows of one scene.
     """
     views = max((row.views or 0 for row in rows), default=0)
-    intro = f"Against {rows[0].against}, {views} views.\n\n"
+    intro = f"Against {rows[0].against}, {counted(views, 'view')}.\n\n"
     remarks = [(row, text) for row in rows for text in _remarks(row)]
     listed = "".join(
         f"- {_escape(row.method)} at {row.ratio:g}: {_escape(text)}\n" for row, text in remarks
@@ -86,7 +86,7 @@ def _coverage(mean: RatioMean) -> str:
 
 
 def _counted(scenes: Sequence[str]) -> str:
-    return f"{len(scenes)} scene" + ("" if len(scenes) == 1 else "s")
+    return counted(len(scenes), "scene")
 
 
 def ablation_table(means: Sequence[RatioMean]) -> str:

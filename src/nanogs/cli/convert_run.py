@@ -11,7 +11,7 @@ from nanogs.cli.console import arrow, say, warn, with_file_seconds
 from nanogs.cli.filtering import report_filters
 from nanogs.cli.framing import Frames
 from nanogs.filters import Filter, apply
-from nanogs.formatting import sizes_text, time_text
+from nanogs.formatting import counted, sizes_text, time_text
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
@@ -26,7 +26,7 @@ def print_report(run: dict[str, Any]) -> None:
     report_filters(run)
     for note in (*run["notes"], *run["losses"]):
         warn(note)
-    what = f"{run['splats']:,} splats of SH degree {run['sh_degree']}"
+    what = f"{counted(run['splats'], 'splat')} of SH degree {run['sh_degree']}"
     sizes = sizes_text(run["input_bytes"], run["output_bytes"], arrow())
     say(f"{what}, {sizes}, {time_text(run['total_seconds'])}")
 

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from nanogs.cli import options
+from nanogs.formatting import counted
 
 
 def demo(
@@ -44,4 +45,6 @@ def demo(
         scene, about = make_scene(count, seed=seed), "made up"
     save(scene, target, overwrite=overwrite)
     if not quiet:
-        err.print(f"{target}: {len(scene):,} splats, {about}", markup=False, soft_wrap=True)
+        err.print(
+            f"{target}: {counted(len(scene), 'splat')}, {about}", markup=False, soft_wrap=True
+        )

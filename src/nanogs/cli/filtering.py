@@ -5,6 +5,7 @@ from typing import Any
 from nanogs import filters
 from nanogs.cli.console import warn
 from nanogs.errors import OptionError
+from nanogs.formatting import counted
 
 
 def parse_filters(
@@ -43,4 +44,5 @@ def report_filters(run: dict[str, Any]) -> None:
     """Say on stderr how many splats each filter took."""
     for entry in run["filters"]:
         what = f"{entry['name']} {entry['argument']}".strip()
-        warn(f"{what} took {entry['removed']:,} splats; {entry['left']:,} are left.")
+        left = counted(entry["left"], "is left", "are left")
+        warn(f"{what} took {counted(entry['removed'], 'splat')}; {left}.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from nanogs.cli import file_options, options
-from nanogs.formatting import bytes_text
+from nanogs.formatting import bytes_text, counted
 
 if TYPE_CHECKING:
     from nanogs.model_info import ModelInfo, Spread
@@ -74,7 +74,9 @@ def _rows(model: "ModelInfo") -> dict[str, str]:
     if file.extras:
         rows["extra columns"] = ", ".join(file.extras)
     if file.elements:
-        rows["elements"] = ", ".join(f"{name} ({count:,} rows)" for name, count in file.elements)
+        rows["elements"] = ", ".join(
+            f"{name} ({counted(count, 'row')})" for name, count in file.elements
+        )
     if file.comments:
         rows["comments"] = "\n".join(file.comments)
     whole = [suffix for suffix, sentences in model.losses.items() if not sentences]

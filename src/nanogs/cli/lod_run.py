@@ -24,7 +24,7 @@ from nanogs.cli.simplify_report import (
     warn_of_input,
 )
 from nanogs.compare.protocol import Protocol
-from nanogs.formatting import bytes_text, number_text, time_text
+from nanogs.formatting import bytes_text, counted, number_text, time_text
 from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.layout import Layout, Output
 from nanogs.lod.write import write_levels, write_levels_stages
@@ -139,11 +139,10 @@ def print_levels(run: dict[str, Any], *, verbose: bool) -> None:
         err.print(text, markup=False, soft_wrap=True)
     for number, report in enumerate(run["reports"] if verbose else []):
         show(err, key_value_table({f"level {number}": ""} | _details(report)))
-    many = len(run["levels"])
-    levels = f"{many} level{'' if many == 1 else 's'}"
+    levels = counted(len(run["levels"]), "level")
     size = bytes_text(sum(level["bytes"] for level in run["levels"]))
     seconds = time_text(run["total_seconds"])
-    say(f"{run['source_count']:,} splats {arrow()} {levels}, {size}, {seconds}")
+    say(f"{counted(run['source_count'], 'splat')} {arrow()} {levels}, {size}, {seconds}")
     if run["layout"] != Layout.FILES.value:
         say(f"`nanogs view {run['output']}` makes a page of one level, to look at it")
 
@@ -164,5 +163,4 @@ def _name(number: int, level: dict[str, Any]) -> str:
     """A level's file, or its number and that of its files."""
     if "file" in level:
         return str(level["file"])
-    files = len(level["files"])
-    return f"{number}, {files} {'file' if files == 1 else 'files'}"
+    return f"{number}, {counted(len(level['files']), 'file')}"

@@ -16,6 +16,7 @@ from nanogs.cli.progress import Watch, shown
 from nanogs.cli.streams import DASH, Streams, names
 from nanogs.cli.wording import wording
 from nanogs.errors import NanogsError, OptionError, OutputError
+from nanogs.formatting import counted
 from nanogs.io.collect import Pair, collect, model_in, pair_up
 from nanogs.progress import Progress
 
@@ -89,7 +90,8 @@ def run_all(
     elif out_dir is None and not quiet:
         show(runs[0])
     if failed:
-        fail(f"{len(failed)} of {len(pairs)} files failed; the others are done.")
+        others = "; the others are done" if len(failed) < len(pairs) else ""
+        fail(f"{len(failed)} of {counted(len(pairs), 'file')} failed{others}.")
         raise typer.Exit(2)
     return runs
 

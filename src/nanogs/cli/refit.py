@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from nanogs.cli import options
+from nanogs.formatting import counted
 from nanogs.refit.parameters import RefitParameters
 
 if TYPE_CHECKING:
@@ -139,10 +140,10 @@ def _print_report(run: dict[str, Any], *, verbose: bool) -> None:
     if verbose:
         show(err, _round_table(run["rounds"]))
     before, after = number_text(run["psnr_before"]), number_text(run["psnr_after"])
+    views = counted(len(run["validation_views"]), "view")
     say(
-        f"{run['count']:,} splats, {before} {arrow()} {after} dB on {len(run['validation_views'])}"
-        f" views kept apart of {run['parameters']['size']} pixels,"
-        f" {time_text(run['total_seconds'])}"
+        f"{counted(run['count'], 'splat')}, {before} {arrow()} {after} dB on {views} kept apart of"
+        f" {run['parameters']['size']} pixels, {time_text(run['total_seconds'])}"
     )
 
 

@@ -7,6 +7,7 @@ import typer
 
 from nanogs.cli import options
 from nanogs.errors import OptionError
+from nanogs.formatting import counted
 
 _OTHERS = (".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".exr")
 
@@ -87,7 +88,7 @@ def render(
         return
     for note in notes:
         warn(note)
-    images = "1 image" if len(written) == 1 else f"{len(written)} images"
+    images = counted(len(written), "image")
     err.print(f"{target}: {images}", markup=False, soft_wrap=True)
 
 

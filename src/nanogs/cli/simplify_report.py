@@ -90,13 +90,13 @@ def print_plan(plan: Plan) -> None:
     elif plan.count is None:
         text = f"as few splats as reach {plan.goal.psnr:g} dB on {Protocol().text}"
     else:
-        text = f"{plan.count:,} splats ({plan.count / plan.info.splats:.3%})"
+        text = f"{counted(plan.count, 'splat')} ({plan.count / plan.info.splats:.3%})"
     _print_rows(plan, text)
 
 
 def print_wish(plan: Plan) -> None:
     """Show on stderr what a run would read and write, of a model that does not fit into memory."""
-    print_divided(plan, f"{plan.count or 0:,} splats")
+    print_divided(plan, counted(plan.count or 0, "splat"))
 
 
 def print_divided(plan: Plan, text: str) -> None:
@@ -147,7 +147,7 @@ def _wish_rows(plan: Plan, text: str) -> dict[str, str]:
     info = plan.info
     parameters = effective(plan.method())
     return {
-        "would read": f"{plan.name} ({info.splats:,} splats, SH degree {info.sh_degree})",
+        "would read": f"{plan.name} ({counted(info.splats, 'splat')}, SH degree {info.sh_degree})",
         "would write": text,
         "preset": plan.preset,
         "parameters": ", ".join(f"{name} {value}" for name, value in parameters.items()),
@@ -183,7 +183,8 @@ def _nearest_text(run: dict[str, Any]) -> str:
     if not run["probes"]:
         return ""
     most = max(run["probes"], key=itemgetter("count"))
-    return f" ({most['count']:,} of {run['input_count']:,} splats have {most['psnr']:.2f} dB)"
+    of = counted(run["input_count"], "splat has", "splats have")
+    return f" ({most['count']:,} of {of} {most['psnr']:.2f} dB)"
 
 
 def warn_of_input(run: dict[str, Any]) -> None:
@@ -211,7 +212,7 @@ def summary(run: dict[str, Any]) -> str:
     """Such as "500,000 → 50,000 splats, 76.0 → 1.2 MB, 6 s", with the PSNR where it is known."""
     to = arrow()
     parts = [
-        f"{run['read_count']:,} {to} {counted(run['achieved_count'], 'splat', 'splats')}",
+        f"{run['read_count']:,} {to} {counted(run['achieved_count'], 'splat')}",
         sizes_text(run["input_bytes"], run["output_bytes"], to) + _formats_text(run, to),
         _judged_text(run),
         time_text(run["total_seconds"]),
@@ -233,16 +234,17 @@ def _print_details(run: dict[str, Any]) -> None:
     before, after = run["input_count"], run["achieved_count"]
     filtered = " that the filters left" if run["filters"] else ""
     stages = ", ".join(f"{name} {value:.2f}" for name, value in run["seconds"].items())
+    read, made = counted(run["read_count"], "splat"), counted(after, "splat")
     rows = {
-        "input": f"{run['input']}: {run['read_count']:,} splats, {bytes_text(run['input_bytes'])}",
-        "output": f"{run['output']}: {after:,} splats, {bytes_text(run['output_bytes'])}",
+        "input": f"{run['input']}: {read}, {bytes_text(run['input_bytes'])}",
+        "output": f"{run['output']}: {made}, {bytes_text(run['output_bytes'])}",
         "kept": f"{after / before:.3%} of the splats{filtered} (asked: {_asked_text(run)})",
         "passes": f"{len(run['passes'])}, stopped by: {run['stop']}" if run["passes"] else "",
         "blocks": _blocks_text(run["blocks"]),
         "chosen": choice_text(run["candidates"]),
         "colours": recolour_text(run["recolour"]),
         "refit": _refit_text(run["refit"]),
-        "probes": f"{len(run['probes'])} counts tried" if run["probes"] else "",
+        "probes": f"{counted(len(run['probes']), 'count')} tried" if run["probes"] else "",
         "size": _size_text(run),
         "time": f"{run['total_seconds']:.2f} s on {run['threads']} threads",
         "stages (s)": stages,
@@ -286,8 +288,9 @@ def _blocks_text(blocks: dict[str, Any] | None) -> str:
     """How a model was divided that was not held whole."""
     if blocks is None:
         return ""
-    resumed = f"; {blocks['resumed']} tasks were done before" if blocks["resumed"] else ""
-    return f"{blocks['blocks']:,} of at most {blocks['largest']:,} splats{resumed}"
+    before = counted(blocks["resumed"], "task was", "tasks were")
+    resumed = f"; {before} done before" if blocks["resumed"] else ""
+    return f"{blocks['blocks']:,} of at most {counted(blocks['largest'], 'splat')}{resumed}"
 
 
 def _lead_text(chosen: dict[str, Any], next_one: dict[str, Any]) -> str:

@@ -81,7 +81,7 @@ def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:
     if names is None:
         return [_file_name(model) or f"model {place}" for place, model in enumerate(models, 1)]
     if isinstance(names, str) or len(names) != len(models):
-        raise OptionError(f"Give one name for each of the {len(models)} models, not {names!r}.")
+        raise OptionError(f"Give one name for each model, {len(models)} in all, not {names!r}.")
     return list(names)
 
 

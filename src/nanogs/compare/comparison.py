@@ -15,7 +15,7 @@ from nanogs.compare.scoring import (
     score,
 )
 from nanogs.errors import OptionError
-from nanogs.formatting import number_text
+from nanogs.formatting import counted, number_text, undrawn
 from nanogs.progress import Tracker
 from nanogs.render.camera import Camera
 from nanogs.render.lens import lens_notes
@@ -66,7 +66,7 @@ class Comparison:
 
     def __repr__(self) -> str:
         return "\n".join(
-            f"{model.name}: {model.splats:,} splats, {self.judged(place).text}, SSIM"
+            f"{model.name}: {counted(model.splats, 'splat')}, {self.judged(place).text}, SSIM"
             f" {number_text(model.ssim, 4)}"
             for place, model in enumerate(self.models)
         )
@@ -129,7 +129,7 @@ def compare_models(
         f"{name}: nothing of the reference is seen; left out of every mean" for name in skipped
     ]
     if prepared.skipped:
-        notes.append(f"the reference: {prepared.skipped:,} splats with a NaN were not drawn")
+        notes.append(f"the reference: {undrawn(prepared.skipped)}")
     notes += [*_degree_notes(reference, models), *lens_notes(cameras)]
     scores, sheets = score_models(
         models, views, background, extras=extras, pictures=pictures, progress=progress

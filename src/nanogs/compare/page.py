@@ -8,7 +8,7 @@ from importlib.resources import files
 from nanogs.compare.comparison import Comparison, Sheet
 from nanogs.compare.pictures import ERROR_FULL_SCALE
 from nanogs.compare.scoring import ModelScore
-from nanogs.formatting import bytes_text, number_text
+from nanogs.formatting import bytes_text, counted, number_text
 from nanogs.view.page import POLICY
 
 # What the page does without the viewer: its pictures are in it.
@@ -32,6 +32,7 @@ def render_page(
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["number"] = number_text
     environment.filters["size"] = bytes_text
+    environment.filters["counted"] = counted
     template = environment.from_string(_text("page.html.j2"))
     width, height = comparison.protocol.pixels
     several = len({model.splats for model in comparison.models}) > 1

@@ -14,6 +14,7 @@ from nanogs.compare.page import render_page
 from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.compare.scoring import ReferenceView
 from nanogs.errors import OptionError
+from nanogs.formatting import counted
 from nanogs.io import inspect, load
 from nanogs.io.atomic import atomic_write
 from nanogs.memory import allowed_memory, refuse_too_large
@@ -183,7 +184,7 @@ def photographs(
     frames = dataset.split(splits[split])
     pixels = [frame.camera.width * frame.camera.height for frame in frames]
     refuse_too_large(
-        f"Comparing with {len(frames)} photographs",
+        f"Comparing with {counted(len(frames), 'photograph')}",
         photographs_bytes(pixels),
         allowed_memory(max_memory),
         "free some, or use smaller photographs, as with --images images_4",

@@ -10,6 +10,7 @@ import numpy as np
 from nanogs._types import F32
 from nanogs.compare.protocol import Background
 from nanogs.errors import ModelError, OptionError
+from nanogs.formatting import undrawn
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
 from nanogs.progress import Parts, each, untold
 from nanogs.render.camera import Camera
@@ -162,7 +163,7 @@ def score(
         if on_view:
             on_view(view, rendering, scores[-1])
     if model.skipped:
-        notes[f"{model.skipped:,} splats with a NaN or infinite value were not drawn"] = None
+        notes[undrawn(model.skipped)] = None
     return ModelScore(
         name=name,
         splats=len(model),

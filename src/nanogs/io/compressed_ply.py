@@ -11,6 +11,7 @@ import numpy as np
 
 from nanogs._types import F64, U32, Array
 from nanogs.errors import FormatError
+from nanogs.formatting import counted
 from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
@@ -130,14 +131,17 @@ def _check(header: Header) -> int:
         _check_types(header, chunk, COLOUR_BOUNDS, "f4")
     needed = -(-vertex.count // CHUNK_ROWS)
     if chunk.count != needed:
-        raise _error(header, f"{vertex.count} splats need {needed} chunks, not {chunk.count}")
+        needs = counted(vertex.count, "splat needs", "splats need")
+        raise _error(header, f"{needs} {counted(needed, 'chunk')}, not {chunk.count:,}")
     sh = header.element("sh")
     if sh is None:
         return 0
     degree = columns.sh_degree(sh.names, f"{header.path}: element 'sh'")
     _check_types(header, sh, columns.rest_names(degree), "u1")
     if sh.count != vertex.count:
-        raise _error(header, f"'sh' has {sh.count} rows for {vertex.count} splats")
+        raise _error(
+            header, f"'sh' has {counted(sh.count, 'row')} for {counted(vertex.count, 'splat')}"
+        )
     if len(sh.names) != len(columns.rest_names(degree)):
         raise _error(header, "element 'sh' has properties other than f_rest")
     return degree

@@ -67,10 +67,12 @@ def losses(splats: Splats) -> tuple[str, ...]:
     found = limits.left_out(splats, ".compressed.ply", comments=False, max_degree=MAX_DEGREE)
     found += limits.rounded(splats, ".compressed.ply")
     if count := int((np.abs(splats.log_scales) > _LOG_SCALES).any(axis=1).sum()):
-        found.append(Finding("{} splats have a log-scale beyond ±20, which is clamped.", count))
+        found.append(
+            Finding("{:splat has|splats have} a log-scale beyond ±20, which is clamped.", count)
+        )
     rest = splats.sh[:, 1 : (_degree(splats) + 1) ** 2]
     if count := int((np.abs(rest) > _SH_RANGE).sum()):
-        text = "{} SH coefficients are beyond ±4, which .compressed.ply clamps."
+        text = "{:SH coefficient is|SH coefficients are} beyond ±4, which .compressed.ply clamps."
         found.append(Finding(text, count))
     return tuple(found)
 

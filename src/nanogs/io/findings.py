@@ -8,12 +8,15 @@ import operator
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Self
 
+from nanogs.formatting import counted
+
 
 class Finding(str):
     """A sentence with a value in it, and how the values of two parts become one.
 
     Attributes:
-        template: The sentence, with a replacement field for the value.
+        template: The sentence, with a replacement field for the value; that of a number may say
+            what it counts: "{:splat has|splats have} a negative scale."
         value: Of the part that was looked at.
         merge: The value of two parts together.
     """
@@ -30,13 +33,24 @@ class Finding(str):
         merge: Callable[[Any, Any], Any] = operator.add,
     ) -> Self:
         """The sentence as plain text, which is all that most callers look at."""
-        text = super().__new__(cls, template.format(value))
+        shown = _Count(value) if isinstance(value, int) else value
+        text = super().__new__(cls, template.format(shown))
         text.template, text.value, text.merge = template, value, merge
         return text
 
     def __reduce__(self) -> tuple[type[str], tuple[str]]:
         """A copy is plain text: reports are copied, and are about one whole."""
         return str, (str(self),)
+
+
+class _Count(int):
+    """A number that says what it counts, if its format is of the form `one|more`."""
+
+    __slots__ = ()
+
+    def __format__(self, spec: str) -> str:
+        one, bar, more = spec.partition("|")
+        return counted(self, one, more) if bar else super().__format__(spec)
 
 
 class Names(tuple[str, ...]):
@@ -87,5 +101,5 @@ def of_plain(data: str | Mapping[str, Any]) -> str:
 
 def negative_scales(count: int) -> list[str]:
     """A sentence if so many splats of a file have a negative scale, which has no logarithm."""
-    text = "{} splats have a negative scale, which became NaN."
+    text = "{:splat has|splats have} a negative scale, which became NaN."
     return [Finding(text, count)] if count else []

@@ -17,6 +17,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import FormatError
+from nanogs.formatting import counted
 from nanogs.io import gltf_rows
 from nanogs.io.files import check_expansion, splat_bytes
 from nanogs.io.findings import Finding
@@ -146,7 +147,9 @@ class _Rows:
                 first = end
         notes += [_LOGARITHMS] if self._logarithms else []
         if wrong := int(np.isnan(out["opacity_logits"]).sum()):
-            notes.append(Finding("{} opacities are not from 0 to 1 and became NaN.", wrong))
+            notes.append(
+                Finding("{:opacity is|opacities are} not from 0 to 1 and became NaN.", wrong)
+            )
         return Splats(
             **out, render_mode=scene.mode, comments=scene.comments, notes=list(dict.fromkeys(notes))
         )
@@ -216,7 +219,8 @@ def _check_memory(scene: _Scene) -> None:
         check_expansion(str(scene.document.path), model, size)
     elif model > 4 * size:
         raise scene.document.root.error(
-            f"describes {scene.count} splats, more than four times as much as its {size} bytes hold"
+            f"describes {counted(scene.count, 'splat')}, more than four times as much as its"
+            f" {counted(size, 'byte holds', 'bytes hold')}"
         )
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from nanogs._types import F64, I64, Array
 from nanogs.errors import FormatError
+from nanogs.formatting import counted
 from nanogs.io.compressed_ply import base_colour, logit
 from nanogs.io.findings import negative_scales
 from nanogs.io.info import FileInfo
@@ -92,7 +93,7 @@ class _Sections:
                     at += len(block)
         notes = negative_scales(negative)
         if file.trailing:
-            notes.append(f"{file.trailing} bytes after the last section were left out.")
+            notes.append(f"Left out: {counted(file.trailing, 'byte')} after the last section.")
         return Splats(**out, notes=notes)
 
 
@@ -138,8 +139,8 @@ def _buckets(file: Headers, section: Section, start: int, stop: int) -> tuple[F6
         held = int(last[-1])
     if held < section.splats:
         raise FormatError(
-            f"{file.path}: the buckets of a section hold {held} of its {section.splats} splats;"
-            f" {AGAIN}"
+            f"{file.path}: the buckets of a section hold {held:,} of its"
+            f" {counted(section.splats, 'splat')}; {AGAIN}"
         )
     return np.concatenate(found), np.concatenate(ends)
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from nanogs.errors import FormatError
+from nanogs.formatting import counted
 from nanogs.io.files import input_size, unreadable
 
 _HEADER_BYTES = 4096
@@ -106,7 +107,8 @@ def read_headers(path: Path) -> Headers:
     total = sum(section.splats for section in placed)
     if total != header["splats"] or total == 0:
         raise FormatError(
-            f"{path}: the header counts {header['splats']} splats and the sections hold {total},"
+            f"{path}: the header counts {counted(int(header['splats']), 'splat')} and the sections"
+            f" hold {total:,},"
             f" so it is damaged or empty; {AGAIN}"
         )
     low, high = float(header["sh_low"]), float(header["sh_high"])

@@ -61,7 +61,7 @@ def left_out(
         out.append(f"Further elements are left out, {suffix} has no room for them: {names}.")
     lines = [line for line in splats.comments if render_tag.tag_of(line) is None]
     if comments and lines:
-        count = "1 comment line is" if len(lines) == 1 else f"{len(lines)} comment lines are"
+        count = counted(len(lines), "comment line is", "comment lines are")
         out.append(f"{count} left out, {suffix} has no room for them.")
     if splats.sh_degree > max_degree:
         out.append(
@@ -93,4 +93,5 @@ def clamped(rows: Bool, what: str) -> list[str]:
         what: The values and their range, to end the sentence.
     """
     count = int(rows.reshape(len(rows), -1).any(axis=1).sum())
-    return [Finding(f"{{:,}} splats have {what}, and are clamped to that.", count)] if count else []
+    text = f"{{:splat has|splats have}} {what}, clamped to that."
+    return [Finding(text, count)] if count else []

@@ -8,6 +8,7 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import FormatError
+from nanogs.formatting import counted
 from nanogs.io import columns, compressed_ply, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.findings import Finding
@@ -260,10 +261,12 @@ class _Vertex:
         ]
         if changed:
             kinds = ", ".join(sorted({TYPE_NAMES[self.codes[name]] for name in changed}))
-            notes.append(f"{len(changed)} {kinds} columns became float: {_some(changed)}.")
+            notes.append(
+                f"{counted(len(changed), f'{kinds} column')} became float: {_some(changed)}."
+            )
         for name, count in self.overflowed.items():
             quoted = repr(name).replace("{", "{{").replace("}", "}}")
-            text = f"{{}} values of {quoted} are beyond float and became infinite."
+            text = f"{{:value|values}} of {quoted} beyond float became infinite."
             notes.append(Finding(text, count))
         return notes
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from nanogs._types import F64, Array
 from nanogs.errors import FormatError
+from nanogs.formatting import counted
 from nanogs.io.files import BLOCK_ROWS, unreadable
 from nanogs.io.parts import fill, row_blocks
 from nanogs.io.ply_header import Element, Header
@@ -86,8 +87,8 @@ def _check_keepable(path: Path, element: Element) -> None:
         )
     if not element.properties:
         raise FormatError(
-            f"{path}: element {element.name!r} has {element.count} rows but no properties;"
-            " correct the header or export the file again."
+            f"{path}: element {element.name!r} has {counted(element.count, 'row')} but no"
+            " properties; correct the header or export the file again."
         )
 
 
@@ -100,14 +101,14 @@ def _check_binary_size(header: Header) -> None:
         if element.count * row_bytes > left:
             raise FormatError(
                 f"{header.path} is cut short: element {element.name!r} should have"
-                f" {element.count} rows of {row_bytes} bytes, but only {left // row_bytes} rows"
-                f" ({left} bytes) are there; {_AGAIN}"
+                f" {counted(element.count, 'row')} of {counted(row_bytes, 'byte')}, but only"
+                f" {left // row_bytes:,} ({counted(left, 'byte')}) are there; {_AGAIN}"
             )
         left -= element.count * row_bytes
     if left:
         raise FormatError(
-            f"{header.path}: {left} bytes follow the last row, so the header has the wrong count"
-            f" or row size; {_AGAIN}"
+            f"{header.path}: {counted(left, 'byte follows', 'bytes follow')} the last row, so the"
+            f" header has the wrong count or row size; {_AGAIN}"
         )
 
 
@@ -118,8 +119,8 @@ def _check_ascii_size(header: Header) -> None:
     if least > left:
         rows = sum(element.count for element in header.elements)
         raise FormatError(
-            f"{header.path} is cut short: {rows} rows of text need at least {least} bytes, but"
-            f" only {left} are there; {_AGAIN}"
+            f"{header.path} is cut short: {counted(rows, 'row of text needs', 'rows of text need')}"
+            f" at least {counted(least, 'byte')}, but only {left:,} are there; {_AGAIN}"
         )
 
 

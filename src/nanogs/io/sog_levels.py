@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from nanogs.errors import FormatError, OptionError
+from nanogs.formatting import counted
 from nanogs.io import sog
 from nanogs.io.container import Folder
 from nanogs.io.files import input_size
@@ -192,8 +193,8 @@ def check_rows(piece: Piece, available: int) -> None:
     """
     if any(offset + count > available for offset, count in piece.spans):
         raise FormatError(
-            f"{piece.path} has {available} splats, fewer than its lod-meta.json says; export or "
-            "download the model again."
+            f"{piece.path} has {counted(available, 'splat')}, fewer than its lod-meta.json says;"
+            " export or download the model again."
         )
 
 

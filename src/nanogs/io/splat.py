@@ -12,6 +12,7 @@ import numpy as np
 
 from nanogs._types import F32, F64, U8, Array
 from nanogs.errors import FormatError
+from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.compressed_ply import SH_C0, base_colour, logit
 from nanogs.io.files import BLOCK_ROWS, input_size
@@ -97,8 +98,9 @@ def _count(path: Path) -> int:
     rows, rest = divmod(input_size(path), _ROW.itemsize)
     if rest:
         raise FormatError(
-            f"{path}: {rest} bytes follow row {rows} of {_ROW.itemsize} bytes each, so it is cut"
-            " short or no .splat file; export or download it again."
+            f"{path}: {counted(rest, 'byte follows', 'bytes follow')} row {rows:,} of"
+            f" {_ROW.itemsize} bytes each, so it is cut short or no .splat file;"
+            " export or download it again."
         )
     return rows
 

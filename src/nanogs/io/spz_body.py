@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, BinaryIO, cast
 import numpy as np
 
 from nanogs._types import U8
+from nanogs.formatting import counted
 from nanogs.io.spz_header import (
     EXTENSIONS,
     HEADER,
@@ -95,12 +96,12 @@ def _plain(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
         for size in _pieces(header, width):
             piece = inflater.read(size)
             if len(piece) < size:
-                raise damaged(header, f"the columns end before {header.count:,} splats")
+                raise damaged(header, f"the columns end before {counted(header.count, 'splat')}")
             yield piece
     allowed = _MAX_EXTENSIONS if header.flags & EXTENSIONS else 0
     records = inflater.read(allowed + 1)
     if len(records) > allowed:
-        raise damaged(header, f"more data than {header.count:,} splats have")
+        raise damaged(header, f"more data than {counted(header.count, 'splat has', 'splats have')}")
     if inflater.trailing():
         raise damaged(header, "something follows its data")
     notes += _extension_notes(header, records)

@@ -14,6 +14,7 @@ import numpy as np
 
 from nanogs._types import F64, Array
 from nanogs.errors import FormatError
+from nanogs.formatting import counted
 from nanogs.io.compressed_ply import logit
 from nanogs.io.files import BLOCK_ROWS, input_size, unreadable
 from nanogs.io.findings import negative_scales
@@ -142,8 +143,8 @@ def _column(layer: Layer, given: _Field, name: str) -> Array:
     each = _WIDTHS[name] * ((given.degree + 1) ** 2 if name == COEFFICIENTS else 1)
     if len(numbers) != given.count * each:
         raise layer.error(
-            f"{name} of {given.prim.name[:40]!a} has {len(numbers)} numbers, where"
-            f" {given.count} splats have {given.count * each}"
+            f"{name} of {given.prim.name[:40]!a} has {counted(len(numbers), 'number')}, where"
+            f" {counted(given.count, 'splat has', 'splats have')} {given.count * each:,}"
         )
     shape = (-1, 3) if name == COEFFICIENTS else (_WIDTHS[name],)
     return numbers.reshape(given.count, *shape)

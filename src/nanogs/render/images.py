@@ -10,6 +10,7 @@ import numpy as np
 
 from nanogs._types import F32, U8, Array
 from nanogs.errors import OptionError
+from nanogs.formatting import undrawn
 from nanogs.io.atomic import atomic_write
 from nanogs.io.folder import atomic_folder
 from nanogs.progress import Progress, Stage, Tracker, each
@@ -101,7 +102,7 @@ def _render(
         if not rendering.alpha.any():
             notes[f"{name}: nothing of the model is seen"] = None
     if prepared.skipped:
-        notes[f"{prepared.skipped:,} splats with a NaN or infinite value were not drawn"] = None
+        notes[undrawn(prepared.skipped)] = None
     return written, list(notes)
 
 

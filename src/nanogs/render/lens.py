@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.formatting import counted
 
 if TYPE_CHECKING:
     from nanogs.render.camera import Camera
@@ -78,5 +79,5 @@ def lens_notes(cameras: "Sequence[Camera]") -> list[str]:
     bent = sum(camera.lens is not None for camera in cameras)
     if not bent:
         return []
-    which = "1 camera" if bent == 1 else f"{bent} cameras"
+    which = counted(bent, "camera")
     return [f"The lens distortion of {which} is left out: views are those of pinholes."]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nanogs.errors import OptionError
+from nanogs.formatting import counted
 from nanogs.progress import Stage, Tracker
 from nanogs.report import SizeProbeReport, StageClock
 from nanogs.simplify.forest_pipeline import Build, deliver
@@ -89,8 +90,8 @@ def search_fit(
         if fits is None:
             if count == fewest:
                 raise OptionError(
-                    f"The size {size:,} B is too small: a file of {count:,} splats, the fewest"
-                    f" that this model can be merged to, takes {probe.bytes:,} B."
+                    f"The size {size:,} B is too small: a file of {counted(count, 'splat')}, the"
+                    f" fewest that this model can be merged to, takes {probe.bytes:,} B."
                 )
         elif fits.bytes >= enough or _final(fits, over, available, len(probes), leaps):
             return Fitted(fits.count, fits.bytes, tuple(probes))

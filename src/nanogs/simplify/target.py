@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from nanogs.errors import OptionError
+from nanogs.formatting import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,7 @@ def target_count(available: int, ratio: float | None, count: int | None) -> int:
         return math.ceil(Fraction(str(float(ratio or 0))) * available)
     if count > available:
         raise OptionError(
-            f"The count {count} is above the {available} usable splats of the input; "
+            f"The count {count:,} is above the {counted(available, 'usable splat')} of the input; "
             "nanogs makes models smaller."
         )
     return count

@@ -14,6 +14,7 @@ import numpy as np
 
 from nanogs._types import F64, F
 from nanogs.errors import ModelError
+from nanogs.formatting import counted, undrawn
 from nanogs.io import spz_write
 from nanogs.io.spz import SCALE_LOW
 from nanogs.render.opening import Opening
@@ -57,15 +58,15 @@ def pack(splats: Splats, start: Opening) -> Packed:
         raise ModelError("The model holds no finite splat; there is nothing to show.")
     if not finite.all():
         splats = splats.take(finite)
-        notes.append(f"{int((~finite).sum()):,} splats with a NaN or infinite value are not shown.")
+        notes.append(f"{undrawn(int((~finite).sum()))}.")
     if splats.sh_degree > MAX_DEGREE:
         splats = splats.with_sh_degree(MAX_DEGREE)
         notes.append(f"Spherical harmonics above degree {MAX_DEGREE} are not shown.")
     placed, far = _place(splats, start)
     if far:
         notes.append(
-            f"{far:,} splats farther than {FARTHEST / DISTANCE:.0f} times the first distance are"
-            " shown at that."
+            f"{counted(far, 'splat')} farther than {FARTHEST / DISTANCE:.0f} times the first"
+            " distance, shown at that."
         )
     file = io.BytesIO()
     spz_write.write(placed, file)

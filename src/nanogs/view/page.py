@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs._version import __version__
 from nanogs.compare.protocol import Background, Judged
 from nanogs.errors import ModelError
-from nanogs.formatting import bytes_text, number_text
+from nanogs.formatting import bytes_text, counted, number_text
 from nanogs.render.opening import Opening
 from nanogs.view.bundle import licences, program
 from nanogs.view.pack import Packed, in_page
@@ -61,7 +61,7 @@ def facts_of(
     quality: tuple[str, ...] = ()
     if judged is not None:
         quality = (f"PSNR {number_text(judged.psnr)} dB", f"on {judged.protocol.text}")
-    return (f"{splats:,} splats{share}", bytes_text(file_bytes), *quality)
+    return (counted(splats, "splat") + share, bytes_text(file_bytes), *quality)
 
 
 def viewer_part(models: Sequence[Shown], start: Opening, background: Background) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
+from nanogs.formatting import counted
 from nanogs.io import FileInfo, inspect, level_counts, load
 from nanogs.io.atomic import atomic_write
 from nanogs.io.collect import model_in
@@ -190,8 +191,8 @@ def _with_note(splats: Splats, levels: Sequence[int]) -> Splats:
     if chosen == 0:
         return splats
     note = (
-        f"level {chosen} of 0 to {len(levels) - 1} is shown, {len(splats):,} splats; --level 0"
-        f" shows the finest, {levels[0]:,}."
+        f"level {chosen} of 0 to {len(levels) - 1} is shown, {counted(len(splats), 'splat')};"
+        f" --level 0 shows the finest, {levels[0]:,}."
     )
     return replace(splats, notes=(*splats.notes, note))
 

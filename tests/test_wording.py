@@ -1,0 +1,47 @@
+"""Sentences as people write them: one of a thing, and many of it."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import nanogs
+from nanogs.formatting import counted, undrawn
+from nanogs.io.findings import Finding, join_findings, negative_scales, of_plain, to_plain
+
+SOURCES = sorted(Path(nanogs.__file__).parent.rglob("*.py"))
+# A number in a sentence before a plural that a single thing would make wrong.
+PLURAL = re.compile(
+    r"\{[^{}]*\}\s+(splats|bytes|views|rows|photographs)\s+(with|have|has|are|were|is)\b"
+)
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(0, "0 splats"), (1, "1 splat"), (2, "2 splats"), (1500, "1,500 splats")]
+)
+def test_counted(count, text):
+    assert counted(count, "splat") == text
+
+
+def test_what_follows_a_number_follows_it():
+    assert counted(1, "opacity is", "opacities are") == "1 opacity is"
+    assert counted(3, "opacity is", "opacities are") == "3 opacities are"
+    assert undrawn(1) == "1 splat with a NaN or infinite value was not drawn"
+    assert undrawn(2) == "2 splats with a NaN or infinite value were not drawn"
+
+
+def test_findings_of_blocks_add_up_to_one_sentence():
+    [one], [two] = negative_scales(1), negative_scales(1200)
+    assert one == "1 splat has a negative scale, which became NaN."
+    assert join_findings([[one], [two]]) == (
+        "1,201 splats have a negative scale, which became NaN.",
+    )
+    assert of_plain(to_plain(one)) == one
+    assert Finding("Rounded to 1/{}.", 2048, min) == "Rounded to 1/2048."
+
+
+def test_no_sentence_says_one_splats():
+    found = {path.name: PLURAL.findall(path.read_text(encoding="utf-8")) for path in SOURCES}
+    assert len(found) > 200
+    always_many = {"sog_write.py", "result.py"}  # "... splats are too many"
+    assert {name for name, each in found.items() if each} == always_many
