@@ -184,7 +184,7 @@ def test_a_terminal_of_few_characters_gets_a_plain_arrow(tmp_path):
 
 @pytest.mark.parametrize(
     ("before", "after", "text"),
-    [(76e6, 1.2e6, "76.0 → 1.2 MB"), (76e6, 5e5, "76.0 MB → 500.0 KB"), (None, 10, "– → 10 B")],  # noqa: RUF001
+    [(76e6, 1.2e6, "76.0 → 1.2 MB"), (76e6, 5e5, "76.0 MB → 500.0 kB"), (None, 10, "– → 10 B")],  # noqa: RUF001
 )
 def test_sizes(before, after, text):
     assert sizes_text(before, after, "→") == text

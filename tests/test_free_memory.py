@@ -383,7 +383,7 @@ def test_what_takes_more_than_is_free_is_refused_at_once(
     assert command(*given) == 2
     text = capsys.readouterr().err
     assert text.startswith(f"error: {said}")
-    assert "450.0 KB are free on this machine; free some" in text
+    assert "450.0 kB are free on this machine; free some" in text
     assert text.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 

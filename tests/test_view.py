@@ -212,7 +212,7 @@ def test_a_page_names_no_other_place(page):
 def test_a_page_holds_its_models_and_what_it_says_of_them(page):
     scene = json.loads(re.search(r'id="nanogs-scene">(.*?)</script>', page)[1])
     assert [model["name"] for model in scene["models"]] == ["a.ply", "b.ply"]
-    assert scene["models"][0]["facts"] == ["20 splats", "1.0 KB"]
+    assert scene["models"][0]["facts"] == ["20 splats", "1.0 kB"]
     assert scene["background"] == "#0080ff"
     assert np.allclose(scene["camera"]["position"], (0, 0, -DISTANCE))
     for model in scene["models"]:

@@ -34,7 +34,7 @@ def bytes_text(count: int | None) -> str:
     if count is None:
         return NONE
     value = float(count)
-    for unit in ("B", "KB", "MB"):
+    for unit in ("B", "kB", "MB"):
         if value < 999.95:  # and not 1000.0 of a unit
             return f"{value:.0f} {unit}" if unit == "B" else f"{value:.1f} {unit}"
         value /= 1000
