@@ -151,3 +151,19 @@ def test_no_temporary_file_is_left(scene, tmp_path):
     for extra in ((), ("--min-opacity", "2")):
         run("convert", "-", "-", *extra, data=scene.read_bytes(), env=environment)
         assert [path for path in tmp_path.iterdir() if path.name.startswith("nanogs")] == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes end otherwise there")
+@pytest.mark.parametrize(
+    "arguments", [("info",), ("info", "--json"), ("convert", "-", "--to", "ply"), ("--help",)]
+)
+def test_a_pipe_that_nobody_reads_ends_the_command_quietly(scene, arguments):
+    """As SIGPIPE ends other programs: their exit code, and not a word."""
+    first, *rest = arguments
+    command = [first, *([] if first == "--help" else [scene]), *rest]
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "nanogs", *map(str, command)]
+    ended = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, timeout=60)
+    os.close(writer)
+    assert (ended.returncode, ended.stderr) == (141, b"")

@@ -1,6 +1,7 @@
 """The command `nanogs`: arguments in, reports out. Whatever computes is in the library."""
 
 import gc
+import os
 import sys
 
 from nanogs.cli.cancel import listen
@@ -31,10 +32,15 @@ def _run() -> int:
         if not {"--help", "-h", "--version"} & set(sys.argv):  # these need nothing else
             refuse_without_numpy()
         code = app(prog_name="nanogs", standalone_mode=False)
+        sys.stdout.flush()
     except NanogsError as error:
         return _refuse(wording(error))
     except BrokenPipeError:
-        return 1
+        return _unread()
+    except SystemExit as ended:  # Typer and Rich end programs themselves whose pipe is closed
+        if isinstance(ended.__context__, BrokenPipeError):
+            return _unread()
+        raise
     except typer.Abort:
         return 130  # as the shell has it of interrupted programs
     except Exception as error:
@@ -46,6 +52,17 @@ def _run() -> int:
             raise
         return _refuse(said)
     return code if isinstance(code, int) else 0
+
+
+def _unread() -> int:
+    """The exit code once nobody reads what is said, as of a program that SIGPIPE ended.
+
+    What is still held back for the pipe goes nowhere, or Python would complain of it as it ends.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        os.dup2(nowhere, stream.fileno())
+    return 141
 
 
 def _refuse(sentence: str) -> int:
