@@ -20,7 +20,7 @@ from builders import random_splats
 from nanogs.bench import protocol
 from nanogs.bench.gsplat import gsplat_fps
 from nanogs.bench.methods import ABLATIONS, find_method
-from nanogs.bench.output import ResultFolder
+from nanogs.bench.output import ResultFolder, run_of
 from nanogs.bench.protocol import row_count, run_bench
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow, Status
 from nanogs.bench.scenes import (
@@ -126,15 +126,46 @@ def test_results_are_not_replaced_unasked(tmp_path):
     old = BenchRow("a", "x", 0.1, psnr=20.0)
     ResultFolder(tmp_path).add(old)
     ResultFolder(tmp_path, overwrite=True).finish([old])
-    with pytest.raises(OutputError, match="-w replaces it"):
+    with pytest.raises(OutputError, match="overwrite=True to replace it"):
         ResultFolder(tmp_path)
     before = (tmp_path / "results.md").read_bytes()
     folder = ResultFolder(tmp_path, overwrite=True)
     assert (tmp_path / "results.md").read_bytes() == before
-    folder.add(BenchRow("b", "x", 0.1))
-    folder.add(BenchRow("c", "x", 0.1))
+    rows = [BenchRow("b", "x", 0.1), BenchRow("c", "x", 0.1)]
+    for row in rows:
+        folder.add(row)
+    folder.finish(rows)
     lines = (tmp_path / "results.jsonl").read_text().splitlines()
     assert [json.loads(line)["scene"] for line in lines] == ["b", "c"]
+    assert {path.name for path in tmp_path.iterdir()} == {"results.md", "results.jsonl", "plot.png"}
+
+
+def test_an_unfinished_run_goes_on_where_it_ended(tmp_path):
+    first = BenchRow("a", "x", 0.1, psnr=math.inf, extras={"flip": 0.5}, notes=("a note",))
+    broken = BenchRow("a", "y", 0.1, status=Status.FAILED, reason="no memory")
+    begun = ResultFolder(tmp_path, run="this")
+    begun.add(first)
+    begun.add(broken)
+    unfinished = tmp_path / "unfinished.jsonl"
+    unfinished.write_text(unfinished.read_text() + '{"scene": "a", "me')  # cut off
+    again = ResultFolder(tmp_path, run="this")
+    assert again.done == [first]
+    again.add(first)
+    again.add(BenchRow("a", "y", 0.1, psnr=3.0))
+    assert [row.psnr for row in ResultFolder(tmp_path, run="this").done] == [math.inf, 3.0]
+    with pytest.raises(OutputError, match=r"other models or settings; .* to begin anew"):
+        ResultFolder(tmp_path, run="that")
+    assert ResultFolder(tmp_path, run="that", overwrite=True).done == []
+
+
+def test_rows_that_are_known_are_not_measured_again(model, monkeypatch):
+    scene = BenchScene("a", model)
+    settings = BenchSettings(ratios=(0.5,), methods=("random",), views=1, size=16)
+    known = [BenchRow("a", ORIGINAL, 1.0, splats=400), BenchRow("a", "random", 0.5, psnr=12.0)]
+    monkeypatch.setattr("nanogs.bench.protocol.load", None)  # nothing is read
+    assert run_bench([scene], settings, done=known) == known
+    assert run_of([scene], settings) != run_of([scene], replace(settings, size=32))
+    assert run_of([scene], settings) == run_of([scene], replace(settings))
 
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
@@ -426,7 +457,7 @@ def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
     assert (out / "plot.png").stat().st_size > 5000
     again = run("bench", model, *options, "--out", out)
     assert (again.returncode, again.stdout) == (2, "")
-    assert "-w replaces it" in again.stderr
+    assert "add -w to replace it" in again.stderr
 
 
 def test_the_up_direction_of_views_may_be_given(model):

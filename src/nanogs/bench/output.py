@@ -1,60 +1,118 @@
 """Results as files in a folder."""
 
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 
+from nanogs._version import __version__
 from nanogs.bench.plot import save_plot
-from nanogs.bench.rows import BenchRow
+from nanogs.bench.rows import BenchRow, Status
+from nanogs.bench.scenes import BenchScene
+from nanogs.bench.settings import BenchSettings
 from nanogs.bench.tables import json_line, markdown
-from nanogs.errors import OutputError
+from nanogs.errors import ExistsError, OutputError
 
 TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.png"
+UNFINISHED = "unfinished.jsonl"  # what the run is, and its rows so far
+
+
+def run_of(scenes: Sequence[BenchScene], settings: BenchSettings) -> str:
+    """All that the rows of a run depend on, as one line of JSON: models by size and time too."""
+    files = {str(scene.model): _stamp(scene.model) for scene in scenes}
+    about = {
+        "version": __version__,
+        "files": files,
+        "scenes": [asdict(scene) for scene in scenes],
+        "settings": asdict(settings),
+    }
+    return json.dumps(about, default=str, sort_keys=True)
 
 
 class ResultFolder:
-    """A folder that takes rows as they come, so that a run that ends early leaves what it has."""
+    """A folder that takes rows as they come, so that a run that ends early can be taken up again.
 
-    def __init__(self, folder: str | Path, *, overwrite: bool = False) -> None:
+    Attributes:
+        path: The folder.
+        done: Rows that an unfinished run of the same kind has measured.
+    """
+
+    def __init__(
+        self, folder: str | Path, *, run: str | None = None, overwrite: bool = False
+    ) -> None:
         """Make the folder, and refuse to replace results; nothing is replaced yet.
 
         Args:
             folder: The folder; it is made where it is missing.
-            overwrite: Replace results that are there.
+            run: From `run_of`; None for a run that is never taken up again.
+            overwrite: Replace results that are there, and those of an unfinished run.
 
         Raises:
-            OutputError: It holds results, or cannot be made.
+            OutputError: It holds results, also of an unfinished run of another kind, or cannot be
+                made.
         """
-        self.path = Path(folder)
-        self._begun = False
+        self.path, self.done = Path(folder), list[BenchRow]()
+        self._run, self._begun = run, False
         for name in (TABLE, LINES, PLOT):
             if (self.path / name).exists() and not overwrite:
-                raise OutputError(f"{self.path / name} exists; -w replaces it.")
+                raise ExistsError(f"{self.path / name} exists already")
         with _writing(self.path):
+            if not overwrite:
+                self.done = self._rows_so_far()
             self.path.mkdir(parents=True, exist_ok=True)
 
     def add(self, row: BenchRow) -> None:
-        """Append a row to the JSON lines.
+        """Keep a row until all are there; one that was done before is kept already.
 
         Raises:
             OutputError: It cannot be written.
         """
-        lines = self.path / LINES
-        with _writing(lines), lines.open("a" if self._begun else "w", encoding="utf-8") as file:
-            file.write(json_line(row))
-        self._begun = True
+        unfinished = self.path / UNFINISHED
+        with _writing(unfinished):
+            if not self._begun:
+                known = "".join(map(json_line, self.done))
+                unfinished.write_text(f"{self._run or '{}'}\n{known}", encoding="utf-8")
+            self._begun = True
+            if row.key not in {known.key for known in self.done}:
+                with unfinished.open("a", encoding="utf-8") as file:
+                    file.write(json_line(row))
 
     def finish(self, rows: Sequence[BenchRow], preamble: str = "") -> None:
-        """Write the table, below a preamble, and the plot.
+        """Write all rows, the table below a preamble, and the plot.
 
         Raises:
             OutputError: They cannot be written.
         """
-        table = self.path / TABLE
-        with _writing(table):
-            table.write_text(preamble + markdown(rows), encoding="utf-8")
+        texts = {LINES: "".join(map(json_line, rows)), TABLE: preamble + markdown(rows)}
+        for name, text in texts.items():
+            with _writing(self.path / name):
+                (self.path / name).write_text(text, encoding="utf-8")
         with _writing(self.path / PLOT):
             save_plot(rows, self.path / PLOT)
+        with _writing(self.path / UNFINISHED):
+            (self.path / UNFINISHED).unlink(missing_ok=True)
+
+    def _rows_so_far(self) -> list[BenchRow]:
+        """What an unfinished run has measured; a line that was cut off is measured again."""
+        unfinished = self.path / UNFINISHED
+        if not unfinished.exists():
+            return []
+        run, *lines = unfinished.read_text(encoding="utf-8").split("\n")
+        if run != self._run:
+            fact = f"{unfinished} is of an unfinished run of other models or settings"
+            raise ExistsError(fact, "begin anew, or name another folder to keep it")
+        rows = [BenchRow.from_dict(json.loads(line)) for line in lines[:-1]]
+        return [row for row in rows if row.status is Status.OK]
+
+
+def _stamp(path: Path) -> list[int]:
+    """Size and time of a file; empty where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return []
+    return [found.st_size, found.st_mtime_ns]
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nanogs.bench.gsplat import gsplat_fps
-from nanogs.bench.rows import ORIGINAL, Against, BenchRow, Status
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, RowKey, Status
 from nanogs.bench.scenes import BenchScene, SceneViews, fill, scene_of_file, scene_views
 from nanogs.bench.settings import BenchSettings, refuse_twins
 from nanogs.bench.worker import Job, run_job
@@ -35,6 +35,7 @@ def run_bench(
     scenes: Sequence[BenchScene],
     settings: BenchSettings,
     *,
+    done: Sequence[BenchRow] = (),
     on_row: OnRow | None = None,
     progress: Progress | None = None,
 ) -> list[BenchRow]:
@@ -43,6 +44,7 @@ def run_bench(
     Args:
         scenes: The scenes, of different names.
         settings: What to measure.
+        done: Rows that were measured before and are taken as they are.
         on_row: Told of each row as it is done.
         progress: Told what is done next.
 
@@ -59,9 +61,10 @@ def run_bench(
         fill(pattern, scene="scene", model="model", ratio="0.1")
     _try_metrics(settings.metrics)
     rows = []
+    known = {row.key: row for row in done}
     with use_threads(settings.threads):
         for scene in scenes:
-            for row in _scene_rows(scene, settings, progress or (lambda _what: None)):
+            for row in _scene_rows(scene, settings, known, progress or (lambda _what: None)):
                 rows.append(row)
                 if on_row:
                     on_row(row)
@@ -85,8 +88,12 @@ def row_count(scenes: Sequence[BenchScene], settings: BenchSettings) -> int:
 
 
 def _scene_rows(
-    scene: BenchScene, settings: BenchSettings, progress: Progress
+    scene: BenchScene, settings: BenchSettings, known: Mapping[RowKey, BenchRow], progress: Progress
 ) -> Iterator[BenchRow]:
+    keys = [(scene.name, *run) for run in _all_runs(settings)]
+    if all(key in known for key in keys):
+        yield from (known[key] for key in keys)
+        return
     progress(f"{scene.name}: reading")
     try:
         splats = load(scene.model)
@@ -95,17 +102,20 @@ def _scene_rows(
         yield from _skipped_rows(scene, settings, str(error))
         return
     progress(f"{scene.name}: {ORIGINAL}")
-    yield _original_row(scene, splats, views, settings)
+    first = known.get(keys[0])
+    yield first or _original_row(scene, splats, views, settings)
     finite = int(splats.finite().sum())
     del splats
     with temporary_folder("nanogs-bench-") as folder:
-        for ratio in settings.ratios:
-            for method in settings.methods:
-                progress(f"{scene.name}: {method} at {ratio:g}")
-                yield _method_row(scene, method, ratio, views, settings, folder)
-            asked = target_count(finite, ratio, None)
-            for name in settings.externals:
-                progress(f"{scene.name}: {name} at {ratio:g}")
+        for key in keys[1:]:
+            _, name, ratio = key
+            progress(f"{scene.name}: {name} at {ratio:g}")
+            if key in known:
+                yield known[key]
+            elif name in settings.methods:
+                yield _method_row(scene, name, ratio, views, settings, folder)
+            else:
+                asked = target_count(finite, ratio, None)
                 yield _external_row(scene, name, ratio, asked, views, settings)
 
 
@@ -115,13 +125,14 @@ def _empty_row(scene: BenchScene, method: str, ratio: float) -> BenchRow:
 
 
 def _skipped_rows(scene: BenchScene, settings: BenchSettings, reason: str) -> Iterator[BenchRow]:
-    runs = [(name, ratio) for ratio in settings.ratios for name in _all_names(settings)]
-    for name, ratio in [(ORIGINAL, 1.0), *runs]:
+    for name, ratio in _all_runs(settings):
         yield replace(_empty_row(scene, name, ratio), status=Status.SKIPPED, reason=reason)
 
 
-def _all_names(settings: BenchSettings) -> list[str]:
-    return [*settings.methods, *settings.externals]
+def _all_runs(settings: BenchSettings) -> list[tuple[str, float]]:
+    """Method and ratio of each row of a scene, in their order."""
+    names = [*settings.methods, *settings.externals]
+    return [(ORIGINAL, 1.0), *((name, ratio) for ratio in settings.ratios for name in names)]
 
 
 def _original_row(

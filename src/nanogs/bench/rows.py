@@ -1,11 +1,13 @@
 """One row for each scene, method and ratio, whatever became of it."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
 ORIGINAL = "original"
+RowKey = tuple[str, str, float]
 
 
 class Status(StrEnum):
@@ -71,6 +73,11 @@ class BenchRow:
     notes: tuple[str, ...] = ()
 
     @property
+    def key(self) -> RowKey:
+        """Scene, method and ratio, which no other row of a run has."""
+        return self.scene, self.method, self.ratio
+
+    @property
     def measured(self) -> bool:
         """The row has a score."""
         return self.status is Status.OK and self.psnr is not None
@@ -81,6 +88,19 @@ class BenchRow:
         data["extras"] = {name: _plain(value) for name, value in self.extras.items()}
         data["notes"] = list(self.notes)
         return data
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "BenchRow":
+        """The row that `to_dict` gave."""
+        words = {"scene", "method", "reason", "dataset"}
+        values = {name: value if name in words else _value(value) for name, value in data.items()}
+        values["extras"] = {name: _value(value) for name, value in data["extras"].items()}
+        values["status"], values["against"] = Status(data["status"]), Against(data["against"])
+        return cls(**values | {"notes": tuple(data["notes"])})
+
+
+def _value(value: Any) -> Any:  # noqa: ANN401 - whatever a row holds
+    return float(value) if value in ("inf", "-inf", "nan") else value
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a row holds

@@ -75,7 +75,11 @@ Cameras = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    typer.Option("--out", "-o", help="Folder for results.md, results.jsonl and plot.png."),
+    typer.Option(
+        "--out",
+        "-o",
+        help="Folder for results.md, results.jsonl and plot.png; an unfinished run in it goes on.",
+    ),
 ]
 
 
@@ -180,16 +184,25 @@ def _run(
     quiet: bool,
 ) -> "list[BenchRow]":
     """Measure, keep rows in the folder as they come, and show on stderr how it goes."""
-    from nanogs.bench.output import ResultFolder
+    from nanogs.bench.output import ResultFolder, run_of
     from nanogs.bench.protocol import row_count, run_bench
     from nanogs.cli.progress import shown
 
-    folder = ResultFolder(out, overwrite=overwrite) if out else None
+    run = run_of(scenes, settings)
+    folder = ResultFolder(out, run=run, overwrite=overwrite) if out else None
+    done = folder.done if folder else []
+    if done and not quiet:
+        from nanogs.cli.console import warn
+        from nanogs.formatting import counted
+
+        taken = counted(len(done), "row is", "rows are")
+        warn(f"{taken} taken from an unfinished run in {out}; -w begins anew.")
     with shown(quiet=quiet) as watch:
         observer = _Observer(watch, row_count(scenes, settings))
         rows = run_bench(
             scenes,
             settings,
+            done=done,
             on_row=lambda row: observer.row(row, folder),
             progress=observer.stage,
         )
