@@ -73,6 +73,9 @@ def test_existing_target_names_the_argument_and_the_command_its_flag(target, che
     [
         ("raise `max_memory`.", "raise --max-memory."),
         ("`resume=True` continues it", "--resume continues it"),
+        ("one of `ratio`, `count` and `psnr`.", "one of --ratio, --count and --psnr."),
+        ('as with `images="images_4"`', "as with --images images_4"),
+        ("`level=0` shows the finest", "--level 0 shows the finest"),
         ('leave them out with `nan="drop"`.', "leave them out with --nan drop."),
         (
             "fewer neighbours with `k`, and `ulimit -v`",

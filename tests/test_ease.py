@@ -142,8 +142,8 @@ def test_view_shows_a_level_that_suits_a_page(folder, tmp_path, monkeypatch):
     assert f'"{bytes_text(shown().input_bytes)}"' in text
     monkeypatch.setattr("nanogs.view.run.PAGE_SPLATS", 150)
     assert shown().splats == 100
-    assert any("--level 0" in note for note in shown().notes)
-    assert not any("--level" in note for note in shown(1).notes)
+    assert any("`level=0`" in note for note in shown().notes)
+    assert not any("`level" in note for note in shown(1).notes)
     monkeypatch.setattr("nanogs.view.run.PAGE_SPLATS", 1)
     assert shown().splats == 4
     assert_refused(run("view", folder / "a.ply", "--level", "1", "-o", tmp_path / "x.html"),

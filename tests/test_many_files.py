@@ -97,8 +97,8 @@ def test_names(source, suffix, target):
         (["x/a.ply", "y/a.ply"], None, "x/a.ply and y/a.ply would both become out/a.ply"),
         (["a.ply", "a.spz"], "sog", "out/a.sog"),
         (["a.ply"], "obj", "does not write"),
-        (["a.ksplat"], None, "add --format"),
-        (["garden/meta.json"], None, "add --format"),
+        (["a.ksplat"], None, "add `format="),
+        (["garden/meta.json"], None, "add `format="),
     ],
 )
 def test_names_that_cannot_be(sources, suffix, words):

@@ -1,5 +1,6 @@
 """Sentences as people write them: one of a thing, and many of it."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -14,6 +15,8 @@ SOURCES = sorted(Path(nanogs.__file__).parent.rglob("*.py"))
 PLURAL = re.compile(
     r"\{[^{}]*\}\s+(splats|bytes|views|rows|photographs)\s+(with|have|has|are|were|is)\b"
 )
+
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 
 
 @pytest.mark.parametrize(
@@ -38,6 +41,27 @@ def test_findings_of_blocks_add_up_to_one_sentence():
     )
     assert of_plain(to_plain(one)) == one
     assert Finding("Rounded to 1/{}.", 2048, min) == "Rounded to 1/2048."
+
+
+def test_the_library_speaks_of_arguments_and_the_command_of_options():
+    """Python users read the library's sentences too; `cli.wording` puts options into them."""
+    folder = Path(nanogs.__file__).parent
+    found = set()
+    for path in SOURCES:
+        if path.is_relative_to(folder / "cli"):
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        docstrings = {
+            id(node.body[0].value)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+            and isinstance(node.body[0], ast.Expr)
+        }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                said = node.value if id(node) not in docstrings else ""
+                found |= {f"{path.name}: {option}" for option in OPTION.findall(said)}
+    assert found == set()
 
 
 def test_no_sentence_says_one_splats():

@@ -79,12 +79,12 @@ def parse_scene(text: str) -> BenchScene:
     return BenchScene(name, Path(model), Path(folder) if folder else None)
 
 
-def parse_dataset(text: str, pattern: str = TRAINED_MODEL) -> list[BenchScene]:
+def parse_dataset(text: str, model_pattern: str = TRAINED_MODEL) -> list[BenchScene]:
     """The scenes of a published data set: every folder that holds a trained model.
 
     Args:
         text: `NAME=FOLDER`, the name a key of `published.DATASETS`.
-        pattern: Path of a scene's model; {folder} and {scene} are replaced.
+        model_pattern: Path of a scene's model; {folder} and {scene} are replaced.
 
     Raises:
         OptionError: It is of another form, or no scene has a model.
@@ -99,13 +99,13 @@ def parse_dataset(text: str, pattern: str = TRAINED_MODEL) -> list[BenchScene]:
         )
     scenes = []
     for entry in sorted(path for path in root.iterdir() if path.is_dir()):
-        model = Path(fill(pattern, folder=folder, scene=entry.name))
+        model = Path(fill(model_pattern, folder=folder, scene=entry.name))
         if model.exists():
             images = image_folder(name, entry.name)
             scenes.append(BenchScene(entry.name, model, entry, name, images))
     if not scenes:
-        wanted = fill(pattern, folder=folder, scene="SCENE")
-        raise OptionError(f"{root} holds no trained model {wanted}; --model-pattern says where.")
+        wanted = fill(model_pattern, folder=folder, scene="SCENE")
+        raise OptionError(f"{root} holds no trained model {wanted}; `model_pattern` says where.")
     return scenes
 
 

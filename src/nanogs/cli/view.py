@@ -63,6 +63,7 @@ def view(
 
     from nanogs.cli.console import err, print_json, warn
     from nanogs.cli.progress import shown
+    from nanogs.cli.wording import with_options
     from nanogs.io.atomic import check_writable
     from nanogs.view.bundle import check_built
     from nanogs.view.run import page_path, view_files
@@ -87,7 +88,7 @@ def view(
     elif not quiet:
         for model_shown in report.models:
             for note in model_shown.notes:
-                warn(f"{model_shown.name}: {note}")
+                warn(f"{model_shown.name}: {with_options(note)}")
     if not (json or quiet):
         measured = "" if report.judged is None else f"; {report.judged.text}"
         text = f"{page}: {bytes_text(report.output_bytes)}{measured}"

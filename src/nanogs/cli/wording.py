@@ -5,13 +5,20 @@ import re
 from nanogs.errors import ExistsError, NanogsError
 
 # Arguments of Python, as the library's sentences name them, that the command has as options.
-_ARGUMENT = re.compile(r"`(chunk|job|k|max_memory|nan|resume|scheduler|scratch)(?:=([^`]+))?`")
+_ARGUMENT = re.compile(
+    r"`(cameras|chunk|count|format|images|job|k|level|max_memory|model_pattern|nan|pixels|psnr"
+    r"|ratio|resume|scheduler|scratch|size|up|views)(?:=([^`]+))?`"
+)
 
 
 def wording(error: NanogsError) -> str:
     """The sentence for a user of the command, whose remedies are options."""
-    said = error.sentence("add -w") if isinstance(error, ExistsError) else str(error)
-    return _ARGUMENT.sub(_option, said)
+    return with_options(error.sentence("add -w") if isinstance(error, ExistsError) else str(error))
+
+
+def with_options(text: str) -> str:
+    """A sentence of the library, with options in place of arguments."""
+    return _ARGUMENT.sub(_option, text)
 
 
 def _option(argument: re.Match[str]) -> str:

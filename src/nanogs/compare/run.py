@@ -120,7 +120,7 @@ def compare_files(
     return comparison
 
 
-_LESS = "free some, or compare fewer or smaller views (--views, --pixels) or smaller models"
+_LESS = "free some, or compare fewer or smaller views (`views`, `pixels`) or smaller models"
 
 
 def _stages(models: int, views: int, page: bool | None, *, with_photos: bool) -> list[Stage]:
@@ -187,7 +187,7 @@ def photographs(
         f"Comparing with {counted(len(frames), 'photograph')}",
         photographs_bytes(pixels),
         allowed_memory(max_memory),
-        "free some, or use smaller photographs, as with --images images_4",
+        'free some, or use smaller photographs, as with `images="images_4"`',
     )
     behind = background or dataset.background(frames)
     return behind, [

@@ -117,5 +117,5 @@ def _suffix(source: Path, asked: str | None) -> str:
         return suffix
     known = registry.find(source)
     if known is not None and known.write is None:
-        raise OptionError(f"{source}: nanogs does not write {known.suffix}; add --format ply.")
+        raise OptionError(f'{source}: nanogs does not write {known.suffix}; add `format="ply"`.')
     return known.suffix if known else source.suffix

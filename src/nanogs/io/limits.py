@@ -29,7 +29,7 @@ def refuse_unstorable(splats: Splats, suffix: str) -> None:
         raise OutputError(
             f"{counted(int((~good).sum()), 'splat holds', 'splats hold')} NaN or infinite values,"
             f" the first in row {int(np.argmin(good))}, which {suffix} has no code for; leave"
-            " such splats out with `nanogs simplify --ratio 1`."
+            " such splats out, as simplifying with `ratio=1` does."
         )
 
 

@@ -83,7 +83,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
     if known := registry.find(path):
         raise OptionError(
             f"{path} is the name of one {known.suffix} file, and levels are several: name a folder,"
-            f" as in {path.with_suffix('')}/ --format {known.suffix.lstrip('.')}."
+            f' as in {path.with_suffix("")}/, and give `format="{known.suffix.lstrip(".")}"`.'
         )
     if suffix is None:
         return Output(path, Layout.FILES)

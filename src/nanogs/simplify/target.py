@@ -32,7 +32,7 @@ class Goal:
         """Refuse none, several, and values that mean nothing."""
         given = [v for v in (self.ratio, self.count, self.size, self.psnr) if v is not None]
         if len(given) != 1:
-            raise OptionError("Give exactly one of a ratio, a count, a size or a PSNR.")
+            raise OptionError("Give exactly one of `ratio`, `count`, `size` and `psnr`.")
         if self.ratio is not None and not 0 < self.ratio <= 1:
             raise OptionError(f"The ratio must be above 0 and at most 1, not {self.ratio:g}.")
         if self.count is not None and self.count < 1:

@@ -159,7 +159,7 @@ def _read(inputs: Sequence[tuple[str, Path]], level: int | None, tell: Parts) ->
     counts = [level_counts(path) for _name, path in inputs]
     if level is not None and not any(counts):
         raise OptionError(
-            "--level is for levels of detail (lod-meta.json, tileset.json); leave it out."
+            "`level` is for levels of detail (lod-meta.json, tileset.json); leave it out."
         )
     models = []
     for (_name, path), levels in each(zip(inputs, counts, strict=True), tell):
@@ -192,7 +192,7 @@ def _with_note(splats: Splats, levels: Sequence[int]) -> Splats:
         return splats
     note = (
         f"level {chosen} of 0 to {len(levels) - 1} is shown, {counted(len(splats), 'splat')};"
-        f" --level 0 shows the finest, {levels[0]:,}."
+        f" `level=0` shows the finest, {levels[0]:,}."
     )
     return replace(splats, notes=(*splats.notes, note))
 
