@@ -11,10 +11,10 @@ import argparse
 import numpy as np
 
 import nanogs
+from measured import SCENES, UP
 from nanogs._types import F32
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.views import automatic_cameras
-from quality import SCENES, UP
 from rivals import BUILD
 
 

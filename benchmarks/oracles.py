@@ -30,10 +30,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from measured import SCENES
 from nanogs import io
 from nanogs.io.compressed_ply import SH_C0
 from nanogs.splats import Splats
-from quality import SCENES
 from rivals import ROOT, install, run_tool
 
 FORMATS = (".ply", ".compressed.ply", ".splat", ".spz", ".spz v4", ".sog", ".glb", ".ksplat")

@@ -11,12 +11,12 @@ import argparse
 import numpy as np
 
 import nanogs
+from measured import SCENES, UP, result_file
 from nanogs.metrics import lpips
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
-from quality import SCENES, SPLAT_TRANSFORM, UP
-from rivals import BUILD
+from rivals import BUILD, RIVALS, rival_version
 
 PRESETS = ("default", "best")
 
@@ -27,12 +27,14 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(SCENES))
     parser.add_argument("--ratios", default="0.1")
     options = parser.parse_args()
-    print("| scene | ratio |", " | ".join((*SPLAT_TRANSFORM, *PRESETS)), "|")
-    print("|---|--:|" + "--:|" * (len(SPLAT_TRANSFORM) + len(PRESETS)))
+    print("| scene | ratio |", " | ".join((*RIVALS, *PRESETS)), "|")
+    print("|---|--:|" + "--:|" * (len(RIVALS) + len(PRESETS)))
     for name in options.only.split(","):
         original = nanogs.load(BUILD / "scenes" / f"{name}.ply")
         for ratio in options.ratios.split(","):
-            files = [BUILD / f"{name}_{ratio}_{method}.ply" for method in SPLAT_TRANSFORM]
+            files = (
+                result_file(BUILD, name, float(ratio), method, rival_version()) for method in RIVALS
+            )
             models = [nanogs.load(file) for file in files]
             models += [nanogs.simplify(original, ratio=float(ratio), preset=p)[0] for p in PRESETS]
             cells = (distances(original, model, UP.get(name)) for model in models)

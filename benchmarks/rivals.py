@@ -1,26 +1,39 @@
 """Run other programs for the benchmarks: seconds, peak memory, and splat-transform from npm."""
 
+import json
 import os
+import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-BUILD = ROOT / "build" / "quality"
-NPM = ROOT / "tests" / "npm"  # names splat-transform's version, and the Node that it needs
+# What benchmarks make and measure, for all checkouts of the repository.
+BUILD = Path(os.environ.get("NANOGS_BENCHMARKS", Path.home() / ".cache" / "nanogs-benchmarks"))
+RIVALS = {"st-uniform": "--decimate", "st-adaptive": "--decimate-adaptive"}
+PACKAGES = ROOT / "tests" / "npm"  # names splat-transform's version, and the Node that it needs
+NPM = BUILD / "npm"
 
 
 def install() -> None:
     """Install Node and splat-transform from npm, once."""
-    BUILD.mkdir(parents=True, exist_ok=True)
+    NPM.mkdir(parents=True, exist_ok=True)
     if not splat_transform().exists():
-        subprocess.run(["npm", "ci", "--prefix", NPM], check=True)
+        for name in ("package.json", "package-lock.json"):
+            shutil.copy(PACKAGES / name, NPM / name)
+        subprocess.run(["npm", "ci", "--prefix", NPM], check=True, stdout=sys.stderr)
 
 
 def splat_transform() -> Path:
     """The tool's command."""
     return NPM / "node_modules" / ".bin" / "splat-transform"
+
+
+def rival_version() -> str:
+    """The tool's version, as it is asked for."""
+    packages = json.loads((PACKAGES / "package.json").read_text())
+    return f"splat-transform {packages['dependencies']['@playcanvas/splat-transform']}"
 
 
 def run_tool(*arguments: str | Path) -> tuple[float, int]:

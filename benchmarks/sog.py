@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from measured import SCENES
 from nanogs import io
 from nanogs.splats import Splats
-from quality import SCENES
 from rivals import ROOT, install, run_tool, timed
 
 

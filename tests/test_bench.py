@@ -22,7 +22,7 @@ from nanogs.bench.gsplat import gsplat_fps
 from nanogs.bench.methods import ABLATIONS, find_method
 from nanogs.bench.output import ResultFolder, run_of
 from nanogs.bench.protocol import row_count, run_bench
-from nanogs.bench.rows import ORIGINAL, Against, BenchRow, Status
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status
 from nanogs.bench.scenes import (
     BenchScene,
     fill,
@@ -107,7 +107,10 @@ def test_unknown_placeholders_are_refused():
         ({"methods": ("random",), "externals": {"random": "a"}}, "two of the method"),
         ({"externals": {ORIGINAL: "a"}}, "two of the method"),
         ({"views": 0}, "views"),
-        ({"size": 2}, "16 pixels"),
+        ({"sizes": (2,)}, "16 pixels"),
+        ({"sizes": (64, 64)}, "two of the size"),
+        ({"sizes": ()}, "one size"),
+        ({"kinds": ("around",)}, "auto, orbit, inside, roam"),
     ],
 )
 def test_settings_that_mean_nothing_are_refused(options, words):
@@ -141,7 +144,11 @@ def test_results_are_not_replaced_unasked(tmp_path):
 
 
 def test_an_unfinished_run_goes_on_where_it_ended(tmp_path):
-    first = BenchRow("a", "x", 0.1, psnr=math.inf, extras={"flip": 0.5}, notes=("a note",))
+    near = SetScore("roam 64", 24, 20.0, -math.inf, 0.5, {"flip": math.inf})
+    first = BenchRow(
+        "a", "x", 0.1, label="auto 64", psnr=math.inf, extras={"flip": 0.5}, further=(near,),
+        notes=("a note",),
+    )  # fmt: skip
     broken = BenchRow("a", "y", 0.1, status=Status.FAILED, reason="no memory")
     begun = ResultFolder(tmp_path, run="this")
     begun.add(first)
@@ -160,11 +167,11 @@ def test_an_unfinished_run_goes_on_where_it_ended(tmp_path):
 
 def test_rows_that_are_known_are_not_measured_again(model, monkeypatch):
     scene = BenchScene("a", model)
-    settings = BenchSettings(ratios=(0.5,), methods=("random",), views=1, size=16)
+    settings = BenchSettings(ratios=(0.5,), methods=("random",), views=1, sizes=(16,))
     known = [BenchRow("a", ORIGINAL, 1.0, splats=400), BenchRow("a", "random", 0.5, psnr=12.0)]
     monkeypatch.setattr("nanogs.bench.protocol.load", None)  # nothing is read
     assert run_bench([scene], settings, done=known) == known
-    assert run_of([scene], settings) != run_of([scene], replace(settings, size=32))
+    assert run_of([scene], settings) != run_of([scene], replace(settings, sizes=(32,)))
     assert run_of([scene], settings) == run_of([scene], replace(settings))
 
 
@@ -251,14 +258,14 @@ def test_a_process_that_dies_is_an_outcome(tmp_path):
 
 def test_a_method_that_fails_is_a_row_with_the_error(model, monkeypatch):
     monkeypatch.setattr(protocol, "run_job", lambda _job: Outcome(error="boom"))
-    settings = BenchSettings(ratios=(0.1,), methods=("opacity",), views=1, size=32)
+    settings = BenchSettings(ratios=(0.1,), methods=("opacity",), views=1, sizes=(32,))
     failed = run_bench([scene_of_file(model)], settings)[1]
     assert (failed.status, failed.reason, failed.psnr) == (Status.FAILED, "boom", None)
 
 
 def test_a_scene_that_cannot_be_read_is_skipped_and_the_next_is_measured(model, tmp_path):
     scenes = [BenchScene("gone", tmp_path / "gone.ply"), scene_of_file(model)]
-    settings = BenchSettings(ratios=(0.1,), methods=("opacity",), views=1, size=32)
+    settings = BenchSettings(ratios=(0.1,), methods=("opacity",), views=1, sizes=(32,))
     seen = []
     rows = run_bench(scenes, settings, on_row=seen.append)
     assert rows == seen
@@ -299,7 +306,7 @@ def test_external_files_are_scored_and_missing_ones_skipped(model, tmp_path):
         methods=(),
         externals={"them": str(tmp_path / "{scene}_{ratio}_them.ply")},
         views=1,
-        size=32,
+        sizes=(32,),
     )
     _, exact, short, broken, missing = run_bench([scene_of_file(model)], settings)
     assert (exact.status, exact.splats, exact.seconds) == (Status.OK, 40, 2.0)
@@ -333,7 +340,7 @@ def write_photographs(folder, model, angle=0.8, size=32):
 def test_photographs_are_what_counts_where_there_are_any(model, tmp_path):
     write_photographs(tmp_path, model)
     scene = BenchScene("ball", model, tmp_path)
-    settings = BenchSettings(ratios=(0.5,), methods=("significance",), size=32, fit_views=2)
+    settings = BenchSettings(ratios=(0.5,), methods=("significance",), sizes=(32,), fit_views=2)
     whole, small = run_bench([scene], settings)
     assert {whole.against, small.against} == {Against.PHOTOGRAPHS}
     assert whole.psnr > 45  # nothing but the rounding to 8 bits
@@ -461,7 +468,7 @@ def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
 
 
 def test_the_up_direction_of_views_may_be_given(model):
-    settings = BenchSettings(methods=("opacity",), views=2, fit_views=2, size=32)
+    settings = BenchSettings(methods=("opacity",), views=2, fit_views=2, sizes=(32,))
     scene = replace(scene_of_file(model), up=(1.0, 0.0, 0.0))
     views = scene_views(scene, load(model), settings)
     for camera in (*views.cameras, *views.fit_cameras):

@@ -249,7 +249,7 @@ def test_the_page_in_a_browser(files, tmp_path, width):
     page_file = Path(tmp_path / "page.html")
     tests = [("ours", files / "small_0.1.ply"), ("ours", files / "small_0.5.ply")]
     compare_files(
-        ("<b>ref</b>", files / "scene.ply"), tests, views=2, width=64, height=64, report=page_file
+        ("<b>ref</b>", files / "scene.ply"), tests, views=2, sizes=[(64, 64)], report=page_file
     )
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
@@ -284,7 +284,7 @@ def opened(files, tmp_path):
 
     report = tmp_path / "page.html"
     tests = [("tenth", files / "small_0.1.ply"), ("half", files / "small_0.5.ply")]
-    compare_files(("all", files / "scene.ply"), tests, views=2, width=64, height=64, report=report)
+    compare_files(("all", files / "scene.ply"), tests, views=2, sizes=[(64, 64)], report=report)
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
 

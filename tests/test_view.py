@@ -299,7 +299,7 @@ def test_the_second_model_is_measured_as_by_compare(files, tmp_path):
     inputs = [("a", files / "scene.ply"), ("b", files / "small.compressed.ply")]
     small = {"views": 2, "width": 48, "height": 48}
     report = view_files(inputs, tmp_path / "a.html", **small)
-    comparison = compare_files(inputs[0], inputs[1:], **small)
+    comparison = compare_files(inputs[0], inputs[1:], views=2, sizes=[(48, 48)])
     assert report.judged == comparison.judged(0)
     unmeasured = view_files(inputs, tmp_path / "b.html", psnr=False)
     assert unmeasured.judged is None

@@ -341,7 +341,7 @@ def test_a_report_loads_its_models_on_request(chromium, files, tmp_path):
     nanogs.save(solid((0, 0, 1), count=200), tmp_path / "fewer.ply")
     tests = [("blue", files / "blue.ply"), ("blue", tmp_path / "fewer.ply")]
     compare_files(
-        ("red", files / "red.ply"), tests, views=1, width=32, height=32,
+        ("red", files / "red.ply"), tests, views=1, sizes=[(32, 32)],
         report=tmp_path / "report.html", interactive=True,
     )  # fmt: skip
     seen = Seen(chromium, tmp_path / "report.html", 400, 700)

@@ -25,10 +25,13 @@ class MethodContext:
     Attributes:
         cameras: Views to learn from, none of which is scored.
         seed: Seed of whatever is drawn.
+        trained: Whether these are those of the training photographs; presets look from there too,
+            and else from views of their own.
     """
 
     cameras: tuple[Camera, ...] = ()
     seed: int = 0
+    trained: bool = False
 
 
 Method = Callable[[Splats, int, MethodContext], Splats]

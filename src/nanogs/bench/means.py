@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from nanogs.bench.rows import ORIGINAL, BenchRow
+from nanogs.bench.rows import ORIGINAL, BenchRow, SetScore
 
 Value = TypeVar("Value")
 
@@ -67,7 +67,9 @@ def _ratio_mean(ratio: float, rows: Sequence[BenchRow]) -> RatioMean:
 
 
 def _mean_row(rows: Sequence[BenchRow]) -> BenchRow:
-    extras = [name for name in rows[0].extras if all(name in row.extras for row in rows)]
+    by_label = [{one.label: one for one in row.sets} for row in rows]
+    shared = [label for label in by_label[0] if all(label in scores for scores in by_label)]
+    own, *further = (_mean_score([scores[label] for scores in by_label]) for label in shared)
     return BenchRow(
         scene=f"mean of {len(rows)}",
         method=rows[0].method,
@@ -79,12 +81,28 @@ def _mean_row(rows: Sequence[BenchRow]) -> BenchRow:
         seconds=_mean([row.seconds for row in rows]),
         read_seconds=_mean([row.read_seconds for row in rows]),
         peak_memory=_rounded(_mean([row.peak_memory for row in rows])),
-        psnr=_mean([row.psnr for row in rows]),
-        ssim=_mean([row.ssim for row in rows]),
-        extras={name: float(np.mean([row.extras[name] for row in rows])) for name in extras},
+        label=rows[0].label,
+        psnr=own.psnr,
+        least_psnr=own.least_psnr,
+        ssim=own.ssim,
+        extras=own.extras,
+        further=tuple(further),
         fps=_mean([row.fps for row in rows]),
         fps_gsplat=_mean([row.fps_gsplat for row in rows]),
-        views=sum(row.views or 0 for row in rows),
+        views=own.views,
+    )
+
+
+def _mean_score(scores: Sequence[SetScore]) -> SetScore:
+    """The mean of scores on sets of one label; of the worst views, too, the mean."""
+    extras = [name for name in scores[0].extras if all(name in one.extras for one in scores)]
+    return SetScore(
+        label=scores[0].label,
+        views=sum(one.views or 0 for one in scores),
+        psnr=_mean([one.psnr for one in scores]),
+        least_psnr=_mean([one.least_psnr for one in scores]),
+        ssim=_mean([one.ssim for one in scores]),
+        extras={name: float(np.mean([one.extras[name] for one in scores])) for name in extras},
     )
 
 

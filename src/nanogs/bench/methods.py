@@ -62,7 +62,7 @@ def find_method(name: str) -> Method:
     parameters(preset, overrides)
 
     def run(splats: Splats, count: int, context: MethodContext) -> Splats:
-        views = context.cameras or None
+        views = context.cameras if context.trained else None
         small, _ = simplify(splats, count=count, preset=preset, cameras=views, **overrides)
         return small
 

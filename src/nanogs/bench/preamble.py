@@ -5,12 +5,14 @@ import platform
 
 from nanogs._version import __version__
 from nanogs.bench.settings import BenchSettings
+from nanogs.compare.protocol import usual_views
 
 _COLUMNS = """\
 Every method runs in a process of its own. *seconds*: the method alone on warm kernels, without
 reading and writing; for external files what their producer noted, which may hold both. *peak MB*:
 most resident memory of that process, Python and its libraries included. *bytes*: as .ply for what
-ran here, else the file as it came. *frames/s*: of our renderer on the CPU.
+ran here, else the file as it came. *worst*: PSNR of the worst view. *frames/s*: of our renderer on
+the CPU.
 """
 
 
@@ -21,7 +23,11 @@ def preamble(settings: BenchSettings, command: str = "") -> str:
         settings: How the rows were made.
         command: The command line that made them.
     """
-    views = f"{settings.views} of {settings.size} x {settings.size}"
+    views = ", ".join(
+        f"{settings.views or usual_views(kind)} {kind} of {size} x {size}"
+        for kind in settings.kinds
+        for size in settings.sizes
+    )
     threads = settings.threads or "all"
     machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} CPUs, {threads} threads"
     lines = [f"```\n{command}\n```\n"] if command else []

@@ -3,19 +3,19 @@
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nanogs.bench.gsplat import gsplat_fps
-from nanogs.bench.rows import ORIGINAL, Against, BenchRow, RowKey, Status
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, RowKey, SetScore, Status
 from nanogs.bench.scenes import BenchScene, SceneViews, fill, scene_of_file, scene_views
 from nanogs.bench.settings import BenchSettings, refuse_twins
 from nanogs.bench.worker import Job, run_job
 from nanogs.cleanup import temporary_folder
-from nanogs.compare.scoring import EXTRA_METRICS, score
+from nanogs.compare.scoring import EXTRA_METRICS, ModelScore, score
 from nanogs.errors import NanogsError, OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect, load
@@ -142,7 +142,8 @@ def _original_row(
         _empty_row(scene, ORIGINAL, 1.0),
         splats=len(splats),
         file_bytes=inspect(scene.model).file_bytes,
-        views=len(views.views),
+        label=next(iter(views.sets)),
+        views=views.count,
         notes=(*views.notes, *splats.notes),
     )
     if views.against is Against.PHOTOGRAPHS:
@@ -162,8 +163,9 @@ def _method_row(
     row = _empty_row(scene, method, ratio)
     output = folder / "result.ply"
     job = Job(
-        scene.model, method, ratio, output, views.fit_cameras, settings.seed, settings.threads
-    )
+        scene.model, method, ratio, output, views.fit_cameras, views.trained, settings.seed,
+        settings.threads,
+    )  # fmt: skip
     outcome = run_job(job)
     if outcome.error:
         return replace(row, status=Status.FAILED, reason=outcome.error)
@@ -228,20 +230,22 @@ def _producer_figures(path: Path) -> dict[str, Any]:
 def _scored(row: BenchRow, splats: Splats, views: SceneViews, settings: BenchSettings) -> BenchRow:
     """The row with scores and frames a second; a failed one where scoring raises."""
     prepared = prepare(splats)
-    try:
-        result = score(row.method, prepared, views.views, views.background, extras=settings.metrics)
-    except NanogsError as error:
-        return replace(row, status=Status.FAILED, reason=str(error))
-    row = replace(
-        row,
-        splats=len(splats),
-        psnr=result.psnr,
-        ssim=result.ssim,
-        extras=result.extras,
-        views=len(result.views),
-        notes=(*row.notes, *result.notes),
-    )
+    scores: list[SetScore] = []
+    notes = dict.fromkeys(row.notes)
+    for label, some in views.sets.items():
+        try:
+            found = score(row.method, prepared, some, views.background, extras=settings.metrics)
+        except NanogsError as error:
+            return replace(row, status=Status.FAILED, reason=str(error))
+        scores.append(_set_score(label, found))
+        notes.update(dict.fromkeys(found.notes))
+    first = {name.name: getattr(scores[0], name.name) for name in fields(SetScore)}
+    row = replace(row, splats=len(splats), notes=tuple(notes), further=tuple(scores[1:]), **first)
     return _timed(row, splats, prepared, views)
+
+
+def _set_score(label: str, found: ModelScore) -> SetScore:
+    return SetScore(label, len(found.views), found.psnr, found.least_psnr, found.ssim, found.extras)
 
 
 def _timed(row: BenchRow, splats: Splats, prepared: PreparedSplats, views: SceneViews) -> BenchRow:

@@ -26,6 +26,27 @@ class Against(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class SetScore:
+    """The score on one set of views.
+
+    Attributes:
+        label: Kind and size of the views: "roam 512"; empty for photographs.
+        views: Views that were scored.
+        psnr: Mean over the views, dB; infinite for equal images.
+        least_psnr: PSNR of the worst view, dB.
+        ssim: Mean over the views.
+        extras: Means of further metrics by name.
+    """
+
+    label: str = ""
+    views: int | None = None
+    psnr: float | None = None
+    least_psnr: float | None = None
+    ssim: float | None = None
+    extras: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class BenchRow:
     """The result of one method on one scene at one ratio; None where there is none.
 
@@ -43,9 +64,12 @@ class BenchRow:
             file what its producer noted, which may hold both.
         read_seconds: Reading the model, in the method's process.
         peak_memory: Most resident memory of the method's process, bytes, Python included.
+        label: Kind and size of the views: "auto 512"; empty for photographs.
         psnr: Mean over the views, dB; infinite for equal images.
+        least_psnr: PSNR of the worst view, dB.
         ssim: Mean over the views.
         extras: Means of further metrics by name.
+        further: The same on each further set of views.
         fps: Frames a second of our renderer, one after the other.
         fps_gsplat: Frames a second of gsplat on the GPU.
         views: Views that were scored.
@@ -64,9 +88,12 @@ class BenchRow:
     seconds: float | None = None
     read_seconds: float | None = None
     peak_memory: int | None = None
+    label: str = ""
     psnr: float | None = None
+    least_psnr: float | None = None
     ssim: float | None = None
     extras: dict[str, float] = field(default_factory=dict)
+    further: tuple[SetScore, ...] = ()
     fps: float | None = None
     fps_gsplat: float | None = None
     views: int | None = None
@@ -82,28 +109,45 @@ class BenchRow:
         """The row has a score."""
         return self.status is Status.OK and self.psnr is not None
 
+    @property
+    def sets(self) -> tuple[SetScore, ...]:
+        """The scores on each set of views, the row's own first."""
+        own = SetScore(self.label, self.views, self.psnr, self.least_psnr, self.ssim, self.extras)
+        return (own, *self.further)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values; infinities and NaN, which JSON lacks, as strings."""
-        data: dict[str, Any] = {name: _plain(value) for name, value in asdict(self).items()}
-        data["extras"] = {name: _plain(value) for name, value in self.extras.items()}
-        data["notes"] = list(self.notes)
+        data: dict[str, Any] = _plain(asdict(self))
         return data
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "BenchRow":
         """The row that `to_dict` gave."""
-        words = {"scene", "method", "reason", "dataset"}
-        values = {name: value if name in words else _value(value) for name, value in data.items()}
-        values["extras"] = {name: _value(value) for name, value in data["extras"].items()}
+        values = {name: value if name in _WORDS else _value(value) for name, value in data.items()}
         values["status"], values["against"] = Status(data["status"]), Against(data["against"])
-        return cls(**values | {"notes": tuple(data["notes"])})
+        further = tuple(
+            SetScore(
+                **{name: value if name in _WORDS else _value(value) for name, value in one.items()}
+            )
+            for one in data["further"]
+        )
+        return cls(**values | {"notes": tuple(data["notes"]), "further": further})
+
+
+_WORDS = {"scene", "method", "reason", "dataset", "label"}
 
 
 def _value(value: Any) -> Any:  # noqa: ANN401 - whatever a row holds
+    if isinstance(value, dict):
+        return {name: _value(entry) for name, entry in value.items()}
     return float(value) if value in ("inf", "-inf", "nan") else value
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a row holds
+    if isinstance(value, dict):
+        return {name: _plain(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return str(value) if isinstance(value, StrEnum) else value

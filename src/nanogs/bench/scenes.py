@@ -1,9 +1,9 @@
 """Scenes to measure on, and the images that results are held against."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, overload
 
 from nanogs.bench.published import DATASETS, image_folder
 from nanogs.bench.rows import Against
@@ -14,6 +14,7 @@ from nanogs.formatting import counted
 from nanogs.io import inspect
 from nanogs.io.collect import WHOLE_FOLDERS, collect
 from nanogs.render.camera import Camera
+from nanogs.render.source import AUTOMATIC
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:  # these bring Numba
@@ -127,25 +128,33 @@ class SceneViews:
     """What a scene's results are held against.
 
     Attributes:
-        views: The views to score.
+        sets: The sets of views to score, by label: kind and size; "" for photographs.
         fit_cameras: Views that methods may learn from, none of them scored.
+        trained: Whether these are the photographs' own, for the presets too.
         background: RGB in [0, 1].
         against: What the views show.
         notes: What the reader of the numbers should know.
     """
 
-    views: "Sequence[ReferenceView]"
+    sets: "Mapping[str, Sequence[ReferenceView]]"
     fit_cameras: tuple[Camera, ...]
+    trained: bool
     background: Background
     against: Against
     notes: tuple[str, ...] = ()
 
     @property
+    def count(self) -> int:
+        """Views of the first set."""
+        return len(next(iter(self.sets.values())))
+
+    @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Cameras of the views, without reading a photograph."""
-        if isinstance(self.views, PhotoViews):
-            return self.views.cameras
-        return tuple(view.camera for view in self.views)
+        """Cameras of the first set's views, without reading a photograph."""
+        views = next(iter(self.sets.values()))
+        if isinstance(views, PhotoViews):
+            return views.cameras
+        return tuple(view.camera for view in views)
 
 
 def scene_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> SceneViews:
@@ -164,31 +173,39 @@ def scene_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> S
     return _photographs(scene, splats, settings)
 
 
-def _automatic(
-    scene: BenchScene,
-    splats: Splats,
-    settings: BenchSettings,
-    count: int,
-    split: Literal["fit", "test"],
-) -> list[Camera]:
+def _fit_cameras(scene: BenchScene, splats: Splats, settings: BenchSettings) -> tuple[Camera, ...]:
+    """Automatic views that baselines learn from."""
     from nanogs.render.views import automatic_cameras
 
-    size, kind = settings.size, settings.camera_kind
-    return automatic_cameras(
-        splats, count, width=size, height=size, kind=kind, up=scene.up, split=split
+    size, kind = settings.sizes[0], AUTOMATIC.get(settings.kinds[0], "auto")
+    return tuple(
+        automatic_cameras(
+            splats, settings.fit_views, width=size, height=size, kind=kind, up=scene.up
+        )
     )
 
 
 def _automatic_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> SceneViews:
     from nanogs.compare.scoring import reference_views
+    from nanogs.compare.view_sets import view_sets
     from nanogs.render.rasterize import prepare
 
-    cameras = _automatic(scene, splats, settings, settings.views, "test")
-    views, empty = reference_views(prepare(splats), cameras, BLACK)
-    what = counted(len(empty), "view shows nothing and is", "views show nothing and are")
-    notes = (f"{what} left out: {', '.join(empty)}",)
-    fit = _automatic(scene, splats, settings, settings.fit_views, "fit")
-    return SceneViews(views, tuple(fit), BLACK, Against.ORIGINAL, notes if empty else ())
+    prepared = prepare(splats)
+    sizes = [(size, size) for size in settings.sizes]
+    sets: dict[str, Sequence[ReferenceView]] = {}
+    notes: list[str] = []
+    for asked in view_sets(splats, settings.kinds, sizes, views=settings.views, up=scene.up):
+        views, empty = reference_views(prepared, asked.cameras, BLACK, depth=False)
+        sets[f"{asked.kind} {views[0].camera.width}"] = views
+        notes += asked.notes
+        if empty:
+            what = counted(len(empty), "view shows nothing and is", "views show nothing and are")
+            notes.append(f"{what} left out: {', '.join(empty)}")
+    fit = _fit_cameras(scene, splats, settings)
+    return SceneViews(
+        sets, fit, trained=False, background=BLACK, against=Against.ORIGINAL,
+        notes=tuple(dict.fromkeys(notes)),
+    )  # fmt: skip
 
 
 def _photographs(scene: BenchScene, splats: Splats, settings: BenchSettings) -> SceneViews:
@@ -200,13 +217,14 @@ def _photographs(scene: BenchScene, splats: Splats, settings: BenchSettings) -> 
     frames = dataset.split("test")
     background = settings.background or dataset.background(frames)
     notes: tuple[str, ...] = (f"photographs over {background_text(background)}",)
+    trained = True
     try:
-        fit = [frame.camera for frame in dataset.split("train")]
+        fit = tuple(frame.camera for frame in dataset.split("train"))
     except FormatError as error:
-        fit = _automatic(scene, splats, settings, settings.fit_views, "fit")
+        trained, fit = False, _fit_cameras(scene, splats, settings)
         notes += (f"methods learn from automatic views, as there are no training views: {error}",)
-    views = PhotoViews(dataset, frames, background)
-    return SceneViews(views, tuple(fit), background, Against.PHOTOGRAPHS, notes)
+    sets = {"": PhotoViews(dataset, frames, background)}
+    return SceneViews(sets, fit, trained, background, Against.PHOTOGRAPHS, notes)
 
 
 class PhotoViews(Sequence["ReferenceView"]):

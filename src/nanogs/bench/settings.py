@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
 from nanogs.bench.methods import all_methods, find_method
 from nanogs.bench.rows import ORIGINAL
 from nanogs.compare.protocol import Background
 from nanogs.errors import OptionError
+from nanogs.render.source import FOUND
 
 RATIOS = (0.1, 0.01, 0.001)
 
@@ -22,10 +22,11 @@ class BenchSettings:
         externals: Patterns of files that other tools made, by name; {scene}, {ratio} and {model}
             (the model's file name up to the first dot) in them are replaced. A JSON file of the
             same name and .json behind it may hold `seconds` and `peak_memory` (bytes).
-        views: Automatic views for scenes without photographs.
-        size: Their width and height, pixels.
-        camera_kind: Their arrangement, as `automatic_cameras` takes it.
-        fit_views: Automatic views to learn from, for methods that do.
+        views: Views of each kind for scenes without photographs; as many as usual by default.
+        sizes: Their widths, which are their heights, pixels.
+        kinds: Their arrangements, names in `render.source.FOUND`.
+        fit_views: Automatic views to learn from, for baselines that do. Presets look from views
+            of their own, as they do without a bench.
         background: RGB in [0, 1] behind photographs and what is held against them; None for the
             data set's own (see `Dataset.background`).
         metrics: Further metrics: "lpips", "flip".
@@ -39,9 +40,9 @@ class BenchSettings:
     ratios: tuple[float, ...] = RATIOS
     methods: tuple[str, ...] = field(default_factory=all_methods)
     externals: Mapping[str, str] = field(default_factory=dict)
-    views: int = 8
-    size: int = 512
-    camera_kind: Literal["auto", "orbit", "inside"] = "auto"
+    views: int | None = None
+    sizes: tuple[int, ...] = (512,)
+    kinds: tuple[str, ...] = ("auto",)
     fit_views: int = 40
     background: Background | None = None
     metrics: tuple[str, ...] = ()
@@ -54,10 +55,18 @@ class BenchSettings:
             if not 0 < ratio <= 1:
                 raise OptionError(f"A ratio must be above 0 and at most 1, not {ratio:g}.")
         for name, value in (("views", self.views), ("fit_views", self.fit_views)):
-            if value < 1:
+            if value is not None and value < 1:
                 raise OptionError(f"{name} must be at least 1, not {value}.")
-        if self.size < 16:
-            raise OptionError(f"The size of a view must be at least 16 pixels, not {self.size}.")
+        for size in self.sizes:
+            if size < 16:
+                raise OptionError(f"The size of a view must be at least 16 pixels, not {size}.")
+        for kind in self.kinds:
+            if kind not in FOUND:
+                raise OptionError(f"Views are {', '.join(FOUND)}, not {kind!r}.")
+        if not self.sizes or not self.kinds:
+            raise OptionError("Give at least one size and one kind of views.")
+        refuse_twins("size", [str(size) for size in self.sizes])
+        refuse_twins("kind", list(self.kinds))
         if not self.ratios or not (self.methods or self.externals):
             raise OptionError("Give at least one ratio and one method.")
         refuse_twins("ratio", [f"{ratio:g}" for ratio in self.ratios])

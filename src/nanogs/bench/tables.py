@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from nanogs.bench.means import RatioMean, mean_rows, unique
 from nanogs.bench.methods import ABLATED
 from nanogs.bench.published_table import published_tables
-from nanogs.bench.rows import BenchRow, Status
+from nanogs.bench.rows import BenchRow, SetScore, Status
 from nanogs.formatting import NONE, counted, number_text
 
 Column = tuple[str, Callable[[BenchRow], str]]
@@ -141,18 +141,38 @@ def _columns(rows: Sequence[BenchRow]) -> list[Column]:
         ("bytes", lambda row: number_text(row.file_bytes, 0)),
         ("seconds", lambda row: number_text(row.seconds, 2)),
         ("peak MB", lambda row: _megabytes(row.peak_memory)),
-        ("PSNR", lambda row: number_text(row.psnr, 2)),
-        ("SSIM", lambda row: number_text(row.ssim, 3)),
     ]
-    columns += [_extra(name) for name in unique(name for row in rows for name in row.extras)]
+    labels = unique(one.label for row in rows for one in row.sets if one.psnr is not None)
+    for label in labels or [""]:
+        columns += _score_columns(rows, label, several=len(labels) > 1)
     columns.append(("frames/s", lambda row: number_text(row.fps, 1)))
     if any(row.fps_gsplat is not None for row in rows):
         columns.append(("gsplat frames/s", lambda row: number_text(row.fps_gsplat, 0)))
     return columns
 
 
-def _extra(name: str) -> Column:
-    return name.upper(), lambda row: number_text(row.extras.get(name), 3)
+def _score_columns(rows: Sequence[BenchRow], label: str, *, several: bool) -> list[Column]:
+    """Columns of one set of views, which they name where there are several."""
+    behind = f", {label}" if several else ""
+
+    def column(name: str, value: Callable[[SetScore], float | None], digits: int) -> Column:
+        return name + behind, lambda row: number_text(_on(row, label, value), digits)
+
+    scores = [one for row in rows for one in row.sets if one.label == label]
+    return [
+        column("PSNR", lambda one: one.psnr, 2),
+        column("worst", lambda one: one.least_psnr, 2),
+        column("SSIM", lambda one: one.ssim, 3),
+        *(
+            column(name.upper(), lambda one, name=name: one.extras.get(name), 3)  # type: ignore[misc]
+            for name in unique(name for one in scores for name in one.extras)
+        ),
+    ]
+
+
+def _on(row: BenchRow, label: str, value: Callable[[SetScore], float | None]) -> float | None:
+    """A row's value on the set of a label; None where it has none."""
+    return next((value(one) for one in row.sets if one.label == label), None)
 
 
 def _megabytes(count: int | None) -> str:

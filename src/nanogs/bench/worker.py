@@ -33,6 +33,7 @@ class Job:
         ratio: Compaction ratio in (0, 1].
         output: File for the result, .ply.
         cameras: Views the method may learn from.
+        trained: Whether these are those of the training photographs.
         seed: Seed of whatever is drawn.
         threads: Threads to use; None for all.
     """
@@ -42,6 +43,7 @@ class Job:
     ratio: float
     output: Path
     cameras: tuple[Camera, ...] = ()
+    trained: bool = False
     seed: int = 0
     threads: int | None = None
 
@@ -114,7 +116,7 @@ def do_job(job: Job) -> Outcome:
     from nanogs.threads import use_threads
 
     method = find_method(job.method)
-    context = MethodContext(job.cameras, job.seed)
+    context = MethodContext(job.cameras, job.seed, job.trained)
     start = time.perf_counter()
     splats = load(job.model)
     read_seconds = time.perf_counter() - start
@@ -134,7 +136,8 @@ def _warm_up(method: Method, splats: Splats, context: MethodContext) -> None:
     sample = splats.take(rows[:: max(1, len(rows) // _WARM_UP)][:_WARM_UP])
     # What fails on the sample fails again below, where it counts.
     with suppress(NanogsError):
-        method(sample, max(1, len(sample) // 10), MethodContext(context.cameras[:1], context.seed))
+        few = MethodContext(context.cameras[:2], context.seed, trained=True)
+        method(sample, max(1, len(sample) // 10), few)
 
 
 def peak_memory() -> int | None:

@@ -3,7 +3,6 @@
 import shlex
 import sys
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,14 +17,6 @@ if TYPE_CHECKING:
     from nanogs.bench.scenes import BenchScene
     from nanogs.bench.settings import BenchSettings
     from nanogs.cli.progress import Watch
-
-
-class Kind(StrEnum):
-    """How automatic cameras stand."""
-
-    auto = "auto"
-    orbit = "orbit"
-    inside = "inside"
 
 
 Models = Annotated[
@@ -68,9 +59,12 @@ Externals = Annotated[
     ),
 ]
 Cameras = Annotated[
-    Kind,
+    str,
     typer.Option(
-        help="Where the views of scenes without photographs stand.", rich_help_panel=options.VIEWS
+        help="Where the views of scenes without photographs stand: auto, orbit, inside, roam; with "
+        "commas between.",
+        metavar="KINDS",
+        rich_help_panel=options.VIEWS,
     ),
 ]
 Out = Annotated[
@@ -99,9 +93,9 @@ def bench(
     metrics: Annotated[
         str, typer.Option(help="Further metrics: lpips, flip; with commas between.")
     ] = "",
-    views: options.Views = 8,
-    pixels: options.Pixels = "512",
-    cameras: Cameras = Kind.auto,
+    views: options.ViewsOfKinds = None,
+    sizes: options.Sizes = "512",
+    cameras: Cameras = "auto",
     up: options.Up = None,
     background: options.PhotoBackground = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of what methods draw.")] = 0,
@@ -119,8 +113,8 @@ def bench(
         methods=_methods(methods, ablations),
         externals=dict(_external(text) for text in external or []),
         views=views,
-        size=_square(pixels),
-        camera_kind=cameras.value,
+        sizes=tuple(map(_square, sizes.split(","))),
+        kinds=tuple(_list(cameras)),
         background=None if background is None else options.parse_background(background),
         metrics=tuple(_list(metrics)),
         seed=seed,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from nanogs.cli import options
-from nanogs.compare.protocol import PIXELS, VIEWS
+from nanogs.compare.protocol import PIXELS
 from nanogs.formatting import bytes_text, number_text
 from nanogs.view.bundle import is_built
 
@@ -50,9 +50,9 @@ def compare(
     split: Annotated[
         str, typer.Option(help="Photographs to use: test or train.", rich_help_panel=options.VIEWS)
     ] = "test",
-    views: options.Views = VIEWS,
-    pixels: options.Pixels = str(PIXELS),
-    cameras: options.Cameras = "auto",
+    views: options.ViewsOfKinds = None,
+    sizes: options.Sizes = str(PIXELS),
+    cameras: options.Kinds = "auto",
     up: options.Up = None,
     background: options.PhotoBackground = None,
     metrics: Annotated[
@@ -70,7 +70,7 @@ def compare(
     from nanogs.cli.progress import shown
     from nanogs.io.atomic import check_writable
 
-    width, height = options.parse_pixels(pixels)
+    pixels = options.parse_sizes(sizes)
     color = None if background is None else options.parse_background(background)
     direction = options.parse_direction(up)
     extras = [name.strip() for name in metrics.split(",") if name.strip()]
@@ -87,7 +87,7 @@ def compare(
         comparison = compare_files(
             options.parse_named(reference),
             [options.parse_named(test) for test in tests],
-            cameras=cameras, views=views, width=width, height=height, up=direction,
+            cameras=cameras, views=views, sizes=pixels, up=direction,
             background=color, extras=extras, photos=photos, images=images, split=split,
             report=report, interactive=interactive, overwrite=overwrite, progress=progress,
             max_memory=options.parse_memory(max_memory) if max_memory else None,
@@ -97,13 +97,11 @@ def compare(
         return
     if quiet:
         return
-    for note in comparison.notes:
+    for note in comparison.all_notes:
         warn(note)
-    for model in comparison.models:
-        for note in model.notes:
-            warn(f"{model.name}: {note}")
     show(out, _table(comparison))
-    text = f"PSNR in dB; means over {comparison.protocol.text}"
+    means = ", ".join(one.protocol.text for one in comparison.each)
+    text = f"PSNR in dB; means over {means}; worst: the view of least PSNR"
     err.print(text, markup=False, soft_wrap=True)
     if report:
         size = bytes_text(report.stat().st_size)
@@ -116,14 +114,18 @@ def _table(comparison: "Comparison") -> "Table":
 
     against = comparison.reference_splats
     extras = sorted({name for model in comparison.models for name in model.extras})
-    table = Table("model", box=None, pad_edge=False)
-    headings = ["splats", *(["kept"] if against else []), "file", "PSNR", "SSIM"]
+    table = Table("model", *(["views"] if comparison.further else []), box=None, pad_edge=False)
+    headings = ["splats", *(["kept"] if against else []), "file", "PSNR", "worst", "SSIM"]
     for heading in (*headings, *(["depth"] if against else []), *extras):
         table.add_column(heading, justify="right")
-    for model in comparison.models:
-        cells: list[str | Text] = [Text(model.name), f"{model.splats:,}"]
-        cells += [f"{model.splats / against:.2%}"] if against else []
-        cells += [bytes_text(model.file_bytes), number_text(model.psnr), number_text(model.ssim, 4)]
-        cells += [number_text(model.depth, 4)] if against else []
-        table.add_row(*cells, *(number_text(model.extras[name], 4) for name in extras))
+    for place in range(len(comparison.models)):
+        for one in comparison.each:
+            model = one.models[place]
+            cells: list[str | Text] = [Text(model.name)]
+            cells += [one.protocol.label] if comparison.further else []
+            cells += [f"{model.splats:,}", *([f"{model.splats / against:.2%}"] if against else [])]
+            cells += [bytes_text(model.file_bytes), number_text(model.psnr)]
+            cells += [number_text(model.least_psnr), number_text(model.ssim, 4)]
+            cells += [number_text(model.depth, 4)] if against else []
+            table.add_row(*cells, *(number_text(model.extras[name], 4) for name in extras))
     return table

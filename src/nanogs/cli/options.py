@@ -31,11 +31,22 @@ Pixels = Annotated[
         rich_help_panel=VIEWS,
     ),
 ]
+Sizes = Annotated[
+    str,
+    typer.Option(
+        "--sizes",
+        "--pixels",
+        help="Width and height of the automatic views, 512 or 1280x720; several with commas "
+        "between, each for itself.",
+        metavar="W[xH],...",
+        rich_help_panel=VIEWS,
+    ),
+]
 Cameras = Annotated[
     str,
     typer.Option(
-        help="auto, orbit (around an object), inside (a room or landscape), or a file or folder: "
-        "transforms.json, cameras.json, COLMAP.",
+        help="auto, orbit (around an object), inside (a room or landscape), roam (anywhere, near "
+        "and far), or a file or folder: transforms.json, cameras.json, COLMAP.",
         metavar="CAMERAS",
         rich_help_panel=VIEWS,
     ),
@@ -61,6 +72,27 @@ PhotoBackground = Annotated[
         help="black, white, or #rrggbb.",
         metavar="COLOUR",
         show_default="black; white for NeRF-Synthetic photographs with alpha",
+        rich_help_panel=VIEWS,
+    ),
+]
+ViewsOfKinds = Annotated[
+    int | None,
+    typer.Option(
+        "--views",
+        min=1,
+        help="Number of automatic views of each kind.",
+        show_default="8; 24 of roam",
+        rich_help_panel=VIEWS,
+    ),
+]
+Kinds = Annotated[
+    str,
+    typer.Option(
+        "--cameras",
+        help="auto, orbit (around an object), inside (a room or landscape), roam (anywhere, near "
+        "and far), or several of these with commas between; or a file or folder: "
+        "transforms.json, cameras.json, COLMAP.",
+        metavar="CAMERAS",
         rich_help_panel=VIEWS,
     ),
 ]
@@ -98,6 +130,15 @@ def parse_pixels(text: str) -> tuple[int, int]:
         if min(width, height) >= 1 and max(width, height) <= 16384:
             return width, height
     raise OptionError(f"--pixels must be like 512 or 1280x720, up to 16384, not {text!r}.")
+
+
+def parse_sizes(text: str) -> list[tuple[int, int]]:
+    """Widths and heights in pixels from sizes with commas between, such as `512,1280x720`.
+
+    Raises:
+        OptionError: One is no size.
+    """
+    return [parse_pixels(part) for part in text.split(",")]
 
 
 _LEAST_MEMORY = 10**6  # bytes: what is less was meant in another unit

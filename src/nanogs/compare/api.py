@@ -1,29 +1,34 @@
 """`nanogs.compare`: how much models look like their original."""
 
 from collections.abc import Sequence
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from nanogs.bar import drawn
-from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background
+from nanogs.compare.protocol import BLACK, PIXELS, Background
 from nanogs.errors import OptionError
 from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.render.api import Cameras, chosen_cameras
+from nanogs.render.api import Cameras, given_cameras
+from nanogs.render.camera import Camera
+from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.compare.comparison import Comparison, NamedModel
+    from nanogs.compare.view_sets import ViewSet
+
+Pixels: TypeAlias = int | tuple[int, int] | list[int] | list[tuple[int, int]]
 
 
 def compare(
     original: Model,
     *models: Model,
     names: Sequence[str] | None = None,
-    cameras: Cameras = "auto",
-    views: int = VIEWS,
-    pixels: int | tuple[int, int] = PIXELS,
+    cameras: Cameras | Sequence[str] = "auto",
+    views: int | None = None,
+    pixels: Pixels = PIXELS,
     up: Sequence[float] | None = None,
     background: Background = BLACK,
     metrics: Sequence[str] = (),
@@ -39,9 +44,11 @@ def compare(
         *models: At least one to score: models, or paths.
         names: Of the models, in their order; by default their files' names, or "model 1" and so
             on.
-        cameras: As `render` takes them; automatic views are found from the original.
-        views: Number of automatic views.
-        pixels: Of an automatic view: width and height in one number, or both.
+        cameras: As `render` takes them, or several kinds, as in `["auto", "roam"]`; they are found
+            from the original.
+        views: Number of automatic views of each kind; 8 by default, 24 roaming ones.
+        pixels: Of an automatic view: width and height in one number, or both; a list of these for
+            several sizes, one after the other.
         up: (3,) direction of automatic views, scene units; found from the original by default.
         background: RGB in [0, 1] behind the splats.
         metrics: Further ones: "flip", "lpips"; each needs its extra.
@@ -50,7 +57,8 @@ def compare(
             each `nanogs.progress.Step`.
 
     Returns:
-        Scores of each model, their means in `models`, and how they were measured in `protocol`.
+        Scores of each model, their means in `models`, and how they were measured in `protocol`; in
+        `further` the same for each further kind and size of views.
 
     Raises:
         FormatError: A model or the cameras cannot be read.
@@ -60,19 +68,41 @@ def compare(
     called = _names(models, names)
     first = _named(_file_name(original) or "original", original)
     others = [_named(name, model) for name, model in zip(called, models, strict=True)]
-    chosen, kind = chosen_cameras(first.splats, cameras, views, pixels, up)
     # Here and not above: these bring Numba.
-    from nanogs.compare.comparison import compare_models
+    from nanogs.compare.comparison import compare_on_sets
     from nanogs.threads import use_threads
 
     with use_threads(threads), drawn(progress) as tell:
-        tracker = Tracker(tell, [Stage("render", 1.0), Stage("score", float(len(others)))])
-        comparison, _ = compare_models(
-            first, others, chosen, kind=kind, background=background, extras=metrics,
-            progress=tracker,
-        )  # fmt: skip
+        sets = _sets(first.splats, cameras, views, pixels, up)
+        stages = [Stage("render", 1.0), Stage("score", float(len(others)))]
+        tracker = Tracker(tell, stages * len(sets))
+        comparison, _ = compare_on_sets(
+            first, others, sets, background=background, extras=metrics, progress=tracker
+        )
         tracker.finish()
     return comparison
+
+
+def _sets(
+    splats: Splats,
+    cameras: Cameras | Sequence[str],
+    views: int | None,
+    pixels: Pixels,
+    up: Sequence[float] | None,
+) -> "list[ViewSet]":
+    from nanogs.compare.view_sets import ViewSet, parse_sources, view_sets
+
+    if isinstance(cameras, Camera):
+        return [ViewSet([cameras], "given")]
+    names = [cameras] if isinstance(cameras, str | PathLike) else list(cameras)
+    sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
+    if not sources or len(sources) < len(names):
+        given = [camera for camera in names if isinstance(camera, Camera)]
+        return [ViewSet(given_cameras(given if len(given) == len(names) else []), "given")]
+    sources = parse_sources(sources[0]) if len(sources) == 1 else sources
+    several = pixels if isinstance(pixels, list) else [pixels]
+    sizes = [(size, size) if isinstance(size, int) else size for size in several]
+    return view_sets(splats, sources, sizes, views=views, up=up)
 
 
 def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:

@@ -1,7 +1,7 @@
 """Several models held against one reference, on one set of views."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from typing import Any
 
@@ -14,6 +14,7 @@ from nanogs.compare.scoring import (
     reference_views,
     score,
 )
+from nanogs.compare.view_sets import ViewSet
 from nanogs.errors import OptionError
 from nanogs.formatting import counted, number_text, undrawn
 from nanogs.progress import Tracker
@@ -50,6 +51,7 @@ class Comparison:
         skipped_views: Names of views in which the reference is not seen; in no mean.
         models: Scores, in the order given.
         notes: What the reader of the numbers should know.
+        further: The same on each further kind and size of views that was asked for.
     """
 
     reference: str
@@ -59,6 +61,7 @@ class Comparison:
     skipped_views: tuple[str, ...]
     models: tuple[ModelScore, ...]
     notes: tuple[str, ...]
+    further: tuple["Comparison", ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
@@ -66,10 +69,24 @@ class Comparison:
 
     def __repr__(self) -> str:
         return "\n".join(
-            f"{model.name}: {counted(model.splats, 'splat')}, {self.judged(place).text}, SSIM"
+            f"{model.name}: {counted(model.splats, 'splat')}, {one.judged(place).text}, SSIM"
             f" {number_text(model.ssim, 4)}"
-            for place, model in enumerate(self.models)
+            for one in self.each
+            for place, model in enumerate(one.models)
         )
+
+    @property
+    def each(self) -> tuple["Comparison", ...]:
+        """This one and the further ones: one for each kind and size of views."""
+        return (self, *self.further)
+
+    @property
+    def all_notes(self) -> list[str]:
+        """Notes of each, those of models behind their names, once each."""
+        notes = [note for one in self.each for note in one.notes]
+        for one in self.each:
+            notes += [f"{model.name}: {note}" for model in one.models for note in model.notes]
+        return list(dict.fromkeys(notes))
 
     def judged(self, place: int) -> Judged:
         """The means of one of the models, with how they were measured."""
@@ -86,12 +103,58 @@ class Sheet:
         reference: The reference.
         results: One rendering for each model.
         errors: One error map for each model.
+        scores: One score for each model.
     """
 
     view: str
     reference: str
-    results: list[str]
-    errors: list[str]
+    results: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+    scores: list[ViewScore] = field(default_factory=list)
+
+
+def compare_on_sets(
+    reference: NamedModel,
+    models: Sequence[NamedModel],
+    sets: Sequence[ViewSet],
+    *,
+    background: Background = BLACK,
+    extras: Sequence[str] = (),
+    pictures: bool = False,
+    progress: Tracker | None = None,
+) -> tuple[Comparison, list[Sheet]]:
+    """Score models against a reference model on several sets of views.
+
+    Args:
+        reference: The reference.
+        models: At least one.
+        sets: At least one; the result is that on the first, which holds the further ones.
+        background: RGB in [0, 1] behind the splats.
+        extras: Further metrics, names in `scoring.EXTRA_METRICS`.
+        pictures: Also make the pictures for a page, of each kind at its first size.
+        progress: Told of the stages "render" and "score" of each set.
+
+    Raises:
+        OptionError: No model is given.
+        ModelError: The reference is seen in none of the views of a set.
+    """
+    comparisons, sheets = [], []
+    pictured: set[Kind] = set()
+    for views in sets:
+        comparison, some = compare_models(
+            reference,
+            models,
+            views.cameras,
+            kind=views.kind,
+            background=background,
+            extras=extras,
+            pictures=pictures and views.kind not in pictured,
+            progress=progress,
+        )
+        pictured.add(views.kind)
+        comparisons.append(replace(comparison, notes=(*views.notes, *comparison.notes)))
+        sheets += some
+    return replace(comparisons[0], further=tuple(comparisons[1:])), sheets
 
 
 def compare_models(
@@ -200,7 +263,7 @@ def score_models(
     """Score every model on the same views, and make the pictures on the way if they are wanted."""
     if not models:
         raise OptionError("Name at least one model to compare.")
-    sheets = [Sheet(view.camera.name, data_uri(view.image), [], []) for view in views if pictures]
+    sheets = [Sheet(view.camera.name, data_uri(view.image)) for view in views if pictures]
     scores: list[ModelScore] = []
     progress.begin("score")
     for model in models:
@@ -208,13 +271,14 @@ def score_models(
         done = count(len(scores) * len(views) + 1)
 
         # Called within this turn of the loop only.
-        def scored(view: ReferenceView, rendering: Rendering, _score: ViewScore) -> None:
+        def scored(view: ReferenceView, rendering: Rendering, found: ViewScore) -> None:
             progress.part(next(done), len(models) * len(views))  # noqa: B023
             if not pictures:
                 return
             sheet = next(remaining)  # noqa: B023
             sheet.results.append(data_uri(rendering.shown()))
             sheet.errors.append(data_uri(error_map(view.image, rendering.shown())))
+            sheet.scores.append(found)
 
         scores.append(
             score(

@@ -6,11 +6,12 @@ from typing import Literal
 from nanogs.formatting import number_text
 
 Background = tuple[float, float, float]
-Kind = Literal["auto", "orbit", "inside", "given", "photographs"]
+Kind = Literal["auto", "orbit", "inside", "roam", "given", "photographs"]
 
 # The protocol of every PSNR that is not asked for in another way: `compare` and `view` at their
 # defaults, `simplify`, `lod`.
 VIEWS = 8
+ROAMING = 24  # views, where they roam: they differ more
 PIXELS = 512  # along both sides of a view
 BLACK: Background = (0.0, 0.0, 0.0)
 WHITE: Background = (1.0, 1.0, 1.0)
@@ -23,8 +24,9 @@ class Protocol:
     Attributes:
         views: Number of views in the mean.
         pixels: Width and height of the first view.
-        kind: Where the views are from: "auto", "orbit" and "inside" are found from the original
-            model, "given" ones come from a file or the caller, "photographs" from a data set.
+        kind: Where the views are from: "auto", "orbit", "inside" and "roam" are found from the
+            original model, "given" ones come from a file or the caller, "photographs" from a data
+            set.
         split: "test" for views that nothing is learnt from, "train"; None for given ones.
         background: RGB in [0, 1] behind the splats, and behind the photographs' transparent parts.
     """
@@ -36,20 +38,25 @@ class Protocol:
     background: Background = BLACK
 
     @property
+    def label(self) -> str:
+        """Two words, for tables: "auto 512"."""
+        return f"{self.kind} {size_text(self.pixels)}"
+
+    @property
     def text(self) -> str:
         """A few words, such as "8 held-out views of 512 pixels"."""
-        width, height = self.pixels
-        size = f"{width}" if width == height else f"{width} x {height}"
         behind = ""
         if self.background != BLACK or self.kind == "photographs":
             behind = f" over {background_text(self.background)}"
-        return f"{self.views} {self._views_text()} of {size} pixels{behind}"
+        return f"{self.views} {self._views_text()} of {size_text(self.pixels)} pixels{behind}"
 
     def _views_text(self) -> str:
         many = "" if self.views == 1 else "s"
         if self.kind == "photographs":
             return f"{self.split} photograph{many}"
-        return f"given view{many}" if self.kind == "given" else f"held-out view{many}"
+        if self.kind == "given":
+            return f"given view{many}"
+        return f"held-out {'roaming ' if self.kind == 'roam' else ''}view{many}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +77,17 @@ class Judged:
     def text(self) -> str:
         """The PSNR and its protocol: "36.12 dB on 8 held-out views of 512 pixels"."""
         return f"{number_text(self.psnr)} dB on {self.protocol.text}"
+
+
+def usual_views(kind: str) -> int:
+    """How many views of a kind there are unless told otherwise."""
+    return ROAMING if kind == "roam" else VIEWS
+
+
+def size_text(pixels: tuple[int, int]) -> str:
+    """Width and height, or one number for both: "512", "64 x 48"."""
+    width, height = pixels
+    return f"{width}" if width == height else f"{width} x {height}"
 
 
 def background_text(background: Background) -> str:

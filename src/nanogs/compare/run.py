@@ -2,17 +2,18 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nanogs.compare.comparison import (
     Comparison,
     NamedModel,
-    compare_models,
+    compare_on_sets,
     compare_with_photographs,
 )
 from nanogs.compare.page import render_page
-from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
+from nanogs.compare.protocol import BLACK, PIXELS, Background, Judged
 from nanogs.compare.scoring import ReferenceView
+from nanogs.compare.view_sets import Size, found_views, parse_sources, view_sets
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect, load
@@ -21,10 +22,14 @@ from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import compare_bytes, photographs_bytes
 from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.render.opening import Opening, opening_for
-from nanogs.render.source import AUTOMATIC, cameras_for
+from nanogs.render.source import AUTOMATIC, FOUND
 from nanogs.view.bundle import check_built
 from nanogs.view.pack import pack
 from nanogs.view.page import Shown, facts_of, viewer_part
+
+if TYPE_CHECKING:
+    from nanogs.render.camera import Camera
+    from nanogs.render.views import Kind
 
 
 def compare_files(
@@ -32,9 +37,8 @@ def compare_files(
     tests: Sequence[tuple[str, Path]],
     *,
     cameras: str = "auto",
-    views: int = VIEWS,
-    width: int = PIXELS,
-    height: int = PIXELS,
+    views: int | None = None,
+    sizes: Sequence[Size] = ((PIXELS, PIXELS),),
     up: Sequence[float] | None = None,
     background: Background | None = None,
     extras: Sequence[str] = (),
@@ -52,10 +56,10 @@ def compare_files(
     Args:
         reference: Name and file of the original model.
         tests: Names and files of the models to score.
-        cameras: See `cameras_for`; without effect where photographs are given.
-        views: Number of automatic views.
-        width: Width of automatic views, pixels.
-        height: Height of automatic views, pixels.
+        cameras: See `cameras_for`; or several kinds of found ones, with commas between. Without
+            effect where photographs are given.
+        views: Number of automatic views of each kind; as many as usual by default.
+        sizes: Widths and heights of automatic views, pixels.
         up: Up direction of automatic views.
         background: RGB in [0, 1]; by default black, and for photographs the data set's own (see
             `Dataset.background`).
@@ -75,33 +79,30 @@ def compare_files(
     if report and interactive:
         check_built()
     page = interactive if report else None
-    infos = [inspect(path) for _name, path in (reference, *tests)]
-    automatic = photos is None and cameras in AUTOMATIC
-    needed = compare_bytes(infos, width * height, views if automatic else 0, paged=bool(page))
+    paths = (reference, *tests)
+    infos = [inspect(path) for _name, path in paths]
+    sources = [] if photos else parse_sources(cameras)
+    counts = found_views(sources, views)
+    needed = compare_bytes(infos, _most_pixels(sizes), max(counts, default=0), paged=bool(page))
     refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), _LESS)
-    tracker = Tracker(progress, _stages(1 + len(tests), views, page, with_photos=bool(photos)))
+    tracker = Tracker(progress, _stages(len(paths), counts, sizes, page))
     tracker.begin("read")
     models = []
-    for name, path in each((reference, *tests), tracker.part):
-        models.append(NamedModel(name, load(path), inspect(path).file_bytes))
-    options: dict[str, Any] = {
-        "extras": extras,
-        "pictures": report is not None,
-        "progress": tracker,
-    }
+    for (name, path), info in each(list(zip(paths, infos, strict=True)), tracker.part):
+        models.append(NamedModel(name, load(path), info.file_bytes))
+    options: dict[str, Any] = {"extras": extras, "pictures": bool(report), "progress": tracker}
+    start: Kind | Camera
     if photos is None:
-        chosen = cameras_for(
-            models[0].splats, cameras, count=views, width=width, height=height, up=up
-        )
-        kind: Kind = AUTOMATIC.get(cameras, "given")
         behind = background or BLACK
-        comparison, sheets = compare_models(
-            models[0], models[1:], chosen, kind=kind, background=behind, **options
+        sets = view_sets(models[0].splats, sources, sizes, views=views, up=up)
+        start = AUTOMATIC.get(sources[0], "auto") if sources[0] in FOUND else sets[0].cameras[0]
+        comparison, sheets = compare_on_sets(
+            models[0], models[1:], sets, background=behind, **options
         )
     else:
         tracker.begin("photographs")
         behind, frames = photographs(photos, images, split, background, max_memory)
-        chosen = [frame.camera for frame in frames]
+        start = frames[0].camera
         comparison, sheets = compare_with_photographs(
             str(photos), models, frames, split=split, background=behind, **options
         )
@@ -109,9 +110,8 @@ def compare_files(
         viewer = None
         if interactive:
             tracker.begin("encode")
-            place = chosen[0] if photos else AUTOMATIC.get(cameras, chosen[0])
-            start = opening_for(models[0].splats, place, up)
-            viewer = viewer_part(_shown(models, comparison, start), start, behind)
+            opening = opening_for(models[0].splats, start, up)
+            viewer = viewer_part(_shown(models, comparison, opening), opening, behind)
         tracker.begin("write")
         page_text = render_page(comparison, sheets, f"{reference[0]}: comparison", viewer)
         with atomic_write(report, overwrite=overwrite) as file:
@@ -123,10 +123,28 @@ def compare_files(
 _LESS = "free some, or compare fewer or smaller views (`views`, `pixels`) or smaller models"
 
 
-def _stages(models: int, views: int, page: bool | None, *, with_photos: bool) -> list[Stage]:
-    """The stages to come, for so many models; the page has a 3D part, none, or is not made."""
-    looking = Stage("photographs", views) if with_photos else Stage("render", views)
-    stages = [Stage("read", 2.0 * models), looking, Stage("score", models * views)]
+def _most_pixels(sizes: Sequence[Size]) -> int:
+    return max((width * height for width, height in sizes), default=0)
+
+
+def _stages(
+    models: int, counts: Sequence[int], sizes: Sequence[Size], page: bool | None
+) -> list[Stage]:
+    """The stages to come, for so many models; the page has a 3D part, none, or is not made.
+
+    Args:
+        models: With the original.
+        counts: Views of each kind; none of photographs.
+        sizes: Of the views.
+        page: Whether it has a 3D part, or None.
+    """
+    stages = [Stage("read", 2.0 * models)]
+    if not counts:
+        stages += [Stage("photographs", 8), Stage("score", 8.0 * models)]
+    for views in counts:
+        for width, height in sizes:
+            effort = (views or 8) * max(1.0, width * height / PIXELS**2)
+            stages += [Stage("render", effort), Stage("score", models * effort)]
     stages += [Stage("encode", 3.0 * models)] if page else []
     return stages + ([] if page is None else [Stage("write", 1.0)])
 

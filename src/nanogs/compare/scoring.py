@@ -66,6 +66,8 @@ class ModelScore:
         splats: Number of splats.
         file_bytes: Size of its file, or None.
         psnr: Mean over the views, dB; see `mean_psnr`.
+        least_psnr: PSNR of the worst view, dB.
+        least_view: Name of that view.
         ssim: Mean over the views.
         depth: Mean over the views that have one, or None.
         extras: Means of further metrics by name.
@@ -77,6 +79,8 @@ class ModelScore:
     splats: int
     file_bytes: int | None
     psnr: float
+    least_psnr: float
+    least_view: str
     ssim: float
     depth: float | None
     extras: dict[str, float]
@@ -164,11 +168,14 @@ def score(
             on_view(view, rendering, scores[-1])
     if model.skipped:
         notes[undrawn(model.skipped)] = None
+    worst = min(scores, key=lambda entry: entry.psnr)
     return ModelScore(
         name=name,
         splats=len(model),
         file_bytes=file_bytes,
         psnr=mean_psnr([entry.psnr for entry in scores]),
+        least_psnr=worst.psnr,
+        least_view=worst.view,
         ssim=float(np.mean([entry.ssim for entry in scores])),
         depth=_mean([entry.depth for entry in scores if entry.depth is not None]),
         extras={

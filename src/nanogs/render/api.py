@@ -15,7 +15,7 @@ from nanogs.render.camera import Camera
 from nanogs.splats import Splats
 
 Cameras: TypeAlias = str | PathLike[str] | Camera | Sequence[Camera]
-"""Where to look from: "auto", "orbit", "inside", a file or folder of cameras, or cameras."""
+"""Where to look from: "auto", "orbit", "inside", "roam", a file or folder of them, or cameras."""
 
 
 def render(
@@ -35,7 +35,8 @@ def render(
     Args:
         model: The model, or a path.
         cameras: "auto" for views that are found from the model, "orbit" for views around it,
-            "inside" for views in a room; or a camera file or data-set folder; or cameras.
+            "inside" for views in a room, "roam" for views from anywhere, near and far; or a camera
+            file or data-set folder; or cameras.
         views: Number of automatic views.
         pixels: Of an automatic view: width and height in one number, or both.
         up: (3,) direction of automatic views, scene units; found from the model by default.
@@ -88,18 +89,25 @@ def chosen_cameras(
     Raises:
         NanogsError: As for `render`.
     """
-    if isinstance(cameras, Camera):
-        return [cameras], "given"
     if not isinstance(cameras, str | PathLike):
-        given = list(cameras)
-        if not given or not all(isinstance(camera, Camera) for camera in given):
-            raise OptionError(
-                'Cameras are "auto", "orbit", "inside", a path, or at least one nanogs.Camera.'
-            )
-        return given, "given"
-    from nanogs.render.source import AUTOMATIC, cameras_for
+        return given_cameras(cameras), "given"
+    from nanogs.render.source import FOUND, cameras_for
 
     source = os.fspath(cameras)
     width, height = (pixels, pixels) if isinstance(pixels, int) else pixels
     found = cameras_for(splats, source, count=views, width=width, height=height, up=up)
-    return found, AUTOMATIC.get(source, "given")
+    return found, FOUND.get(source, "given")
+
+
+def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
+    """One camera or several.
+
+    Raises:
+        OptionError: They are no cameras, or none.
+    """
+    given = [cameras] if isinstance(cameras, Camera) else list(cameras)
+    if not given or not all(isinstance(camera, Camera) for camera in given):
+        raise OptionError(
+            'Cameras are "auto", "orbit", "inside", "roam", a path, or at least one nanogs.Camera.'
+        )
+    return given

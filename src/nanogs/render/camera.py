@@ -56,6 +56,10 @@ class Camera:
         if factor >= 1:
             return self
         width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        return self.resized(width, height)
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same view with other numbers of pixels."""
         along, down = width / self.width, height / self.height
         return replace(
             self,

@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from nanogs.compare.protocol import Kind as Origin
 from nanogs.errors import OptionError
 from nanogs.render.camera import Camera
 from nanogs.render.views import Kind, Split, automatic_cameras
 from nanogs.splats import Splats
 
 AUTOMATIC: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "inside"}
+FOUND: dict[str, Origin] = {**AUTOMATIC, "roam": "roam"}  # all that are found from the model
 
 
 def cameras_for(
@@ -25,12 +27,15 @@ def cameras_for(
 
     Args:
         splats: The model.
-        source: A name in `AUTOMATIC`, or a camera file or data-set folder; all its cameras.
+        source: A name in `FOUND`, or a camera file or data-set folder; all its cameras.
         count: Number of automatic views.
         width: Width of automatic views, pixels.
         height: Height of automatic views, pixels.
         up: Up direction of automatic views; found from the model by default.
         split: Of automatic views; `fit` and `test` have none in common.
+
+    Returns:
+        The cameras; of roaming ones fewer than `count` where no more are found.
 
     Raises:
         NanogsError: The source is neither, or cannot be read.
@@ -39,9 +44,13 @@ def cameras_for(
         return automatic_cameras(
             splats, count, width=width, height=height, kind=AUTOMATIC[source], up=up, split=split
         )
+    if source == "roam":
+        from nanogs.render.roam import roaming_cameras  # brings Numba
+
+        return roaming_cameras(splats, count, width=width, height=height, up=up, split=split)
     if not Path(source).exists():
         raise OptionError(
-            f"There is no camera file {source!r}; give a file, or one of {', '.join(AUTOMATIC)}."
+            f"There is no camera file {source!r}; give a file, or one of {', '.join(FOUND)}."
         )
     from nanogs.datasets.dataset import cameras_from_file
 

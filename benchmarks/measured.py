@@ -1,0 +1,241 @@
+"""What `quality.py` has measured, kept as JSON lines, and how it measures what is missing."""
+
+import hashlib
+import json
+import os
+import pickle
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import nanogs
+from nanogs.bench.worker import Job, run_job
+from nanogs.compare.protocol import BLACK, Background
+from nanogs.compare.run import photographs
+from nanogs.compare.scoring import ReferenceView, reference_views, score
+from nanogs.compare.view_sets import view_sets
+from nanogs.io import inspect, load
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import prepare
+from nanogs.render.views import automatic_cameras
+from nanogs.simplify.target import target_count
+from nanogs.splats import Splats
+from rivals import RIVALS, rival_version, run_tool
+
+KINDS = ("512", "1600", "roam", "photographs")
+SCENES = {
+    "biker": "biker.compressed.ply",
+    "skull": "skull.sog",
+    "plant": "plant.splat",
+    "seal": "seal.splat",
+    "chair": "chair.splat",
+    "flowers": "flowers/lod-meta.json",
+    "guitar": "guitar.compressed.ply",
+    "kitchen": "kitchen.spz",
+    "playbot": "playbot/lod-meta.json",
+}
+UP = {"chair": (0.0, 0.0, 1.0)}  # where the model itself does not show it
+PHOTOS = {"chair": "chair_photos"}
+SIZE = 512  # pixels of kinds that name no size
+BASELINE_VIEWS = 40  # that baselines may learn from
+APART = ("cli", "bench", "compare", "view", "lod", "scale")  # sources that no result depends on
+PACKAGE = Path(nanogs.__file__).parent
+Row = dict[str, Any]
+Tell = Callable[[str], None]
+
+
+class Key(NamedTuple):
+    """What is measured."""
+
+    scene: str
+    ratio: float
+    method: str
+    kind: str
+
+
+@dataclass(frozen=True)
+class Views:
+    """What a scene's results are held against, of one kind."""
+
+    views: list[ReferenceView]
+    background: Background
+    digest: str
+
+
+class Bench:
+    """Scenes, results and measurements in a folder."""
+
+    def __init__(self, scenes: Path, peers: Path, folder: Path) -> None:
+        self.scenes, self.peers, self.folder = scenes, peers, folder
+        self.rows_file = folder / "measured.jsonl"
+        self.ours = f"nanogs {digest_of_sources(APART)}"
+
+    def offers(self, scene: str, kind: str) -> bool:
+        """Whether a scene has views of a kind."""
+        return kind != "photographs" or scene in PHOTOS
+
+    def measure(self, keys: Sequence[Key], tell: Tell) -> list[Row]:
+        """The rows of the keys; those that are missing are measured and kept, scene by scene."""
+        by_scene = defaultdict(list)
+        for key in keys:
+            by_scene[key.scene].append(key)
+        return [row for name, some in by_scene.items() for row in self._of_scene(name, some, tell)]
+
+    def _of_scene(self, scene: str, keys: Sequence[Key], tell: Tell) -> list[Row]:
+        model = self.model(scene)
+        cameras = {
+            kind: self.cameras(scene, kind) for kind in dict.fromkeys(key.kind for key in keys)
+        }
+        known = self._known()
+        names = {key: self._name(key, cameras[key.kind]) for key in keys}
+        missing = [key for key in keys if names[key] not in known]
+        if missing:
+            splats = load(model)
+            kinds = dict.fromkeys(key.kind for key in missing)
+            views = {kind: self._views(scene, splats, kind, cameras[kind]) for kind in kinds}
+            for key in missing:
+                known[names[key]] = self._measured(key, views[key.kind], names[key])
+                tell(text_of(known[names[key]]))
+        return [known[names[key]] for key in keys]
+
+    def _known(self) -> dict[str, Row]:
+        """All rows so far by name, the last of a name."""
+        if not self.rows_file.exists():
+            return {}
+        rows = map(json.loads, self.rows_file.read_text().splitlines())
+        return {row["name"]: row for row in rows}
+
+    def _name(self, key: Key, cameras: Sequence[Camera]) -> str:
+        """Everything that a row depends on."""
+        return " | ".join([*map(str, key), self.version(key.method), digest_of_cameras(cameras)])
+
+    def version(self, method: str) -> str:
+        """Of the program that a method is of."""
+        if method in RIVALS:
+            return rival_version()
+        return "kept" if self._kept(method) else self.ours
+
+    def _kept(self, method: str) -> bool:
+        return any(self.peers.glob(f"*_{method}.ply"))
+
+    def _measured(self, key: Key, views: Views, name: str) -> Row:
+        """Make the result if it is missing, score it, and append the row to the file."""
+        path, figures = self._result(key)
+        small = load(path)
+        found = score(key.method, prepare(small), views.views, views.background)
+        row = {
+            **key._asdict(), "splats": len(small), "views": len(views.views), "psnr": found.psnr,
+            "least_psnr": found.least_psnr, "ssim": found.ssim, **figures, "name": name,
+        }  # fmt: skip
+        with self.rows_file.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        return row
+
+    def _result(self, key: Key) -> tuple[Path, Row]:
+        """A method's model, made unless it is there, and what making it took."""
+        if self._kept(key.method) and key.method not in RIVALS:
+            return self.peers / f"{key.scene}_{key.ratio:g}_{key.method}.ply", {}
+        target = result_file(
+            self.folder, key.scene, key.ratio, key.method, self.version(key.method)
+        )
+        note = target.with_suffix(".json")
+        if not (target.exists() and note.exists()):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            fresh = target.with_name(f"{os.getpid()}_{target.name}")
+            made = self._decimate if key.method in RIVALS else self._simplify
+            figures = made(key, fresh)
+            fresh.replace(target)
+            note.write_text(json.dumps(figures))
+        return target, json.loads(note.read_text())
+
+    def _decimate(self, key: Key, target: Path) -> Row:
+        """Simplify with the other tool: seconds are those of its process, files included."""
+        model = self.model(key.scene)
+        count = target_count(inspect(model).splats, key.ratio, None)
+        seconds, peak = run_tool(model, RIVALS[key.method], str(count), target)
+        return {"seconds": seconds, "peak_memory": peak}
+
+    def _simplify(self, key: Key, target: Path) -> Row:
+        """Simplify with a method of ours in a process of its own."""
+        model = self.model(key.scene)
+        learnt = tuple(automatic_cameras(load(model), BASELINE_VIEWS))
+        outcome = run_job(Job(model, key.method, key.ratio, target, learnt))
+        if outcome.error:
+            raise SystemExit(f"{key}: {outcome.error}")
+        return {"seconds": outcome.seconds, "peak_memory": outcome.peak_memory}
+
+    def model(self, scene: str) -> Path:
+        """The scene as .ply, level 0 where there are levels."""
+        source = self.scenes / SCENES[scene]
+        target = self.folder / "scenes" / f"{scene}.ply"
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            level = ["-L", "0"] if source.name == "lod-meta.json" else []
+            fresh = target.with_name(f"{os.getpid()}_{target.name}")
+            run_tool(*level, source, fresh)
+            fresh.replace(target)
+        return target
+
+    def cameras(self, scene: str, kind: str) -> list[Camera]:
+        """Test views of a kind, kept while the sources that place them stay; not of photographs."""
+        if kind == "photographs":
+            return []
+        rendering = digest_of_sources((*APART, "simplify", "refit", "io", "kernels", "datasets"))
+        kept = self.folder / "views" / f"{scene}_{kind}_{rendering}.pickle"
+        if not kept.exists():
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            source, size = parse_kind(kind)
+            splats, up = load(self.model(scene)), UP.get(scene)
+            [found] = view_sets(splats, [source], [(size, size)], up=up)
+            kept.write_bytes(pickle.dumps(list(found.cameras)))
+        cameras: list[Camera] = pickle.loads(kept.read_bytes())
+        return cameras
+
+    def _views(self, scene: str, splats: Splats, kind: str, cameras: Sequence[Camera]) -> Views:
+        if kind == "photographs":
+            behind, found = photographs(self.scenes / PHOTOS[scene], None, "test", None, None)
+            return Views(found, behind, "photographs")
+        found, _ = reference_views(prepare(splats), cameras, BLACK, depth=False)
+        return Views(found, BLACK, digest_of_cameras(cameras))
+
+
+def result_file(folder: Path, scene: str, ratio: float, method: str, version: str) -> Path:
+    """Where a method's model is."""
+    name = f"{scene}_{ratio:g}_{method}_{version}".replace(" ", "_").replace(":", "_")
+    return folder / "results" / f"{name}.ply"
+
+
+def parse_kind(kind: str) -> tuple[str, int]:
+    """Where views are from, and their pixels: "512", "roam", "roam@1600"."""
+    source, _, size = kind.partition("@")
+    return ("auto", int(source)) if source.isdigit() else (source, int(size or SIZE))
+
+
+def text_of(row: Row) -> str:
+    """A row in a line."""
+    return (
+        f"{row['scene']} {row['ratio']:g} {row['method']} {row['kind']}: {row['psnr']:.2f} dB,"
+        f" worst {row['least_psnr']:.2f}, SSIM {row['ssim']:.4f}, {row.get('seconds', 0):.1f} s"
+    )
+
+
+def digest_of_cameras(cameras: Iterable[Camera]) -> str:
+    """A few letters for where cameras are and how many pixels they have."""
+    found = hashlib.sha1(usedforsecurity=False)
+    for camera in cameras:
+        numbers = [*camera.world_to_camera.ravel(), camera.fx, camera.width, camera.near]
+        found.update(np.round(numbers, 6).astype(np.float64).tobytes())
+    return found.hexdigest()[:10]
+
+
+def digest_of_sources(apart: Sequence[str]) -> str:
+    """A few letters for the package's sources, but for some of its parts."""
+    found = hashlib.sha1(usedforsecurity=False)
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if path.relative_to(PACKAGE).parts[0] not in apart:
+            found.update(path.read_bytes())
+    return found.hexdigest()[:10]
