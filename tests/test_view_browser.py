@@ -283,7 +283,7 @@ def test_the_words_fit_any_screen(chromium, files, width, height):
     assert "a blue one" in text
     assert "300 splats" in text
     assert "PSNR" in text
-    assert "KB" in text
+    assert "kB" in text
     if folder := os.environ.get("NANOGS_SCREENSHOTS"):
         page.screenshot(path=f"{folder}/view_{width}.png")
     seen.close()
@@ -353,6 +353,10 @@ def test_a_report_loads_its_models_on_request(chromium, files, tmp_path):
     many = seen.pixels()
     assert is_red(many).any()
     assert is_blue(many).any()
+    panel = page.locator(VIEW).bounding_box()
+    for name in (".nv-left", ".nv-right"):  # their facts are in the table above
+        label = page.locator(name).bounding_box()
+        assert label["width"] * label["height"] < 0.06 * panel["width"] * panel["height"]
     chooser = page.get_by_label("Model on the right")
     chooser.select_option(label="blue: 200 splats (66.67\N{NO-BREAK SPACE}%)")
     assert "200" not in page.locator(".nv-left").inner_text()
