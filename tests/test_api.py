@@ -12,6 +12,7 @@ import pytest
 
 import nanogs
 from builders import cloud_pair, random_splats
+from launch import run
 from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.render.rasterize import prepare
 from nanogs.render.views import automatic_cameras
@@ -191,8 +192,7 @@ def test_models_and_paths_the_wrong_way_round(tmp_path):
 
 
 def test_compare_has_the_numbers_of_the_command(files):
-    command = [sys.executable, "-m", "nanogs", "compare", *map(str, files), "--json"]
-    said = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    said = json.loads(run("compare", *files, "--json").stdout)
     found = nanogs.compare(*files)
     assert json.loads(json.dumps(found.to_dict())) == said
     assert found.models[0].name == "small.spz"
@@ -256,8 +256,8 @@ def test_render_gives_the_pictures_of_the_command(files, tmp_path):
 
     from nanogs.render.images import to_bytes
 
-    command = ("render", files[0], tmp_path / "pictures", "--views", "2", "--pixels", "48x32")
-    subprocess.run([sys.executable, "-m", "nanogs", *map(str, command)], check=True)
+    options = ("--views", "2", "--pixels", "48x32")
+    assert run("render", files[0], tmp_path / "pictures", *options).returncode == 0
     images = nanogs.render(files[0], **SMALL)
     assert [image.shape for image in images] == [(32, 48, 3)] * 2
     assert all(image.dtype == np.float32 for image in images)

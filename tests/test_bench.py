@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import launch
 import nanogs
 from builders import random_splats
 from nanogs.bench import protocol
@@ -45,8 +46,7 @@ from nanogs.simplify.presets import PRESETS, parameters
 
 
 def run(*arguments, **kwargs):
-    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, **kwargs)
+    return launch.run(*arguments, timeout=300, **kwargs)
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,8 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from launch import run
 from nanogs.cli.simplify_report import choice_text, recolour_text
-
-
-def run(*arguments, cwd=None, **kwargs):
-    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120, **kwargs)
 
 
 def assert_refused(result, *words):

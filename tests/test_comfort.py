@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+import launch
 import nanogs
 from builders import random_splats
 from nanogs import io
@@ -16,10 +17,8 @@ from nanogs.simplify.presets import PRESETS, parameters
 
 
 def run(*arguments, **environment):
-    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
     clean = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "NO_COLOR", "COLUMNS")}
-    env = clean | environment
-    return subprocess.run(command, capture_output=True, text=True, env=env, timeout=60)
+    return launch.run(*arguments, env=clean | environment, timeout=60)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from launch import run
 from nanogs.cli.options import parse_background, parse_direction, parse_pixels
 from nanogs.compare.comparison import NamedModel, compare_models
 from nanogs.compare.page import rate_distortion_plot
@@ -22,7 +23,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.render.camera import Camera
 from nanogs.render.images import color_image, file_names
 from nanogs.render.rasterize import render
-from test_cli import assert_refused, run
+from test_cli import assert_refused
 
 
 def camera(name="front", *, size=48, away=False):

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+import launch
 import nanogs
 from builders import random_splats
 from nanogs import io
@@ -17,8 +18,7 @@ WRITTEN = [known.suffix for known in formats() if known.write and known.readable
 
 
 def run(*arguments):
-    command = [sys.executable, "-m", "nanogs", "convert", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return launch.run("convert", *arguments)
 
 
 def assert_refused(result, folder, *words):
@@ -165,9 +165,8 @@ def test_the_version_of_spz_is_chosen(scene, tmp_path, version):
     assert io.inspect(target).encoding == encoding
     nanogs.save(nanogs.load(scene), tmp_path / "b.spz", spz_version=version)
     assert (tmp_path / "b.spz").read_bytes() == target.read_bytes()
-    simplify = [sys.executable, "-m", "nanogs", "simplify", scene, tmp_path / "c.spz", "-r", "0.5"]
-    options = ["--preset", "fast", "--spz-version", version, "-q"]
-    assert subprocess.run(list(map(str, [*simplify, *options]))).returncode == 0
+    options = ["-r", "0.5", "--preset", "fast", "--spz-version", version, "-q"]
+    assert launch.run("simplify", scene, tmp_path / "c.spz", *options).returncode == 0
     assert io.inspect(tmp_path / "c.spz").encoding == encoding
 
 

@@ -2,8 +2,6 @@
 
 import dataclasses
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -13,16 +11,12 @@ from hypothesis import strategies as st
 import nanogs
 from builders import random_splats
 from conftest import scene_path
+from launch import run
 from nanogs import filters
 from nanogs.cli.filtering import parse_filters
 from nanogs.errors import ModelError, OptionError
 from nanogs.splats import ExtraElement
 from strategies import assert_same
-
-
-def run(*arguments):
-    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
 
 def at(points, scale=0.01, **kwargs):

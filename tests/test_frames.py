@@ -8,12 +8,12 @@ import pytest
 
 import nanogs
 from builders import model_bytes, random_splats
+from launch import run as run_command
 from nanogs.errors import OptionError
 from nanogs.frames import FRAMES, change_between, change_frame, half_turn
 from nanogs.io.registry import formats
 from nanogs.render.rasterize import render
 from nanogs.render.views import automatic_cameras
-from test_cli import run as run_command
 
 # By hand: what the axes of each of these are in the frame of training.
 TURNS = {

@@ -9,11 +9,11 @@ from PIL import Image
 
 from builders import random_splats
 from dataset_files import colmap_camera, colmap_image, transforms, write_json, write_model
+from launch import run
 from nanogs import io
 from nanogs.datasets.dataset import cameras_from_file, open_dataset
 from nanogs.errors import FormatError
 from nanogs.render.lens import Lens, lens_notes
-from test_cli import run
 
 SIZE = (160, 120)
 WHITE = (1.0, 1.0, 1.0)

@@ -12,13 +12,14 @@ import typer
 
 import nanogs
 from builders import model_bytes, random_splats
+from launch import run
 from nanogs.cli.lod import exit_if_short
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.folder import atomic_folder
 from nanogs.lod.manifest import made_files
 from nanogs.lod.write import write_levels
 from nanogs.report import StopReason
-from test_cli import assert_refused, run
+from test_cli import assert_refused
 
 RATIOS = (0.5, 0.1, 0.02)
 LEVELS = ["level_0.ply", "level_1.ply", "level_2.ply", "levels.json"]

@@ -11,6 +11,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io.sog_levels import read as read_level
@@ -30,7 +31,6 @@ from nanogs.scale.settings import Layout as Columns
 from nanogs.scale.tables import write_files
 from nanogs.simplify.presets import ForestParameters
 from nanogs.splats import concatenate
-from test_cli import run
 from test_lod_stream import assert_binary, files, leaves, seen_by_the_viewer
 from test_scale_runs import wall
 from test_tiles import corners, level_of, tiles

@@ -19,6 +19,7 @@ from PIL import Image
 import nanogs
 from builders import random_splats
 from conftest import scene_path
+from launch import run
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.folder import atomic_folder
@@ -30,7 +31,7 @@ from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.write import write_levels
 from nanogs.threads import use_threads
 from npm_packages import package, served
-from test_cli import assert_refused, run
+from test_cli import assert_refused
 from test_sog_write import angle, in_order_of
 
 RATIOS = (0.5, 0.1, 0.02)

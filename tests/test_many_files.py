@@ -1,22 +1,16 @@
 """Several inputs at once: which files are meant, what the results are called, what fails."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import nanogs
 from builders import random_splats
+from launch import run
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import sog_write
 from nanogs.io.collect import Pair, collect, pair_up
-
-
-def run(*arguments, cwd=None):
-    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
 
 
 def names(folder):

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+import launch
 import nanogs
 from builders import random_splats
 from nanogs.io import registry, spz_write
@@ -14,8 +15,7 @@ from nanogs.io.sniff import sniff
 
 
 def run(*arguments, data=b"", **kwargs):
-    command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
-    return subprocess.run(command, input=data, capture_output=True, timeout=120, **kwargs)
+    return launch.run(*arguments, text=False, data=data, **kwargs)
 
 
 def refused(result, *words):

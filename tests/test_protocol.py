@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 import nanogs
+from launch import run
 from nanogs.cli.simplify_run import _judge
 from nanogs.compare.held_out import held_out
 from nanogs.compare.protocol import Protocol
@@ -16,7 +17,6 @@ from nanogs.errors import ModelError
 from nanogs.io.collect import Pair
 from nanogs.render.views import automatic_cameras
 from nanogs.simplify.visibility import look
-from test_cli import run
 from viewer_bundle import require_bundle
 
 WORDS = "8 held-out views of 512 pixels"

@@ -7,7 +7,8 @@ import pytest
 
 import nanogs
 from builders import cloud_pair
-from test_cli import assert_refused, run
+from launch import run
+from test_cli import assert_refused
 
 
 @pytest.fixture(scope="module")

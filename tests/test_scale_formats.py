@@ -10,6 +10,7 @@ import ksplatfiles
 import nanogs
 from builders import random_splats
 from conftest import scene_path
+from launch import run as run_command
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import sog_packed, spz
 from nanogs.scale import run, source, work
@@ -18,7 +19,6 @@ from nanogs.scale.settings import Access
 from nanogs.scale.unpack import Cost
 from nanogs.simplify.target import Goal
 from plyfiles import BASE, ply
-from test_cli import run as run_command
 from torchfiles import File
 
 COUNT = 1200

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+import launch
 import nanogs
 from builders import random_splats
 from nanogs.memory import LIBRARIES
@@ -50,7 +51,7 @@ def nanogs_command(*arguments):
 
 def run(*arguments, code=0):
     """Run the command; its output, and what it says to people."""
-    done = subprocess.run(nanogs_command(*arguments), capture_output=True, text=True, timeout=300)
+    done = launch.run(*arguments, timeout=300)
     assert done.returncode == code, done.stderr
     return done.stdout, done.stderr
 

@@ -11,6 +11,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from conftest import scene_path
+from launch import run
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.lod.layout import Layout, made_files
@@ -19,7 +20,6 @@ from nanogs.lod.write import write_levels
 from nanogs.splats import RenderMode
 from nanogs.threads import use_threads
 from npm_packages import node, package
-from test_cli import run
 
 RATIOS = (0.5, 0.1, 0.02)
 CHUNK = 60

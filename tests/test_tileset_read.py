@@ -7,11 +7,11 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.lod.layout import Layout
 from nanogs.lod.write import write_levels
-from test_cli import run
 
 RATIOS = (0.5, 0.1, 0.02)
 BOX = {"box": [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]}

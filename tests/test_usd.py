@@ -3,14 +3,13 @@
 import dataclasses
 import json
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
 from builders import random_splats
+from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
 from nanogs.splats import RenderMode, Splats
@@ -91,14 +90,12 @@ def test_what_it_cannot_hold_is_refused(tmp_path):
 
 def test_the_command_converts_and_fits_a_size(tmp_path):
     io.save(random_splats(200), tmp_path / "a.ply")
-    nanogs = [sys.executable, "-m", "nanogs"]
-    convert = [*nanogs, "convert", tmp_path / "a.ply", tmp_path / "a.usda", "--json"]
-    report = json.loads(subprocess.run(convert, capture_output=True).stdout)
+    report = json.loads(run("convert", tmp_path / "a.ply", tmp_path / "a.usda", "--json").stdout)
     assert (report["format"], report["splats"], report["sh_degree"]) == ("usda", 200, 1)
     assert report["output_bytes"] == (tmp_path / "a.usda").stat().st_size
     size = report["output_bytes"] // 3
-    simplify = [*nanogs, "simplify", tmp_path / "a.ply", tmp_path / "b.usda", "--preset", "fast"]
-    subprocess.run([*simplify, "--size", str(size), "-q"], check=True)
+    given = ("--preset", "fast", "--size", size, "-q")
+    assert run("simplify", tmp_path / "a.ply", tmp_path / "b.usda", *given).returncode == 0
     assert 0.9 * size < (tmp_path / "b.usda").stat().st_size <= size
 
 

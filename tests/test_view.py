@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 import nanogs
 from builders import random_splats
+from launch import run
 from nanogs.cli.app import app
 from nanogs.compare.protocol import Judged, Protocol
 from nanogs.compare.run import compare_files
@@ -32,7 +33,7 @@ from nanogs.view import page as view_page
 from nanogs.view.pack import DISTANCE, FARTHEST, in_page, pack
 from nanogs.view.page import Shown, facts_of, render_page
 from nanogs.view.run import page_path, view_files
-from test_cli import assert_refused, run
+from test_cli import assert_refused
 from viewer_bundle import require_bundle
 
 START = Opening(

@@ -1,0 +1,121 @@
+"""Imports the command and its libraries, then forks for each run that it is asked for."""
+
+import atexit
+import gc
+import json
+import os
+import pkgutil
+import runpy
+import select
+import signal
+import socket
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import nanogs.cli
+import nanogs.io
+import nanogs.kernels
+from nanogs.kernels.cached import _Cache
+from nanogs.spread import Spread
+
+# What runs need of these and of libraries is imported with them, or by the run itself.
+PACKAGES = (nanogs.cli, nanogs.io)
+OTHERS = ("nanogs.compare.run", "nanogs.compare.held_out", "nanogs.view.run", "typer._adapters")
+
+
+def serve(line):
+    """Answer with the exit code of each run until whoever asks is gone; True in a fork."""
+    kernels, seen = compiled_functions(), {}
+    while True:
+        message, fds, _, _ = socket.recv_fds(line, 1 << 20, 3)
+        if not message:
+            return False
+        seen = load(kernels, seen)
+        child = os.fork()
+        if child == 0:
+            line.close()
+            become(json.loads(message), fds)
+            return True
+        for fd in fds:
+            os.close(fd)
+        code = end_of(child, line)
+        if code is None:
+            return False
+        line.send(str(code).encode())
+
+
+def every_module(package):
+    """The modules of a package."""
+    names = [name for _, name, _ in pkgutil.iter_modules(package.__path__)]
+    return [import_module(f"{package.__name__}.{name}") for name in names]
+
+
+def compiled_functions():
+    """All kernels; none where Numba compiles nothing."""
+    found = {}
+    for module in every_module(nanogs.kernels):
+        for value in vars(module).values():
+            kernel = value._compiled if isinstance(value, Spread) else value
+            if isinstance(getattr(kernel, "_cache", None), _Cache):
+                found[id(kernel)] = kernel
+    return list(found.values())
+
+
+def load(kernels, seen):
+    """Load the kernels that are on the disk, if there are new ones; returns what was seen."""
+    folders = {Path(kernel._cache.cache_path) for kernel in kernels}
+    now = {folder: folder.stat().st_mtime_ns for folder in folders if folder.exists()}
+    if now != seen:
+        for kernel in kernels:
+            for signature, *_ in kernel._cache._cache_file._load_index():
+                kernel.compile(signature)
+    return now
+
+
+def end_of(child, line):
+    """The exit code of a run; None if nobody waits for it any more, and it was ended."""
+    ended = os.pidfd_open(child)
+    ready, _, _ = select.select([ended, line], [], [])
+    os.close(ended)
+    if ended not in ready:
+        os.kill(child, signal.SIGKILL)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return code if ended in ready else None
+
+
+def become(asked, fds):
+    """Take on the streams, the folder, the environment and the words of a run."""
+    for own, fd in enumerate(fds):
+        os.dup2(fd, own)
+        os.close(fd)
+    os.chdir(asked["cwd"])
+    os.environ.clear()
+    os.environ.update(asked["env"])
+    sys.argv = ["nanogs", *asked["words"]]
+    sys.path[0] = asked["cwd"]  # as with `python -m`
+
+
+def run():
+    """Run the command and end with its exit code, without freeing all that was imported."""
+    try:
+        runpy.run_module("nanogs", run_name="__main__", alter_sys=True)
+    except SystemExit as end:
+        code = end.code
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+        code = 1
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code or 0)
+
+
+if __name__ == "__main__":
+    for package in PACKAGES:
+        every_module(package)
+    for name in OTHERS:
+        import_module(name)
+    gc.freeze()  # so that forks share it
+    if serve(socket.socket(fileno=int(sys.argv[1]))):
+        run()
