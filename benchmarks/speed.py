@@ -1,6 +1,7 @@
 """Time whole runs from file to file: our presets, splat-transform and one k-d tree query, in turns.
 
     python benchmarks/speed.py [MODEL] [--count 1000000] [--rounds 3] [--ratio 0.1] [--alone]
+                               [--presets fast,default,paper]
     python benchmarks/speed.py --scaling 100000,200000,500000,1000000,2000000,5000000 [--preset P]
     python benchmarks/speed.py --threads 1,2
 
@@ -32,7 +33,6 @@ from nanogs.simplify.target import target_count
 from rivals import ROOT, install, run_tool, timed
 
 WORK = ROOT / "build" / "speed"
-PRESETS = ("fast", "default", "paper")
 MODES = {"splat-transform uniform": "--decimate", "splat-transform adaptive": "--decimate-adaptive"}
 K = 16
 Run = Callable[[], tuple[float, int]]
@@ -61,6 +61,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--ratio", type=float, default=0.1)
     parser.add_argument("--alone", action="store_true", help="without the other tool")
     parser.add_argument("--scaling", help="counts, with commas between")
+    parser.add_argument("--presets", default="fast,default,paper", help="with commas between")
     parser.add_argument("--preset", default="fast", help="with --scaling")
     parser.add_argument("--threads", help="numbers of threads, with commas between")
     return parser.parse_args()
@@ -115,30 +116,31 @@ def in_turns(runs: dict[str, Run], rounds: int) -> dict[str, list[tuple[float, i
 
 def against_others(model: Path, options: argparse.Namespace) -> None:
     """Every preset, the other tool's modes and the query."""
-    runs = {preset: ours(model, preset, options) for preset in PRESETS}
+    presets = options.presets.split(",")
+    runs = {preset: ours(model, preset, options) for preset in presets}
     if not options.alone:
         install()
         runs |= {name: other(model, flag, options.ratio) for name, flag in MODES.items()}
     runs[f"cKDTree query, k = {K}"] = query(model)
     warm(options)
     taken = in_turns(runs, options.rounds)
-    fast = median(seconds for seconds, _ in taken["fast"])
+    first = median(seconds for seconds, _ in taken[presets[0]])
     columns = inspect(model)
     held = column_bytes(model)
     print(
         f"{columns.splats:,} splats, SH degree {columns.sh_degree}, {bytes_text(held)} of columns\n"
     )
-    print("| | seconds | over fast | peak memory | over the columns |")
+    print(f"| | seconds | over {presets[0]} | peak memory | over the columns |")
     print("|---|--:|--:|--:|--:|")
     for name, turns in taken.items():
         seconds, peak = (median(values) for values in zip(*turns, strict=True))
         memory = f"{bytes_text(int(peak))} | {peak / held:.2f}" if peak else "|"
-        print(f"| {name} | {seconds:.2f} | {seconds / fast:.2f} | {memory} |")
+        print(f"| {name} | {seconds:.2f} | {seconds / first:.2f} | {memory} |")
 
 
 def warm(options: argparse.Namespace) -> None:
     """Compile what is not in the cache, on a small scene."""
-    for preset in PRESETS:
+    for preset in options.presets.split(","):
         ours(scene(2000), preset, options)()
 
 
@@ -170,7 +172,7 @@ def threads(numbers: list[int], model: Path, options: argparse.Namespace) -> Non
     warm(options)
     runs = {
         f"{preset} | {number}": ours(model, preset, options, number)
-        for preset in PRESETS
+        for preset in options.presets.split(",")
         for number in numbers
     }
     taken = in_turns(runs, options.rounds)

@@ -148,10 +148,12 @@ def test_time_left_does_not_shrink_while_kernels_are_compiled():
 def test_the_report_is_one_line(tmp_path):
     run = {
         "read_count": 500_000, "achieved_count": 50_000, "input_bytes": 76_000_000,
-        "output_bytes": 1_200_000, "judged": None, "total_seconds": 6.2,
+        "output_bytes": 1_200_000, "judged": None, "total_seconds": 6.2, "input": "a.ply",
+        "output": "b.ply",
     }  # fmt: skip
-    assert summary(run).replace("->", "→") == "500,000 → 50,000 splats, 76.0 → 1.2 MB, 6 s"
-    packed = run | {"input": "a.sog", "output": "b.ply", "input_bytes": 1_100_000}
+    said = "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s"
+    assert summary(run).replace("->", "→") == said
+    packed = run | {"input": "a.sog", "input_bytes": 1_100_000}
     assert ", 1.1 → 1.2 MB (.sog → .ply), 6 s" in summary(packed).replace("->", "→")
     same = packed | {"input": "stdin"}
     assert ", 1.1 → 1.2 MB, 6 s" in summary(same).replace("->", "→")
@@ -163,7 +165,7 @@ def test_the_report_is_one_line(tmp_path):
         said = command("simplify", "in.ply", "out.ply", "-r", "0.1", "-w", *more, cwd=tmp_path)
         said = [line for line in said.splitlines() if not re.match(r"\d/\d ", line)]
         assert len(said) >= lines
-        assert re.fullmatch(r"100 (→|->) 10 splats, .* [KM]?B, .* s", said[-1]), said
+        assert re.fullmatch(r"100 (→|->) 10 splats in out.ply, .* [kM]?B, .* s", said[-1]), said
         assert len(said) == 1 or more
 
 
@@ -179,7 +181,7 @@ def test_a_terminal_of_few_characters_gets_a_plain_arrow(tmp_path):
     nanogs.save(random_splats(100), tmp_path / "in.ply")
     few = {**os.environ, "PYTHONIOENCODING": "ascii"}
     said = command("convert", "in.ply", "out.spz", cwd=tmp_path, env=few)
-    assert re.search(r"100 splats of SH degree \d, .* -> ", said)
+    assert re.search(r"100 splats of SH degree \d in .*, .* -> ", said)
 
 
 @pytest.mark.parametrize(

@@ -216,9 +216,10 @@ def test_lod_says_that_the_finest_level_is_not_the_whole(folder, tmp_path):
     fast = ("--preset", "fast", "-w")
     text = run("lod", folder / "a.ply", tmp_path / "l", *fast).stderr
     assert "The finest level has 200 of 400 splats; --levels 1,0.5,0.25,0.1,0.01" in text
-    text = run("lod", folder / "a.ply", tmp_path / "l", *fast, "--levels", "1,0.1").stderr
-    assert "finest level" not in text
-    assert len(nanogs.load(tmp_path / "l" / "level_0.ply")) == 400
+    text = run("lod", folder / "a.ply", tmp_path / "l", *fast, "--levels", "0.4,0.1").stderr
+    assert "finest level" not in text  # who names levels knows them
+    assert f"400 splats -> 2 levels in {tmp_path / 'l'}, " in text.replace("→", "->")
+    assert len(nanogs.load(tmp_path / "l" / "level_0.ply")) == 160
 
 
 # The degree of spherical harmonics

@@ -85,6 +85,8 @@ def test_shares_and_multiples_on_the_command_line(scene, tmp_path):
         (["b.ply", "-r", "0.1", "--threads", "0"], ["--threads takes 1 or more, not '0'"]),
         (["b.ply", "-r", "0.1", "--lambda-app", "x"], ["--lambda-app takes a number, not 'x'"]),
         (["b.ply", "-r", "0.1", "--max-memory", "4"], ["4 B", "--max-memory 4GB"]),
+        (["b.ply", "--size", "2", "MB"], ["MB is a unit and no file", "one word, as in 2MB"]),
+        (["b.ply", "-r", "10", "%"], ["% is a unit", "as in 2%"]),
         ([], ["OUT is missing", "a.ply"]),
         (["-r", "0.1"], ["OUT is missing", "a.ply"]),
     ],

@@ -30,6 +30,11 @@ def parse_bytes(text: str) -> int:
     return int(value)
 
 
+def is_unit(text: str) -> bool:
+    """Whether a word is a unit without its number: MB, k or %."""
+    return text == "%" or (bool(text) and text.lower() in _UNITS)
+
+
 def as_bytes(size: int | str) -> int:
     """A number of bytes that is given as one, or as text.
 

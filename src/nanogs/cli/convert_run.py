@@ -26,7 +26,7 @@ def print_report(run: dict[str, Any]) -> None:
     report_filters(run)
     for note in (*run["notes"], *run["losses"]):
         warn(note)
-    what = f"{counted(run['splats'], 'splat')} of SH degree {run['sh_degree']}"
+    what = f"{counted(run['splats'], 'splat')} of SH degree {run['sh_degree']} in {run['output']}"
     sizes = sizes_text(run["input_bytes"], run["output_bytes"], arrow())
     say(f"{what}, {sizes}, {time_text(run['total_seconds'])}")
 

@@ -12,6 +12,8 @@ from nanogs.defaults import CHUNK, PATIENCE
 from nanogs.errors import OptionError
 from nanogs.simplify.presets import DEFAULT_PRESET, parameters
 
+_LEVELS = "0.5,0.25,0.1,0.01"
+
 
 def lod(
     paths: Annotated[
@@ -23,13 +25,14 @@ def lod(
         ),
     ],
     levels: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Ratios from the finest level to the coarsest, commas between; 1 is the original"
             " itself, which the default leaves out.",
             metavar="RATIOS",
+            show_default=_LEVELS,
         ),
-    ] = "0.5,0.25,0.1,0.01",
+    ] = None,
     level_format: Annotated[
         str | None,
         typer.Option(
@@ -118,7 +121,7 @@ def lod(
     }  # fmt: skip
     # Whatever can be refused is refused before minutes of computing.
     chosen = parameters(preset, overrides)
-    ratios = options.parse_ratios(levels)
+    ratios = options.parse_ratios(levels or _LEVELS)
     check_ratios(ratios)
     parts, target = _parts(paths, join=join)
     read = reading.parse_reading(
@@ -148,7 +151,7 @@ def lod(
     if json:
         print_json(run)
     elif not quiet:
-        print_levels(run, verbose=verbose)
+        print_levels(run, verbose=verbose, chosen=levels is not None)
     exit_if_short(run)
 
 
@@ -158,6 +161,9 @@ def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
     Raises:
         OptionError: There is none of one, or several models without --join.
     """
+    from nanogs.cli.many import refuse_units
+
+    refuse_units(paths)
     if len(paths) == 1:
         raise OptionError(f"OUT is missing: name the folder to make of {paths[0]}.")
     if len(paths) > 2 and not join:

@@ -109,12 +109,18 @@ def print_levels_plan(
         plan_rows(divided)
 
 
-def print_levels(run: dict[str, Any], *, verbose: bool) -> None:
-    """Show on stderr the levels that were made, and with `verbose` how each came to be."""
+def print_levels(run: dict[str, Any], *, verbose: bool, chosen: bool) -> None:
+    """Show on stderr the levels that were made.
+
+    Args:
+        run: The manifest with the files' names and the reports.
+        verbose: Show how each came to be too.
+        chosen: Whether the levels are those that were asked for, and not the default.
+    """
     report_filters(run)
     warn_of_input(run)
     finest = run["levels"][0]
-    if finest["ratio"] < 1:
+    if finest["ratio"] < 1 and not chosen:
         ratios = ",".join(f"{level['ratio']:g}" for level in run["levels"])
         warn(
             f"The finest level has {finest['count']:,} of {run['source_count']:,} splats; --levels"
@@ -142,7 +148,8 @@ def print_levels(run: dict[str, Any], *, verbose: bool) -> None:
     levels = counted(len(run["levels"]), "level")
     size = bytes_text(sum(level["bytes"] for level in run["levels"]))
     seconds = time_text(run["total_seconds"])
-    say(f"{counted(run['source_count'], 'splat')} {arrow()} {levels}, {size}, {seconds}")
+    whole = counted(run["source_count"], "splat")
+    say(f"{whole} {arrow()} {levels} in {run['output']}, {size}, {seconds}")
     if run["layout"] != Layout.FILES.value:
         say(f"`nanogs view {run['output']}` makes a page of one level, to look at it")
 

@@ -1,7 +1,7 @@
 """One command over several files: what goes where, and what is said of those that fail."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.formatting import counted
 from nanogs.io.collect import Pair, collect, model_in, pair_up
 from nanogs.progress import Progress
+from nanogs.quantities import is_unit
 
 
 def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> list[Pair]:
@@ -27,6 +28,7 @@ def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> l
     Raises:
         NanogsError: The files and options do not go together, or names collide.
     """
+    refuse_units(paths)
     if out_dir is not None:
         if DASH in paths:
             raise OptionError("- is one model and does not go with --out-dir; name files.")
@@ -43,6 +45,19 @@ def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> l
             " paths without it."
         )
     return [Pair(model_in(paths[0]), paths[1])]
+
+
+def refuse_units(paths: Sequence[Path]) -> None:
+    """Refuse the second half of a number that was typed as two words, such as `--size 2 MB`.
+
+    Raises:
+        OptionError: A path is a unit, and no file.
+    """
+    for path in paths:
+        if is_unit(str(path)) and not path.exists():
+            raise OptionError(
+                f"{path} is a unit and no file: write number and unit as one word, as in 2{path}."
+            )
 
 
 def run_all(

@@ -142,8 +142,9 @@ def _print_report(run: dict[str, Any], *, verbose: bool) -> None:
     before, after = number_text(run["psnr_before"]), number_text(run["psnr_after"])
     views = counted(len(run["validation_views"]), "view")
     say(
-        f"{counted(run['count'], 'splat')}, {before} {arrow()} {after} dB on {views} kept apart of"
-        f" {run['parameters']['size']} pixels, {time_text(run['total_seconds'])}"
+        f"{counted(run['count'], 'splat')} in {run['output']}, {before} {arrow()} {after} dB on"
+        f" {views} kept apart of {run['parameters']['size']} pixels,"
+        f" {time_text(run['total_seconds'])}"
     )
 
 

@@ -209,10 +209,10 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
 
 
 def summary(run: dict[str, Any]) -> str:
-    """Such as "500,000 → 50,000 splats, 76.0 → 1.2 MB, 6 s", with the PSNR where it is known."""
+    """Such as "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s", with the PSNR if known."""
     to = arrow()
     parts = [
-        f"{run['read_count']:,} {to} {counted(run['achieved_count'], 'splat')}",
+        f"{run['read_count']:,} {to} {counted(run['achieved_count'], 'splat')} in {run['output']}",
         sizes_text(run["input_bytes"], run["output_bytes"], to) + _formats_text(run, to),
         _judged_text(run),
         time_text(run["total_seconds"]),
