@@ -43,16 +43,16 @@ demo: $(STAMP) ## simplify a real scene to 10 % in two ways, and show all in dem
 	$(BIN)/nanogs compare demo/scene.ply demo/small.sog demo/best.sog --report demo/report.html -w
 
 test: $(STAMP) ## run the tests
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 # Each index of each kernel is checked as it is used: one that is out of its array raises, where a
 # kernel as usual would read or write beside it. Kernels so compiled are kept in build/bounds.
 bounds: $(STAMP) ## run the kernels' tests with checks of bounds
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/bounds \
-	  $(BIN)/python -m pytest -n 2 -m "not slow" $(BOUNDS)
+	  $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" $(BOUNDS)
 
 quick: $(STAMP) ## run the tests that take less than some 5 seconds each
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 lint: $(STAMP) ## check style and formatting
 	$(BIN)/ruff check
@@ -77,7 +77,7 @@ floors: $(STAMP) ## run quick tests with the lowest versions that pyproject.toml
 	$(UV) pip install --quiet --python $(FLOORS) --resolution lowest-direct '.[flip,cluster,s3]'
 	$(UV) pip freeze --python $(FLOORS) --exclude nanogs >$(FLOORS)/lowest.txt
 	$(UV) pip install --quiet --python $(FLOORS) --constraint $(FLOORS)/lowest.txt --editable '.[dev]'
-	NUMBA_CACHE_DIR=$(CURDIR)/$(FLOORS)/kernels $(FLOORS)/$(SCRIPTS)/python -m pytest -n 2 -m "not slow" $(TESTS)
+	NUMBA_CACHE_DIR=$(CURDIR)/$(FLOORS)/kernels $(FLOORS)/$(SCRIPTS)/python -m pytest -n 2 --dist worksteal -m "not slow" $(TESTS)
 
 newest: $(STAMP) ## run quick tests with the newest Python; with OPTIONAL=1 where it can be had
 	@for version in $(PYTHONS); do \
@@ -88,7 +88,7 @@ newest: $(STAMP) ## run quick tests with the newest Python; with OPTIONAL=1 wher
 
 on-newest:
 	$(UV) pip install --quiet --python $(NEWEST) --editable '.[dev]'
-	NUMBA_CACHE_DIR=$(CURDIR)/$(NEWEST)/kernels $(NEWEST)/$(SCRIPTS)/python -m pytest -n 2 -m "not slow" $(TESTS)
+	NUMBA_CACHE_DIR=$(CURDIR)/$(NEWEST)/kernels $(NEWEST)/$(SCRIPTS)/python -m pytest -n 2 --dist worksteal -m "not slow" $(TESTS)
 
 $(DOCS_STAMP): $(STAMP)
 	$(UV) pip install --quiet --python $(VENV) --editable '.[docs]'

@@ -665,11 +665,15 @@ def test_equal_clusters_keep_their_own():
     assert least == pytest.approx([1.5] * 3)  # half the trace of the identity
 
 
+compiled_only = pytest.mark.skipif(
+    os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="the uncompiled run shows nothing of it"
+)
+
+
+@compiled_only
 @pytest.mark.slow
 def test_kernels_run_uncompiled_too():
     """As plain Python, where a debugger reaches them: all of this file again."""
-    if os.environ.get("NUMBA_DISABLE_JIT") == "1":
-        pytest.skip("this is the uncompiled run")
     result = subprocess.run(
         [
             sys.executable,
@@ -701,6 +705,7 @@ print(len(told))
 """
 
 
+@compiled_only
 def test_compiling_is_told_once_and_only_where_the_cache_is_empty(tmp_path):
     def told():
         command = [sys.executable, "-c", COMPILE]
@@ -713,10 +718,9 @@ def test_compiling_is_told_once_and_only_where_the_cache_is_empty(tmp_path):
     assert [told(), told()] == ["1", "0"]
 
 
+@compiled_only
 def test_every_kernel_is_compiled_for_one_layout_of_its_arguments():
     """A second one costs each user seconds on the first run, for no gain."""
-    if os.environ.get("NUMBA_DISABLE_JIT") == "1":
-        pytest.skip("once is enough")
     code = """
 import importlib, pkgutil
 import nanogs, nanogs.kernels
@@ -751,6 +755,7 @@ print(numba.njit(lambda a: a @ a)(2 * np.eye(2)).tolist())
 """
 
 
+@compiled_only
 def test_scipys_linear_algebra_is_loaded_by_those_who_use_it_alone():
     run = subprocess.run([sys.executable, "-c", SPARED], capture_output=True, text=True, check=True)
     assert run.stdout.split("\n")[:2] == ["False", "[[4.0, 0.0], [0.0, 4.0]]"]
@@ -780,6 +785,7 @@ print(all((getattr(first, n) == getattr(again, n)).all() for n in ("means", "qua
 """
 
 
+@compiled_only
 def test_kernels_on_disk_are_loaded_without_what_numba_needs_to_compile():
     for _ in ("the first may have to compile", "the second finds all on disk"):
         run = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True)

@@ -86,14 +86,13 @@ def test_centres_that_differ_by_less_than_squares_can_tell_still_have_neighbours
     assert all(len({row, *others}) == 5 for row, others in enumerate(found.tolist()))
 
 
-@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
 def test_lanes_compiled_do_as_their_plain_python_says(seed, k):
     rng = np.random.default_rng(seed)
     points, boxes = rng.normal(size=48), np.sort(rng.normal(size=(2, 2, 3)), axis=1).reshape(2, 6)
     lists = np.sort(rng.integers(0, 1 << 31, (k, 16)).astype(np.int32), axis=0)[::-1].ravel()
     results = []
-    for run in (all_operations, numba.njit(all_operations)):
+    for run in (all_operations, all_compiled):
         keys, own = np.zeros(48, np.int32), lists.copy()
         masks = np.zeros(3, np.int64)
         run(points, boxes, keys, own, masks, k)
@@ -111,3 +110,6 @@ def all_operations(points, boxes, keys, lists, masks, k):
     masks[2] = lanes.lowest_bit(masks[0] | 1 << 9)
     lanes.insert(lists, keys, 16, k)
     lanes.insert(lists, keys, 32, k)
+
+
+all_compiled = numba.njit(all_operations)

@@ -31,7 +31,7 @@ from nanogs.scale.settings import Layout
 from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.target import Goal
 
-COUNT, BLOCK = 120_000, 45_000
+COUNT, BLOCK = 48_000, 18_000
 MEMORY = int((LIBRARIES + BLOCK * held_bytes(Layout(0, False, (), "default", (), ()),
                                              ForestParameters(), 0.1)) / 0.95) + 1  # fmt: skip
 GIVEN = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1}

@@ -29,8 +29,8 @@ from nanogs.scale.settings import Layout
 from nanogs.simplify.presets import ForestParameters
 from nanogs.simplify.target import Goal
 
-COUNT = 100_000
-BLOCK = {"preset": "fast", "rounds": 1, "block": 35_000, "threads": 1}
+COUNT = 40_000
+BLOCK = {"preset": "fast", "rounds": 1, "block": 14_000, "threads": 1}
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path
     out = tmp_path / "small.ply"
     given = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, "--resume", "-q"]
     start = time.perf_counter()
-    run(*given)
+    subprocess.run(nanogs_command(*given), check=True)  # started as those that are killed
     whole, wanted = time.perf_counter() - start, out.read_bytes()
     out.unlink()
     rng, kills = random.Random(5), 0
@@ -161,7 +161,7 @@ def test_workers_make_the_same_bytes_and_may_be_lost(scene, tmp_path, client):
     nanogs.simplify_blocks(scene, there, ratio=0.1, client=client, progress=progress, **BLOCK)
     assert len(workers) == 1
     assert there.read_bytes() == here.read_bytes()
-    assert {("segment", 3, 3), ("part", 3, 3)} <= set(told)
+    assert {("segment", 3, 3), ("part", 4, 4)} <= set(told)
 
 
 @pytest.mark.slow
