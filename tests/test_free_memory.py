@@ -10,8 +10,11 @@ import pytest
 import nanogs
 from nanogs import memory
 from nanogs.cli.failures import sentence_of
+from nanogs.compare.needed import needed_bytes
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import NotEnoughMemoryError
+from nanogs.io.files import splat_bytes
+from nanogs.lod.levels import judged_levels
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, free_memory, process_memory
 
 GB = 10**9
@@ -236,6 +239,34 @@ def test_what_blocks_cannot_do_is_refused_at_once(scene, tmp_path, little, capsy
     assert said in text
     assert "leave that out, or give it more memory" in text
     assert list(tmp_path.iterdir()) == []
+
+
+def test_in_python_a_comparison_that_would_not_fit_is_refused_before_work(tmp_path, monkeypatch):
+    splats, path = make_scene(2000), tmp_path / "a.ply"
+    nanogs.save(splats, path)
+    monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(100_000, "free on this machine"))
+    monkeypatch.setattr("nanogs.compare.api.as_splats", None)  # nothing is read
+    for models in ((splats, splats), (path, splats), (path, path)):
+        with pytest.raises(NotEnoughMemoryError, match="fewer or smaller views"):
+            nanogs.compare(*models)
+    view = {"views": 1, "pixels": 16}
+    one, two = (needed_bytes(models, 256, 1, all_of_it=False) for models in ((splats,), (path,)))
+    assert two - one == 2000 * splat_bytes(3)  # the file is to be read
+    monkeypatch.undo()
+    with pytest.raises(NotEnoughMemoryError):
+        nanogs.compare(splats, splats, **view, max_memory=LIBRARIES + 1000)
+    assert len(nanogs.compare(splats, splats, **view, max_memory=GB).models) == 1
+
+
+def test_levels_that_are_measured_hold_the_views_of_the_original(monkeypatch):
+    splats, asked = make_scene(2000), []
+    monkeypatch.setattr(
+        "nanogs.simplify.job.refuse_too_large", lambda _what, needed, *_: asked.append(needed)
+    )
+    for judged in (False, True):
+        judged_levels(splats, [0.5], judged=judged)
+    views = 8 * 512 * 512 * 3 * 4
+    assert asked[1] - asked[0] >= views
 
 
 def test_in_python_a_model_that_would_not_fit_is_refused_before_work(monkeypatch):

@@ -185,3 +185,14 @@ def test_a_folder_that_nothing_was_written_to_is_not_left_behind(folder, tmp_pat
     result = run("convert", folder / "notes.txt", "--out-dir", tmp_path / "out")
     assert result.returncode == 2
     assert not (tmp_path / "out").exists()
+
+
+def test_folders_that_were_made_go_with_what_failed(folder, tmp_path):
+    deep, above = tmp_path / "a" / "b" / "c", tmp_path / "a"
+    result = run("convert", folder / "no.ply", "--out-dir", deep, "--format", "splat")
+    assert result.returncode == 2, result.stderr
+    assert "no.ply: " in result.stderr
+    assert not above.exists()
+    above.mkdir()  # this one is the user's
+    run("convert", folder / "no.ply", "--out-dir", deep, "--format", "splat")
+    assert list(above.iterdir()) == []

@@ -47,9 +47,20 @@ def compare_bytes(infos: Sequence[FileInfo], pixels: int, views: int, *, paged: 
         views: Their number.
         paged: Whether the models are put into a page.
     """
-    drawn = infos[0].splats * _PREPARED + max(info.splats for info in infos) * _DRAWN
-    pages = page_bytes(infos) if paged else sum(map(model_bytes, infos))
-    return max(pages, sum(map(model_bytes, infos)) + drawn + pictures_bytes(pixels, views))
+    held = sum(map(model_bytes, infos))
+    scoring = scoring_bytes([info.splats for info in infos], pixels, views)
+    return max(page_bytes(infos) if paged else held, held + scoring)
+
+
+def scoring_bytes(counts: Sequence[int], pixels: int, views: int) -> int:
+    """Scoring models against the first of them, beside the models themselves.
+
+    Args:
+        counts: Splats of each.
+        pixels: Of a view.
+        views: Their number.
+    """
+    return counts[0] * _PREPARED + max(counts) * _DRAWN + pictures_bytes(pixels, views)
 
 
 def pictures_bytes(pixels: int, views: int) -> int:

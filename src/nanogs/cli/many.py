@@ -96,8 +96,8 @@ def run_all(
     else:
         for pair in pairs:
             streams.check(pair)
-        made = writes and _make(out_dir)
-        with cleaned_up(partial(_remove_empty, out_dir, made)), shown(quiet=hushed) as watch:
+        made = _make(out_dir) if writes else []
+        with cleaned_up(partial(_remove_empty, made)), shown(quiet=hushed) as watch:
             runs, failed = _run_several(pairs, run_one, None if hushed else show, watch)
     if json:
         data = runs[0] if out_dir is None else {"files": runs, "failed": failed}
@@ -136,19 +136,20 @@ def _run_several(
     return runs, failed
 
 
-def _remove_empty(folder: Path, made: bool) -> None:
-    """Take a folder away that was made and is empty all the same."""
-    if made:
-        with suppress(OSError):  # unless it holds something
+def _remove_empty(made: Sequence[Path]) -> None:
+    """Take folders away, each before the one it is in, unless one holds something."""
+    for folder in made:
+        with suppress(OSError):
             folder.rmdir()
 
 
-def _make(folder: Path) -> bool:
-    """Make a folder; whether it was missing."""
-    missing = not folder.exists()
+def _make(folder: Path) -> list[Path]:
+    """Make a folder and those above it; which were missing, from it upwards."""
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
+        _remove_empty(missing)
         reason = error.strerror or str(error)
         raise OutputError(f"{folder} cannot be made ({reason}); choose another folder.") from error
     return missing

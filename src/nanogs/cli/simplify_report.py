@@ -61,9 +61,13 @@ class Plan:
         return in_blocks(self.parameters)
 
     def _judged(self) -> bool:
-        """Whether measuring counts: where the preset looks, that has taken as much before."""
-        afterwards = self.measured and not renders(self.parameters)
-        return afterwards or self.goal.psnr is not None
+        """Whether measuring counts: where the preset looks, that has taken as much before.
+
+        Levels are measured one by one, and the views of the original are held all the time.
+        """
+        levels = self.encoding is not None
+        more = self.measured and (levels or not renders(self.parameters))
+        return more or self.goal.psnr is not None
 
     def memory(self) -> MemoryPlan:
         """What it takes; an unknown count takes what the whole model would."""

@@ -10,6 +10,7 @@ from nanogs.compare.comparison import (
     compare_on_sets,
     compare_with_photographs,
 )
+from nanogs.compare.needed import LESS
 from nanogs.compare.page import render_page
 from nanogs.compare.protocol import BLACK, PIXELS, Background, Judged
 from nanogs.compare.scoring import ReferenceView
@@ -84,7 +85,7 @@ def compare_files(
     sources = [] if photos else parse_sources(cameras)
     counts = found_views(sources, views)
     needed = compare_bytes(infos, _most_pixels(sizes), max(counts, default=0), paged=bool(page))
-    refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), _LESS)
+    refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), LESS)
     tracker = Tracker(progress, _stages(len(paths), counts, sizes, page))
     tracker.begin("read")
     models = []
@@ -118,9 +119,6 @@ def compare_files(
             file.write(page_text.encode("utf-8"))
     tracker.finish()
     return comparison
-
-
-_LESS = "free some, or compare fewer or smaller views (`views`, `pixels`) or smaller models"
 
 
 def _most_pixels(sizes: Sequence[Size]) -> int:

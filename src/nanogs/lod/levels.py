@@ -59,13 +59,46 @@ def levels(
         ModelError: No splat is usable, or `nan="error"` and one is not.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
+    return judged_levels(
+        model, ratios, judged=False, preset=preset, cameras=cameras, nan=nan, threads=threads,
+        max_memory=max_memory, progress=progress, **overrides,
+    )  # fmt: skip
+
+
+def judged_levels(
+    model: Model,
+    ratios: Sequence[float],
+    *,
+    judged: bool,
+    preset: str = DEFAULT_PRESET,
+    cameras: Sequence["Camera"] | None = None,
+    nan: NanPolicy = "drop",
+    threads: int | None = None,
+    max_memory: int | None = None,
+    progress: Progress | bool | None = None,
+    **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
+) -> Iterator[tuple[Splats, SimplifyReport]]:
+    """The same as `levels`, where views of the original may be held beside.
+
+    Args:
+        model: As `levels` takes it, and so are the others.
+        ratios: See there.
+        judged: Whether the caller holds each level against such views.
+        preset: See there.
+        cameras: See there.
+        nan: See there.
+        threads: See there.
+        max_memory: See there.
+        progress: See there.
+        **overrides: See there.
+    """
     check_ratios(ratios)
     parameters(preset, overrides)
     splats = as_splats(model)
     job = prepare_job(splats, preset, overrides, cameras, nan)
     refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
     counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
-    job.refuse_too_large(counts[0], max_memory)
+    job.refuse_too_large(counts[0], max_memory, judged=judged)
     stages = levels_stages(job.parameters, len(job.rows), counts)
     return _drawn(job, tuple(ratios), threads, progress, stages)
 

@@ -11,7 +11,7 @@ from nanogs.io.folder import atomic_folder
 from nanogs.lod.chunks import Written
 from nanogs.lod.file_levels import PLY
 from nanogs.lod.layout import NAMES, Layout, LevelWriter, check_options, made_files, writer
-from nanogs.lod.levels import levels
+from nanogs.lod.levels import judged_levels
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, describe_chunks, describe_level
 from nanogs.lod.measured import LevelJudge, level_judge
 from nanogs.progress import Progress, Stage, Tracker
@@ -75,7 +75,7 @@ def write_levels(
         _parameters(options), len(splats), ratios, layout, suffix, measured=measured
     )
     tracker = Tracker(progress, stages)
-    made = levels(splats, ratios, progress=tracker.passing(), **options)
+    made = judged_levels(splats, ratios, judged=measured, progress=tracker.passing(), **options)
     threads = options.get("threads")
     judge = LevelJudge()
     if measured:

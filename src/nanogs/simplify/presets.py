@@ -123,7 +123,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
 SUMMARIES: Mapping[str, str] = {
     "default": "one merge forest; the cut that looks most like the original, its colours fitted",
     "fast": "the same forest, one cut, nothing rendered",
-    "best": "default, then fitted to renders of the original; takes 5 to 9 times as long",
+    "best": "default, then fitted to renders of the original; takes 4 to 9 times as long",
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
