@@ -13,13 +13,7 @@ def demo(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
     count: Annotated[
         int | None,
-        typer.Option(
-            "--count",
-            "-n",
-            parser=options.parse_count,
-            metavar="COUNT",
-            help="Make up a scene of so many splats instead, e.g. 50000 or 100k.",
-        ),
+        options.count("Make up a scene of so many splats instead, e.g. 50000 or 100k."),
     ] = None,
     seed: Annotated[
         int, typer.Option(min=0, help="Of a made-up scene: another seed, another scene.")

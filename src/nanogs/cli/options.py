@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -116,6 +116,11 @@ MaxMemory = Annotated[
     ),
 ]
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show_default="all")]
+
+
+def count(about: str) -> Any:  # noqa: ANN401 - as typer has it
+    """The option --count of a command; `about` is what its help says."""
+    return typer.Option("--count", "-n", parser=parse_count, metavar="COUNT", help=about)
 
 
 def parse_pixels(text: str) -> tuple[int, int]:

@@ -26,13 +26,7 @@ def simplify(
     ] = None,
     count: Annotated[
         int | None,
-        typer.Option(
-            "--count",
-            "-n",
-            parser=options.parse_count,
-            metavar="COUNT",
-            help="Number of splats to keep, e.g. 50000, 100k or 1.5M.",
-        ),
+        options.count("Number of splats to keep, e.g. 50000, 100k or 1.5M."),
     ] = None,
     size: Annotated[
         str | None,

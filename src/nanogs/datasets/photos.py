@@ -2,7 +2,8 @@
 
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -58,11 +59,8 @@ def photo_size(path: Path) -> tuple[int, int]:
     Raises:
         FormatError: It is missing or no image that can be read.
     """
-    try:
-        with Image.open(path) as image:
-            return image.size
-    except _DAMAGED as error:
-        raise _unreadable(path, error) from error
+    with _opened(path) as image:
+        return image.size
 
 
 def is_transparent(path: Path) -> bool:
@@ -71,11 +69,8 @@ def is_transparent(path: Path) -> bool:
     Raises:
         FormatError: It is missing or no image that can be read.
     """
-    try:
-        with Image.open(path) as image:
-            return image.has_transparency_data
-    except _DAMAGED as error:
-        raise _unreadable(path, error) from error
+    with _opened(path) as image:
+        return image.has_transparency_data
 
 
 def read_photo(path: Path, size: tuple[int, int], background: Sequence[float] | F) -> F32:
@@ -94,19 +89,33 @@ def read_photo(path: Path, size: tuple[int, int], background: Sequence[float] | 
         OptionError: The background is not three numbers in [0, 1].
     """
     colour = _checked_background(background)
-    try:
-        with Image.open(path) as image:
-            _check_decodable(path, image, size)
-            straight = image.has_transparency_data
-            pixels = np.asarray(image.convert("RGBA" if straight else "RGB"), dtype=np.float32)
-    except _DAMAGED as error:
-        raise _unreadable(path, error) from error
+    with _opened(path) as image:
+        _check_decodable(path, image, size)
+        straight = image.has_transparency_data
+        pixels = np.asarray(image.convert("RGBA" if straight else "RGB"), dtype=np.float32)
     pixels = pixels / np.float32(255)
     if not straight:
         return pixels
     alpha = pixels[..., 3:]
     composite: F32 = pixels[..., :3] * alpha + colour * (1 - alpha)
     return composite
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """An image whose pixels are decoded in the block, as far as they are needed.
+
+    Raises:
+        FormatError: It is missing or damaged, which may show within the block.
+    """
+    try:
+        with Image.open(path) as image:
+            yield image
+    except _DAMAGED as error:
+        reason = getattr(error, "strerror", None) or type(error).__name__
+        raise FormatError(
+            f"{path}: is not a readable photograph ({reason}); restore the image file"
+        ) from error
 
 
 def _check_decodable(path: Path, image: Image.Image, size: tuple[int, int]) -> None:
@@ -129,8 +138,3 @@ def _checked_background(background: Sequence[float] | F) -> F32:
     if colour.shape != (3,) or not np.all((colour >= 0) & (colour <= 1)):
         raise OptionError(f"background {background!r}: give three numbers from 0 to 1")
     return colour
-
-
-def _unreadable(path: Path, error: Exception) -> FormatError:
-    reason = getattr(error, "strerror", None) or type(error).__name__
-    return FormatError(f"{path}: is not a readable photograph ({reason}); restore the image file")
