@@ -166,6 +166,11 @@ class Bench:
         outcome = run_job(Job(model, key.method, key.ratio, target, learnt))
         if outcome.error:
             raise SystemExit(f"{key}: {outcome.error}")
+        if self.ours != f"nanogs {digest_of_sources(APART)}":
+            target.unlink()
+            raise SystemExit(
+                "The sources were changed meanwhile; start again: what is done is kept."
+            )
         return {"seconds": outcome.seconds, "peak_memory": outcome.peak_memory}
 
     def model(self, scene: str) -> Path:

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from nanogs.errors import ModelError, OptionError
+from nanogs.render import roam
+from nanogs.render.free_space import in_free_space
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.roam import roaming_cameras
+from nanogs.splats import concatenate
 from test_views import SCENE, ball, cloud, product, room
 
 
@@ -46,10 +49,12 @@ def test_the_same_cameras_again_and_fewer_are_the_first(found):
         assert one.near == other.near
 
 
-@pytest.mark.parametrize("split", ["fit", "decide"])
-def test_nothing_is_drawn_that_judges(found, split):
-    for camera in roaming_cameras(SCENE, 6, split=split):
-        assert min(np.linalg.norm(camera.position - other.position) for other in found) > 1e-3
+def test_nothing_is_drawn_that_judges(found):
+    """Nor for two purposes, such as to fit to and to decide by."""
+    sets = [found, *(roaming_cameras(SCENE, 6, split=split) for split in ("fit", "decide"))]
+    places = np.array([camera.position for cameras in sets for camera in cameras])
+    apart = np.linalg.norm(places[:, None] - places, axis=2) + 9 * np.eye(len(places))
+    assert apart.min() > 1e-3
 
 
 def test_distances_are_near_and_far():
@@ -92,6 +97,41 @@ def test_a_room_is_looked_at_from_inside():
     points = room(20_000)
     for camera in roaming_cameras(cloud(points, 0.06), 12):
         assert (np.abs(camera.position) < (3.0, 1.5, 2.0)).all()
+
+
+def wall(distance, width=3.0, beside=0.0):
+    """A square of splats across the z axis."""
+    side = np.linspace(-width, width, 40)
+    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
+    return cloud(np.stack([x + beside, y, np.full(1600, distance)], axis=1), width / 20)
+
+
+def kept(*parts):
+    """Whether a view from 0 along z of something at a distance of 1 would be kept."""
+    lens = replace(roam._lens(1, 512, 512, 60), near=0.02)
+    splats = prepare(concatenate(parts))
+    return roam._shown(splats, roam.Candidate(lens, np.array([0.0, 0, 1]), 1.0)) is not None
+
+
+def test_a_view_is_kept_if_it_shows_its_target_large_enough_and_nothing_is_at_the_lens():
+    assert kept(wall(1))
+    assert not kept(wall(1, 0.1)), "less than a third of the picture"
+    assert not kept(wall(1.3)), "something else in the middle"
+    assert not kept(wall(1), wall(0.5, 0.1)), "hidden"
+    assert kept(wall(1), wall(0.5, 0.03, 0.2)), "something stands beside it"
+    assert not kept(wall(1), wall(0.15, 0.03, 0.06)), "at the lens"
+
+
+def test_a_place_is_free_if_a_free_one_sees_it_and_no_splat_holds_it():
+    lens, target = roam._lens(1, 512, 512, 60), np.array([0.0, 0, 1])
+    scene, behind = prepare(wall(1)), prepare(concatenate([wall(1), wall(-1)]))
+    for place in ((0.5, 0.0, 0.5), (0.0, 0.2, -2.0)):
+        assert in_free_space(scene, lens, target, [np.array(place)])
+    assert not in_free_space(behind, lens, target, [np.array([0.0, 0.2, -2.0])])
+    assert in_free_space(behind, lens, target, [np.array([0.0, 0.2, -0.5])])
+    assert not in_free_space(scene, lens, target, [])
+    around = prepare(concatenate([wall(1), cloud(np.zeros((1, 3)), 0.3)]))
+    assert not in_free_space(around, lens, target, [np.array([0.5, 0.0, 0.5])])
 
 
 def test_where_nothing_fills_a_picture_it_is_said():

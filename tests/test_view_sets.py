@@ -1,0 +1,140 @@
+"""Several kinds and sizes of views in one run: the numbers of each, wherever they are told."""
+
+import json
+import math
+
+import pytest
+
+import nanogs
+from nanogs.bench.protocol import run_bench
+from nanogs.bench.scenes import BenchScene
+from nanogs.bench.settings import BenchSettings
+from nanogs.bench.tables import scene_table
+from nanogs.compare.protocol import usual_views
+from nanogs.compare.run import compare_files
+from nanogs.compare.view_sets import parse_sources, view_sets
+from nanogs.datasets.synthetic import make_scene
+from nanogs.errors import OptionError
+from nanogs.formatting import number_text
+from test_cli import run
+
+SCENE = make_scene(1500)
+LABELS = ["auto 48", "auto 96", "roam 48", "roam 96"]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sets")
+    nanogs.save(SCENE, folder / "scene.ply")
+    nanogs.save(nanogs.simplify(SCENE, ratio=0.2, preset="fast")[0], folder / "small.ply")
+    return [folder / "scene.ply", folder / "small.ply"]
+
+
+def test_each_kind_at_each_size_has_numbers_of_its_own(files):
+    found = nanogs.compare(*files, cameras=["auto", "roam"], pixels=[48, 96], views=2)
+    assert [one.protocol.label for one in found.each] == LABELS
+    psnrs = [one.models[0].psnr for one in found.each]
+    assert len(set(psnrs)) == 4
+    for one, label in zip(found.each, LABELS, strict=True):
+        kind, size = label.split()
+        alone = nanogs.compare(*files, cameras=kind, pixels=int(size), views=2)
+        assert alone.models == one.models
+        assert alone.further == ()
+
+
+def test_the_worst_view_is_said(files):
+    model = nanogs.compare(*files, views=3, pixels=48).models[0]
+    worst = min(model.views, key=lambda view: view.psnr)
+    assert (model.least_psnr, model.least_view) == (worst.psnr, worst.view)
+    assert model.least_psnr < model.psnr
+
+
+def test_a_kind_looks_from_the_same_places_at_all_sizes():
+    small, wide, large = view_sets(SCENE, ["roam"], [(48, 48), (64, 32), (96, 96)], views=2)
+    for one, other in zip(small.cameras, large.cameras, strict=True):
+        assert (one.world_to_camera == other.world_to_camera).all()
+        assert other.fx == pytest.approx(2 * one.fx)
+    assert [camera.width for camera in wide.cameras] == [64, 64]
+
+
+def test_there_are_as_many_views_as_usual_of_each_kind():
+    auto, inside = view_sets(SCENE, ["auto", "inside"], [(16, 16)])
+    assert len(auto.cameras) == len(inside.cameras) == usual_views("auto") == 8
+    assert usual_views("roam") == 24
+
+
+def test_fewer_views_than_asked_for_are_said(monkeypatch):
+    monkeypatch.setattr("nanogs.render.roam.TRIES", 4)
+    [found] = view_sets(SCENE, ["roam"], [(16, 16)], views=8)
+    assert 1 < len(found.cameras) < 8
+    assert found.notes == (f"roam: {len(found.cameras)} views were found of 8 asked for",)
+
+
+def test_sources_are_kinds_or_one_path():
+    assert parse_sources("auto, roam") == ["auto", "roam"]
+    assert parse_sources("a,b.json") == ["a,b.json"]
+
+
+@pytest.mark.parametrize(
+    ("sources", "sizes", "words"),
+    [
+        (["auto", "auto"], [(16, 16)], "kind of cameras is given twice"),
+        (["auto"], [(16, 16), (16, 16)], "size is given twice"),
+        (["a.json"], [(16, 16), (32, 32)], "have their own"),
+        (["a.json"], [(16, 16)], "no camera file 'a.json'"),
+    ],
+)
+def test_what_cannot_be_looked_at_is_refused(sources, sizes, words):
+    with pytest.raises(OptionError, match=words):
+        view_sets(SCENE, sources, sizes)
+
+
+def test_the_command_tells_each(files):
+    options = ("--sizes", "48,96", "--cameras", "auto,roam", "--views", "2")
+    said = json.loads(run("compare", *files, *options, "--json").stdout)
+    each = [said, *said["further"]]
+    assert [one["protocol"]["kind"] for one in each] == ["auto", "auto", "roam", "roam"]
+    assert [one["protocol"]["pixels"] for one in each] == [[48, 48], [96, 96]] * 2
+    table = run("compare", *files, *options)
+    lines = table.stdout.splitlines()
+    assert "worst" in lines[0]
+    for one, label, line in zip(each, LABELS, lines[1:], strict=True):
+        model = one["models"][0]
+        assert label in line
+        for value in (model["psnr"], model["least_psnr"]):
+            assert f"{value:.2f}" in line
+        assert f"{model['ssim']:.4f}" in line
+    assert "2 held-out roaming views of 96 pixels" in " ".join(table.stderr.split())
+
+
+def test_the_page_has_each_and_pictures_of_each_kind(files, tmp_path):
+    page = tmp_path / "page.html"
+    found = compare_files(
+        ("scene", files[0]), [("small", files[1])], cameras="auto,roam", views=2,
+        sizes=[(48, 48), (64, 64)], report=page,
+    )  # fmt: skip
+    text = page.read_text(encoding="utf-8")
+    for one in found.each:
+        assert f'<td data-is="views">{one.protocol.label}</td>' in text
+        assert f'data-is="worst (dB)">{one.models[0].least_psnr:.2f}<' in text
+    assert 'data-views="4"' in text
+    for one in (found.each[0], found.each[2]):
+        for view in one.models[0].views:
+            assert f"{number_text(view.psnr)} dB" in text
+
+
+def test_bench_has_each_in_a_row(files):
+    settings = BenchSettings(
+        ratios=(0.2,), methods=("opacity",), kinds=("auto", "roam"), sizes=(32, 48), views=1,
+        fit_views=1,
+    )  # fmt: skip
+    rows = run_bench([BenchScene("a", files[0])], settings)
+    labels = [one.label for one in rows[1].sets]
+    assert labels == ["auto 32", "auto 48", "roam 32", "roam 48"]
+    for one in rows[1].sets:
+        assert math.isfinite(one.psnr)
+        assert one.least_psnr == one.psnr
+        assert one.views == 1
+    table = scene_table(rows)
+    assert "| PSNR, roam 48 | worst, roam 48 | SSIM, roam 48 |" in table
+    assert f"{rows[1].further[2].psnr:.2f}" in table
