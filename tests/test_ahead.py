@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 from nanogs import ahead
 
 SIGNATURES = """
@@ -29,6 +31,7 @@ for (module, name), signatures in compiled().items():
 """
 
 
+@pytest.mark.slow
 def test_what_is_left_to_the_first_process_is_rendering():
     run = subprocess.run(
         [sys.executable, "-c", SIGNATURES], capture_output=True, text=True, check=True

@@ -226,6 +226,7 @@ NEEDED = ("mkdocs", "material", "mkdocstrings", "mkdocstrings_handlers")
 MISSING = [name for name in NEEDED if importlib.util.find_spec(name) is None]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(MISSING), reason="mkdocs is not installed: `make docs` installs it")
 def test_the_site_can_be_built_and_asks_nothing_of_others(tmp_path):
     site = tmp_path / "site"

@@ -457,6 +457,15 @@ print("took", status("VmHWM") - before)
 """
 
 
+@pytest.fixture(scope="module")
+def two_models(tmp_path_factory):
+    """A folder of a model that takes memory and one that takes none to speak of."""
+    folder = tmp_path_factory.mktemp("models")
+    for name, count in (("large.ply", 300_000), ("small.ply", 1000)):
+        nanogs.save(make_scene(count), folder / name)
+    return folder
+
+
 @LINUX
 @pytest.mark.parametrize(
     ("given", "need"),
@@ -470,18 +479,16 @@ print("took", status("VmHWM") - before)
         (["convert", "large.ply", "a.ply", "-w"], "convert_bytes(large, Path('a.ply'))"),
     ],
 )
-def test_the_need_is_about_what_is_taken(tmp_path, given, need):
+def test_the_need_is_about_what_is_taken(two_models, given, need):
     from pathlib import Path
 
     from nanogs import needs
     from nanogs.io import inspect
 
-    for name, count in (("large.ply", 300_000), ("small.ply", 1000)):
-        nanogs.save(make_scene(count), tmp_path / name)
-    names = {"large": inspect(tmp_path / "large.ply"), "small": inspect(tmp_path / "small.ply")}
+    names = {name: inspect(two_models / f"{name}.ply") for name in ("large", "small")}
     planned = eval(f"needs.{need}", {"needs": needs, "Path": Path, **names})
     run = [sys.executable, "-c", PEAK, "small.ply", *given]
-    found = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True)
+    found = subprocess.run(run, cwd=two_models, capture_output=True, text=True, check=True)
     assert 0.5 < int(found.stdout.split()[-1]) / planned < 1.1
 
 

@@ -25,7 +25,7 @@ WORDS = "8 held-out views of 512 pixels"
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     path = tmp_path_factory.mktemp("protocol") / "scene.ply"
-    nanogs.save(make_scene(3000), path)
+    nanogs.save(make_scene(1000), path)
     return path
 
 
@@ -35,6 +35,7 @@ def said(*words):
     return json.loads(result.stdout)
 
 
+@pytest.mark.slow
 def test_simplify_lod_compare_and_view_say_the_same(scene, tmp_path):
     require_bundle()
     small, levels = tmp_path / "small.ply", tmp_path / "levels"

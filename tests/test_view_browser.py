@@ -314,6 +314,7 @@ def test_the_page_shows_what_nanogs_renders(chromium, tmp_path, degree, mode, le
     assert psnr(rendered, shown) > least
 
 
+@pytest.mark.slow
 def test_the_page_shows_a_real_room_as_nanogs_renders_it(chromium, tmp_path):
     """From inside, and trained with antialiasing."""
     rendered, shown = rendered_and_shown(chromium, scene_path("kitchen.spz"), tmp_path)
