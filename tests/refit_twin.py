@@ -4,8 +4,13 @@ import dataclasses
 import math
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from raster_twin import splat_on_screen
+from nanogs.kernels import chain
+from nanogs.refit.descent import LIMITS
+from nanogs.render.rasterize import rotations
+from nanogs.splats import RenderMode
+from raster_twin import sh_basis, splat_on_screen
 
 
 def pixel_weights(splats, camera, cutoff=1 / 255):
@@ -110,3 +115,81 @@ def turn_matrix(quat):
     conjugate = quat * (1, -1, -1, -1)
     axes = [product(product(quat, np.array([0, *axis])), conjugate)[1:] for axis in np.eye(3)]
     return np.array(axes).T
+
+
+class AdvanceTwin:
+    """A state that follows views as `nanogs.kernels.advance` does, splat by splat in float64."""
+
+    def __init__(self, splats, parameters, views):
+        self.parameters, self.views, self.mode = parameters, views, splats.render_mode
+        self.means, self.log_scales, self.logits, self.sh, self.given = (
+            column.astype(np.float64)
+            for column in (
+                splats.means, splats.log_scales, splats.opacity_logits, splats.sh, splats.sh,
+            )
+        )  # fmt: skip
+        self.quats = splats.unit_quats().astype(np.float64)
+        self.seen = np.zeros(len(splats), int)
+        self.blocks, self.weights = np.zeros((len(splats), 55)), np.zeros(len(splats))
+
+    def follow(self, view, camera, rate):
+        for i in view.view.order:
+            sums = view.totals[i]
+            if sums[3] <= 1e-6:
+                continue
+            step, block = self._terms(view.view.geometry[i], sums, camera, i)
+            self.seen[i] += 1
+            share = 1 / min(self.seen[i], self.views)
+            self.blocks[i] += share * (block - self.blocks[i])
+            self.weights[i] += share * (sums[3] - self.weights[i])
+            excess = max(1.0, sums[3] / self.weights[i])
+            self._recolour(i, sums, view.view.features[i], camera, excess * self.weights[i], rate)
+            self._reshape(i, step, excess * self.blocks[i], rate)
+
+    def _terms(self, row, sums, camera, i):
+        pull, block = np.empty(10), np.empty(55)
+        lens = np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
+        chain.shape_terms(
+            row, sums, self.means[i] - camera.position, rotations(self.quats)[i].astype(np.float32),
+            np.exp(self.log_scales[i]).astype(np.float32), 1 / (1 + np.exp(-self.logits[i])),
+            np.ascontiguousarray(camera.world_to_camera[:3, :3]), lens,
+            self.mode is RenderMode.MIP, pull, block,
+        )  # fmt: skip
+        return pull, block
+
+    def _recolour(self, i, sums, shown, camera, bend, rate):
+        degree = round(math.sqrt(len(self.sh[i]))) - 1
+        direction = self.means[i] - camera.position
+        basis = sh_basis(direction / np.linalg.norm(direction), degree)
+        k = 0
+        for band in range(degree + 1):
+            share = 0.5 if band == 0 and degree else 1.0 if degree == 0 else 0.5 / degree
+            ridge = (self.parameters.band_ridge if band else self.parameters.ridge) / (4 * math.pi)
+            curvature = (2 * band + 1) / share / (4 * math.pi)
+            for _ in range(2 * band + 1):
+                pull = basis[k] * sums[:3] * ((shown[:3] > 0) | (sums[:3] > 0))
+                pull = pull - ridge * bend * (self.sh[i, k] - self.given[i, k])
+                self.sh[i, k] += rate * pull / ((curvature + ridge) * bend)
+                k += 1
+
+    def _reshape(self, i, pull, block, rate):
+        matrix = np.zeros((10, 10))
+        matrix[np.tril_indices(10)] = block
+        matrix = np.tril(matrix) + np.tril(matrix, -1).T
+        diagonal = np.diag(matrix)
+        if not diagonal.max() > 0:
+            return
+        lift = self.parameters.damping * diagonal + self.parameters.floor * diagonal.max()
+        step = np.linalg.solve(matrix + np.diag(lift), pull)
+        step = rate * step / max(1.0, (np.abs(step) / LIMITS).max())
+        turn = rotations(self.quats)[i]
+        self.means[i] += turn @ (np.exp(self.log_scales[i]) * step[:3])
+        self.log_scales[i] += step[3:6]
+        self.quats[i] = quat_of(turn @ Rotation.from_rotvec(step[6:9]).as_matrix(), self.quats[i])
+        self.logits[i] = np.clip(self.logits[i] + step[9], min(-5.0, self.logits[i]), 7.0)
+
+
+def quat_of(matrix, like):
+    """(4,) wxyz of a rotation matrix, on the same side as another."""
+    quat = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)
+    return quat if quat @ like >= 0 else -quat

@@ -1,6 +1,6 @@
-"""Kernels that carry a view's sums on screen over to the parameters of the splats.
+"""From a view's sums on screen to a step of a splat's parameters of shape.
 
-A splat has ten parameters of shape, all without unit:
+There are ten of them, all without unit:
 
     0 to 2  its centre along its own axes, in standard deviations along them
     3 to 5  its log-scales
@@ -14,9 +14,8 @@ import math
 
 import numpy as np
 
-from nanogs._types import F32, F64, I64, F
-from nanogs.kernels.harmonics import sh_basis
-from nanogs.kernels.policy import inline, parallel_kernel
+from nanogs._types import F32, F64
+from nanogs.kernels.policy import inline
 from nanogs.kernels.project import GUARD
 
 SHAPE = 10
@@ -139,104 +138,49 @@ def _add_block(jacobian: F64, sums: F64, product: F64, pull: F64, block: F64) ->
             block[a * (a + 1) // 2 + b] += entry
 
 
-@parallel_kernel("order")
-def chain_shapes(
-    start: int,
-    stop: int,
-    order: I64,
-    geometry: F64,
-    totals: F64,
-    means: F,
+@inline
+def shape_terms(
+    row: F64,
+    sums: F64,
+    point: F64,
     axes: F32,
     scales: F32,
-    opacities: F32,
+    opacity: float,
     rotation: F64,
-    position: F64,
     lens: F64,
     mip: bool,
-    pulls: F64,
-    blocks: F64,
+    pull: F64,
+    block: F64,
 ) -> None:
-    """Add one view's pulls and curvatures on the ten parameters of shape.
+    """Write how a view pulls at a splat's ten parameters of shape, and the curvatures.
 
     Args:
-        start: First place in the order of the range.
-        stop: The place after its last.
-        order: (M,) rows that were drawn, each once.
-        geometry: (N, 8) rows of projected splats.
-        totals: (N, 25) from `gather_entries`.
-        means: (N, 3), scene units.
-        axes: (N, 3, 3) rotation matrices of the splats.
-        scales: (N, 3), scene units.
-        opacities: (N,) in [0, 1], before any compensation.
+        row: (8,) the projected splat.
+        sums: (25,) from `gather_entries`.
+        point: (3,) its centre less the camera's, scene units.
+        axes: (3, 3) its rotation matrix.
+        scales: (3,) scene units.
+        opacity: In [0, 1], before any compensation.
         rotation: (3, 3), world to camera.
-        position: (3,) the camera's centre, scene units.
-        lens: (7,) fx, fy, cx, cy, width, height in pixels and near in scene units.
+        lens: (6 or more,) fx, fy, cx, cy, width, height in pixels.
         mip: Whether opacities were compensated for the dilation.
-        pulls: (N, 10) in and out.
-        blocks: (N, 55) in and out, lower triangles.
+        pull: (10,) out.
+        block: (55,) out, a lower triangle.
     """
     turn, flat = np.empty((3, 3)), np.empty((2, 3))
-    point, size, product = np.empty(3), np.empty(3), np.empty(SCREEN)
+    seen, size, product = np.empty(3), np.empty(3), np.empty(SCREEN)
     jacobian = np.zeros((SHAPE, SCREEN))
-    for place in range(start, stop):
-        i = order[place]
-        for r in range(3):
-            point[r] = 0.0
-            for k in range(3):
-                point[r] += rotation[r, k] * (np.float64(means[i, k]) - position[k])
-                turn[r, k] = rotation[r, 0] * axes[i, 0, k] + rotation[r, 1] * axes[i, 1, k]
-                turn[r, k] += rotation[r, 2] * axes[i, 2, k]
-            size[r] = scales[i, r]
-        _screen_jacobian(turn, size, point, geometry[i], lens, mip, flat, jacobian)
-        jacobian[SHAPE - 1, 0] = 1.0 - opacities[i]
-        _add_block(jacobian, totals[i], product, pulls[i], blocks[i])
-
-
-@parallel_kernel("order")
-def chain_colours(
-    start: int,
-    stop: int,
-    order: I64,
-    features: F32,
-    totals: F64,
-    means: F,
-    position: F64,
-    degree: int,
-    pulls: F64,
-    weights: F64,
-) -> None:
-    """Add one view's pulls on the spherical-harmonic coefficients, and the splats' weights.
-
-    A channel that is cut off at black is pulled upwards only.
-
-    Args:
-        start: First place in the order of the range.
-        stop: The place after its last.
-        order: (M,) rows that were drawn, each once.
-        features: (N, 4) the colours that were blended, channels from 0.
-        totals: (N, 25) from `gather_entries`.
-        means: (N, 3), scene units.
-        position: (3,) the camera's centre, scene units.
-        degree: Spherical-harmonic degree.
-        pulls: (N, K, 3) in and out.
-        weights: (N,) in and out, the curvature of each channel.
-    """
-    coefficients = (degree + 1) ** 2
-    basis = np.empty(25, np.float64)
-    for place in range(start, stop):
-        i = order[place]
-        dx = np.float64(means[i, 0]) - position[0]
-        dy = np.float64(means[i, 1]) - position[1]
-        dz = np.float64(means[i, 2]) - position[2]
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        sh_basis(dx / length, dy / length, dz / length, degree, basis)
-        weights[i] += totals[i, 3]
-        for k in range(coefficients):
-            for c in range(3):
-                pull = totals[i, c]
-                if features[i, c] > 0.0 or pull > 0.0:
-                    pulls[i, k, c] += basis[k] * pull
+    for r in range(3):
+        seen[r] = rotation[r, 0] * point[0] + rotation[r, 1] * point[1] + rotation[r, 2] * point[2]
+        for k in range(3):
+            turn[r, k] = rotation[r, 0] * axes[0, k] + rotation[r, 1] * axes[1, k]
+            turn[r, k] += rotation[r, 2] * axes[2, k]
+        size[r] = scales[r]
+    _screen_jacobian(turn, size, seen, row, lens, mip, flat, jacobian)
+    jacobian[SHAPE - 1, 0] = 1.0 - opacity
+    pull[:] = 0.0
+    block[:] = 0.0
+    _add_block(jacobian, sums, product, pull, block)
 
 
 @inline
@@ -279,39 +223,29 @@ def _shorten(limits: F64, step: F64) -> None:
         step[a] /= excess
 
 
-@parallel_kernel("pulls")
-def damped_steps(
-    start: int,
-    stop: int,
-    pulls: F64,
-    blocks: F64,
-    damping: float,
-    floor: float,
-    limits: F64,
-    steps: F64,
-) -> None:
-    """Solve each splat's ten equations (Levenberg and Marquardt) and hold the step to its limits.
+@inline
+def damped_step(pull: F64, block: F64, damping: float, floor: float, limits: F64) -> bool:
+    """Solve a splat's ten equations (Levenberg and Marquardt) and hold the step to its limits.
 
     Args:
-        start: First splat of the range.
-        stop: The splat after its last.
-        pulls: (N, 10).
-        blocks: (N, 55) lower triangles.
+        pull: (10,) in; the step out.
+        block: (55,) lower triangle.
         damping: Share of the diagonal added to it.
-        floor: Share of a splat's largest curvature added to all of its diagonal, more than 0: what
+        floor: Share of the largest curvature added to all of the diagonal, more than 0: what
             nothing determines stays where it is.
-        limits: (10,) largest steps; 0 freezes a parameter.
-        steps: (N, 10) out; 0 for splats without curvature.
+        limits: (10 or more,) largest steps; 0 freezes a parameter.
+
+    Returns:
+        Whether there is a step: not where nothing bends.
     """
+    largest = 0.0
+    for a in range(SHAPE):
+        largest = max(largest, block[a * (a + 3) // 2])
+        pull[a] = pull[a] if limits[a] > 0.0 else 0.0
+    if not largest > 0.0:
+        return False
     lower = np.zeros((SHAPE, SHAPE))
-    for i in range(start, stop):
-        largest = 0.0
-        for a in range(SHAPE):
-            largest = max(largest, blocks[i, a * (a + 3) // 2])
-            steps[i, a] = pulls[i, a] if limits[a] > 0.0 else 0.0
-        if largest > 0.0:
-            _factorise(blocks[i], damping, floor * largest, limits, lower)
-            _substitute(lower, steps[i])
-            _shorten(limits, steps[i])
-        else:
-            steps[i] = 0.0
+    _factorise(block, damping, floor * largest, limits, lower)
+    _substitute(lower, pull)
+    _shorten(limits, pull)
+    return True

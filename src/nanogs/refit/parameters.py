@@ -15,10 +15,8 @@ class RefitParameters:
         validation: Further views that only decide what is accepted, at most; see `held`.
         size: Pixels along the longer side of a view; larger given cameras are reduced to it.
         rounds: Rounds, each accepted only if it brings the validation views nearer.
-        steps: Steps a round.
-        batch: Views a step looks at.
+        steps: Steps a round, each on one view.
         rate: Length of the first steps, 1 for the whole way to the minimum of their quadratic.
-        momentum: Share of the earlier pulls that the next step still follows, in [0, 1).
         damping: Share of each curvature added to it.
         floor: Share of a splat's largest curvature added to all of its parameters of shape.
         ridge: Pull of the base colour back to the input's, as a share of its weight.
@@ -30,10 +28,8 @@ class RefitParameters:
     validation: int = 6
     size: int = 512
     rounds: int = 5
-    steps: int = 32
-    batch: int = 2
+    steps: int = 64
     rate: float = 0.7
-    momentum: float = 0.5
     damping: float = 0.1
     floor: float = 0.02
     ridge: float = 0.02
@@ -51,15 +47,13 @@ class RefitParameters:
         Raises:
             OptionError: A parameter is out of range.
         """
-        for name in ("views", "validation", "rounds", "steps", "batch"):
+        for name in ("views", "validation", "rounds", "steps"):
             if getattr(self, name) < 1:
                 raise OptionError(f"{name} must be 1 or more, not {getattr(self, name)}.")
         if not 16 <= self.size <= 8192:
             raise OptionError(f"A view size is from 16 to 8192 pixels, not {self.size}.")
         if self.seed < 0:
             raise OptionError(f"seed must be 0 or more, not {self.seed}.")
-        if not 0 <= self.momentum < 1:
-            raise OptionError(f"momentum must be at least 0 and below 1, not {self.momentum}.")
         for name in ("rate", "damping", "floor", "ridge", "band_ridge"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):

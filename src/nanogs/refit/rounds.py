@@ -58,17 +58,17 @@ def fit(
     rejected, stop = 0, RefitStop.ROUNDS
     for number in range(parameters.rounds):
         begin = time.perf_counter()
-        state, errors = _round(descent, best, rate, number, tell)
-        model = activate(state, small, descent.finite).model
+        errors = _round(descent, rate, number, tell)
+        model = activate(descent.state, small, descent.finite).model
         error = _mean([squared_error(model, target) for target in deciding])
         accepted = error < least
         seconds = time.perf_counter() - begin
         psnrs = _psnr(_mean(errors)), _psnr(least), _psnr(error)
         reports.append(RoundReport(FITTED, len(errors), rate, *psnrs, accepted, seconds))
         if accepted:
-            best, least, rejected = state, error, 0
+            best, least, rejected = descent.state.copy(), error, 0
             continue
-        descent.forget()
+        descent.begin(best)
         rejected, rate = rejected + 1, rate * SHORTER
         if rejected == REJECTIONS:
             stop = RefitStop.NO_PROGRESS
@@ -76,22 +76,15 @@ def fit(
     return _finish(small, best, deciding, before, tuple(reports), stop)
 
 
-def _round(
-    descent: Descent,
-    state: State,
-    rate: float,
-    number: int,
-    tell: Parts,
-) -> tuple[State, list[float]]:
+def _round(descent: Descent, rate: float, number: int, tell: Parts) -> list[float]:
     """The steps of one round; the schedule of their lengths spans all rounds."""
     steps = descent.parameters.steps
     total = steps * descent.parameters.rounds
     errors = []
     for i in range(number * steps, (number + 1) * steps):
         tell(i, total)
-        state, error = descent.step(state, rate, i / total)
-        errors.append(error)
-    return state, errors
+        errors.append(descent.step(rate, i / total))
+    return errors
 
 
 def _finish(

@@ -14,8 +14,8 @@ def refit_stages(parameters: RefitParameters, original: int, count: int) -> list
     """
     pixels = (parameters.size / 512) ** 2
     seen = parameters.views + parameters.held
-    looks = parameters.rounds * parameters.steps * parameters.batch
+    looks = parameters.rounds * parameters.steps
     return [
         Stage("render", seen * (0.03 * pixels + 0.15 * original / 1e6)),
-        Stage("fit", looks * (0.1 * pixels + 1.0 * count / 1e6)),
+        Stage("fit", looks * (0.06 * pixels + 0.6 * count / 1e6)),
     ]

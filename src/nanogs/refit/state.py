@@ -1,6 +1,6 @@
 """The parameters that a refit moves, and how they become a model again."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ LOWEST_LOGIT = -5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """N splats on their way.
+    """N splats on their way; a descent moves them in place.
 
     Attributes:
         means: (N, 3) float64, scene units.
@@ -36,26 +36,9 @@ class State:
     sh: F32
     touched: Bool
 
-    def moved(self, steps: F64, colours: F64) -> "State":
-        """The state after a step.
-
-        Args:
-            steps: (N, 10) float64, see `nanogs.kernels.chain`.
-            colours: (N, K, 3) float64, changes of the coefficients.
-        """
-        axes = rotations(self.quats)
-        offsets = np.einsum("nij,nj->ni", axes, np.exp(self.log_scales) * steps[:, :3])
-        lowest = np.minimum(LOWEST_LOGIT, self.logits)
-        logits = np.clip(self.logits + steps[:, 9], lowest, HIGHEST_LOGIT)
-        touched = steps.any(axis=1) | colours.any(axis=(1, 2))
-        return State(
-            means=self.means + offsets,
-            log_scales=self.log_scales + steps[:, 3:6],
-            quats=_turned(self.quats, steps[:, 6:9]),
-            logits=np.where(touched, logits, self.logits),
-            sh=(self.sh + colours).astype(np.float32),
-            touched=self.touched | touched,
-        )
+    def copy(self) -> "State":
+        """The same numbers in arrays of their own."""
+        return State(*(getattr(self, field.name).copy() for field in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +46,7 @@ class Active:
     """A state as the kernels take it.
 
     Attributes:
-        model: What `project` takes.
+        model: What `project` takes; its centres and coefficients are the state's own.
         axes: (N, 3, 3) float32, rotation matrices.
         scales: (N, 3) float32, scene units.
     """
@@ -121,21 +104,3 @@ def store(state: State, splats: Splats) -> Splats:
         column[rows] = values[rows]
         stored[name] = column
     return replace(splats, **stored)
-
-
-def _turned(quats: F64, turns: F64) -> F64:
-    """(N, 4) unit quaternions after a turn (N, 3) about their own axes, radians."""
-    angle = np.linalg.norm(turns, axis=1, keepdims=True)
-    # sin(a / 2) / a, whose limit is a half
-    vector = turns * (0.5 * np.sinc(angle / (2 * np.pi)))
-    a, (b, c, d) = np.cos(angle[:, 0] / 2), vector.T
-    w, x, y, z = quats.T
-    product = [
-        w * a - x * b - y * c - z * d,
-        w * b + x * a + y * d - z * c,
-        w * c - x * d + y * a + z * b,
-        w * d + x * c - y * b + z * a,
-    ]
-    turned: F64 = np.stack(product, axis=1)
-    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-    return turned

@@ -13,7 +13,7 @@ from nanogs.refit.stages import refit_stages
 from nanogs.simplify.presets import ForestParameters, PaperParameters, Parameters
 from nanogs.simplify.target import Goal
 
-REFIT = RefitParameters(views=32, steps=16)  # half of what `nanogs refit` takes
+REFIT = RefitParameters(views=32, steps=32)  # half of what `nanogs refit` takes
 SIZES, RESULTS = 4, 2  # files that a search for a size writes: of plain cuts, and of results
 COUNTS = 4  # that a search for a PSNR tries, of plain cuts and again of results
 _MILLION = 1e6

@@ -1,0 +1,190 @@
+"""The kernel that moves every splat of a view: one damped Newton step on all of its parameters.
+
+All that a splat's step needs is at hand when its row is read: how the view's pixels pull at it, the
+curvatures of earlier views, its parameters. So it is taken at once, and nothing of the size of the
+model is written in between.
+"""
+
+import math
+
+import numpy as np
+
+from nanogs._types import F32, F64, I32, I64, Bool
+from nanogs.kernels.chain import PACKED, SHAPE, damped_step, shape_terms
+from nanogs.kernels.harmonics import sh_basis
+from nanogs.kernels.policy import inline, parallel_kernel
+from nanogs.kernels.project import MIN_ALPHA, SLACK
+
+LEAST_WEIGHT = 1e-6  # curvature of the colour, pixels: less teaches nothing
+
+
+@inline
+def _turn(quat: F64, x: float, y: float, z: float) -> None:
+    """Turn a unit quaternion by (x, y, z), radians, about its own axes."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    factor = math.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
+    a, b, c, d = math.cos(0.5 * angle), factor * x, factor * y, factor * z
+    w, i, j, k = quat[0], quat[1], quat[2], quat[3]
+    w, i, j, k = (
+        w * a - i * b - j * c - k * d,
+        w * b + i * a + j * d - k * c,
+        w * c - i * d + j * a + k * b,
+        w * d + i * c - j * b + k * a,
+    )
+    length = math.sqrt(w * w + i * i + j * j + k * k)
+    quat[0], quat[1], quat[2], quat[3] = w / length, i / length, j / length, k / length
+
+
+@inline
+def _axes(quat: F64, axes: F32) -> None:
+    """Write the rotation matrix of a unit quaternion."""
+    w, x, y, z = quat[0], quat[1], quat[2], quat[3]
+    axes[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    axes[0, 1] = 2.0 * (x * y - w * z)
+    axes[0, 2] = 2.0 * (x * z + w * y)
+    axes[1, 0] = 2.0 * (x * y + w * z)
+    axes[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    axes[1, 2] = 2.0 * (y * z - w * x)
+    axes[2, 0] = 2.0 * (x * z - w * y)
+    axes[2, 1] = 2.0 * (y * z + w * x)
+    axes[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+
+
+@inline
+def _recolour(
+    sums: F64, shown: F32, basis: F64, bands: F64, bend: float, rate: float, given: F32, sh: F32
+) -> None:
+    """Move a splat's coefficients (K, 3); a channel cut off at black is pulled upwards only."""
+    for k in range(len(sh)):
+        held = bands[k, 1] * bend
+        for c in range(3):
+            pull = basis[k] * sums[c] if shown[c] > 0.0 or sums[c] > 0.0 else 0.0
+            pull -= held * (sh[k, c] - given[k, c])
+            sh[k, c] += np.float32(rate * pull / (bands[k, 0] * bend + held))
+
+
+@parallel_kernel("order")
+def advance_splats(
+    start: int,
+    stop: int,
+    order: I64,
+    geometry: F64,
+    features: F32,
+    totals: F64,
+    rotation: F64,
+    position: F64,
+    lens: F64,
+    mip: bool,
+    degree: int,
+    rate: float,
+    damping: float,
+    floor: float,
+    memory: int,
+    limits: F64,
+    bands: F64,
+    given: F32,
+    means: F64,
+    log_scales: F64,
+    quats: F64,
+    logits: F64,
+    sh: F32,
+    touched: Bool,
+    axes: F32,
+    scales: F32,
+    factors: F32,
+    opacities: F32,
+    reaches: F32,
+    keep: Bool,
+    seen: I32,
+    blocks: F32,
+    weights: F32,
+) -> None:
+    """Move what a view shows by one step, and activate it for the next view.
+
+    A splat's curvatures are means over the views that showed it. Where it has more pixels in this
+    view than it had in those, they are scaled up as the weight of its colour is: no view alone
+    moves it farther than the view's own curvatures allow.
+
+    Args:
+        start: First place in the order of the range.
+        stop: The place after its last.
+        order: (M,) rows that were drawn, each once.
+        geometry: (N, 8) rows of projected splats.
+        features: (N, 4) the colours that were blended, channels from 0.
+        totals: (N, 25) from `gather_entries`.
+        rotation: (3, 3), world to camera.
+        position: (3,) the camera's centre, scene units.
+        lens: (6,) fx, fy, cx, cy, width, height in pixels.
+        mip: Whether opacities were compensated for the dilation.
+        degree: Spherical-harmonic degree, of which `sh` has all coefficients.
+        rate: Length of the step, 1 for the whole way to the minimum of the quadratic.
+        damping: See `damped_step`.
+        floor: See `damped_step`.
+        memory: Views of a splat that its mean curvatures remember, about.
+        limits: (12,) largest steps of the ten parameters of shape, then least and most of the
+            opacity's logit; a logit that starts below the least may stay there.
+        bands: (K, 2) curvature of each coefficient for a weight of 1, and its ridge.
+        given: (N, K, 3) coefficients that the ridges pull back to.
+        means: (N, 3) in and out, scene units.
+        log_scales: (N, 3) in and out.
+        quats: (N, 4) in and out, wxyz, unit.
+        logits: (N,) in and out, of the opacity.
+        sh: (N, K, 3) in and out.
+        touched: (N,) out, true for what moves.
+        axes: (N, 3, 3) in and out, rotation matrices.
+        scales: (N, 3) in and out, scene units.
+        factors: (N, 3, 3) out, axes times scales.
+        opacities: (N,) in and out.
+        reaches: (N,) out, see `project.reaches_of`.
+        keep: (N,) out, whether the splat is to be drawn.
+        seen: (N,) in and out, views that taught the splat.
+        blocks: (N, 55) in and out, mean curvatures of shape, lower triangles.
+        weights: (N,) in and out, mean curvature of the colours.
+    """
+    point, basis = np.empty(3), np.empty(25)
+    step, block = np.empty(SHAPE), np.empty(PACKED)
+    for place in range(start, stop):
+        i = order[place]
+        weight = totals[i, 3]
+        if not weight > LEAST_WEIGHT:
+            continue
+        for r in range(3):
+            point[r] = means[i, r] - position[r]
+        shape_terms(
+            geometry[i], totals[i], point, axes[i], scales[i], opacities[i], rotation, lens, mip,
+            step, block,
+        )  # fmt: skip
+        seen[i] += 1
+        touched[i] = True
+        share = 1.0 / min(seen[i], memory)
+        weights[i] += np.float32(share * (weight - weights[i]))
+        excess = max(weight / weights[i], 1.0)
+        for a in range(PACKED):
+            blocks[i, a] += np.float32(share * (block[a] - blocks[i, a]))
+            block[a] = excess * blocks[i, a]
+
+        distance = math.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
+        x, y, z = point[0] / distance, point[1] / distance, point[2] / distance
+        sh_basis(x, y, z, degree, basis)
+        bend = excess * weights[i]
+        _recolour(totals[i], features[i], basis, bands, bend, rate, given[i], sh[i])
+
+        if not damped_step(step, block, damping, floor, limits):
+            continue
+        for r in range(3):
+            for k in range(3):
+                means[i, r] += rate * step[k] * axes[i, r, k] * scales[i, k]
+            log_scales[i, r] += rate * step[3 + r]
+        _turn(quats[i], rate * step[6], rate * step[7], rate * step[8])
+        least = min(limits[10], logits[i])
+        logits[i] = min(max(logits[i] + rate * step[9], least), limits[11])
+
+        _axes(quats[i], axes[i])
+        for k in range(3):
+            scales[i, k] = math.exp(log_scales[i, k])
+            for r in range(3):
+                factors[i, r, k] = axes[i, r, k] * scales[i, k]
+        opacity = 1.0 / (1.0 + math.exp(-logits[i]))
+        opacities[i] = opacity
+        keep[i] = opacity >= MIN_ALPHA
+        reaches[i] = 2.0 * math.log(255.0 * max(opacity, MIN_ALPHA)) + SLACK
