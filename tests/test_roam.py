@@ -7,7 +7,7 @@ import pytest
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.render import roam
-from nanogs.render.free_space import in_free_space
+from nanogs.render.free_space import FreeSpace
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.roam import roaming_cameras
 from nanogs.splats import concatenate
@@ -122,16 +122,22 @@ def test_a_view_is_kept_if_it_shows_its_target_large_enough_and_nothing_is_at_th
     assert not kept(wall(1), wall(0.15, 0.03, 0.06)), "at the lens"
 
 
+def free(scene, *places):
+    """Whether a camera at 0 that looks along z stands in free space, if some places do."""
+    space = FreeSpace(prepare(scene))
+    for place in places:
+        space.add(np.array(place))
+    return space.has(replace(roam._lens(1, 512, 512, 60), near=0.02), np.array([0.0, 0, 1]))
+
+
 def test_a_place_is_free_if_a_free_one_sees_it_and_no_splat_holds_it():
-    lens, target = roam._lens(1, 512, 512, 60), np.array([0.0, 0, 1])
-    scene, behind = prepare(wall(1)), prepare(concatenate([wall(1), wall(-1)]))
-    for place in ((0.5, 0.0, 0.5), (0.0, 0.2, -2.0)):
-        assert in_free_space(scene, lens, target, [np.array(place)])
-    assert not in_free_space(behind, lens, target, [np.array([0.0, 0.2, -2.0])])
-    assert in_free_space(behind, lens, target, [np.array([0.0, 0.2, -0.5])])
-    assert not in_free_space(scene, lens, target, [])
-    around = prepare(concatenate([wall(1), cloud(np.zeros((1, 3)), 0.3)]))
-    assert not in_free_space(around, lens, target, [np.array([0.5, 0.0, 0.5])])
+    assert free(wall(1), (0.5, 0.0, 0.5))
+    assert free(wall(1), (0.0, 0.2, -2.0))
+    between = concatenate([wall(1), wall(-1)])
+    assert not free(between, (0.0, 0.2, -2.0))
+    assert free(between, (0.0, 0.2, -0.5))
+    assert not free(wall(1))
+    assert not free(concatenate([wall(1), cloud(np.zeros((1, 3)), 0.3)]), (0.5, 0.0, 0.5))
 
 
 def test_where_nothing_fills_a_picture_it_is_said():

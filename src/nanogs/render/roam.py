@@ -22,7 +22,7 @@ import numpy as np
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError, OptionError
 from nanogs.render.camera import Camera
-from nanogs.render.free_space import in_free_space, middle
+from nanogs.render.free_space import FreeSpace, middle
 from nanogs.render.poses import look_at
 from nanogs.render.rasterize import PreparedSplats, blend, prepare, project, render
 from nanogs.render.views import automatic_cameras, survey
@@ -68,12 +68,12 @@ class Known:
 
     Attributes:
         weights: (N,) float64, what each splat has of the pictures so far; each adds up to 1.
-        places: Places in free space, (3,) float64 each, scene units.
+        free: Free space.
         cameras: The views found.
     """
 
     weights: F64
-    places: list[F64]
+    free: FreeSpace
     cameras: list[Camera]
 
 
@@ -174,7 +174,7 @@ def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
 
 def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str) -> Known:
     """Look at the model from automatic views, whose places are free."""
-    known = Known(np.zeros(len(splats)), [], [])
+    known = Known(np.zeros(len(splats)), FreeSpace(scene.splats), [])
     automatic = automatic_cameras(
         splats, SEEDS, width=SIZE, height=SIZE, up=up, habit=False,
         split="test" if split == "test" else "fit",
@@ -191,7 +191,7 @@ def _add(known: Known, place: F64, contributions: F64) -> None:
     total = contributions.sum()
     if total > 0:
         known.weights += contributions / total
-        known.places.append(place)
+        known.free.add(place)
 
 
 def _candidates(
@@ -224,9 +224,7 @@ def _keeps(scene: Scene, known: Known, candidate: Candidate) -> bool:
     """Keep a candidate if it shows what it should from free space."""
     contributions = _shown(scene.splats, candidate)
     camera = candidate.camera
-    if contributions is None:
-        return False
-    if not in_free_space(scene.splats, camera, candidate.target, known.places):
+    if contributions is None or not known.free.has(camera, candidate.target):
         return False
     known.cameras.append(camera)
     _add(known, camera.position, contributions)
@@ -236,11 +234,11 @@ def _keeps(scene: Scene, known: Known, candidate: Candidate) -> bool:
 def _shown(splats: PreparedSplats, candidate: Candidate) -> F64 | None:
     """(N,) what each splat has of the picture; None where that shows something else."""
     camera, distance = candidate.camera, candidate.distance
-    view = project(splats, camera)
+    view = project(splats, camera, sh_degree=0)
     depths = view.features[:, 3]
-    there = np.abs(depths - distance) <= ABOUT * distance
-    hugs = depths < LENS * distance
-    features = np.stack([there, hugs, np.ones(len(depths))], axis=1).astype(np.float32)
+    features = np.ones((len(depths), 3), np.float32)
+    features[:, 0] = np.abs(depths - distance) <= ABOUT * distance
+    features[:, 1] = depths < LENS * distance
     ones = np.ones((1, camera.height, camera.width), np.float32)
     image, _, totals = blend(view, camera, features, np.zeros(3, np.float32), ones)
     hit = middle(image)[0] >= HIT
