@@ -1,19 +1,22 @@
 """How far the brightness of whole views drifts: nine real scenes, after `quality.py` made them.
 
     python benchmarks/brightness.py [--only biker,skull] [--ratio 0.1] [--presets default,fast]
+        [--sizes 512,1600]
 
-Eight automatic views of 320 x 320 over black that no method learns from; the change of a view's
+Eight automatic views of each size over black that no method learns from; the change of a view's
 mean colour, largest of its channels, in 255ths.
 """
 
 import argparse
+from collections.abc import Sequence
 
 import numpy as np
 
 import nanogs
 from measured import SCENES, UP
-from nanogs._types import F32
-from nanogs.render.rasterize import prepare, render
+from nanogs._types import F32, F64
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import PreparedSplats, prepare, render
 from nanogs.render.views import automatic_cameras
 from rivals import BUILD
 
@@ -24,21 +27,28 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(SCENES))
     parser.add_argument("--ratio", type=float, default=0.1)
     parser.add_argument("--presets", default="default,fast")
+    parser.add_argument("--sizes", default="512,1600")
     options = parser.parse_args()
-    print("| scene | preset | largest | mean | views above 1 |\n|---|---|--:|--:|--:|")
+    print("| scene | preset | pixels | largest | mean | views above 1 |")
+    print("|---|---|--:|--:|--:|--:|")
     for name in options.only.split(","):
         original = nanogs.load(BUILD / "scenes" / f"{name}.ply")
-        cameras = automatic_cameras(
-            original, 8, width=320, height=320, split="test", up=UP.get(name)
-        )
+        cameras = automatic_cameras(original, 8, split="test", up=UP.get(name))
         prepared = prepare(original)
-        wanted = [render(prepared, camera).shown() for camera in cameras]
         for preset in options.presets.split(","):
             small = prepare(nanogs.simplify(original, ratio=options.ratio, preset=preset)[0])
-            shown = [render(small, camera).shown() for camera in cameras]
-            drift = np.array([change(*pair) for pair in zip(wanted, shown, strict=True)])
-            cells = f"{drift.max():.2f} | {drift.mean():.2f} | {(drift > 1).sum()} of {len(drift)}"
-            print(f"| {name} | {preset} | {cells} |", flush=True)
+            for size in map(int, options.sizes.split(",")):
+                drift = drifts(prepared, small, [one.resized(size, size) for one in cameras])
+                above = f"{(drift > 1).sum()} of {len(drift)}"
+                cells = f"{size} | {drift.max():.2f} | {drift.mean():.2f} | {above}"
+                print(f"| {name} | {preset} | {cells} |", flush=True)
+
+
+def drifts(original: PreparedSplats, small: PreparedSplats, cameras: Sequence[Camera]) -> F64:
+    """(n,) change of each view."""
+    return np.array(
+        [change(*(render(one, camera).shown() for one in (original, small))) for camera in cameras]
+    )
 
 
 def change(wanted: F32, shown: F32) -> float:

@@ -307,6 +307,15 @@ def test_the_second_model_is_measured_as_by_compare(files, tmp_path):
     assert "PSNR" not in without_licences((tmp_path / "b.html").read_text(encoding="utf-8"))
 
 
+def test_roaming_views_measure_a_page_that_begins_as_others_do(files, tmp_path):
+    require_bundle()
+    inputs = [("a", files / "scene.ply"), ("b", files / "small.compressed.ply")]
+    small = {"views": 2, "width": 48, "height": 48, "cameras": "roam"}
+    report = view_files(inputs, tmp_path / "a.html", **small)
+    assert report.judged.text.endswith("2 held-out roaming views of 48 pixels")
+    assert report.judged.protocol.kind == "roam"
+
+
 def test_reports_of_compare_have_an_interactive_part(files, tmp_path, monkeypatch):
     """On by default; left out on request, and with a note where the viewer was not built."""
     require_bundle()

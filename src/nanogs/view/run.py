@@ -18,7 +18,7 @@ from nanogs.needs import compare_bytes, page_bytes
 from nanogs.progress import Parts, Progress, Stage, Tracker, each
 from nanogs.render.camera import Camera
 from nanogs.render.opening import opening_for
-from nanogs.render.source import AUTOMATIC, cameras_for
+from nanogs.render.source import AUTOMATIC, FOUND, cameras_for
 from nanogs.report import StageClock
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
@@ -128,12 +128,13 @@ def view_files(
     tracker.begin("cameras")
     with clock.time("cameras"):
         found: list[Camera] = []
-        if measured or cameras not in AUTOMATIC:
+        if measured or cameras not in FOUND:
             found = cameras_for(models[0], cameras, count=views, width=width, height=height, up=up)
-        start = opening_for(models[0], AUTOMATIC.get(cameras) or found[0], up)
+        place = AUTOMATIC.get(cameras, "auto") if cameras in FOUND else found[0]
+        start = opening_for(models[0], place, up)
     judged = None
     if measured:
-        kind: Kind = AUTOMATIC.get(cameras, "given")
+        kind: Kind = FOUND.get(cameras, "given")
         with clock.time("measure"):
             judged = _measure(inputs, models, found, kind, background, tracker)
     tracker.begin("encode")
