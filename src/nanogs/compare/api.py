@@ -78,7 +78,7 @@ def compare(
     first = _named(_file_name(original) or "original", original)
     others = [_named(name, model) for name, model in zip(called, models, strict=True)]
     # Here and not above: these bring Numba.
-    from nanogs.compare.comparison import compare_on_sets
+    from nanogs.compare.on_sets import compare_on_sets
     from nanogs.threads import use_threads
 
     with use_threads(threads), drawn(progress) as tell:

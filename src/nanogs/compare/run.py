@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 from nanogs.compare.comparison import (
     Comparison,
     NamedModel,
-    compare_on_sets,
     compare_with_photographs,
 )
 from nanogs.compare.needed import LESS
+from nanogs.compare.on_sets import compare_on_sets
 from nanogs.compare.page import render_page
 from nanogs.compare.protocol import BLACK, PIXELS, Background, Judged
 from nanogs.compare.scoring import ReferenceView

@@ -1,0 +1,106 @@
+"""benchmarks/quality.py in small: what it keeps, what it measures again, and its tables."""
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import nanogs
+from nanogs.bench.worker import Outcome
+from nanogs.datasets.synthetic import make_scene
+
+
+@pytest.fixture(scope="module")
+def benchmarks():
+    """Two of its modules."""
+    folder = Path(__file__).resolve().parents[1] / "benchmarks"
+    if not folder.exists():
+        pytest.skip("benchmarks are only in the repository")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "path", [str(folder), *sys.path])
+        import leads
+        import measured
+
+        yield SimpleNamespace(leads=leads, measured=measured)
+
+
+@pytest.fixture
+def bench(benchmarks, tmp_path, monkeypatch):
+    """A bench of one small scene, whose methods take the first rows; `made` tells which ran."""
+    (tmp_path / "scenes").mkdir()
+    nanogs.save(make_scene(300), tmp_path / "scenes" / "a.ply")
+    made = []
+
+    def job(asked):
+        made.append(asked.method)
+        splats = nanogs.load(asked.model)
+        nanogs.save(splats[: round(asked.ratio * len(splats))], asked.output)
+        return Outcome(splats=30, asked=30, seconds=1.0)
+
+    monkeypatch.setattr(benchmarks.measured, "SCENES", {"a": "a.ply"})
+    monkeypatch.setattr(benchmarks.measured, "run_job", job)
+    found = benchmarks.measured.Bench(tmp_path, tmp_path / "peers", tmp_path)
+    return SimpleNamespace(found=found, made=made, told=[])
+
+
+def measure(benchmarks, bench, *keys):
+    bench.told.clear()
+    return bench.found.measure([benchmarks.measured.Key(*key) for key in keys], bench.told.append)
+
+
+def test_what_was_measured_is_taken_and_the_rest_is_measured(benchmarks, bench):
+    first = measure(benchmarks, bench, ("a", 0.1, "fast", "32"))
+    assert (bench.made, len(bench.told)) == (["fast"], 1)
+    both = measure(benchmarks, bench, ("a", 0.1, "fast", "32"), ("a", 0.1, "fast", "roam@32"))
+    assert both[0] == first[0]
+    assert (bench.made, len(bench.told)) == (["fast"], 1), "the result is there, one row is not"
+    assert (both[0]["views"], both[1]["views"]) == (8, 24)
+    assert both[1]["least_psnr"] < both[1]["psnr"]
+
+
+def test_other_sources_are_measured_anew_and_kept_files_are_not(benchmarks, bench, monkeypatch):
+    measure(benchmarks, bench, ("a", 0.1, "fast", "32"), ("a", 0.2, "fast", "32"))
+    monkeypatch.setattr(benchmarks.measured, "digest_of_sources", lambda _apart: "other")
+    bench.found.ours = "nanogs other"
+    measure(benchmarks, bench, ("a", 0.1, "fast", "32"))
+    assert bench.made == ["fast"] * 3
+    (bench.found.peers).mkdir()
+    nanogs.save(make_scene(40), bench.found.peers / "a_0.1_theirs.ply")
+    [row] = measure(benchmarks, bench, ("a", 0.1, "theirs", "32"))
+    assert (row["splats"], bench.made) == (40, ["fast"] * 3)
+
+
+def test_sources_that_change_meanwhile_end_the_run(benchmarks, bench):
+    bench.found.ours = "nanogs before"
+    with pytest.raises(SystemExit, match="changed meanwhile"):
+        measure(benchmarks, bench, ("a", 0.1, "fast", "32"))
+    assert not list((bench.found.folder / "results").iterdir())
+
+
+def test_leads_are_over_the_better_mode_of_each_number(benchmarks):
+    def row(scene, method, kind, psnr, ssim):
+        return {
+            "scene": scene, "ratio": 0.1, "method": method, "kind": kind, "psnr": psnr,
+            "ssim": ssim,
+        }  # fmt: skip
+
+    rows = [
+        row("a", "st-uniform", "512", 30.0, 0.8), row("a", "st-adaptive", "512", 29.0, 0.9),
+        row("a", "fast", "512", 31.0, 0.95), row("a", "default", "512", 30.5, 0.95),
+        row("b", "st-uniform", "512", 20.0, 0.8), row("b", "st-adaptive", "512", 20.0, 0.7),
+        row("b", "fast", "512", 19.0, 0.7), row("b", "default", "512", 22.0, 0.7),
+        row("a", "st-uniform", "photographs", 30.0, 0.8),
+        row("a", "st-adaptive", "photographs", 30.0, 0.8),
+        row("a", "fast", "photographs", 39.0, 0.8),
+    ]  # fmt: skip
+    text = benchmarks.leads.report(rows)
+    assert "| | 512, automatic |\n" in text
+    assert "| `fast` 0.1 | +0.00 (-1.00) |" in text
+    assert "| `default` 0.1 | +1.25 (+0.50) |" in text
+    assert "| `fast` 0.1 | -0.025 (-0.100) |" in text
+    assert "| a | 0.1 | 512, automatic | 30.00 / 0.900 | +1.00 / +0.050 | +0.50 / +0.050 |" in text
+    assert "| a | 0.1 | photographs | 30.00 / 0.800 | +9.00 / +0.000 |  |" in text
+    assert "- a at 0.1, 512, automatic: default 30.50 dB, fast 31.00 dB" in text
+    assert "- b" not in text
+    assert "| fast | 0.1 | 25.00 / 0.825 |" in text
