@@ -140,6 +140,15 @@ def test_a_place_is_free_if_a_free_one_sees_it_and_no_splat_holds_it():
     assert not free(concatenate([wall(1), cloud(np.zeros((1, 3)), 0.3)]), (0.5, 0.0, 0.5))
 
 
+def test_a_far_sky_and_a_far_copy_move_no_camera_there():
+    sky = cloud(ball(3_000, 40.0), 2.5)
+    indoors = concatenate([cloud(0.3 * room(), 0.03), sky])
+    for camera in roaming_cameras(indoors, 4):
+        assert (np.abs(camera.position) < (0.9, 0.45, 0.6)).all()
+    copy = replace(SCENE, means=SCENE.means + np.float32(1e5))
+    assert len(roaming_cameras(concatenate([SCENE, copy]), 4)) == 4
+
+
 def test_where_nothing_fills_a_picture_it_is_said():
     haze = cloud(ball(300), size=0.1, logit=-3.0)
     with pytest.raises(ModelError, match="No roaming view was found in 120 tries"):

@@ -49,7 +49,7 @@ class Scene:
 
     Attributes:
         splats: N splats, activated.
-        centre: (3,) float64, the middle of the visible ones, scene units.
+        centre: (3,) float64, the middle of those in the core, scene units.
         radius: Distance from there that holds 90 % of them, scene units, more than 0.
         frame: (3, 3) float64, the model's own directions in rows, up last.
         reachable: (N,) bool, splats near enough to be looked at from where cameras may stand.
@@ -161,9 +161,10 @@ def _lens(count: int, width: int, height: int, fov: float) -> Camera:
 def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
     """Measure the model."""
     found = survey(splats, "orbit", up, habit=False)
-    points, turn = found.matter.points, found.turn[:3, :3]
+    rows, turn = found.core.rows, found.turn[:3, :3]  # without skies and strays
+    points = found.matter.points[rows]
+    extents = np.linalg.norm(found.matter.arms[rows, 0], axis=1)
     middle = np.median(points, axis=0)
-    extents = np.linalg.norm(found.matter.arms[:, 0], axis=1)
     radius = float(np.quantile(np.linalg.norm(points - middle, axis=1) + extents, HELD)) or 1.0
     centre = middle @ turn
     with np.errstate(invalid="ignore"):
