@@ -103,10 +103,10 @@ def compare_files(
     else:
         tracker.begin("photographs")
         behind, frames = photographs(photos, images, split, background, max_memory)
-        start = frames[0].camera
         comparison, sheets = compare_with_photographs(
             str(photos), models, frames, split=split, background=behind, **options
         )
+        start = frames[0].camera
     if report:
         viewer = None
         if interactive:
