@@ -136,5 +136,6 @@ def test_bench_has_each_in_a_row(files):
         assert one.least_psnr == one.psnr
         assert one.views == 1
     table = scene_table(rows)
+    assert "1 view (auto 32), 1 view (auto 48), 1 view (roam 32), 1 view (roam 48)." in table
     assert "| PSNR, roam 48 | worst, roam 48 | SSIM, roam 48 |" in table
     assert f"{rows[1].further[2].psnr:.2f}" in table

@@ -48,13 +48,21 @@ def scene_table(rows: Sequence[BenchRow]) -> str:
     Args:
         rows: Rows of one scene.
     """
-    views = max((row.views or 0 for row in rows), default=0)
-    intro = f"Against {rows[0].against}, {counted(views, 'view')}.\n\n"
+    intro = f"Against {rows[0].against}, {_views_text(rows)}.\n\n"
     remarks = [(row, text) for row in rows for text in _remarks(row)]
     listed = "".join(
         f"- {_escape(row.method)} at {row.ratio:g}: {_escape(text)}\n" for row, text in remarks
     )
     return intro + _table(rows, rows) + (f"\n{listed}" if listed else "")
+
+
+def _views_text(rows: Sequence[BenchRow]) -> str:
+    """How many views there are, of each set where there are several."""
+    widest = max(rows, key=lambda row: (len(row.further), row.views or 0))
+    texts = [counted(one.views or 0, "view") for one in widest.sets]
+    if widest.further:
+        texts = [f"{text} ({one.label})" for text, one in zip(texts, widest.sets, strict=True)]
+    return ", ".join(texts)
 
 
 def _remarks(row: BenchRow) -> list[str]:
