@@ -57,10 +57,11 @@ def _recolour(
     """Move a splat's coefficients (K, 3); a channel cut off at black is pulled upwards only."""
     for k in range(len(sh)):
         held = bands[k, 1] * bend
+        step = rate / (bands[k, 0] * bend + held)
         for c in range(3):
             pull = basis[k] * sums[c] if shown[c] > 0.0 or sums[c] > 0.0 else 0.0
             pull -= held * (sh[k, c] - given[k, c])
-            sh[k, c] += np.float32(rate * pull / (bands[k, 0] * bend + held))
+            sh[k, c] += np.float32(pull * step)
 
 
 @parallel_kernel("order")

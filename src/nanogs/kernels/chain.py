@@ -21,6 +21,9 @@ from nanogs.kernels.project import GUARD
 SHAPE = 10
 PACKED = 55  # lower triangle of a 10 x 10 matrix, row by row
 SCREEN = 6
+# Where the parameters after those of the centre begin, and the opacity; and the first monomial of
+# second order.
+CENTRE, OPACITY, SPREAD = 3, 9, 3
 
 # Where the product of two of the monomials 1, p, q, p², pq, q² stands among the moments.
 PRODUCTS = np.array(
@@ -119,23 +122,51 @@ def _screen_jacobian(
 
 
 @inline
-def _add_block(jacobian: F64, sums: F64, product: F64, pull: F64, block: F64) -> None:
-    """Add J g to the pull and to the block the lower triangle of J M Jᵀ."""
-    for a in range(SHAPE):
-        total = 0.0
+def _bend(
+    a: int, first: int, jacobian: F64, sums: F64, moments: F64, product: F64, pull: F64, block: F64
+) -> None:
+    """Row a of J g and of J M Jᵀ; its Jacobian is 0 from column 1 up to `first`."""
+    total = jacobian[a, 0] * sums[4]
+    for d in range(first, SCREEN):
+        total += jacobian[a, d] * sums[4 + d]
+    pull[a] = total
+    for c in range(SCREEN):
+        entry = jacobian[a, 0] * moments[0, c]
+        for d in range(first, SCREEN):
+            entry += jacobian[a, d] * moments[d, c]
+        product[c] = entry
+    row = a * (a + 1) // 2
+    for b in range(min(a + 1, CENTRE)):
+        entry = 0.0
         for c in range(SCREEN):
-            total += jacobian[a, c] * sums[4 + c]
-        pull[a] += total
+            entry += product[c] * jacobian[b, c]
+        block[row + b] = entry
+    for b in range(CENTRE, min(a + 1, OPACITY)):
+        entry = product[0] * jacobian[b, 0]
+        for c in range(SPREAD, SCREEN):
+            entry += product[c] * jacobian[b, c]
+        block[row + b] = entry
+    if a == OPACITY:
+        block[row + a] = product[0] * jacobian[a, 0]
+
+
+@inline
+def _pull_and_block(
+    jacobian: F64, sums: F64, moments: F64, product: F64, pull: F64, block: F64
+) -> None:
+    """The pull J g, and of the block J M Jᵀ the lower triangle.
+
+    Only the centre moves a splat on screen: the linear monomials, columns 1 and 2, are its alone.
+    Only opacity changes alpha alike everywhere.
+    """
+    for d in range(SCREEN):
         for c in range(SCREEN):
-            entry = 0.0
-            for d in range(SCREEN):
-                entry += jacobian[a, d] * sums[PRODUCTS[d, c]]
-            product[c] = entry
-        for b in range(a + 1):
-            entry = 0.0
-            for c in range(SCREEN):
-                entry += product[c] * jacobian[b, c]
-            block[a * (a + 1) // 2 + b] += entry
+            moments[d, c] = sums[PRODUCTS[d, c]]
+    for a in range(CENTRE):
+        _bend(a, 1, jacobian, sums, moments, product, pull, block)
+    for a in range(CENTRE, OPACITY):
+        _bend(a, SPREAD, jacobian, sums, moments, product, pull, block)
+    _bend(OPACITY, SCREEN, jacobian, sums, moments, product, pull, block)
 
 
 @inline
@@ -177,50 +208,39 @@ def shape_terms(
             turn[r, k] += rotation[r, 2] * axes[2, k]
         size[r] = scales[r]
     _screen_jacobian(turn, size, seen, row, lens, mip, flat, jacobian)
-    jacobian[SHAPE - 1, 0] = 1.0 - opacity
-    pull[:] = 0.0
-    block[:] = 0.0
-    _add_block(jacobian, sums, product, pull, block)
+    jacobian[OPACITY, 0] = 1.0 - opacity
+    _pull_and_block(jacobian, sums, np.empty((SCREEN, SCREEN)), product, pull, block)
 
 
 @inline
-def _factorise(block: F64, damping: float, lift: float, limits: F64, lower: F64) -> None:
-    """Cholesky's lower factor of a damped block; rows with a limit of 0 are taken out of it."""
+def _factorise(block: F64, damping: float, lift: float, lower: F64) -> None:
+    """Cholesky's lower factor of a damped block, with the inverse of its diagonal there."""
     for a in range(SHAPE):
+        row = a * (a + 1) // 2
         for b in range(a):
-            free = limits[a] > 0.0 and limits[b] > 0.0
-            value = block[a * (a + 1) // 2 + b] if free else 0.0
+            value = block[row + b]
             for k in range(b):
                 value -= lower[a, k] * lower[b, k]
-            lower[a, b] = value / lower[b, b]
-        value = (1.0 + damping) * block[a * (a + 3) // 2] + lift
+            lower[a, b] = value * lower[b, b]
+        value = (1.0 + damping) * block[row + a] + lift
         for k in range(a):
             value -= lower[a, k] * lower[a, k]
-        lower[a, a] = math.sqrt(max(value, lift))  # rounding alone could make it less
+        lower[a, a] = 1.0 / math.sqrt(max(value, lift))  # rounding alone could make it less
 
 
 @inline
 def _substitute(lower: F64, step: F64) -> None:
-    """Solve lower lowerᵀ x = step in place."""
+    """Solve for the step in place, with the factor of `_factorise`."""
     for a in range(SHAPE):
+        value = step[a]
         for k in range(a):
-            step[a] -= lower[a, k] * step[k]
-        step[a] /= lower[a, a]
+            value -= lower[a, k] * step[k]
+        step[a] = value * lower[a, a]
     for a in range(SHAPE - 1, -1, -1):
+        value = step[a]
         for k in range(a + 1, SHAPE):
-            step[a] -= lower[k, a] * step[k]
-        step[a] /= lower[a, a]
-
-
-@inline
-def _shorten(limits: F64, step: F64) -> None:
-    """Shorten a step as a whole until no part is beyond its limit."""
-    excess = 1.0
-    for a in range(SHAPE):
-        if limits[a] > 0.0:
-            excess = max(excess, abs(step[a]) / limits[a])
-    for a in range(SHAPE):
-        step[a] /= excess
+            value -= lower[k, a] * step[k]
+        step[a] = value * lower[a, a]
 
 
 @inline
@@ -233,7 +253,7 @@ def damped_step(pull: F64, block: F64, damping: float, floor: float, limits: F64
         damping: Share of the diagonal added to it.
         floor: Share of the largest curvature added to all of the diagonal, more than 0: what
             nothing determines stays where it is.
-        limits: (10 or more,) largest steps; 0 freezes a parameter.
+        limits: (10 or more,) largest steps, above 0; a longer step is shortened as a whole.
 
     Returns:
         Whether there is a step: not where nothing bends.
@@ -241,11 +261,14 @@ def damped_step(pull: F64, block: F64, damping: float, floor: float, limits: F64
     largest = 0.0
     for a in range(SHAPE):
         largest = max(largest, block[a * (a + 3) // 2])
-        pull[a] = pull[a] if limits[a] > 0.0 else 0.0
     if not largest > 0.0:
         return False
-    lower = np.zeros((SHAPE, SHAPE))
-    _factorise(block, damping, floor * largest, limits, lower)
+    lower = np.empty((SHAPE, SHAPE))
+    _factorise(block, damping, floor * largest, lower)
     _substitute(lower, pull)
-    _shorten(limits, pull)
+    excess = 1.0
+    for a in range(SHAPE):
+        excess = max(excess, abs(pull[a]) / limits[a])
+    for a in range(SHAPE):
+        pull[a] /= excess
     return True

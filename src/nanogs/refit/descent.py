@@ -85,7 +85,7 @@ class Descent:
         camera = target.camera
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         advance_splats(
-            view.view.order,
+            np.sort(view.view.order),  # as they lie in memory, not by depth
             view.view.geometry,
             view.view.features,
             view.totals,
