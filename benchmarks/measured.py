@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import nanogs
+from nanogs.bench.baselines import BASELINES
 from nanogs.bench.worker import Job, run_job
 from nanogs.compare.protocol import BLACK, Background
 from nanogs.compare.run import photographs
@@ -162,7 +163,9 @@ class Bench:
     def _simplify(self, key: Key, target: Path) -> Row:
         """Simplify with a method of ours in a process of its own."""
         model = self.model(key.scene)
-        learnt = tuple(automatic_cameras(load(model), BASELINE_VIEWS))
+        learnt: tuple[Camera, ...] = ()
+        if key.method in BASELINES:  # presets look from views of their own
+            learnt = tuple(automatic_cameras(load(model), BASELINE_VIEWS))
         outcome = run_job(Job(model, key.method, key.ratio, target, learnt))
         if outcome.error:
             raise SystemExit(f"{key}: {outcome.error}")
