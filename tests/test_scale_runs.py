@@ -97,7 +97,7 @@ def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
         (["--ratio", "0.1", "--measure"], "--measure needs the whole"),
         (["--ratio", "0.1", "--min-opacity", "0.1"], "a filter needs the whole"),
         (["--ratio", "0.1", "--preset", "best"], "best needs the whole model"),
-        (["--ratio", "0.1", "--max-memory", "100MB"], "--max-memory must be at least"),
+        (["--ratio", "0.1", "--max-memory", "100MB"], "is 100 MB and must be at least"),
         (["--ratio", "0.1", "--workers", "2", "--scheduler", "tcp://x:1"], "not both"),
         (["--ratio", "0.1", "--scheduler", "tcp://127.0.0.1:9"], "No Dask scheduler answers"),
     ],

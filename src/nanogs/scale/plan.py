@@ -60,8 +60,8 @@ class ScalePlan:
         """
         if max_memory is not None and cost.memory > _room(max_memory):
             raise OptionError(
-                f"`max_memory` must be at least {_least(cost.memory) / 1e6:,.0f} MB to unpack"
-                f" {cost.path}; raise it, or convert the file to .ply."
+                f"{_must_be(_least(cost.memory), max_memory)} to unpack {cost.path}; raise it, or"
+                " convert the file to .ply."
             )
         memory = max(self.memory, LIBRARIES + cost.memory if cost.memory else 0)
         return replace(self, memory=memory, scratch=self.scratch + cost.scratch)
@@ -108,7 +108,7 @@ def plan_blocks(
         if block < _LEAST:
             least = _least(max(_LEAST * each, encoding.held(_LEAST)))
             raise OptionError(
-                f"`max_memory` must be at least {least / 1e6:,.0f} MB for this model, of which"
+                f"{_must_be(least, max_memory or 0)} for blocks of this model, of which"
                 f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries{encoding.remedy()}"
             )
     segment = max(min(block, _SEGMENT), 1)
@@ -132,6 +132,14 @@ def plan_blocks(
 def _room(max_memory: int) -> float:
     """Bytes that are there for splats, of those that a process may take."""
     return _SHARE * max_memory - LIBRARIES
+
+
+def _must_be(least: float, allowed: int) -> str:
+    """The beginning of a sentence about a limit, which the user or the system has set."""
+    return (
+        f"`max_memory`, or without it what is free, is {allowed / 1e6:,.0f} MB and must be at least"
+        f" {least / 1e6:,.0f} MB"
+    )
 
 
 def _least(held: float) -> float:
