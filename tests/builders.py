@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from nanogs.simplify.extent import Dilation
 from nanogs.simplify.gaussians import Gaussians
 from nanogs.splats import Splats
 
@@ -34,6 +35,12 @@ def gaussians_of(splats):
         sources=np.arange(count, dtype=np.int32),
         merged=np.zeros(count, dtype=bool),
     )
+
+
+def same_pixel(deviation):
+    """The same dilation everywhere within some units of the origin."""
+    far = 1e9
+    return Dilation(np.zeros((1, 3)), np.array([far]), deviation / far)
 
 
 def row(gaussians, index):

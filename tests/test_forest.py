@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import nanogs
 import twins
-from builders import model_bytes, random_splats
+from builders import model_bytes, random_splats, same_pixel
 from nanogs.datasets.harmonics import basis
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.progress import Tracker, untold
@@ -18,7 +18,7 @@ from nanogs.report import PassReport, StageClock, StopReason
 from nanogs.simplify import choose, forest_pipeline, reassign, tree
 from nanogs.simplify.choose import choose_model, quality
 from nanogs.simplify.cut import cut, merge_scores
-from nanogs.simplify.extent import core_radius, dilation
+from nanogs.simplify.growth import blocked
 from nanogs.simplify.match import MergePlan
 from nanogs.simplify.nodes import (
     activate_nodes,
@@ -31,7 +31,6 @@ from nanogs.simplify.order import morton_order
 from nanogs.simplify.presets import PRESETS
 from nanogs.simplify.store import MOST_OPAQUE, store_groups
 from nanogs.simplify.tree import Forest, grow_forest
-from nanogs.splats import RenderMode
 
 pytestmark = pytest.mark.usefixtures("small_views")
 SOME = settings(max_examples=20)
@@ -39,61 +38,11 @@ SOME = settings(max_examples=20)
 
 def nodes_of(splats, pixel=0.0):
     rows = morton_order(splats.means.astype(np.float64))
-    return activate_nodes(splats, rows, np.zeros(3), pixel), rows
+    return activate_nodes(splats, rows, np.zeros(3), same_pixel(pixel)), rows
 
 
 def forest_of(count, seed=0, k=8):
     return grow_forest(nodes_of(random_splats(count, seed=seed))[0], k, 1.0, 1, untold)
-
-
-# Footprints
-
-
-@pytest.mark.parametrize("pixel", [0.0, 0.05, 1.0])
-def test_footprints_are_the_rms_area_over_directions(pixel):
-    """Projected on planes in all directions, each with the rasteriser's dilation added."""
-    directions = np.random.default_rng(0).normal(size=(20_000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    sigmas = [twins.covariance(s, q) for s, q in
-              zip(np.exp(np.random.default_rng(1).uniform(-3, 0, (6, 3))),
-                  np.linalg.qr(np.random.default_rng(2).normal(size=(4, 4)))[0][[0, 1, 2, 3, 0, 1]],
-                  strict=True)]  # fmt: skip
-    found = footprints(np.array([twins.pack(sigma) for sigma in sigmas]), pixel)
-    for sigma, area in zip(sigmas, found, strict=True):
-        widened = sigma + pixel**2 * np.eye(3)
-        # The determinant on the plane across n: |Sigma| nᵀ Sigma⁻¹ n.
-        squares = np.einsum("ni,ij,nj->n", directions, np.linalg.inv(widened), directions)
-        areas = 2 * np.pi * np.sqrt(np.linalg.det(widened) * squares)
-        assert area == pytest.approx(np.sqrt(np.mean(areas**2)), rel=0.02)
-
-
-def test_footprint_of_a_sphere_and_of_a_point():
-    six = np.array([[4.0, 0, 0, 4, 0, 4], [0.0, 0, 0, 0, 0, 0]])
-    assert footprints(six, 0.0) == pytest.approx([8 * np.pi, 0], abs=1e-6)
-    assert footprints(six, 1.0) == pytest.approx([10 * np.pi, 2 * np.pi])
-
-
-def test_the_pixel_is_that_of_a_view_of_the_core():
-    rng = np.random.default_rng(3)
-    directions = rng.normal(size=(5000, 3))
-    means = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    means *= 7 * np.cbrt(rng.uniform(size=(5000, 1)))  # a full ball of radius 7
-    alphas = np.ones(5000)
-    assert core_radius(means, alphas) == pytest.approx(7 * np.cbrt(0.9), rel=0.02)
-    means[:100] += 1e6  # strays
-    assert core_radius(means, alphas) == pytest.approx(7 * np.cbrt(0.92), rel=0.02)
-    expected = np.sqrt(0.3) * 2 * core_radius(means, alphas) / 720
-    assert dilation(means, alphas, RenderMode.DEFAULT, 720) == pytest.approx(expected)
-    assert dilation(means, alphas, RenderMode.MIP, 720) == 0
-
-
-def test_the_core_follows_alpha_and_stands_without_any():
-    means = np.array([[0.0, 0, 0]] * 50 + [[1.0, 0, 0]] * 50 + [[100.0, 0, 0]] * 50)
-    alphas = np.r_[np.ones(100), np.zeros(50)]
-    assert core_radius(means, alphas) <= 1
-    assert core_radius(means, np.zeros(150)) > 1
-    assert core_radius(means[:50], alphas[:50]) == 0
-    assert core_radius(means[:1], alphas[:1]) == 0
 
 
 # Moments
@@ -161,20 +110,21 @@ def test_weights_are_about_one_and_never_zero():
 
 @SOME
 @given(st.integers(4, 60), st.integers(0, 2**31), st.sampled_from([0.0, 0.05]))
-def test_stored_groups_cover_what_their_members_did(n, seed, pixel):
+def test_stored_groups_block_what_their_members_did(n, seed, pixel):
     splats = random_splats(n, seed=seed)
     nodes, _ = nodes_of(splats, pixel)
     labels = (np.arange(n) // 2).astype(np.int32)
     groups = int(labels[-1]) + 1
     merged = gather(nodes, labels, groups)
-    small = store_groups(nodes, labels, splats, np.zeros(3), pixel, 1.0, sheets=False)
+    small = store_groups(nodes, labels, splats, np.zeros(3), same_pixel(pixel), 1.0, sheets=False)
     assert len(small) == groups
     alphas = small.opacities()
     sigmas = [twins.pack(twins.covariance(s, q)) for s, q in
               zip(small.scales(), small.unit_quats(), strict=True)]  # fmt: skip
     covered = alphas * footprints(np.array(sigmas), pixel)
     by_centre = np.argsort(small.means[:, 0], kind="stable")
-    expected = merged.coverages[np.argsort(merged.means[:, 0].astype("f4"), kind="stable")]
+    expected = blocked(merged.coverages, footprints(merged.covariances, pixel))
+    expected = expected[np.argsort(merged.means[:, 0].astype("f4"), kind="stable")]
     open_ones = alphas[by_centre] < 0.999
     pairs = np.bincount(labels)[np.argsort(merged.means[:, 0].astype("f4"), kind="stable")] > 1
     chosen = open_ones & pairs

@@ -471,5 +471,6 @@ def test_a_disk_that_is_too_small_is_refused_at_once(scene, tmp_path, monkeypatc
 def test_frames_keep_every_digit():
     from nanogs.scale.frame import frame_of
 
-    frame = Frame((0.1, 1 / 3, 1e-300), 0.2, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9)
+    anchors = ((0.1, 0.2, 0.3, 1 / 7), (1e-300, 2.0, 3.0, 0.0))
+    frame = Frame((0.1, 1 / 3, 1e-300), anchors, 0.2, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9)
     assert frame_of(json.loads(json.dumps(frame.to_dict()))) == frame

@@ -72,7 +72,7 @@ def morton_rows(codes: U64) -> I64:
 
 def leaves_of(splats: Splats, rows: I64, frame: Frame, *, bare: bool = False) -> Nodes:
     """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
-    nodes = activate_nodes(splats, rows, frame.centre(), frame.pixel, frame.thinnest)
+    nodes = activate_nodes(splats, rows, frame.centre(), frame.dilation(), frame.thinnest)
     np.maximum(nodes.coverages / frame.coverage, 1e-9, out=nodes.weights)
     return without_coverages(nodes) if bare else nodes
 

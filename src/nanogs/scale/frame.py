@@ -11,7 +11,7 @@ from nanogs.errors import ModelError
 from nanogs.scale.settings import Settings
 from nanogs.scale.source import sample
 from nanogs.scale.unpack import Unpacked
-from nanogs.simplify.extent import dilation
+from nanogs.simplify.extent import Dilation, dilation
 from nanogs.simplify.gaussians import scene_origin
 from nanogs.simplify.nodes import activate_nodes, thinnest_axis
 from nanogs.simplify.order import code_box, codes_in
@@ -24,7 +24,8 @@ class Frame:
 
     Attributes:
         origin: Taken off the centres, scene units.
-        pixel: See `extent.dilation`, scene units.
+        anchors: x, y, z relative to the origin and radius of each of those of `Dilation`.
+        per_radius: As `Dilation` has it.
         thinnest: Axis of any node, scene units.
         coverage: Of a typical splat, square scene units; weights are over this.
         corner: Lowest corner of the box of Morton cells, relative to the origin.
@@ -32,7 +33,8 @@ class Frame:
     """
 
     origin: tuple[float, ...]
-    pixel: float
+    anchors: tuple[tuple[float, ...], ...]
+    per_radius: float
     thinnest: float
     coverage: float
     corner: tuple[float, ...]
@@ -46,6 +48,11 @@ class Frame:
         """(3,) the origin."""
         return np.array(self.origin)
 
+    def dilation(self) -> Dilation:
+        """What rasterisers add to splats."""
+        rows = np.array(self.anchors)
+        return Dilation(np.ascontiguousarray(rows[:, :3]), rows[:, 3].copy(), self.per_radius)
+
     def codes(self, splats: Splats) -> U64:
         """(N,) Morton codes of the centres."""
         return codes_in(splats.means - self.centre(), np.array(self.corner), self.width)
@@ -54,6 +61,7 @@ class Frame:
 def frame_of(data: Mapping[str, Any]) -> Frame:
     """A frame from what `to_dict` made of it, by way of JSON."""
     fixed: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+    fixed["anchors"] = tuple(map(tuple, data["anchors"]))
     return Frame(**fixed)
 
 
@@ -73,14 +81,15 @@ def survey(settings: Settings, unpacked: Unpacked | None = None) -> Frame:
         raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
     origin = scene_origin(some.means)
     means = some.means - origin
-    pixel = dilation(means, some.opacities(), some.render_mode, settings.parameters.pixels)
-    thinnest = thinnest_axis(some.scales(), means, pixel)
-    nodes = activate_nodes(some, np.arange(len(some)), origin, pixel, thinnest)
+    added = dilation(means, some.opacities(), some.render_mode, settings.parameters.pixels)
+    thinnest = thinnest_axis(some.scales(), means, added.least)
+    nodes = activate_nodes(some, np.arange(len(some)), origin, added, thinnest)
     coverage = float(nodes.coverages.mean())
     corner, width = code_box(means)
     return Frame(
         origin=tuple(map(float, origin)),
-        pixel=pixel,
+        anchors=tuple(map(tuple, np.column_stack((added.anchors, added.radii)).tolist())),
+        per_radius=added.per_radius,
         thinnest=thinnest,
         coverage=coverage if coverage > 0 else 1.0,
         corner=tuple(map(float, corner)),

@@ -213,7 +213,9 @@ def _settle(work: Work, task: Task) -> Record:
 def _part(work: Work, task: Task) -> Record:
     splats, leaves, labels = _members(work, task)
     frame, growth = work.frame, work.settings.parameters.growth
-    small = store_groups(leaves, labels, splats, frame.centre(), frame.pixel, growth, sheets=True)
+    small = store_groups(
+        leaves, labels, splats, frame.centre(), frame.dilation(), growth, sheets=True
+    )
     order = morton_rows(frame.codes(small))
     return write_table(work.scratch, task.name, sorted_columns(small, order), {})
 

@@ -1,60 +1,75 @@
-"""The size of a scene, and of a pixel that it is likely to be seen with."""
+"""How far from each splat viewers are likely to stand, and what a pixel is there."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from nanogs._types import F64
 from nanogs.kernels.project import DILATION
-from nanogs.render.occupancy import quantiles
+from nanogs.kernels.surroundings import reach
 from nanogs.splats import RenderMode
 
-_SHARE = 0.9  # of the alpha lies within the core's radius
-_SAMPLE = 40_000  # splats looked at; a stride thins larger models
-_ROUNDS = 32
-_SETTLED = 1e-9  # of the radius
+SHARE = 0.25  # of the alpha makes a splat's surroundings: all of it near by, with a copy far away
+ANCHORS = 64  # splats whose surroundings are measured; others have them from the nearest ones
+FARTHEST = 16.0  # times the usual radius; a stray's pixel must not outweigh all splats together
+_SAMPLE = 4096  # splats looked at; a stride thins larger models
 
 
-def core_radius(means: F64, alphas: F64) -> float:
-    """Distance from the centre within which 90 % of the alpha lies, scene units.
+@dataclass(frozen=True, slots=True, eq=False)
+class Dilation:
+    """What rasterisers add to splats on the screen, in scene units where each splat is.
 
-    The centre is the geometric median (Weiszfeld 1937): strays do not move it, and it turns and
-    moves with the scene.
-
-    Args:
-        means: (N, 3) float64, scene units.
-        alphas: (N,) float64, weights, 0 or more.
+    Attributes:
+        anchors: (A, 3) float64, some centres, scene units from the origin of the run.
+        radii: (A,) float64, scene units around them within which a quarter of the alpha lies.
+        per_radius: Standard deviation that is added, over the radius.
     """
-    step = len(means) // _SAMPLE + 1
-    means, alphas = means[::step], alphas[::step]
-    weights = alphas if alphas.sum() > 0 else np.ones(len(means))
-    centre = np.median(means, axis=0)
-    for _ in range(_ROUNDS):
-        distances = np.linalg.norm(means - centre, axis=1)
-        # Of most of the splats, whatever a few that strayed far away add to the average.
-        scale = float(np.median(distances)) or float(np.average(distances, weights=weights))
-        if scale == 0:
-            return 0.0
-        pull = weights / np.maximum(distances, 1e-6 * scale)
-        moved = np.average(means, axis=0, weights=pull)
-        settled = np.linalg.norm(moved - centre) <= _SETTLED * scale
-        centre = moved
-        if settled:
-            break
-    return quantiles(np.linalg.norm(means - centre, axis=1), weights, _SHARE)[0]
+
+    anchors: F64
+    radii: F64
+    per_radius: float
+
+    def at(self, means: F64) -> F64:
+        """(N,) float64: the standard deviation added at each of (N, 3) float64 centres."""
+        found = np.zeros(len(means))
+        if self.per_radius > 0:
+            reach(np.ascontiguousarray(means), self.anchors, self.radii, found)
+            np.minimum(found, FARTHEST * np.median(self.radii), out=found)
+            found *= self.per_radius
+        return found
+
+    @property
+    def least(self) -> float:
+        """The least of the anchors' above 0, scene units; 0 where there is none."""
+        some = self.per_radius * self.radii
+        return float(some[some > 0].min()) if (some > 0).any() else 0.0
 
 
-def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> float:
-    """Standard deviation that a rasteriser adds to a splat on the screen, scene units.
+def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilation:
+    """What a rasteriser adds to splats where a model is looked at as a whole.
 
-    It depends on the view; this is that of a view in which the core is `pixels` across. A
-    MIP model's rasteriser takes back from the opacity what it adds to the size: 0.
+    That is where a splat's surroundings, the ball about it that holds a quarter of the alpha, are
+    `pixels` across: about as far away as viewers stand, whatever else the model holds elsewhere.
+    A MIP model's rasteriser takes back from the opacity what it adds to the size: nothing.
 
     Args:
-        means: (N, 3) float64, scene units.
+        means: (N, 3) float64, N >= 1, scene units.
         alphas: (N,) float64 in [0, 1].
         mode: The rasteriser the model was trained for.
-        pixels: Across the core's diameter.
+        pixels: Across the surroundings' diameter.
     """
-    if mode is RenderMode.MIP:
-        return 0.0
-    pixel = 2 * core_radius(means, alphas) / pixels
-    return float(np.sqrt(DILATION)) * pixel
+    step = len(means) // _SAMPLE + 1
+    anchors = np.ascontiguousarray(means[:: (len(means) - 1) // ANCHORS + 1])
+    means, alphas = means[::step], alphas[::step]
+    weights = alphas if alphas.sum() > 0 else np.ones(len(means))
+    radii = np.array([_radius(anchor, means, weights) for anchor in anchors])
+    per_radius = 0.0 if mode is RenderMode.MIP else float(np.sqrt(DILATION)) * 2 / pixels
+    return Dilation(anchors, radii, per_radius)
+
+
+def _radius(point: F64, means: F64, weights: F64) -> float:
+    """Distance from a point within which the share of the weight lies."""
+    distances = np.linalg.norm(means - point, axis=1)
+    order = np.argsort(distances)
+    summed = np.cumsum(weights[order])
+    return float(distances[order[np.searchsorted(summed, SHARE * summed[-1])]])

@@ -18,7 +18,7 @@ from nanogs.render.lens import lens_notes
 from nanogs.report import CandidateReport, RecolourReport, StageClock, StopReason
 from nanogs.simplify.choose import BALANCES, Candidate, choose_model
 from nanogs.simplify.cut import cut
-from nanogs.simplify.extent import dilation
+from nanogs.simplify.extent import Dilation, dilation
 from nanogs.simplify.gaussians import scene_origin
 from nanogs.simplify.nodes import (
     Nodes,
@@ -48,7 +48,7 @@ class Build:
         leaves: M nodes, one for each usable splat.
         forest: Their merges.
         origin: (3,) what the leaves' centres are relative to, scene units.
-        pixel: See `extent.dilation`, scene units.
+        dilation: What rasterisers add to splats, by where they are from the origin.
         views: What the original shows, or None where nothing is rendered.
         cameras: The user's, or None for automatic ones.
         parameters: Of the method.
@@ -60,7 +60,7 @@ class Build:
     leaves: Nodes
     forest: Forest
     origin: F64
-    pixel: float
+    dilation: Dilation
     views: OriginalViews | None
     cameras: Sequence[Camera] | None
     parameters: ForestParameters
@@ -95,13 +95,13 @@ def build_forest(
         means = centres - origin
         del centres
         alphas = pick(splats.opacities(), rows)
-        pixel = dilation(means, alphas, splats.render_mode, parameters.pixels)
+        added = dilation(means, alphas, splats.render_mode, parameters.pixels)
         rows = rows[morton_order(means)]
         del means, alphas
 
     def leaves() -> Nodes:
         with clock.time("activate"):
-            nodes = activate_nodes(splats, rows, origin, pixel)
+            nodes = activate_nodes(splats, rows, origin, added)
             if views is None:
                 return nodes
             weights = visible_weights(nodes.coverages, views.visible[rows], parameters.hidden)
@@ -116,7 +116,7 @@ def build_forest(
     for one_pass in forest.passes:
         clock.add(one_pass.seconds)
     return Build(
-        splats, leaves(), forest, origin, pixel, views, cameras, parameters, threads, notes
+        splats, leaves(), forest, origin, added, views, cameras, parameters, threads, notes
     )
 
 
@@ -215,5 +215,5 @@ def _regroup(build: Build, labels: I32, groups: int) -> I32:
 
 def _model(build: Build, labels: I32, growth: float, *, sheets: bool) -> Splats:
     return store_groups(
-        build.leaves, labels, build.splats, build.origin, build.pixel, growth, sheets=sheets
+        build.leaves, labels, build.splats, build.origin, build.dilation, growth, sheets=sheets
     )  # fmt: skip

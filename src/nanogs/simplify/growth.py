@@ -1,28 +1,54 @@
-"""Growth: merged splats that cover too little although they are opaque become larger."""
+"""Growth: merged splats that block too little light although they are opaque become larger."""
 
 import numpy as np
+from scipy.special import exp1
 
 from nanogs._types import F64, I32
 from nanogs.kernels.sheets import sheet_growths
 from nanogs.simplify.blocks import blocks
-from nanogs.simplify.nodes import Nodes, footprints, member_lists
+from nanogs.simplify.nodes import Nodes, member_lists
 
+_FEW = 1e-5  # layers below which two terms of the series say it better than the difference
 SHEET_GROWTH = 1.8  # most that an axis of a group on a sheet may grow
 
 
-def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float, most: float | F64) -> F64:
-    """(G, 6) float64: covariances, larger where even an opaque splat would cover too little.
+def blocked(coverages: F64, areas: F64) -> F64:
+    """(G,) float64: how much light each group blocks, as the area that blocks all, square units.
 
-    What has to be covered is the members' footprints in proportion to how visible they are,
-    (sum w)² / (sum w²/a) for weights w and coverages a: all of them where all are seen alike, and
-    not those that hide behind others. Groups of one are not to be asked for.
+    Less than its members cover together, since they hide each other. Of many splats with the
+    moments of a group, exp(-u g) of the light gets through where its Gaussian is g, for u their
+    coverage over its footprint; 1 - exp(-u g) over the whole plane is
+
+        footprint (E1(u) + ln u + 0.5772) = footprint (u - u²/4 + u³/18 - ...).
+
+    Args:
+        coverages: (G,) float64, of all members, 0 or more, square scene units.
+        areas: (G,) float64, footprints of the groups, above 0, square scene units.
+    """
+    layers = coverages / areas
+    few, many = np.minimum(layers, _FEW), np.maximum(layers, _FEW)
+    terms = few - few**2 / 4
+    shares = np.where(layers < _FEW, terms, exp1(many) + np.log(many) + np.euler_gamma)
+    return areas * shares
+
+
+def grown(
+    merged: Nodes, leaves: Nodes, labels: I32, areas: F64, growth: float, *, sheets: bool
+) -> F64:
+    """(G, 6) float64: covariances, larger where even an opaque splat would block too little.
+
+    What has to be blocked is what members do (`blocked`) that count in proportion to how visible
+    they are, (sum w)² / (sum w²/a) for weights w and coverages a: all of them where all are seen
+    alike, and not those that hide behind others. Members that lie side by side on a sheet hide
+    none of each other: there it is what they cover. Groups of one are not to be asked for.
 
     Args:
         merged: G nodes from `gather`.
         leaves: (M) their members.
         labels: (M,) the group of each.
-        pixel: As `footprints` takes it.
-        most: That an axis may grow, 1 or more; of each group (G,) or of all.
+        areas: (G,) float64, footprints of the groups, square scene units.
+        growth: Most that an axis may grow, 1 or more.
+        sheets: Those of groups on flat sheets may grow more (`growth_on_sheets`).
     """
     squares = np.zeros(len(merged))
     with np.errstate(divide="ignore", over="ignore"):
@@ -30,7 +56,10 @@ def grown(merged: Nodes, leaves: Nodes, labels: I32, pixel: float, most: float |
             shares = leaves.weights[block] ** 2 / leaves.coverages[block]
             np.add.at(squares, labels[block], shares)
         wanted = merged.weights**2 / squares
-    factors = np.clip(wanted / footprints(merged.covariances, pixel), 1.0, np.square(most))
+    factors = np.clip(blocked(wanted, areas) / areas, 1.0, growth**2)
+    if sheets:
+        most = growth_on_sheets(merged, leaves, labels, 1.0)
+        np.maximum(factors, np.clip(wanted / areas, 1.0, most**2), out=factors)
     return merged.covariances * factors[:, None]
 
 

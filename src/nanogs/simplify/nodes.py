@@ -18,9 +18,11 @@ from nanogs.kernels.nodes import (
 )
 from nanogs.simplify.activation import activated
 from nanogs.simplify.blocks import blocks
+from nanogs.simplify.extent import Dilation
 from nanogs.splats import Splats, alphas, pick
 
 UNRESOLVED = 1e-15  # of the squared trace: what rounding may leave of minors
+NEARER = 4.0  # from a view of the whole model to one of its parts
 FLATTEST = 1e-3  # thinnest axis of a node over its longest: log-determinants stay finite
 
 
@@ -54,30 +56,37 @@ class Nodes:
         return len(self.means)
 
 
-def footprints(covariances: F64, pixel: float) -> F64:
+def footprints(covariances: F64, pixel: F64 | float) -> F64:
     """(N,) float64: what covers the screen, averaged over directions, square scene units.
 
     The determinant of a covariance seen along n is nᵀ adj(Sigma) n, whose mean over directions is
     the sum of the principal 2x2 minors over 3: the same however the scene is turned. As the
-    rasteriser does, the variance of 0.3 pixels² is added first, at the pixel size in mind: what
-    is thinner than a pixel covers no less.
+    rasteriser does, the variance of 0.3 pixels² is added first: what is thinner than a pixel
+    covers no less. A pixel is smaller where one stands nearer, so this is the mean of two places:
+    where the model is seen as a whole, and `NEARER` times as near.
 
     Args:
         covariances: (N, 6), square scene units.
-        pixel: Standard deviation of the rasteriser's dilation, scene units.
+        pixel: Standard deviation of the rasteriser's dilation, scene units: (N,), or for all.
     """
     xx, xy, xz, yy, yz, zz = covariances.T
-    v, trace = pixel * pixel, xx + yy + zz
+    trace = xx + yy + zz
     minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
     # Of a covariance far longer than wide, rounding leaves anything, zero and below among it.
     minors = np.maximum(minors, UNRESOLVED * trace * trace)
-    minors += v * (2 * trace + 3 * v)
-    areas: F64 = 2 * np.pi * np.sqrt(minors / 3)
+    far, near = np.square(pixel), np.square(pixel / NEARER)
+    areas: F64 = np.sqrt((minors + far * (2 * trace + 3 * far)) / 3)
+    areas += np.sqrt((minors + near * (2 * trace + 3 * near)) / 3)
+    areas *= np.pi
     return areas
 
 
 def activate_nodes(
-    splats: Splats, rows: I64 | I32, origin: F64, pixel: float, thinnest: float | None = None
+    splats: Splats,
+    rows: I64 | I32,
+    origin: F64,
+    dilation: Dilation,
+    thinnest: float | None = None,
 ) -> Nodes:
     """One node for each splat, all of the splat's footprint visible.
 
@@ -85,19 +94,19 @@ def activate_nodes(
         splats: The input.
         rows: (M,) rows of it, all finite, in the nodes' order.
         origin: (3,) taken off the centres, scene units.
-        pixel: As `footprints` takes it.
+        dilation: What rasterisers add, by where splats are from the origin.
         thinnest: Axis of any node, scene units, above 0; by default what `thinnest_axis` says.
 
     Returns:
         The nodes; their rows are those of the input.
     """
     rows = rows.astype(np.int32, copy=False)
-    means, covariances = _shapes(splats, rows, origin, pixel, thinnest)
-    coverages = np.empty(len(rows))
+    means, covariances = _shapes(splats, rows, origin, dilation.least, thinnest)
+    coverages = dilation.at(means)  # pixels, until what they cover takes their place
 
     def cover(block: slice) -> None:
         opacities = alphas(pick(splats.opacity_logits, rows[block]))
-        coverages[block] = opacities * footprints(covariances[block], pixel)
+        coverages[block] = opacities * footprints(covariances[block], coverages[block])
 
     spread.each(blocks(len(rows)), cover)
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)

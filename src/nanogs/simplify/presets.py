@@ -65,8 +65,9 @@ class ForestParameters:
             results are measured 0.5 and 1 are tried, and this beside them if it is not the usual
             one.
         rounds: Rounds of reassignment after the cut.
-        pixels: Across the model's core where it is likely to be seen: rasterisers widen what is
-            thinner than a pixel, and what is merged must cover as much.
+        pixels: Across a splat's surroundings, the ball about it that holds a quarter of the alpha,
+            where the model is seen as a whole: rasterisers widen what is thinner than a pixel, and
+            what is merged must cover as much there and four times as near.
         hidden: Weight of a splat that no view sees over that of one in full sight, above 0; 1
             weighs all alike.
         growth: Most that a merged splat's axes may grow where an opaque one would cover too little;
@@ -83,9 +84,9 @@ class ForestParameters:
     lambda_app: float = 1.0
     balance: float = USUAL_BALANCE
     rounds: int = 2
-    pixels: float = 720.0
+    pixels: float = 512.0
     hidden: float = 0.01
-    growth: float = 1.1
+    growth: float = 1.2
     measure: bool = True
     recolour: bool = True
     refit: bool = False

@@ -7,8 +7,9 @@ import numpy as np
 from nanogs._types import F64, I32
 from nanogs.kernels.nodes import principal_axes
 from nanogs.simplify.blocks import blocks
+from nanogs.simplify.extent import Dilation
 from nanogs.simplify.gaussians import LEAST_ALPHA, LEAST_SCALE
-from nanogs.simplify.growth import grown, growth_on_sheets
+from nanogs.simplify.growth import blocked, grown
 from nanogs.simplify.nodes import Nodes, footprints, gather, stored_order
 from nanogs.splats import Splats
 
@@ -20,25 +21,25 @@ def store_groups(
     labels: I32,
     splats: Splats,
     origin: F64,
-    pixel: float,
+    dilation: Dilation,
     growth: float,
     *,
     sheets: bool,
 ) -> Splats:
     """Stored values of groups, in the order of their dominant members in the input.
 
-    alpha = min(1, coverage / footprint): the screen stays covered as much as it was; where that
-    asks for more than an opaque splat, it grows (`grown`). A group of one gets the input's bytes
-    back; a larger one takes its extra columns from its dominant member.
+    alpha = min(1, blocked / footprint): as much light is stopped as was (`growth.blocked`). Where
+    that asks for more than an opaque splat, it grows (`grown`). A group of one gets the input's
+    bytes back; a larger one takes its extra columns from its dominant member.
 
     Args:
         leaves: (M) nodes, one for each splat.
         labels: (M,) the group of each; no group is empty.
         splats: The input.
         origin: (3,) what `activate_nodes` took off the centres, scene units.
-        pixel: As `footprints` takes it.
+        dilation: As `activate_nodes` takes it.
         growth: Most that an axis may grow.
-        sheets: Those of groups on flat sheets may grow more (`growth_on_sheets`).
+        sheets: Those of groups on flat sheets may grow more (`growth.growth_on_sheets`).
     """
     groups = int(labels.max()) + 1
     sources, order, new = stored_order(leaves, labels, groups)
@@ -49,10 +50,10 @@ def store_groups(
     merged = gather(leaves, labels, groups)
     scales = np.empty((np.count_nonzero(new), 3), np.float32)
     quats = np.empty((len(scales), 4), np.float32)
-    most = growth_on_sheets(merged, leaves, labels, growth) if sheets else growth
-    covariances = grown(merged, leaves, labels, pixel, most)[new]
+    areas = footprints(merged.covariances, dilation.at(merged.means))
+    covariances = grown(merged, leaves, labels, areas, growth, sheets=sheets)[new]
     principal_axes(covariances, scales, quats)
-    alphas = merged.coverages[new] / footprints(covariances, pixel)
+    alphas = blocked(merged.coverages[new], areas[new]) / areas[new]
     alphas = np.clip(alphas, LEAST_ALPHA, MOST_OPAQUE)
     stored = replace(splats, sh=splats.sh[:, :1]).take(sources)
     stored.means[new] = merged.means[new] + origin

@@ -1,0 +1,235 @@
+"""What splats cover and block from near and from far, and how far away that is."""
+
+import numba
+import numpy as np
+import pytest
+
+import nanogs
+import twins
+from builders import random_splats, same_pixel
+from nanogs.datasets.synthetic import make_scene
+from nanogs.metrics import psnr
+from nanogs.render.camera import Camera
+from nanogs.render.rasterize import prepare, render
+from nanogs.render.views import automatic_cameras
+from nanogs.simplify.extent import ANCHORS, FARTHEST, Dilation, dilation
+from nanogs.simplify.growth import blocked
+from nanogs.simplify.nodes import NEARER, activate_nodes, footprints, gather
+from nanogs.simplify.store import store_groups
+from nanogs.splats import RenderMode, Splats, concatenate
+
+# Footprints
+
+
+def rms_area(sigma, directions):
+    """2 pi √det on planes across all directions: det there is |Sigma| nᵀ Sigma⁻¹ n."""
+    squares = np.einsum("ni,ij,nj->n", directions, np.linalg.inv(sigma), directions)
+    return 2 * np.pi * np.sqrt(np.linalg.det(sigma) * np.mean(squares))
+
+
+@pytest.mark.parametrize("pixel", [0.0, 0.05, 1.0])
+def test_footprints_are_the_rms_area_over_directions_at_two_distances(pixel):
+    directions = np.random.default_rng(0).normal(size=(20_000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    rng = np.random.default_rng(1)
+    sigmas = [twins.covariance(np.exp(rng.uniform(-3, 0, 3)), q) for q in
+              np.linalg.qr(rng.normal(size=(4, 4)))[0]]  # fmt: skip
+    found = footprints(np.array([twins.pack(sigma) for sigma in sigmas]), pixel)
+    for sigma, area in zip(sigmas, found, strict=True):
+        far, near = (sigma + p**2 * np.eye(3) for p in (pixel, pixel / NEARER))
+        expected = (rms_area(far, directions) + rms_area(near, directions)) / 2
+        assert area == pytest.approx(expected, rel=0.02)
+
+
+def test_footprints_of_a_sphere_and_of_a_point():
+    six = np.array([[4.0, 0, 0, 4, 0, 4], [0.0, 0, 0, 0, 0, 0]])
+    assert footprints(six, 0.0) == pytest.approx([8 * np.pi, 0], abs=1e-6)
+    # Variances of 16 and, from four times as near, 1 are added.
+    assert footprints(six, 4.0) == pytest.approx([(20 + 5) * np.pi, (16 + 1) * np.pi])
+    assert footprints(six, np.array([0.0, 4.0])) == pytest.approx([8 * np.pi, 17 * np.pi])
+
+
+# Surroundings
+
+
+def ball(count, radius, seed=3):
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(count, 3))
+    means = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return radius * means * np.cbrt(rng.uniform(size=(count, 1)))
+
+
+def test_a_pixel_is_that_of_a_view_of_what_surrounds_a_splat():
+    means = ball(4000, 7.0)
+    means[0] = 0
+    found = dilation(means, np.ones(4000), RenderMode.DEFAULT, 512)
+    radius = 7 * np.cbrt(0.25)
+    assert found.radii[0] == pytest.approx(radius, rel=0.03)
+    assert found.at(means[:1])[0] == pytest.approx(np.sqrt(0.3) * 2 * radius / 512, rel=0.03)
+    assert len(found.radii) <= ANCHORS
+    assert found.least == pytest.approx(np.sqrt(0.3) * 2 * found.radii.min() / 512)
+
+
+def test_mip_models_have_no_dilation():
+    found = dilation(ball(100, 1.0), np.ones(100), RenderMode.MIP, 512)
+    assert found.at(ball(5, 1.0)).tolist() == [0] * 5
+    assert found.least == 0
+
+
+def test_the_surroundings_reach_as_the_twin_says_for_any_number_of_threads():
+    rng = np.random.default_rng(0)
+    points, anchors, radii = (
+        rng.normal(size=(9000, 3)),
+        rng.normal(size=(20, 3)),
+        rng.uniform(size=20),
+    )
+    around = Dilation(anchors, radii, 0.5)
+    points[:100] *= 1000
+    squares = ((points[:, None] - anchors) ** 2).sum(axis=2) + radii**2
+    expected = np.minimum(np.sqrt(squares.min(axis=1)), FARTHEST * np.median(radii))
+    assert np.allclose(around.at(points), 0.5 * expected, rtol=1e-12)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        alone = around.at(points)
+    finally:
+        numba.set_num_threads(threads)
+    assert alone.tobytes() == around.at(points).tobytes()
+
+
+def test_copies_far_away_hardly_change_a_pixel():
+    means, alphas = ball(4000, 1.0), np.ones(4000)
+    alone = dilation(means, alphas, RenderMode.DEFAULT, 512).at(means)
+    for copies in (2, 3):
+        many = np.concatenate([means + [1e6 * c, 0, 0] for c in range(copies)])
+        found = dilation(many, np.tile(alphas, copies), RenderMode.DEFAULT, 512).at(means)
+        assert (found / alone).max() < 2
+
+
+def test_surroundings_follow_alpha_and_stand_without_any():
+    means = np.array([[0.0, 0, 0]] * 50 + [[1.0, 0, 0]] * 50)
+    one_side = dilation(means, np.r_[np.zeros(50), np.ones(50)], RenderMode.DEFAULT, 512)
+    assert one_side.radii.tolist() == [1.0] * 25 + [0.0] * 25
+    assert dilation(means, np.zeros(100), RenderMode.DEFAULT, 512).radii.tolist() == [0.0] * 50
+    assert dilation(means[:1], np.ones(1), RenderMode.DEFAULT, 512).at(means[:1])[0] == 0
+
+
+# Light
+
+
+@pytest.mark.parametrize("layers", [0.0, 1e-9, 1e-5, 0.3, 1.0, 5.0, 300.0])
+def test_what_is_blocked_is_one_less_what_gets_through_everywhere(layers):
+    """Over the plane, at radius r of a Gaussian g = exp(-r²/2) of footprint 2 pi."""
+    r = np.linspace(0, 12, 200_001)
+    light = -np.expm1(-layers * np.exp(-(r**2) / 2))
+    expected = np.trapezoid(light * 2 * np.pi * r, r)
+    found = blocked(np.array([layers * 2 * np.pi]), np.array([2 * np.pi]))
+    assert found[0] == pytest.approx(expected, rel=1e-6, abs=1e-12)
+
+
+def test_what_is_blocked_does_not_jump_between_its_two_forms():
+    sides = blocked(np.array([1 - 1e-6, 1 + 1e-6]) * 1e-5, np.ones(2))
+    assert sides[1] / sides[0] == pytest.approx(1 + 2e-6, rel=1e-8)
+
+
+def test_spheres_at_one_place_become_one_that_blocks_as_much():
+    """Ten of alpha 0.05 and deviation 2: u = 0.5 at any distance, alpha 0.5 - 0.5²/4 + 0.5³/18."""
+    splats = random_splats(1).take(np.zeros(10, np.int64))
+    splats.means[:] = 0
+    splats.log_scales[:] = np.log(2)
+    splats.opacity_logits[:] = np.log(0.05 / 0.95)
+    for pixel in (0.0, 3.0):
+        leaves = activate_nodes(splats, np.arange(10), np.zeros(3), same_pixel(pixel))
+        labels = np.zeros(10, np.int32)
+        one = store_groups(
+            leaves, labels, splats, np.zeros(3), same_pixel(pixel), 1.0, sheets=False
+        )
+        assert one.scales()[0] == pytest.approx([2, 2, 2], rel=1e-4)
+        assert one.opacities()[0] == pytest.approx(0.44382, rel=2e-3)
+
+
+def test_coverage_is_conserved_between_a_near_and_a_far_view():
+    """Needles far apart hide nothing: one faint splat covers the mean of both distances."""
+    count, pixel = 20, 0.2
+    rng = np.random.default_rng(0)
+    splats = random_splats(1).take(np.zeros(count, np.int64))
+    splats.means[:] = rng.normal(0, 10, (count, 3))
+    splats.log_scales[:] = np.log([1.0, 0.01, 0.01])
+    splats.quats[:] = rng.normal(size=(count, 4))
+    splats.opacity_logits[:] = 0
+    leaves = activate_nodes(splats, np.arange(count), np.zeros(3), same_pixel(pixel))
+    labels = np.zeros(count, np.int32)
+    one = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(pixel), 1.0, sheets=False)
+    merged = gather(leaves, labels, 1)
+
+    def covered(covariances, alphas, pixel):
+        xx, xy, xz, yy, yz, zz = covariances.T
+        xx, yy, zz = xx + pixel**2, yy + pixel**2, zz + pixel**2
+        minors = xx * yy - xy**2 + xx * zz - xz**2 + yy * zz - yz**2
+        return (alphas * 2 * np.pi * np.sqrt(minors / 3)).sum()
+
+    near, far = (
+        covered(merged.covariances, one.opacities(), p) / covered(leaves.covariances, 0.5, p)
+        for p in (pixel / NEARER, pixel)
+    )
+    assert near > 1 > far
+    sums = [covered(leaves.covariances, 0.5, p) for p in (pixel / NEARER, pixel)]
+    assert np.dot([near, far], sums) == pytest.approx(sum(sums), rel=0.01)
+
+
+# Scenes
+
+
+def over_black(model, cameras):
+    prepared = prepare(model)
+    return [render(prepared, camera).shown() for camera in cameras]
+
+
+def quality(original, small, cameras):
+    shown = zip(over_black(original, cameras), over_black(small, cameras), strict=True)
+    return np.mean([psnr(first, second) for first, second in shown])
+
+
+@pytest.mark.parametrize("preset", ["fast", "default"])
+def test_a_copy_far_away_leaves_a_scene_as_it_is_alone(preset):
+    splats = make_scene(6000, sh_degree=0)
+    copy = splats.take(np.arange(6000))
+    copy.means[:, 0] += 1e5
+    cameras = automatic_cameras(splats, 4, width=256, height=256, split="test")
+    both = concatenate([splats, copy])
+    alone, _ = nanogs.simplify(splats, ratio=0.1, preset=preset)
+    beside, _ = nanogs.simplify(both, ratio=0.1, preset=preset)
+    lost = quality(splats, alone, cameras) - quality(splats, beside, cameras)
+    assert lost < 1
+
+
+def hedge(count=3000):
+    """Needles in a ball, thinner than a pixel and too few to hide each other."""
+    rng = np.random.default_rng(5)
+    return Splats(
+        means=ball(count, 1.0).astype(np.float32),
+        log_scales=np.log(np.tile(np.float32([0.05, 2e-4, 2e-4]), (count, 1))),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        opacity_logits=np.zeros(count, np.float32),
+        sh=np.ones((count, 1, 3), np.float32),
+    )
+
+
+def camera_of(focal, size=512):
+    pose = np.eye(4)
+    pose[2, 3] = 4.0
+    return Camera(size, size, focal, focal, size / 2, size / 2, pose, near=0.01)
+
+
+@pytest.mark.parametrize(("pixels", "right"), [(512.0, True), (4096.0, False), (64.0, False)])
+def test_needles_are_as_bright_over_a_range_of_distances(pixels, right):
+    """Seen as a whole and from four times as near: too faint once and too bright once, by less
+    than a factor of two, and right in sum."""
+    splats = hedge()
+    whole = dilation(splats.means.astype(float), splats.opacities(), RenderMode.DEFAULT, 512)
+    focal = 4.0 * np.sqrt(0.3) / np.median(whole.at(splats.means.astype(float)))
+    small, _ = nanogs.simplify(splats, ratio=0.1, preset="fast", pixels=pixels)
+    cameras = [camera_of(focal), camera_of(focal * NEARER)]
+    before, after = ([view.mean() for view in over_black(m, cameras)] for m in (splats, small))
+    far, near = np.array(after) / before
+    assert (0.5 < far < 1 < near < 2 and sum(after) == pytest.approx(sum(before), rel=0.1)) == right
