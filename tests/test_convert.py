@@ -113,7 +113,7 @@ def test_what_the_format_cannot_hold_at_all_is_refused(scene, tmp_path):
     model = nanogs.load(scene)
     model.means[7] = np.nan
     nanogs.save(model, scene, overwrite=True)
-    assert_refused(run(scene, tmp_path / "a.glb"), tmp_path, "row 7", "nanogs simplify")
+    assert_refused(run(scene, tmp_path / "a.glb"), tmp_path, "row 7", "--ratio 1")
 
 
 def test_a_degree_that_is_none_is_refused(scene, tmp_path):

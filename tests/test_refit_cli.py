@@ -35,7 +35,7 @@ def test_command_fits_and_reports(files, tmp_path):
     assert_refused(run("refit", *given, *quick), "out.ply", "exists")
     result = run("refit", *given, *quick, "-w", "--cameras", "orbit")
     assert (result.returncode, result.stdout) == (0, "")
-    assert "views kept apart" in result.stderr
+    assert "1 view kept apart" in result.stderr
 
 
 @pytest.mark.parametrize(
