@@ -40,8 +40,8 @@ def report(rows: Sequence[Row]) -> str:
         groups[row["scene"], row["ratio"], row["kind"]][row["method"]] = row
     kinds = list(dict.fromkeys(row["kind"] for row in rows))
     parts = [means_table(rows, kinds)]
-    if any(set(RIVALS) <= set(group) for group in groups.values()):
-        compared = {key: group for key, group in groups.items() if set(RIVALS) <= set(group)}
+    compared = {key: group for key, group in groups.items() if set(RIVALS) <= set(group)}
+    if any(set(OURS) & set(group) for group in compared.values()):
         for value, heading in (("ssim", "SSIM"), ("psnr", "dB of PSNR")):
             table = summary_table(compared, kinds, value)
             parts.insert(0, f"Leads in {heading}, mean (least) of the scenes:\n\n{table}")
