@@ -489,7 +489,8 @@ def test_the_need_is_about_what_is_taken(two_models, given, need):
     planned = eval(f"needs.{need}", {"needs": needs, "Path": Path, **names})
     run = [sys.executable, "-c", PEAK, "small.ply", *given]
     found = subprocess.run(run, cwd=two_models, capture_output=True, text=True, check=True)
-    assert 0.5 < int(found.stdout.split()[-1]) / planned < 1.1
+    # The first run may leave the heap some of what the second takes.
+    assert 0.4 < int(found.stdout.split()[-1]) / planned < 1.1
 
 
 # ---- what is said of blocks, and of what does not need them --------------------------------------
