@@ -33,9 +33,10 @@ def test_command_fits_and_reports(files, tmp_path):
     assert len(report["fit_views"]) == 4
     assert len(nanogs.load(out)) == report["count"]
     assert_refused(run("refit", *given, *quick), "out.ply", "exists")
-    result = run("refit", *given, *quick, "-w", "--cameras", "orbit")
+    result = run("refit", *given, *quick, "-w", "-v", "--cameras", "orbit")
     assert (result.returncode, result.stdout) == (0, "")
-    assert "1 view kept apart" in result.stderr
+    assert "kept apart" in result.stderr
+    assert "128 px" in result.stderr, "what each group of views gained"
 
 
 @pytest.mark.parametrize(

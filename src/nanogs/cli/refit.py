@@ -42,7 +42,12 @@ def refit(
     max_memory: options.MaxMemory = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show every round.")] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose", "-v", help="Show every round and what each group of views gained."
+        ),
+    ] = False,
 ) -> None:
     """Fit a small model to renders of the original: no photographs, no training data."""
     # What only a run needs is imported here, and not for `--help`.
@@ -139,6 +144,7 @@ def _print_report(run: dict[str, Any], *, verbose: bool) -> None:
 
     if verbose:
         show(err, _round_table(run["rounds"]))
+        show(err, _group_table(run["groups"]))
     before, after = number_text(run["psnr_before"]), number_text(run["psnr_after"])
     views = counted(len(run["validation_views"]), "view")
     say(
@@ -155,8 +161,20 @@ def _round_table(rounds: list[dict[str, Any]]) -> "Table":
 
     table = Table("round", "PSNR", "", "seconds", box=None, pad_edge=False)
     for number, entry in enumerate(rounds, 1):
-        kept = "" if entry["accepted"] else "taken back"
+        kept = "" if entry["share"] == 1 else f"{entry['share']:.0%} kept"
         table.add_row(
             str(number), number_text(entry["psnr_after"]), kept, f"{entry['seconds']:.1f}"
         )
+    return table
+
+
+def _group_table(groups: list[dict[str, Any]]) -> "Table":
+    from rich.table import Table
+
+    from nanogs.formatting import number_text
+
+    table = Table("views that decide", "", "before", "after", box=None, pad_edge=False)
+    for entry in groups:
+        psnrs = (number_text(entry[name]) for name in ("psnr_before", "psnr_after"))
+        table.add_row(entry["name"], str(len(entry["views"])), *psnrs)
     return table

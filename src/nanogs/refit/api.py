@@ -30,14 +30,16 @@ def refit(
 ) -> tuple[Splats, RefitReport]:
     """Fit a small model's centres, scales, rotations, opacities and colours to the original.
 
-    The original is rendered from a few cameras; some of these views are kept apart, and what does
-    not bring them nearer is taken back. So the result is never worse than the input there.
+    The original is rendered from a few cameras; some of these views are kept apart, in groups by
+    picture size and distance, and what does not bring them nearer is taken back. So the result is
+    never worse there than the input, in the mean of any group.
 
     Args:
         original: The model to look like, or a path.
         small: The model to fit, from any tool, or a path; its count, degree and further columns
             are kept.
-        cameras: Views of the scene; by default cameras are chosen from the original.
+        cameras: Views of the scene, of any sizes and distances; by default they are chosen from the
+            original.
         parameters: See `RefitParameters`.
         threads: Threads to use; all by default. The result does not depend on it.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
@@ -78,7 +80,8 @@ def refit(
         original_count=len(large),
         count=len(fitted),
         fit_views=tuple(target.camera.name for target in fitting),
-        validation_views=tuple(target.camera.name for target in deciding),
+        validation_views=tuple(name for group in outcome.groups for name in group.views),
+        groups=outcome.groups,
         psnr_before=outcome.psnr_before,
         psnr_after=outcome.psnr_after,
         improved=outcome.improved,

@@ -9,7 +9,7 @@ class RefitStop(StrEnum):
     """Why the rounds ended."""
 
     ROUNDS = "rounds"  # all of them were made
-    NO_PROGRESS = "no_progress"  # two rounds in turn did not bring the validation views nearer
+    OPTIMUM = "optimum"  # steps of less than a tenth of the first length did not help either
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +21,9 @@ class RoundReport:
         steps: Steps made.
         rate: Length of its first step.
         fit_psnr: Mean over its steps, each measured before the step on its views, dB.
-        psnr_before: On the validation views before it, dB, over black and white alike.
-        psnr_after: On the validation views after it, dB.
-        accepted: Whether its result was kept.
+        psnr_before: On the validation views before it, dB, as in `RefitReport`.
+        psnr_after: On the validation views after what was kept of it, dB.
+        share: How much of its way was kept, from the state before it (0) to that after it (1).
         seconds: The round, seconds.
     """
 
@@ -33,8 +33,25 @@ class RoundReport:
     fit_psnr: float
     psnr_before: float
     psnr_after: float
-    accepted: bool
+    share: float
     seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class GroupReport:
+    """Validation views of about one picture size and distance.
+
+    Attributes:
+        name: Size of the pictures in pixels, and near or far where distances differ much.
+        views: Names of the cameras.
+        psnr_before: Mean of the input over them, dB, over black and white alike.
+        psnr_after: The same of the result; never below `psnr_before`.
+    """
+
+    name: str
+    views: tuple[str, ...]
+    psnr_before: float
+    psnr_after: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +64,9 @@ class RefitReport:
         count: Splats in the small model, before and after.
         fit_views: Names of the cameras fitted to.
         validation_views: Names of the cameras that decided.
-        psnr_before: The input on the validation views, dB, over black and white alike.
-        psnr_after: The result on the validation views, dB; never below `psnr_before`.
+        groups: What was gained on each group of the validation views.
+        psnr_before: The input on the validation views, mean over the groups, dB.
+        psnr_after: The result on them, dB; never below `psnr_before`.
         improved: False where the input was returned as it was.
         rounds: The rounds in order.
         stop: Why it stopped.
@@ -63,6 +81,7 @@ class RefitReport:
     count: int
     fit_views: tuple[str, ...]
     validation_views: tuple[str, ...]
+    groups: tuple[GroupReport, ...]
     psnr_before: float
     psnr_after: float
     improved: bool

@@ -1,4 +1,4 @@
-"""Rounds of steps, each kept only if it brings the validation views nearer."""
+"""Rounds of steps, of each of which as much is kept as brings the validation views nearer."""
 
 import math
 import time
@@ -9,21 +9,25 @@ import numpy as np
 
 from nanogs.progress import Parts
 from nanogs.refit.descent import FITTED, Descent
+from nanogs.refit.groups import Group
 from nanogs.refit.parameters import RefitParameters
-from nanogs.refit.report import RefitStop, RoundReport
-from nanogs.refit.state import State, activate, start, store
-from nanogs.refit.targets import Target, squared_error
+from nanogs.refit.report import GroupReport, RefitStop, RoundReport
+from nanogs.refit.state import State, start, store
+from nanogs.refit.targets import Target
 from nanogs.render.rasterize import prepare
 from nanogs.splats import Splats
 
-REJECTIONS = 2  # in turn, after which the rounds end
-SHORTER = 0.5  # of the rate, after a rejection
+SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # of a round's way that are tried
+SHORTER = 0.5  # of the rate, after a round of which only a part was kept
+SHORTEST = 0.25  # after one of which nothing was
+LEAST = 0.05  # of the first rate: below it, what does not help is at an optimum
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """What `fit` came to; see `RefitReport` for the fields."""
 
+    groups: tuple[GroupReport, ...]
     psnr_before: float
     psnr_after: float
     improved: bool
@@ -32,10 +36,47 @@ class Outcome:
     notes: tuple[str, ...]
 
 
+class Guard:
+    """Judges states on the views that decide, as the models that would be handed out.
+
+    A state is better if the mean over the groups is higher and no group is below the input.
+
+    Args:
+        small: The input.
+        groups: The views that decide.
+    """
+
+    def __init__(self, small: Splats, groups: Sequence[Group]) -> None:
+        self.small = small
+        self.groups = groups
+        self.before = self._psnrs(small)
+        self.best = self.before
+
+    def accepts(self, state: State) -> bool:
+        """Whether the state is better than the best so far, which it then is."""
+        psnrs = self._psnrs(store(state, self.small))
+        better = _mean(psnrs) > _mean(self.best)
+        if better and all(new >= old for new, old in zip(psnrs, self.before, strict=True)):
+            self.best = psnrs
+            return True
+        return False
+
+    def reports(self) -> tuple[GroupReport, ...]:
+        """What was gained on each group."""
+        return tuple(
+            GroupReport(group.name, tuple(view.camera.name for view in group.targets), old, new)
+            for group, old, new in zip(self.groups, self.before, self.best, strict=True)
+        )
+
+    def _psnrs(self, splats: Splats) -> list[float]:
+        model = prepare(splats)
+        return [group.psnr(model) for group in self.groups]
+
+
 def fit(
     small: Splats,
     fitting: Sequence[Target],
-    deciding: Sequence[Target],
+    deciding: Sequence[Group],
     parameters: RefitParameters,
     tell: Parts,
 ) -> tuple[Splats, Outcome]:
@@ -51,29 +92,44 @@ def fit(
     Returns:
         The fitted model, or the input itself where nothing helped, and what happened.
     """
-    before = _mean([squared_error(prepare(small), target) for target in deciding])
-    descent = Descent(small, fitting, parameters)
-    best, least, rate = start(small), before, parameters.rate
+    guard, descent = Guard(small, deciding), Descent(small, fitting, parameters)
+    best, rate = start(small), parameters.rate
     reports: list[RoundReport] = []
-    rejected, stop = 0, RefitStop.ROUNDS
+    stop = RefitStop.ROUNDS
     for number in range(parameters.rounds):
-        begin = time.perf_counter()
+        begin, before = time.perf_counter(), _mean(guard.best)
         errors = _round(descent, rate, number, tell)
-        model = activate(descent.state, small, descent.finite).model
-        error = _mean([squared_error(model, target) for target in deciding])
-        accepted = error < least
+        best, share = _furthest(guard, best, descent.state)
         seconds = time.perf_counter() - begin
-        psnrs = _psnr(_mean(errors)), _psnr(least), _psnr(error)
-        reports.append(RoundReport(FITTED, len(errors), rate, *psnrs, accepted, seconds))
-        if accepted:
-            best, least, rejected = descent.state.copy(), error, 0
-            continue
-        descent.begin(best)
-        rejected, rate = rejected + 1, rate * SHORTER
-        if rejected == REJECTIONS:
-            stop = RefitStop.NO_PROGRESS
+        psnrs = _psnr(_mean(errors)), before, _mean(guard.best)
+        reports.append(RoundReport(FITTED, len(errors), rate, *psnrs, share, seconds))
+        if share < 1:
+            descent.begin(best)
+            rate *= SHORTER if share else SHORTEST
+        if rate < LEAST * parameters.rate and not share:
+            stop = RefitStop.OPTIMUM
             break
-    return _finish(small, best, deciding, before, tuple(reports), stop)
+    improved = any(report.share for report in reports)
+    notes = () if improved else ("nothing helped on the validation views: the model is unchanged",)
+    outcome = Outcome(
+        guard.reports(),
+        _mean(guard.before),
+        _mean(guard.best),
+        improved,
+        tuple(reports),
+        stop,
+        notes,
+    )
+    return store(best, small) if improved else small, outcome
+
+
+def _furthest(guard: Guard, best: State, state: State) -> tuple[State, float]:
+    """The state furthest on the way from the best to another that is better, and its share."""
+    for share in SHARES:
+        between = state.copy() if share == 1 else best.towards(state, share)
+        if guard.accepts(between):
+            return between, share
+    return best, 0.0
 
 
 def _round(descent: Descent, rate: float, number: int, tell: Parts) -> list[float]:
@@ -85,24 +141,6 @@ def _round(descent: Descent, rate: float, number: int, tell: Parts) -> list[floa
         tell(i, total)
         errors.append(descent.step(rate, i / total))
     return errors
-
-
-def _finish(
-    small: Splats,
-    best: State,
-    deciding: Sequence[Target],
-    before: float,
-    reports: tuple[RoundReport, ...],
-    stop: RefitStop,
-) -> tuple[Splats, Outcome]:
-    """The guard at the end measures the model that is handed out, rounded as it is stored."""
-    result = store(best, small)
-    after = _mean([squared_error(prepare(result), target) for target in deciding])
-    improved = after < before
-    notes = () if improved else ("nothing helped on the validation views: the model is unchanged",)
-    if not improved:
-        result, after = small, before
-    return result, Outcome(_psnr(before), _psnr(after), improved, reports, stop, notes)
 
 
 def _mean(values: Sequence[float]) -> float:

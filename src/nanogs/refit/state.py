@@ -40,6 +40,19 @@ class State:
         """The same numbers in arrays of their own."""
         return State(*(getattr(self, field.name).copy() for field in fields(self)))
 
+    def towards(self, other: "State", share: float) -> "State":
+        """The state a share of the way to another one that came of it, in [0, 1]."""
+        quats = self.quats + share * (_facing(other.quats, self.quats) - self.quats)
+        quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+        return State(
+            means=self.means + share * (other.means - self.means),
+            log_scales=self.log_scales + share * (other.log_scales - self.log_scales),
+            quats=quats,
+            logits=self.logits + share * (other.logits - self.logits),
+            sh=self.sh + np.float32(share) * (other.sh - self.sh),
+            touched=other.touched.copy(),
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Active:
@@ -104,3 +117,9 @@ def store(state: State, splats: Splats) -> Splats:
         column[rows] = values[rows]
         stored[name] = column
     return replace(splats, **stored)
+
+
+def _facing(quats: F64, others: F64) -> F64:
+    """(N, 4) the same rotations by that one of q and -q which is nearer to the other."""
+    dots = np.einsum("ni,ni->n", quats, others)[:, None]
+    return np.where(dots < 0, -quats, quats)

@@ -25,10 +25,12 @@ class Target:
         camera: The camera.
         image: (H, W, 4) uint16, the colours as a screen shows them over black, and alpha; 65535
             for 1: half the memory of float32, and more levels than any screen has.
+        footprint: Width of a pixel at the median depth of what is seen, scene units.
     """
 
     camera: Camera
     image: U16
+    footprint: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +50,13 @@ class Pull:
 
 def make_target(original: PreparedSplats, camera: Camera) -> Target:
     """Render the original from a camera."""
-    rendering = render(original, camera)
+    rendering = render(original, camera, depth=True)
     image = np.dstack([np.clip(rendering.color, 0, 1), rendering.alpha])
-    return Target(camera, np.rint(image * np.float32(65535)).astype(np.uint16))
+    fixed = np.rint(image * np.float32(65535)).astype(np.uint16)
+    assert rendering.depth is not None  # noqa: S101 - asked for
+    seen = rendering.depth[rendering.alpha > 0.5 * rendering.alpha.max()]
+    depth = float(np.median(seen)) if seen.size else math.inf
+    return Target(camera, fixed, depth / max(camera.fx, camera.fy))
 
 
 def _blend(model: PreparedSplats, camera: Camera) -> tuple[Projection, F32, F32]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.progress import Parts, each
+from nanogs.refit.groups import Group, grouped, hold_out
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.targets import Target, make_target
 from nanogs.render.camera import Camera, spread
@@ -22,8 +23,8 @@ def view_targets(
     cameras: Sequence[Camera] | None,
     parameters: RefitParameters,
     tell: Parts,
-) -> tuple[list[Target], list[Target]]:
-    """Views to fit to, and views that decide.
+) -> tuple[list[Target], list[Group]]:
+    """Views to fit to, and views that decide, in groups by picture size and distance.
 
     Raises:
         OptionError: There are fewer than two cameras.
@@ -38,11 +39,10 @@ def view_targets(
             "The original is seen in fewer than two views; choose other cameras or let them be "
             "found."
         )
-    count = min(parameters.validation, max(1, len(targets) // 4))
-    deciding = spread(range(len(targets)), count)
-    held = [targets[i] for i in deciding]
+    deciding = hold_out(grouped(targets), parameters.validation)
+    held = [target for group in deciding for target in group.targets]
     _refuse_elsewhere(small, held)
-    return [target for i, target in enumerate(targets) if i not in deciding], held
+    return [target for target in targets if target not in held], deciding
 
 
 def _cameras(
