@@ -99,6 +99,7 @@ def _server(_process, _early):
         child = subprocess.Popen(
             [sys.executable, SERVER, str(theirs.fileno())], pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
+            env=dict(os.environ),  # without what C libraries of this process have set
         )  # fmt: skip
 
     def end():

@@ -10,6 +10,7 @@ import select
 import signal
 import socket
 import sys
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
@@ -115,7 +116,8 @@ if __name__ == "__main__":
     for package in PACKAGES:
         every_module(package)
     for name in OTHERS:
-        import_module(name)
+        with suppress(ImportError):  # as libraries of other versions have it
+            import_module(name)
     gc.freeze()  # so that forks share it
     if serve(socket.socket(fileno=int(sys.argv[1]))):
         run()
