@@ -18,7 +18,7 @@ from nanogs.simplify.presets import PRESETS, parameters
 
 def run(*arguments, **environment):
     clean = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "NO_COLOR", "COLUMNS")}
-    return launch.run(*arguments, env=clean | environment, timeout=60)
+    return launch.run(*arguments, env=clean | environment)
 
 
 @pytest.mark.parametrize(
