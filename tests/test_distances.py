@@ -13,7 +13,7 @@ from nanogs.render.camera import Camera
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.views import automatic_cameras
 from nanogs.simplify.extent import ANCHORS, FARTHEST, Dilation, dilation
-from nanogs.simplify.growth import blocked
+from nanogs.simplify.growth import area_growths, blocked, widen
 from nanogs.simplify.nodes import NEARER, activate_nodes, footprints, gather
 from nanogs.simplify.store import store_groups
 from nanogs.splats import RenderMode, Splats, concatenate
@@ -175,6 +175,24 @@ def test_coverage_is_conserved_between_a_near_and_a_far_view():
     assert near > 1 > far
     sums = [covered(leaves.covariances, 0.5, p) for p in (pixel / NEARER, pixel)]
     assert np.dot([near, far], sums) == pytest.approx(sum(sums), rel=0.01)
+
+
+def test_axes_grow_to_what_is_blocked_but_for_the_thinnest():
+    """Opaque ones at one place: u of 20 layers would grow to Ein(20) = 3.57 areas."""
+    splats = random_splats(1).take(np.zeros(20, np.int64))
+    splats.log_scales[:] = np.log([2, 0.1, 1])
+    splats.quats[:] = [1, 0, 0, 0]
+    splats.opacity_logits[:] = 40
+    leaves = activate_nodes(splats, np.arange(20), np.zeros(3), same_pixel(0.0))
+    labels = np.zeros(20, np.int32)
+    merged = gather(leaves, labels, 1)
+    areas = footprints(merged.covariances, 0.0)
+    for growth, factor in ((3.0, 3.5731), (1.25, 1.25**2), (1.0, 1.0)):
+        larger = area_growths(merged, leaves, labels, areas, growth, sheets=False)
+        assert larger == pytest.approx([factor], rel=1e-4)
+    scales = np.float32([[2, 0.1, 1], [1, 1, 1]])
+    widen(scales, np.array([4.0, 1.0]))
+    assert scales == pytest.approx(np.array([[4, 0.1, 2], [1, 1, 1]]))
 
 
 # Scenes

@@ -390,17 +390,17 @@ def test_a_group_that_all_leave_is_filled_again():
 # Choice
 
 
-# Three balances, the best of them reassigned, then the best of these four grown by 1.3, 1.6 and
-# 2.0 until one does not gain half a decibel.
+# Three balances, the best of them reassigned, then the best of these four grown by 1.5, 1.8 and
+# 2.1 until one does not gain half a decibel.
 @pytest.mark.parametrize(("qualities", "usual", "growths", "winner"), [
-    ([10, 30, 20, 25, 0], 1, [1.3], 1),
-    ([10, 20, 30, 35, 30], 3, [1.3], 3),
-    ([30, 30, 20, 30, 0], 0, [1.3], 0),
-    ([1, 2, 3, 2.9, 0], 2, [1.3], 2),
-    ([10, 30, 20, 25, 30.5], 1, [1.3], 1),
-    ([10, 30, 20, 25, 30.6, 31], 1, [1.3, 1.6], 4),
-    ([10, 20, 30, 35, 36, 37, 37], 3, [1.3, 1.6, 2.0], 5),
-    ([10, 20, 30, 35, 36, 37, 38], 3, [1.3, 1.6, 2.0], 6),
+    ([10, 30, 20, 25, 0], 1, [1.5], 1),
+    ([10, 20, 30, 35, 30], 3, [1.5], 3),
+    ([30, 30, 20, 30, 0], 0, [1.5], 0),
+    ([1, 2, 3, 2.9, 0], 2, [1.5], 2),
+    ([10, 30, 20, 25, 30.5], 1, [1.5], 1),
+    ([10, 30, 20, 25, 30.6, 31], 1, [1.5, 1.8], 4),
+    ([10, 20, 30, 35, 36, 37, 37], 3, [1.5, 1.8, 2.1], 5),
+    ([10, 20, 30, 35, 36, 37, 38], 3, [1.5, 1.8, 2.1], 6),
 ])  # fmt: skip
 def test_the_best_judged_is_chosen_and_marked_once(qualities, usual, growths, winner):
     regrouped, scores = [], iter(qualities)

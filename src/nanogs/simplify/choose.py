@@ -11,7 +11,7 @@ from nanogs.splats import Splats
 BALANCES = (0.5, 1.0)  # one between them is hardly ever better than both
 # Tried in turn after the usual one, as long as that helps clearly: thin opaque shells want more,
 # where merged splats would let light through at grazing angles.
-GROWTHS = (1.3, 1.6, 2.0)
+GROWTHS = (1.5, 1.8, 2.1)
 GROWTH_MARGIN = 0.5  # dB that a growth has to gain: a few small views judge it roughly
 SSIM_WORTH = 50.0  # dB of PSNR that a whole unit of SSIM is worth: 0.02 counts as one dB
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import exp1
 
-from nanogs._types import F64, I32
+from nanogs._types import F32, F64, I32
 from nanogs.kernels.sheets import sheet_growths
 from nanogs.simplify.blocks import blocks
 from nanogs.simplify.nodes import Nodes, member_lists
@@ -32,10 +32,10 @@ def blocked(coverages: F64, areas: F64) -> F64:
     return areas * shares
 
 
-def grown(
+def area_growths(
     merged: Nodes, leaves: Nodes, labels: I32, areas: F64, growth: float, *, sheets: bool
 ) -> F64:
-    """(G, 6) float64: covariances, larger where even an opaque splat would block too little.
+    """(G,) float64: how much larger each group has to be for an opaque splat to block enough.
 
     What has to be blocked is what members do (`blocked`) that count in proportion to how visible
     they are, (sum w)² / (sum w²/a) for weights w and coverages a: all of them where all are seen
@@ -60,7 +60,19 @@ def grown(
     if sheets:
         most = growth_on_sheets(merged, leaves, labels, 1.0)
         np.maximum(factors, np.clip(wanted / areas, 1.0, most**2), out=factors)
-    return merged.covariances * factors[:, None]
+    return factors
+
+
+def widen(scales: F32, larger: F64) -> None:
+    """Lengthen the two longer axes of splats, in place: a surface grows and becomes no thicker.
+
+    Args:
+        scales: (G, 3) float32, scene units.
+        larger: (G,) float64, of their product.
+    """
+    factors = np.repeat(np.sqrt(larger)[:, None], 3, axis=1)
+    factors[np.arange(len(scales)), np.argmin(scales, axis=1)] = 1.0
+    scales *= factors.astype(np.float32)
 
 
 def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32, growth: float) -> F64:

@@ -70,8 +70,9 @@ class ForestParameters:
             what is merged must cover as much there and four times as near.
         hidden: Weight of a splat that no view sees over that of one in full sight, above 0; 1
             weighs all alike.
-        growth: Most that a merged splat's axes may grow where an opaque one would cover too little;
-            where nothing is measured, pieces of flat sheets grow by what they need, up to 1.8.
+        growth: Most that a merged splat's two longer axes may grow where an opaque one would cover
+            too little; where nothing is measured, pieces of flat sheets grow by what they need, up
+            to 1.8.
         measure: Render the original: weigh splats by what is seen of them, and choose between
             results by how they look.
         recolour: Fit the mean colours of the result to views of the original, where these are
@@ -86,7 +87,7 @@ class ForestParameters:
     rounds: int = 2
     pixels: float = 512.0
     hidden: float = 0.01
-    growth: float = 1.2
+    growth: float = 1.25
     measure: bool = True
     recolour: bool = True
     refit: bool = False

@@ -9,7 +9,7 @@ from nanogs.kernels.nodes import principal_axes
 from nanogs.simplify.blocks import blocks
 from nanogs.simplify.extent import Dilation
 from nanogs.simplify.gaussians import LEAST_ALPHA, LEAST_SCALE
-from nanogs.simplify.growth import blocked, grown
+from nanogs.simplify.growth import area_growths, blocked, widen
 from nanogs.simplify.nodes import Nodes, footprints, gather, stored_order
 from nanogs.splats import Splats
 
@@ -29,8 +29,8 @@ def store_groups(
     """Stored values of groups, in the order of their dominant members in the input.
 
     alpha = min(1, blocked / footprint): as much light is stopped as was (`growth.blocked`). Where
-    that asks for more than an opaque splat, it grows (`grown`). A group of one gets the input's
-    bytes back; a larger one takes its extra columns from its dominant member.
+    that asks for more than an opaque splat, it grows (`area_growths`). A group of one gets the
+    input's bytes back; a larger one takes its extra columns from its dominant member.
 
     Args:
         leaves: (M) nodes, one for each splat.
@@ -51,8 +51,9 @@ def store_groups(
     scales = np.empty((np.count_nonzero(new), 3), np.float32)
     quats = np.empty((len(scales), 4), np.float32)
     areas = footprints(merged.covariances, dilation.at(merged.means))
-    covariances = grown(merged, leaves, labels, areas, growth, sheets=sheets)[new]
-    principal_axes(covariances, scales, quats)
+    principal_axes(merged.covariances[new], scales, quats)
+    larger = area_growths(merged, leaves, labels, areas, growth, sheets=sheets)[new]
+    widen(scales, larger)
     alphas = blocked(merged.coverages[new], areas[new]) / areas[new]
     alphas = np.clip(alphas, LEAST_ALPHA, MOST_OPAQUE)
     stored = replace(splats, sh=splats.sh[:, :1]).take(sources)
