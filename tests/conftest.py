@@ -43,16 +43,14 @@ def scene(splats, tmp_path_factory):
 @pytest.fixture(scope="module")
 def small_views():
     """Presets that render and fit do so with few and small views."""
-    # Here and not above: this brings Numba, which the tests of reading and writing do without.
-    from nanogs.refit.parameters import RefitParameters
-    from nanogs.simplify import forest_pipeline, presets, visibility
+    from nanogs.simplify import presets
 
     few = {
-        name: replace(chosen, views=2) if isinstance(chosen, presets.ForestParameters) else chosen
+        name: replace(chosen, views=2, view_size=32, steps=min(chosen.steps, 2))
+        if isinstance(chosen, presets.ForestParameters)
+        else chosen
         for name, chosen in presets.PRESETS.items()
     }
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(presets, "PRESETS", few)
-        patch.setattr(visibility, "SIZE", 32)
-        patch.setattr(forest_pipeline, "REFIT", RefitParameters(views=2, steps=2, size=32))
         yield

@@ -12,7 +12,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from launch import run
-from nanogs.cli.simplify_report import choice_text, recolour_text
+from nanogs.cli.simplify_report import choice_text, refit_text
 
 
 def assert_refused(result, *words):
@@ -120,10 +120,10 @@ def test_a_psnr_is_reached_or_it_is_said(scene, tmp_path):
 
 
 @pytest.mark.slow
-def test_refit_reaches_the_method(scene, tmp_path):
-    options = ("-r", "0.1", "--preset", "fast", "--refit", "--json")
+def test_steps_reach_the_method(scene, tmp_path):
+    options = ("-r", "0.1", "--preset", "fast", "--steps", "6", "--json")
     report = json.loads(run("simplify", scene, tmp_path / "a.ply", *options).stdout)
-    assert report["parameters"]["refit"] is True
+    assert report["parameters"]["steps"] == 6
     assert report["refit"]["psnr_after"] >= report["refit"]["psnr_before"]
 
 
@@ -236,14 +236,11 @@ def test_the_summary_names_the_candidate_that_was_chosen():
     assert choice_text([]) == ""
 
 
-def test_the_summary_says_what_fitting_the_colours_gained():
-    gains = {"psnr_before": 20.0, "psnr_after": 20.456, "ssim_before": 0.5, "ssim_after": 0.6}
-    text = recolour_text(gains | {"kept": True})
-    assert text == "fitted to views of the original, +0.46 dB on others"
-    assert recolour_text(gains | {"kept": False, "psnr_after": 19.9}) == (
-        "as merged; fitted, they are -0.10 dB on views that the fit has not seen"
-    )
-    assert recolour_text(None) == ""
+def test_the_summary_says_what_fitting_gained():
+    fitted = {"psnr_before": 20.0, "psnr_after": 20.456, "stop": "rounds"}
+    text = refit_text(fitted)
+    assert text == "20.00 to 20.46 dB on the views that decide, stopped by: rounds"
+    assert refit_text(None) == ""
 
 
 def modules_after(*arguments):
@@ -398,7 +395,7 @@ def test_missing_file_and_directory_and_unknown_format(tmp_path):
         (["--ratio", "0.5", "--preset", "papr"], "papr"),
         (["--ratio", "0.5", "--tau", "2"], "tau"),
         (["--ratio", "0.5", "--preset", "paper", "--tau", "2"], "tau"),
-        (["--ratio", "0.5", "--preset", "paper", "--refit"], "refit"),
+        (["--ratio", "0.5", "--preset", "paper", "--steps", "6"], "steps"),
         (["--ratio", "0.5", "--preset", "paper", "--views", "4"], "views"),
         (["--ratio", "0.5", "--preset", "fast", "--cameras", "orbit"], "--cameras"),
         (["--ratio", "0.5", "--size", "5MB"], "exactly one"),

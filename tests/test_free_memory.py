@@ -523,12 +523,12 @@ def test_a_plan_in_blocks_names_no_views(scene, tmp_path, little, capsys):
     assert "views" not in said
     assert command(*given, "--json") == 0
     parameters = json.loads(capsys.readouterr().out)["parameters"]
-    assert (parameters["measure"], parameters["recolour"]) == (False, False)
+    assert (parameters["measure"], parameters["steps"]) == (False, 0)
 
 
-def test_presets_that_render_nothing_fit_no_colours(capsys):
+def test_presets_that_render_nothing_fit_nothing(capsys):
     assert command("presets", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["fast"]["recolour"] is False
+    assert json.loads(capsys.readouterr().out)["fast"]["steps"] == 0
 
 
 @pytest.mark.parametrize("more", [[], ["--dry-run"]])

@@ -12,7 +12,6 @@ from nanogs.compare.comparison import NamedModel, compare_models
 from nanogs.compare.held_out import held_out
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import encoded_bytes, ply_write, registry
-from nanogs.refit.parameters import RefitParameters
 from nanogs.render.views import automatic_cameras
 from nanogs.report import StopReason
 from nanogs.simplify import forest_pipeline
@@ -230,14 +229,11 @@ def test_the_search_for_a_size_is_refused_what_the_fewest_exceed():
 # PSNR
 
 
-@pytest.mark.parametrize(
-    ("preset", "overrides"), [("fast", {}), ("default", {}), ("fast", {"refit": True})]
-)
-def test_the_result_reaches_the_psnr_and_is_that_of_its_count(
-    splats, preset, overrides, monkeypatch
-):
-    few = RefitParameters(views=3, steps=2, rounds=1, size=48)
-    monkeypatch.setattr(forest_pipeline, "REFIT", few)  # a fit for every probe
+FEW = {"steps": 4, "views": 4, "view_size": 48}  # a fit for every probe
+
+
+@pytest.mark.parametrize(("preset", "overrides"), [("fast", {}), ("default", FEW), ("fast", FEW)])
+def test_the_result_reaches_the_psnr_and_is_that_of_its_count(splats, preset, overrides):
     asked = 24.0
     small, report = nanogs.simplify(splats, psnr=asked, preset=preset, **overrides)
     assert report.stop is StopReason.TARGET
@@ -271,7 +267,7 @@ def test_a_psnr_out_of_reach_delivers_the_whole_model_soon(splats):
     assert report.probes[-1].count == 594
     assert all(probe.psnr < 100 for probe in report.probes)
     assert len(report.probes) <= 3
-    # Where a quick result is far from it, none is chosen among others, coloured and fitted.
+    # Where a quick result is far from it, none is chosen among others and fitted.
     best = nanogs.simplify(splats, psnr=120, preset="best")[1]
     assert best.stop is StopReason.UNREACHED
     assert best.refit is None

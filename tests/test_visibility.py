@@ -46,21 +46,34 @@ def test_weights_of_hidden_splats_are_a_hundredth():
     assert weights == pytest.approx([2.0, 1.01, 0.02])
 
 
-def test_the_original_is_judged_as_perfect_and_every_second_view_judges():
+def test_the_original_is_judged_as_perfect_and_one_view_in_six_decides():
     splats = box_with_something_inside()
     views = visibility.look(splats, count=12)
-    assert [view.camera.name for view in views.judging] == [f"fit_{i:03}" for i in range(0, 12, 2)]
-    assert [view.camera.name for view in views.other] == [f"fit_{i:03}" for i in range(1, 12, 2)]
-    assert visibility.judge(splats, views) == (100.0, pytest.approx(1.0))
+    names = [f"fit_{i:03}" for i in range(12)]
+    assert [view.camera.name for view in views.deciding] == [names[3], names[9]]
+    assert [view.camera.name for view in views.fitting] == names[:3] + names[4:9] + names[10:]
+    psnr, ssim = visibility.judge(splats, views)
+    assert psnr > 95  # views are kept as 16 bits a channel
+    assert ssim == pytest.approx(1.0)
     assert visibility.judge(splats.take(np.arange(100)), views)[0] < 30
 
 
 def test_the_users_cameras_are_the_ones_looked_through():
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=1000, height=500)
-    views = visibility.look(splats, cameras)
-    assert {(view.camera.width, view.camera.height) for view in views.all} == {(256, 128)}
-    assert {view.image.shape for view in views.all} == {(128, 256, 3)}
+    views = visibility.look(splats, cameras, size=256)
+    both = views.deciding + views.fitting
+    assert {(view.camera.width, view.camera.height) for view in both} == {(256, 128)}
+    assert {view.image.shape for view in both} == {(128, 256, 4)}
+    assert len(both) == 3
+
+
+def test_a_lone_view_decides_and_nothing_is_fitted():
+    splats = random_splats(300)
+    assert len(visibility.look(splats, count=1).deciding) == 1
+    _, report = nanogs.simplify(splats, ratio=0.5, views=1)
+    assert report.refit is None
+    assert any("not fitted" in note for note in report.notes)
 
 
 def test_hidden_splats_are_merged_first():

@@ -74,26 +74,6 @@ class CandidateReport:
 
 
 @dataclass(frozen=True, slots=True)
-class RecolourReport:
-    """What fitting the mean colours of the chosen result gained.
-
-    Attributes:
-        psnr_before: Mean over the small views that candidates are chosen by, dB; not what `compare`
-            measures.
-        ssim_before: Mean over these views.
-        psnr_after: The same after a step on the other views, dB.
-        ssim_after: The same after it.
-        kept: Whether it was kept, and followed by a step on the views that judge.
-    """
-
-    psnr_before: float
-    ssim_before: float
-    psnr_after: float
-    ssim_after: float
-    kept: bool
-
-
-@dataclass(frozen=True, slots=True)
 class ProbeReport:
     """A count that was tried on the way to an asked PSNR.
 
@@ -169,7 +149,6 @@ class SimplifyReport:
         threads: Threads used.
         candidates: What was rendered to choose the result, in the order tried; none where the
             method does not measure.
-        recolour: What fitting its mean colours gained, or None where that was not tried.
         refit: What fitting the result to the original gained (see `nanogs.refit`), or None.
         notes: What else the user should know, one sentence each.
         asked_size: The largest size of the file asked for, bytes, or None.
@@ -199,7 +178,6 @@ class SimplifyReport:
     total_seconds: float
     threads: int
     candidates: tuple[CandidateReport, ...] = ()
-    recolour: RecolourReport | None = None
     refit: RefitReport | None = None
     notes: tuple[str, ...] = ()
     asked_size: int | None = None

@@ -28,7 +28,7 @@ ABLATIONS = (
     "default:rounds=0",
     "default:lambda_app=0",
     "default:k=16",
-    "default:recolour=false",
+    "default:steps=0",
     "fast",
     "fast:balance=0",
     "fast:balance=1",

@@ -80,7 +80,7 @@ def lod(
     lambda_app: method.LambdaApp = None,
     balance: method.Balance = None,
     rounds: method.Rounds = None,
-    refit: method.Refit = False,
+    steps: method.Steps = None,
     tau: method.Tau = None,
     samples: method.Samples = None,
     seed: method.Seed = None,
@@ -116,7 +116,7 @@ def lod(
 
     overrides: dict[str, Any] = {
         "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,
-        "refit": refit or None, "views": views, "tau": tau, "samples": samples, "seed": seed,
+        "steps": steps, "views": views, "tau": tau, "samples": samples, "seed": seed,
         "lambda_geo": lambda_geo, "merge_cap": merge_cap,
     }  # fmt: skip
     # Whatever can be refused is refused before minutes of computing.

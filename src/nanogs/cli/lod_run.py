@@ -19,7 +19,7 @@ from nanogs.cli.simplify_report import (
     choice_text,
     describe_plan,
     print_divided,
-    recolour_text,
+    refit_text,
     show_plan,
     warn_of_input,
 )
@@ -160,7 +160,7 @@ def _details(report: dict[str, Any]) -> dict[str, str]:
     rows = {
         "passes": f"{len(report['passes'])}" if report["passes"] else "",
         "chosen": choice_text(report["candidates"]),
-        "colours": recolour_text(report["recolour"]),
+        "fitted": refit_text(report["refit"]),
         "stages (s)": stages,
     }
     return {f"  {name}": text for name, text in rows.items() if text}

@@ -49,11 +49,13 @@ DryRun = Annotated[
     bool,
     typer.Option("--dry-run", help="Say what would be done and how much memory it takes."),
 ]
-Refit = Annotated[
-    bool,
+Steps = Annotated[
+    int | None,
     typer.Option(
-        "--refit",
-        help="Fit the result to renders of the original (on in best).",
+        "--steps",
+        min=0,
+        help="Steps of fitting the result to renders of the original; 0 fits nothing.",
+        show_default="24, 160 in best",
         rich_help_panel=_FOREST,
     ),
 ]
@@ -63,7 +65,7 @@ Views = Annotated[
         "--views",
         min=1,
         help="Views of the original to render.",
-        show_default="12",
+        show_default="24, 38 in best",
         rich_help_panel=options.VIEWS,
     ),
 ]

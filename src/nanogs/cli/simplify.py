@@ -66,7 +66,7 @@ def simplify(
     lambda_app: method.LambdaApp = None,
     balance: method.Balance = None,
     rounds: method.Rounds = None,
-    refit: method.Refit = False,
+    steps: method.Steps = None,
     tau: method.Tau = None,
     samples: method.Samples = None,
     seed: method.Seed = None,
@@ -94,7 +94,7 @@ def simplify(
 
     overrides: dict[str, Any] = {
         "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,
-        "refit": refit or None, "views": views, "tau": tau, "samples": samples, "seed": seed,
+        "steps": steps, "views": views, "tau": tau, "samples": samples, "seed": seed,
         "lambda_geo": lambda_geo, "merge_cap": merge_cap,
     }  # fmt: skip
     # Whatever can be refused is refused here, before minutes of computing.

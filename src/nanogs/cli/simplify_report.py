@@ -246,8 +246,7 @@ def _print_details(run: dict[str, Any]) -> None:
         "passes": f"{len(run['passes'])}, stopped by: {run['stop']}" if run["passes"] else "",
         "blocks": _blocks_text(run["blocks"]),
         "chosen": choice_text(run["candidates"]),
-        "colours": recolour_text(run["recolour"]),
-        "refit": _refit_text(run["refit"]),
+        "fitted": refit_text(run["refit"]),
         "probes": f"{counted(len(run['probes']), 'count')} tried" if run["probes"] else "",
         "size": _size_text(run),
         "time": f"{run['total_seconds']:.2f} s on {run['threads']} threads",
@@ -317,17 +316,8 @@ def choice_text(candidates: list[dict[str, Any]]) -> str:
     return f"{what} of {len(candidates)} tried{lead}: {shown}"
 
 
-def recolour_text(recolour: dict[str, Any] | None) -> str:
-    """What fitting the colours gained, and whether it was kept."""
-    if recolour is None:
-        return ""
-    gain = recolour["psnr_after"] - recolour["psnr_before"]
-    if not recolour["kept"]:
-        return f"as merged; fitted, they are {gain:+.2f} dB on views that the fit has not seen"
-    return f"fitted to views of the original, {gain:+.2f} dB on others"
-
-
-def _refit_text(refit: dict[str, Any] | None) -> str:
+def refit_text(refit: dict[str, Any] | None) -> str:
+    """What fitting gained on the views that decide, and why it ended."""
     if refit is None:
         return ""
     before, after = refit["psnr_before"], refit["psnr_after"]

@@ -2,13 +2,13 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from nanogs.bar import drawn
 from nanogs.errors import ModelError
 from nanogs.io.models import Model, as_splats
-from nanogs.progress import Progress, Tracker
+from nanogs.progress import Parts, Progress, Tracker
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import RefitReport
 from nanogs.refit.stages import refit_stages
@@ -16,6 +16,7 @@ from nanogs.report import StageClock
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
+    from nanogs.refit.targets import Target
     from nanogs.render.camera import Camera
 
 
@@ -61,7 +62,6 @@ def refit(
     _refuse_unusable(large, "original")
     _refuse_unusable(given, "small")
     # Here and not above: these bring Numba, which `--help` does without.
-    from nanogs.refit.rounds import fit
     from nanogs.refit.views import view_targets
     from nanogs.render.lens import lens_notes
     from nanogs.threads import use_threads
@@ -72,12 +72,46 @@ def refit(
         with clock.time("targets"):
             fitting, deciding = view_targets(large, given, cameras, chosen, tracker.part)
         tracker.begin("fit")
-        with clock.time("fit"):
-            fitted, outcome = fit(given, fitting, deciding, chosen, tracker.part)
+        fitted, report = fit_to_views(
+            given, fitting, deciding, chosen, len(large), threads_used, tracker.part
+        )
         tracker.finish()
+    return fitted, replace(
+        report,
+        seconds=clock.seconds | report.seconds,
+        total_seconds=time.perf_counter() - begin,
+        notes=(*lens_notes(cameras or ()), *report.notes),
+    )
+
+
+def fit_to_views(
+    small: Splats,
+    fitting: Sequence["Target"],
+    deciding: Sequence["Target"],
+    parameters: RefitParameters,
+    original_count: int,
+    threads: int,
+    tell: Parts,
+) -> tuple[Splats, RefitReport]:
+    """Fit a small model to views that are rendered already.
+
+    Args:
+        small: The model.
+        fitting: Views of the original to fit to, at least one.
+        deciding: Others, which decide what is kept, at least one.
+        parameters: See `RefitParameters`.
+        original_count: Splats of the original, for the report.
+        threads: Threads in use, for the report.
+        tell: Told of the steps made.
+    """
+    from nanogs.refit.rounds import fit
+
+    clock = StageClock()
+    with clock.time("fit"):
+        fitted, outcome = fit(small, fitting, deciding, parameters, tell)
     report = RefitReport(
-        parameters=asdict(chosen),
-        original_count=len(large),
+        parameters=asdict(parameters),
+        original_count=original_count,
         count=len(fitted),
         fit_views=tuple(target.camera.name for target in fitting),
         validation_views=tuple(name for group in outcome.groups for name in group.views),
@@ -88,9 +122,9 @@ def refit(
         rounds=outcome.rounds,
         stop=outcome.stop,
         seconds=clock.seconds,
-        total_seconds=time.perf_counter() - begin,
-        threads=threads_used,
-        notes=(*lens_notes(cameras or ()), *outcome.notes),
+        total_seconds=sum(clock.seconds.values()),
+        threads=threads,
+        notes=outcome.notes,
     )
     return fitted, report
 

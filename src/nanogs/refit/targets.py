@@ -8,7 +8,7 @@ import numpy as np
 from nanogs._types import F32, F64, U16
 from nanogs.kernels import backward, pulls
 from nanogs.render.camera import Camera
-from nanogs.render.rasterize import PreparedSplats, Projection, blend, project, render
+from nanogs.render.rasterize import PreparedSplats, Projection, Rendering, blend, project, render
 
 # Viewers show a model over any background. Over black and white alike the mean squared error of
 # a pixel with errors dc in its colours and da in its alpha is, for each channel,
@@ -50,7 +50,11 @@ class Pull:
 
 def make_target(original: PreparedSplats, camera: Camera) -> Target:
     """Render the original from a camera."""
-    rendering = render(original, camera, depth=True)
+    return as_target(render(original, camera, depth=True), camera)
+
+
+def as_target(rendering: Rendering, camera: Camera) -> Target:
+    """What a rendering of the original over black, with its depth, shows."""
     image = np.dstack([np.clip(rendering.color, 0, 1), rendering.alpha])
     fixed = np.rint(image * np.float32(65535)).astype(np.uint16)
     assert rendering.depth is not None  # noqa: S101 - asked for

@@ -67,14 +67,17 @@ class ScalePlan:
         return replace(self, memory=memory, scratch=self.scratch + cost.scratch)
 
 
+SHORT = ForestParameters().steps  # of a fit that is left out where nothing is rendered
+
+
 def can_do_without_renders(parameters: Parameters) -> TypeGuard[ForestParameters]:
-    """Whether a method can be done in blocks at all."""
-    return isinstance(parameters, ForestParameters) and not parameters.refit
+    """Whether a method can be done in blocks at all: not where a long fit is what was asked for."""
+    return isinstance(parameters, ForestParameters) and parameters.steps <= SHORT
 
 
 def in_blocks(parameters: ForestParameters) -> ForestParameters:
     """The parameters that blocks are simplified with: nothing is rendered."""
-    return replace(parameters, measure=False, recolour=False, refit=False)
+    return replace(parameters, measure=False, steps=0)
 
 
 def plan_blocks(

@@ -49,11 +49,7 @@ def requested_cameras(
     """
     if not isinstance(chosen, ForestParameters):
         return None
-    from nanogs.simplify.stages import REFIT
-
-    # Looking takes as many of them as it wants, and reduces them; a refit wants more.
-    count = max(chosen.views, REFIT.views + REFIT.held if chosen.refit else 0)
-    return fit_cameras(splats, source, up, count, REFIT.size)
+    return fit_cameras(splats, source, up, chosen.views, chosen.view_size)
 
 
 def refuse_unused_views(preset: str, chosen: Parameters, *, given: bool) -> None:

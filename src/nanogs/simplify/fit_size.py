@@ -202,11 +202,11 @@ def fit_size(
         forest = build.forest
         return search_fit(bytes_of, size, guess, forest.fewest, forest.splats, enough, leaps)
 
-    parameters = replace(build.parameters, refit=False)
+    parameters = replace(build.parameters, steps=0)
     progress.begin("search")
     found = search(replace(build, views=None, parameters=parameters), SIZES, guess)
     probes = found.probes
-    if build.views is not None or build.parameters.refit:
+    if build.views is not None:
         best.clear()
         progress.begin("deliver")
         found = search(build, RESULTS, found.count, ENOUGH * min(size, found.bytes))

@@ -1,4 +1,4 @@
-"""The default method, stage by stage: look, grow, cut, reassign, choose, recolour.
+"""The default method, stage by stage: look, grow, cut, reassign, choose, fit.
 
 `docs/method.md` says why.
 """
@@ -11,11 +11,11 @@ import numpy as np
 from nanogs._types import F64, I32
 from nanogs.errors import ModelError
 from nanogs.progress import Tracker
-from nanogs.refit.api import refit
+from nanogs.refit.api import fit_to_views
 from nanogs.refit.report import RefitReport
 from nanogs.render.camera import Camera
 from nanogs.render.lens import lens_notes
-from nanogs.report import CandidateReport, RecolourReport, StageClock, StopReason
+from nanogs.report import CandidateReport, StageClock, StopReason
 from nanogs.simplify.choose import BALANCES, Candidate, choose_model
 from nanogs.simplify.cut import cut
 from nanogs.simplify.extent import Dilation, dilation
@@ -24,15 +24,13 @@ from nanogs.simplify.nodes import (
     Nodes,
     activate_nodes,
     normalised,
-    stored_order,
     without_coverages,
 )
 from nanogs.simplify.order import morton_order
 from nanogs.simplify.outcome import Outcome
-from nanogs.simplify.presets import USUAL_BALANCE, ForestParameters
+from nanogs.simplify.presets import USUAL_BALANCE, ForestParameters, renders
 from nanogs.simplify.reassign import reassign
-from nanogs.simplify.recolour import recolour
-from nanogs.simplify.stages import REFIT
+from nanogs.simplify.stages import fit_parameters
 from nanogs.simplify.store import store_groups
 from nanogs.simplify.tree import Forest, grow_forest
 from nanogs.simplify.visibility import OriginalViews, judge, look, visible_weights
@@ -80,11 +78,11 @@ def build_forest(
     """Look at the model, weigh its splats by what is seen of them, and grow their forest."""
     notes: tuple[str, ...] = ()
     views = None
-    if parameters.measure:
+    if renders(parameters):
         progress.begin("look")
         with clock.time("look"):
             try:
-                views = look(splats, cameras, parameters.views, progress.part)
+                views = look(splats, cameras, parameters.views, parameters.view_size, progress.part)
                 notes = tuple(lens_notes(cameras or ()))
             except ModelError as error:
                 notes = (f"Nothing was measured: {error}",)
@@ -102,7 +100,7 @@ def build_forest(
     def leaves() -> Nodes:
         with clock.time("activate"):
             nodes = activate_nodes(splats, rows, origin, added)
-            if views is None:
+            if views is None or not parameters.measure:
                 return nodes
             weights = visible_weights(nodes.coverages, views.visible[rows], parameters.hidden)
             return replace(nodes, weights=normalised(weights))
@@ -128,51 +126,42 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Tracker) -> 
         whole = build.splats.take(np.sort(build.leaves.rows))
         stop = StopReason.TARGET if groups == target else forest.stop
         return Outcome(whole, forest.passes, stop, notes=build.notes)
-    if build.views is None:
-        small = _group(build, groups, clock, progress)
-        candidates: tuple[CandidateReport, ...] = ()
-        recoloured = None
-    else:
+    candidates: tuple[CandidateReport, ...] = ()
+    if build.views is not None and build.parameters.measure:
         progress.begin("choose")
         with clock.time("choose"):
             chosen, candidates = _choose(build, groups, build.views, progress)
-        small, recoloured = chosen.model, None
-        if build.parameters.recolour:
-            progress.begin("recolour")
-            with clock.time("recolour"):
-                small, recoloured = _recolour(build, chosen, build.views, progress)
+        small = chosen.model
+    else:
+        small = _group(build, groups, clock, progress)
     fitted, notes = None, build.notes
-    if build.parameters.refit:
-        with clock.time("refit"):
-            small, fitted, unfitted = _fit(build, small, progress)
+    if build.views is not None and build.parameters.steps:
+        progress.begin("fit")
+        with clock.time("fit"):
+            small, fitted, unfitted = _fit(build, small, build.views, progress)
             notes += unfitted
     return Outcome(
         splats=small,
         passes=forest.passes,
         stop=StopReason.TARGET if groups == target else forest.stop,
         candidates=candidates,
-        recolour=recoloured,
         refit=fitted,
         notes=notes,
     )
 
 
 def _fit(
-    build: Build, small: Splats, progress: Tracker
+    build: Build, small: Splats, views: OriginalViews, progress: Tracker
 ) -> tuple[Splats, RefitReport | None, tuple[str, ...]]:
     """The fitted model, or the same one and why it cannot be fitted."""
-    try:
-        fitted, report = refit(
-            build.splats,
-            small,
-            cameras=build.cameras,
-            parameters=REFIT,
-            threads=build.threads,
-            progress=progress.passing(),
-        )
-        return fitted, report, ()
-    except ModelError as error:  # nothing visible, or a handful of splats that are hardly seen
-        return small, None, (f"The result was not fitted: {error}",)
+    if not views.fitting:
+        return small, None, ("The result was not fitted: one view cannot tell what helps.",)
+    chosen = fit_parameters(build.parameters)
+    fitted, report = fit_to_views(
+        small, views.fitting, views.deciding, chosen, len(build.splats), build.threads,
+        progress.part,
+    )  # fmt: skip
+    return fitted, report, ()
 
 
 def _group(build: Build, groups: int, clock: StageClock, progress: Tracker) -> Splats:
@@ -198,15 +187,6 @@ def _choose(
         build.parameters.growth,
         progress.part,
     )
-
-
-def _recolour(
-    build: Build, chosen: Candidate, views: OriginalViews, progress: Tracker
-) -> tuple[Splats, RecolourReport | None]:
-    """The chosen model with its colours fitted, where that brings it nearer."""
-    _, _, merged = stored_order(build.leaves, chosen.labels, len(chosen.model))
-    before = chosen.report.psnr, chosen.report.ssim
-    return recolour(chosen.model, merged, views, before, progress.part)
 
 
 def _regroup(build: Build, labels: I32, groups: int) -> I32:

@@ -155,7 +155,6 @@ class Job:
             total_seconds=time.perf_counter() - start,
             threads=threads,
             candidates=outcome.candidates,
-            recolour=outcome.recolour,
             refit=outcome.refit,
             notes=(*self.splats.notes, *outcome.notes),
         )

@@ -2,9 +2,9 @@
 
 from nanogs.compare.protocol import PIXELS, VIEWS
 from nanogs.simplify.blocks import BLOCK_PAIRS
-from nanogs.simplify.presets import ForestParameters
+from nanogs.simplify.presets import ForestParameters, renders
 
-_F4, _F8, _I4, _I8 = 4, 8, 4, 8
+_F2, _F4, _F8, _I4, _I8 = 2, 4, 8, 4, 8
 _BARE = _F8 + 3 * _F8 + 6 * _F8 + _I4  # weights, means, covariances, row: what growing needs
 _NODE = _BARE + _F8  # and coverages
 _MIXED = _I4 + 2 * _F8  # of a pair of splats, whose features are theirs: second row and shares
@@ -21,8 +21,8 @@ _PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rast
 _DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
 _SHARES = 5 * _F8 + _TILES * _F4  # of every splat in a view and in all
 _GROUPS = 12  # see `reassign.NEIGHBOURS`
-_FIT_VIEWS, _FIT_PIXELS, _FIT_TILES = 38, 512 * 512, 6  # see `forest_pipeline.REFIT`
-_FIT_SUMS = 10 + 55 + 1  # of each splat in double precision, twice, beside its colour
+_FIT_TILES = 6  # as above, of a larger view of the result
+_CURVATURES = (55 + 1) * _F4 + _I4  # of a splat that is fitted, and how many views it was in
 
 
 def forest_stages(
@@ -46,16 +46,16 @@ def forest_stages(
         target: Splats in the largest result.
         judged: Whether results are held against the original on views held out.
     """
-    looked = parameters.measure
+    looked = renders(parameters)
     drawn = looked or judged
     kept = count * (_I4 + (_F8 if looked else 0))  # which rows are used, what is visible of each
     kept += _IMAGES if judged else 0
+    kept += parameters.views * parameters.view_size**2 * 4 * _F2 if looked else 0
     leaves = kept + count * _NODE  # their features are the model's
     forest = leaves + count * _MERGE
     best = target * row if drawn else 0  # of those tried before
     draw = target * (_PREPARED + _DRAWN) if drawn else 0
     labels = 2 * count * _I4 if looked else count * _I4
-    fitted = 8 * _F8 + 4 * _TILES * _F4 + features if parameters.measure else 0
     stages = {
         "measure": _IMAGES + count * (_I4 + _PREPARED + _DRAWN) if judged else 0,
         "look": count * (_I4 + _PREPARED + _DRAWN + _SHARES) if looked else 0,
@@ -66,8 +66,7 @@ def forest_stages(
         if parameters.rounds
         else 0,
         "store": forest + labels + best + target * row + max(draw, _store(count, target)),
-        "recolour": forest + labels + best + target * row + draw + target * fitted if fitted else 0,
-        "refit": forest + _refit(count, target, features) if parameters.refit else 0,
+        "fit": forest + best + _fit(target, features) if parameters.steps else 0,
     }
     return leaves, {stage: held for stage, held in stages.items() if held}
 
@@ -127,9 +126,8 @@ def _store(count: int, target: int) -> int:
     return count * (2 * _I4 + _I8) + target * (_NODE + 2 * 6 * _F8 + 7 * _F4 + 3 * _I8)
 
 
-def _refit(count: int, target: int, features: int) -> int:
-    images = _FIT_VIEWS * _FIT_PIXELS * 4 * 2
-    drawing = count * (_PREPARED + _DRAWN + 8 * _F8)
-    state = 2 * (11 * _F8 + features) + 2 * (_FIT_SUMS * _F8 + 2 * features)
-    pulls = 25 * _F8 + _FIT_TILES * 25 * _F4 + 10 * _F8 + 2 * features
-    return images + max(drawing, target * (_PREPARED + _DRAWN + features + state + pulls))
+def _fit(target: int, features: int) -> int:
+    """The state and the best one so far, what is drawn of it, and a view's pulls and curvatures."""
+    state = 2 * (11 * _F8 + features + 1)
+    pulls = 25 * _F8 + _FIT_TILES * 25 * _F4 + _I8
+    return target * (_PREPARED + 12 * _F4 + _DRAWN + features + state + pulls + _CURVATURES)

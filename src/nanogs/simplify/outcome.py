@@ -8,7 +8,6 @@ from nanogs.report import (
     CandidateReport,
     PassReport,
     ProbeReport,
-    RecolourReport,
     SizeProbeReport,
     StopReason,
 )
@@ -26,7 +25,6 @@ class Outcome:
     prune_threshold: float = 0.0
     prune_limited: bool = False
     candidates: tuple[CandidateReport, ...] = ()
-    recolour: RecolourReport | None = None
     refit: RefitReport | None = None
     notes: tuple[str, ...] = ()
     judged: Judged | None = None

@@ -75,10 +75,9 @@ class ForestParameters:
             to 1.8.
         measure: Render the original: weigh splats by what is seen of them, and choose between
             results by how they look.
-        recolour: Fit the mean colours of the result to views of the original, where these are
-            rendered.
-        refit: Fit the result to renders of the original.
-        views: Views of the original to render, where it is.
+        steps: Of fitting the result to the original, each on one view; 0 fits nothing.
+        views: Views of the original to render, where it is; one in six of them decides.
+        view_size: Pixels along the longer side of a view.
     """
 
     k: int = 8
@@ -89,9 +88,9 @@ class ForestParameters:
     hidden: float = 0.01
     growth: float = 1.25
     measure: bool = True
-    recolour: bool = True
-    refit: bool = False
-    views: int = 12
+    steps: int = 24
+    views: int = 24
+    view_size: int = 640
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
@@ -102,7 +101,9 @@ class ForestParameters:
         _require(0 < self.pixels < math.inf, "pixels", self.pixels, "above 0, and finite")
         _require(0 < self.hidden <= 1, "hidden", self.hidden, "above 0, at most 1")
         _require(1 <= self.growth < math.inf, "growth", self.growth, "1 or more, and finite")
+        _require(self.steps >= 0, "steps", self.steps, "0 or more")
         _require(self.views >= 1, "views", self.views, "at least 1")
+        _require(16 <= self.view_size <= 8192, "view_size", self.view_size, "16 to 8192 pixels")
 
 
 Parameters: TypeAlias = PaperParameters | ForestParameters
@@ -116,16 +117,16 @@ def _require(ok: bool, name: str, value: float, expected: str) -> None:
 PRESETS: Mapping[str, Parameters] = MappingProxyType(
     {
         "default": ForestParameters(),
-        "fast": ForestParameters(rounds=0, measure=False, recolour=False),
-        "best": ForestParameters(refit=True),
+        "fast": ForestParameters(rounds=1, measure=False, steps=0),
+        "best": ForestParameters(steps=160, views=38, view_size=768),
         "paper": PaperParameters(),
     }
 )
 """The parameters of each preset, by its name; `nanogs.presets`."""
 SUMMARIES: Mapping[str, str] = {
-    "default": "one merge forest; the cut that looks most like the original, its colours fitted",
+    "default": "one merge forest; the cut that looks most like the original, fitted a little",
     "fast": "the same forest, one cut, nothing rendered",
-    "best": "default, then fitted to renders of the original; takes 4 to 9 times as long",
+    "best": "default with more and larger views, fitted at length; takes 4 to 9 times as long",
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
@@ -176,14 +177,12 @@ def refuse_search(preset: str, wish: str) -> None:
 
 def effective(chosen: Parameters) -> dict[str, Any]:
     """The parameters that have an effect, by name: without views, none that is about views."""
-    unused = {"hidden", "recolour"} if isinstance(chosen, ForestParameters) else set()
-    if renders(chosen):
-        unused = set()
-    elif unused:
-        unused.add("views")
+    unused: set[str] = set()
+    if isinstance(chosen, ForestParameters) and not renders(chosen):
+        unused = {"hidden", "steps", "views", "view_size"}
     return {name: value for name, value in dataclasses.asdict(chosen).items() if name not in unused}
 
 
 def renders(chosen: Parameters) -> bool:
     """Whether a method looks at views of the original."""
-    return isinstance(chosen, ForestParameters) and (chosen.measure or chosen.refit)
+    return isinstance(chosen, ForestParameters) and (chosen.measure or chosen.steps > 0)

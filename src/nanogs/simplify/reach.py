@@ -220,7 +220,7 @@ def reach_psnr(
     guess, slope = round(GUESS * build.forest.splats), None
     probes: tuple[ProbeReport, ...] = ()
     progress.begin("search")
-    if build.views is not None or build.parameters.refit:
+    if build.views is not None:
         near = search(_quick(build), guess, quick=True)
         probes, guess, slope = near.probes, near.count, near.slope
         best.clear()
@@ -235,8 +235,8 @@ def reach_psnr(
 
 
 def _quick(build: Build) -> Build:
-    """The build of plain cuts: nothing is reassigned, chosen, coloured or fitted."""
-    parameters = replace(build.parameters, measure=False, rounds=0, refit=False)
+    """The build of plain cuts: nothing is reassigned, chosen or fitted."""
+    parameters = replace(build.parameters, measure=False, rounds=0, steps=0)
     return replace(build, views=None, parameters=parameters)
 
 

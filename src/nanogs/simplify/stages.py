@@ -10,10 +10,10 @@ from nanogs.compare.protocol import VIEWS
 from nanogs.progress import Stage
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.stages import refit_stages
-from nanogs.simplify.presets import ForestParameters, PaperParameters, Parameters
+from nanogs.simplify.presets import ForestParameters, PaperParameters, Parameters, renders
 from nanogs.simplify.target import Goal
 
-REFIT = RefitParameters(views=32, steps=32)  # half of what `nanogs refit` takes
+ROUND = 32  # steps of the fit, about: what each of its rounds makes
 SIZES, RESULTS = 4, 2  # files that a search for a size writes: of plain cuts, and of results
 COUNTS = 4  # that a search for a PSNR tries, of plain cuts and again of results
 _MILLION = 1e6
@@ -40,12 +40,12 @@ def simplify_stages(
         quick = 0.1 + 0.4 * splats / _MILLION
         stages = [measure_stage(splats), *build_stages(parameters, splats)]
         stages.append(Stage("search", COUNTS * quick))
-        if parameters.measure or parameters.refit:
+        if renders(parameters):
             stages.append(Stage("deliver", COUNTS * (weight + 0.1)))
         return stages
     writing = write_weight(suffix, typical)
     search = [Stage("search", SIZES * (writing + 0.3 * splats / _MILLION))]
-    if parameters.measure or parameters.refit:
+    if renders(parameters):
         search.append(Stage("deliver", RESULTS * (writing + weight)))
     return [Stage("guess", writing / 5), *build_stages(parameters, splats), *search]
 
@@ -67,7 +67,7 @@ def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
     if isinstance(parameters, PaperParameters):
         return []  # it does all of it for each
     millions = splats / _MILLION
-    look = [_look(parameters, splats)] if parameters.measure else []
+    look = [_look(parameters, splats)] if renders(parameters) else []
     return [*look, Stage("activate", 0.35 * millions), Stage("grow", 3 * millions)]
 
 
@@ -78,11 +78,23 @@ def delivery_stages(parameters: Parameters, splats: int, count: int) -> list[Sta
     all_of_them, left = splats / _MILLION, count / _MILLION
     if parameters.measure:
         stages = [Stage("choose", 0.05 + 1.3 * all_of_them + 7.5 * left)]
-        stages += [Stage("recolour", 0.05 + 2.3 * left)] if parameters.recolour else []
     else:
         moved = 3 * parameters.rounds
         stages = [Stage("cut", (0.1 + moved) * all_of_them), Stage("store", 0.2 * all_of_them)]
-    return stages + (refit_stages(REFIT, splats, count) if parameters.refit else [])
+    if parameters.steps:
+        stages.append(refit_stages(fit_parameters(parameters), splats, count)[-1])
+    return stages
+
+
+def fit_parameters(parameters: ForestParameters) -> RefitParameters:
+    """How a result is fitted that has been chosen."""
+    rounds = max(1, round(parameters.steps / ROUND))
+    return RefitParameters(
+        views=parameters.views,
+        size=parameters.view_size,
+        rounds=rounds,
+        steps=-(-parameters.steps // rounds),
+    )
 
 
 def _published_stages(splats: int) -> list[Stage]:
@@ -112,4 +124,5 @@ def _sum(stages: list[Stage]) -> float:
 
 
 def _look(parameters: ForestParameters, splats: int) -> Stage:
-    return Stage("look", parameters.views * (0.01 + 0.12 * splats / _MILLION))
+    pixels = (parameters.view_size / 512) ** 2
+    return Stage("look", parameters.views * (0.03 * pixels + 0.12 * splats / _MILLION))
