@@ -501,7 +501,7 @@ def test_the_need_is_about_what_is_taken(two_models, given, need):
     [
         ({"preset": "default"}, True, True),
         ({"preset": "default", "rounds": 0}, True, False),
-        ({"preset": "default", "measure": False}, False, False),
+        ({"preset": "default", "measure": False, "steps": 0}, False, False),
         ({"preset": "fast"}, False, False),
     ],
 )

@@ -50,11 +50,12 @@ def test_the_original_is_judged_as_perfect_and_one_view_in_six_decides():
     splats = box_with_something_inside()
     views = visibility.look(splats, count=12)
     names = [f"fit_{i:03}" for i in range(12)]
-    assert [view.camera.name for view in views.deciding] == [names[3], names[9]]
+    [group] = views.deciding
+    assert [view.camera.name for view in group.targets] == [names[3], names[9]]
     assert [view.camera.name for view in views.fitting] == names[:3] + names[4:9] + names[10:]
     psnr, ssim = visibility.judge(splats, views)
-    assert psnr > 95  # views are kept as 16 bits a channel
-    assert ssim == pytest.approx(1.0)
+    assert psnr > 57  # views are kept as 8 bits a channel
+    assert ssim > 0.999
     assert visibility.judge(splats.take(np.arange(100)), views)[0] < 30
 
 
@@ -62,7 +63,7 @@ def test_the_users_cameras_are_the_ones_looked_through():
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=1000, height=500)
     views = visibility.look(splats, cameras, size=256)
-    both = views.deciding + views.fitting
+    both = [*views.deciding[0].targets, *views.fitting]
     assert {(view.camera.width, view.camera.height) for view in both} == {(256, 128)}
     assert {view.image.shape for view in both} == {(128, 256, 4)}
     assert len(both) == 3

@@ -65,7 +65,7 @@ Views = Annotated[
         "--views",
         min=1,
         help="Views of the original to render.",
-        show_default="24, 38 in best",
+        show_default="20, 38 in best",
         rich_help_panel=options.VIEWS,
     ),
 ]

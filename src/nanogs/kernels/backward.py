@@ -18,7 +18,7 @@ quadratic with these blocks lies above the true one (the separable surrogates of
 
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64, U16
+from nanogs._types import F32, F64, I32, I64, U8
 from nanogs.kernels.blocks import BATCH, LANES, SHAPE, TILE, mark_blocks, open_blocks
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.pulls import CHANNELS, SUMS, pull_blocks
@@ -42,7 +42,7 @@ def weigh_pixels(
     start: int,
     stop: int,
     image: F32,
-    wanted: U16,
+    wanted: U8,
     white: float,
     alpha_scale: float,
     residual: F32,
@@ -57,7 +57,7 @@ def weigh_pixels(
         start: First row of the range.
         stop: The row after its last.
         image: (H, W, 4) blended colours less `white`, and alpha times `alpha_scale`.
-        wanted: (H, W, 4) colours over black and alpha, 65535 for 1.
+        wanted: (H, W, 4) colours over black and alpha, 255 for 1.
         white: Share of white in the background that errors are taken over.
         alpha_scale: Weight of an error in alpha.
         residual: (H, W, 4) out, wanted change of the image.
@@ -69,13 +69,13 @@ def weigh_pixels(
         total = 0.0
         for x in range(width):
             alpha = image[y, x, 3] / alpha_scale
-            change = wanted[y, x, 3] / 65535.0 - alpha
+            change = wanted[y, x, 3] / 255.0 - alpha
             precision[y, x] = alpha
             residual[y, x, 3] = change * alpha_scale
             total += change * change * alpha_scale * alpha_scale
             for c in range(3):
                 colour = min(image[y, x, c] + white * alpha, 1.0)
-                error = wanted[y, x, c] / 65535.0 - colour - white * change
+                error = wanted[y, x, c] / 255.0 - colour - white * change
                 residual[y, x, c] = error
                 total += error * error
         errors[y] = total

@@ -16,6 +16,7 @@ from nanogs.report import StageClock
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
+    from nanogs.refit.groups import Group
     from nanogs.refit.targets import Target
     from nanogs.render.camera import Camera
 
@@ -87,7 +88,7 @@ def refit(
 def fit_to_views(
     small: Splats,
     fitting: Sequence["Target"],
-    deciding: Sequence["Target"],
+    deciding: Sequence["Group"],
     parameters: RefitParameters,
     original_count: int,
     threads: int,
@@ -98,7 +99,7 @@ def fit_to_views(
     Args:
         small: The model.
         fitting: Views of the original to fit to, at least one.
-        deciding: Others, which decide what is kept, at least one.
+        deciding: Groups of others, which decide what is kept, at least one.
         parameters: See `RefitParameters`.
         original_count: Splats of the original, for the report.
         threads: Threads in use, for the report.

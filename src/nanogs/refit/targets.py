@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs._types import F32, F64, U16
+from nanogs._types import F32, F64, U8
 from nanogs.kernels import backward, pulls
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import PreparedSplats, Projection, Rendering, blend, project, render
@@ -23,13 +23,13 @@ class Target:
 
     Attributes:
         camera: The camera.
-        image: (H, W, 4) uint16, the colours as a screen shows them over black, and alpha; 65535
-            for 1: half the memory of float32, and more levels than any screen has.
+        image: (H, W, 4) uint8, the colours as a screen shows them over black, and alpha; 255 for 1:
+            a quarter of the memory of float32.
         footprint: Width of a pixel at the median depth of what is seen, scene units.
     """
 
     camera: Camera
-    image: U16
+    image: U8
     footprint: float
 
 
@@ -56,7 +56,7 @@ def make_target(original: PreparedSplats, camera: Camera) -> Target:
 def as_target(rendering: Rendering, camera: Camera) -> Target:
     """What a rendering of the original over black, with its depth, shows."""
     image = np.dstack([np.clip(rendering.color, 0, 1), rendering.alpha])
-    fixed = np.rint(image * np.float32(65535)).astype(np.uint16)
+    fixed = np.rint(image * np.float32(255)).astype(np.uint8)
     assert rendering.depth is not None  # noqa: S101 - asked for
     seen = rendering.depth[rendering.alpha > 0.5 * rendering.alpha.max()]
     depth = float(np.median(seen)) if seen.size else math.inf

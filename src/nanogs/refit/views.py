@@ -64,7 +64,7 @@ def _refuse_elsewhere(small: Splats, targets: Sequence[Target]) -> None:
     shared = total = 0.0
     for target in targets:
         alpha = render(prepared, target.camera).alpha
-        wanted = target.image[..., 3] / np.float32(65535)
+        wanted = target.image[..., 3] / np.float32(255)
         shared += float(np.minimum(alpha, wanted).sum(dtype=np.float64))
         total += float(wanted.sum(dtype=np.float64))
     if shared < OVERLAP * total:

@@ -4,7 +4,7 @@ from nanogs.compare.protocol import PIXELS, VIEWS
 from nanogs.simplify.blocks import BLOCK_PAIRS
 from nanogs.simplify.presets import ForestParameters, renders
 
-_F2, _F4, _F8, _I4, _I8 = 2, 4, 8, 4, 8
+_F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _BARE = _F8 + 3 * _F8 + 6 * _F8 + _I4  # weights, means, covariances, row: what growing needs
 _NODE = _BARE + _F8  # and coverages
 _MIXED = _I4 + 2 * _F8  # of a pair of splats, whose features are theirs: second row and shares
@@ -21,7 +21,7 @@ _PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rast
 _DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
 _SHARES = 5 * _F8 + _TILES * _F4  # of every splat in a view and in all
 _GROUPS = 12  # see `reassign.NEIGHBOURS`
-_FIT_TILES = 6  # as above, of a larger view of the result
+_FIT_TILES = 2  # that a splat of the result lies in, of a view of 576 pixels
 _CURVATURES = (55 + 1) * _F4 + _I4  # of a splat that is fitted, and how many views it was in
 
 
@@ -50,7 +50,7 @@ def forest_stages(
     drawn = looked or judged
     kept = count * (_I4 + (_F8 if looked else 0))  # which rows are used, what is visible of each
     kept += _IMAGES if judged else 0
-    kept += parameters.views * parameters.view_size**2 * 4 * _F2 if looked else 0
+    kept += parameters.views * parameters.view_size**2 * 4 if looked else 0
     leaves = kept + count * _NODE  # their features are the model's
     forest = leaves + count * _MERGE
     best = target * row if drawn else 0  # of those tried before
@@ -118,7 +118,7 @@ def _growing(count: int, features: int, k: int) -> dict[str, int]:
 
 def _reassign(count: int, target: int, features: int) -> int:
     merged = target * (_NODE + features + 7 * _F8 + _GROUPS * _I4 + _TREE + _I8)
-    return merged + count * (_I4 + 3 * _F8 + _F8 // 2)
+    return merged + count * (_I4 + 2 * _F8 + _F8 // 2)
 
 
 def _store(count: int, target: int) -> int:
@@ -127,7 +127,8 @@ def _store(count: int, target: int) -> int:
 
 
 def _fit(target: int, features: int) -> int:
-    """The state and the best one so far, what is drawn of it, and a view's pulls and curvatures."""
-    state = 2 * (11 * _F8 + features + 1)
-    pulls = 25 * _F8 + _FIT_TILES * 25 * _F4 + _I8
-    return target * (_PREPARED + 12 * _F4 + _DRAWN + features + state + pulls + _CURVATURES)
+    """The state and where it began, what is drawn of it, and a view's pulls and curvatures."""
+    state = features + 2 * 11 * _F8 + 2 + 22 * _F4  # and as the rasteriser reads it
+    drawn = 8 * _F8 + 8 * _F4 + 2 * _I8
+    pulls = 25 * _F8 + _FIT_TILES * (25 * _F4 + _I4)
+    return target * (state + drawn + pulls + _CURVATURES)

@@ -89,8 +89,8 @@ class ForestParameters:
     growth: float = 1.25
     measure: bool = True
     steps: int = 24
-    views: int = 24
-    view_size: int = 640
+    views: int = 20
+    view_size: int = 560
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""

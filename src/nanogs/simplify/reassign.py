@@ -62,12 +62,15 @@ def _one_round(leaves: Nodes, labels: I32, groups: int, threads: int) -> I32:
 
 
 def _refill(labels: I32, misfits: F64, groups: int) -> None:
-    """Give every empty group the worst fitting splat of a group that keeps others; in place."""
+    """Give every empty group the worst fitting splat of a group that keeps others; in place.
+
+    The misfits are negated.
+    """
     sizes = np.bincount(labels, minlength=groups)
     empty = np.flatnonzero(sizes == 0)
     if len(empty) == 0:
         return
-    worst = iter(np.argsort(-misfits, kind="stable"))
+    worst = iter(np.argsort(np.negative(misfits, out=misfits), kind="stable"))
     for group in empty:
         # There are at least as many splats as groups, so one is always left.
         row = next(row for row in worst if sizes[labels[row]] > 1)

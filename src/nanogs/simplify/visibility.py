@@ -38,8 +38,8 @@ class OriginalViews:
 def look(
     splats: Splats,
     cameras: Sequence[Camera] | None = None,
-    count: int = 24,
-    size: int = 640,
+    count: int = 20,
+    size: int = 560,
     tell: Parts = untold,
 ) -> OriginalViews:
     """Render the original once.
@@ -98,7 +98,7 @@ def judge(small: Splats, views: OriginalViews) -> tuple[float, float]:
     prepared = prepare(small)
     scores = []
     for view in (view for group in views.deciding for view in group.targets):
-        wanted = view.image[..., :3] / np.float32(65535)
+        wanted = view.image[..., :3] / np.float32(255)
         shown = render(prepared, view.camera).shown()
         grey = ssim(wanted @ LUMA, shown @ LUMA)
         scores.append((min(psnr(wanted, shown), 100.0), grey))
