@@ -121,7 +121,7 @@ def lod(
     }  # fmt: skip
     # Whatever can be refused is refused before minutes of computing.
     chosen = parameters(preset, overrides)
-    ratios = options.parse_ratios(levels or _LEVELS)
+    ratios = options.parse_ratios(_LEVELS if levels is None else levels)
     check_ratios(ratios)
     parts, target = _parts(paths, join=join)
     read = reading.parse_reading(
