@@ -18,7 +18,7 @@ from nanogs.kernels import backward, chain, pulls
 from nanogs.refit.descent import Descent
 from nanogs.refit.groups import grouped, hold_out
 from nanogs.refit.report import RefitStop
-from nanogs.refit.state import activate, start
+from nanogs.refit.state import activate, start, store
 from nanogs.refit.targets import ALPHA, WHITE, make_target, pull, squared_error
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import prepare, project
@@ -292,6 +292,26 @@ def test_rows_that_cannot_be_seen_keep_their_bytes():
     assert fitted.take(np.arange(2, len(small))).finite().all()
 
 
+@pytest.mark.parametrize("longest", [20.0, 40.0, 80.0])
+def test_needles_without_end_stay_numbers(longest):
+    """A splat whose step overflows is not drawn any more, which must not pass for a gain."""
+    original, small = cloud_pair()
+    small.log_scales[::3, 0] = longest
+    fitted, _ = refit(original, small, parameters=QUICK)
+    assert fitted.finite().all()
+
+
+def test_what_leaves_the_range_of_numbers_keeps_its_bytes():
+    _, small = cloud_pair()
+    state = start(small)
+    state.touched[:] = True
+    state.means[:] += 1
+    state.sh[0, 0, 1], state.means[1, 2] = np.nan, 1e39
+    stored, two = store(state, small), np.arange(2)
+    assert model_bytes(stored.take(two)) == model_bytes(small.take(two))
+    np.testing.assert_allclose(stored.means[2:], small.means[2:] + 1, atol=1e-6)
+
+
 @pytest.mark.parametrize("mode", [RenderMode.MIP, RenderMode.SURFEL])
 def test_other_render_modes_gain_too(mode):
     pair = [dataclasses.replace(model, render_mode=mode) for model in cloud_pair()]
@@ -422,6 +442,8 @@ def test_steps_follow_their_pull():
         {"views": 0},
         {"size": 3},
         {"rate": math.nan},
+        {"rate": 0.0},
+        {"floor": 0.0},
         {"damping": -1},
         {"seed": -1},
     ],

@@ -158,7 +158,7 @@ def advance_splats(
         seen[i] += 1
         touched[i] = True
         share = 1.0 / min(seen[i], memory)
-        weights[i] += np.float32(share * (weight - weights[i]))
+        weights[i] = weights[i] + share * (weight - weights[i])  # rounded last: never to 0
         excess = max(weight / weights[i], 1.0)
         for a in range(PACKED):
             blocks[i, a] += np.float32(share * (block[a] - blocks[i, a]))

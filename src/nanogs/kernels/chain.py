@@ -256,7 +256,7 @@ def damped_step(pull: F64, block: F64, damping: float, floor: float, limits: F64
         limits: (10 or more,) largest steps, above 0; a longer step is shortened as a whole.
 
     Returns:
-        Whether there is a step: not where nothing bends.
+        Whether there is a step: not where nothing bends, or where numbers are past all bounds.
     """
     largest = 0.0
     for a in range(SHAPE):
@@ -266,9 +266,12 @@ def damped_step(pull: F64, block: F64, damping: float, floor: float, limits: F64
     lower = np.empty((SHAPE, SHAPE))
     _factorise(block, damping, floor * largest, lower)
     _substitute(lower, pull)
-    excess = 1.0
+    excess, length = 1.0, 0.0
     for a in range(SHAPE):
         excess = max(excess, abs(pull[a]) / limits[a])
+        length += abs(pull[a])
+    if not length < math.inf:
+        return False
     for a in range(SHAPE):
         pull[a] /= excess
     return True

@@ -12,13 +12,15 @@ class RefitParameters:
 
     Attributes:
         views: Views of the original to fit to; of given cameras, at most so many.
-        validation: Further views that only decide what is accepted, at most; see `held`.
+        validation: Further views that only decide what is kept, at most; see `held`.
         size: Pixels along the longer side of a view; larger given cameras are reduced to it.
-        rounds: Rounds, each accepted only if it brings the validation views nearer.
+        rounds: Rounds at most; of each is kept what brings the validation views nearer.
         steps: Steps a round, each on one view.
-        rate: Length of the first steps, 1 for the whole way to the minimum of their quadratic.
+        rate: Length of the first steps, above 0; 1 for the whole way to the minimum of their
+            quadratic.
         damping: Share of each curvature added to it.
-        floor: Share of a splat's largest curvature added to all of its parameters of shape.
+        floor: Share of a splat's largest curvature added to all of its parameters of shape, above
+            0: what no view determines stays where it is.
         ridge: Pull of the base colour back to the input's, as a share of its weight.
         band_ridge: The same for the higher harmonics.
         seed: Order of the views.
@@ -54,7 +56,11 @@ class RefitParameters:
             raise OptionError(f"A view size is from 16 to 8192 pixels, not {self.size}.")
         if self.seed < 0:
             raise OptionError(f"seed must be 0 or more, not {self.seed}.")
-        for name in ("rate", "damping", "floor", "ridge", "band_ridge"):
+        for name in ("rate", "floor"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise OptionError(f"{name} must be a finite number above 0, not {value}.")
+        for name in ("damping", "ridge", "band_ridge"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise OptionError(f"{name} must be a finite number from 0 on, not {value}.")

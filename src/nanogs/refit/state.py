@@ -102,8 +102,11 @@ def activate(state: State, splats: Splats, finite: Bool) -> Active:
 
 
 def store(state: State, splats: Splats) -> Splats:
-    """The model with the state's parameters; rows that never moved keep their bytes."""
-    rows = state.touched
+    """The model with the state's parameters.
+
+    Rows that never moved keep their bytes, and so do those that left the range of float32: not
+    drawn at all, they could pass for a gain.
+    """
     columns: dict[str, Array] = {
         "means": state.means,
         "log_scales": state.log_scales,
@@ -111,6 +114,10 @@ def store(state: State, splats: Splats) -> Splats:
         "opacity_logits": state.logits,
         "sh": state.sh,
     }
+    rows = state.touched.copy()
+    for values in columns.values():
+        within = np.abs(values) <= np.finfo(np.float32).max
+        rows &= within.reshape(len(rows), -1).all(axis=1)
     stored: dict[str, Any] = {}
     for name, values in columns.items():
         column: Array = getattr(splats, name).copy()
