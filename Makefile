@@ -22,7 +22,7 @@ PYTHONS ?= 3.14
 TESTS ?= tests
 # What `make bounds` runs: whatever calls kernels, with small models.
 BOUNDS := $(patsubst %,tests/test_%.py,kernels extremes sheets forest knn spread raster blocks \
-	visibility recolour refit metrics simplify scale sog_write)
+	visibility distances refit metrics simplify scale sog_write)
 
 .PHONY: demo test bounds quick lint types check oracles floors newest docs dist clean help
 

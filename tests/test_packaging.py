@@ -37,6 +37,20 @@ def test_what_tests_skip_without_is_installed_by_a_target_of_make():
         assert "TORCH ?= torch==" in (ROOT / "Makefile").read_text()
 
 
+@pytest.mark.skipif(not (ROOT / "Makefile").exists(), reason="only in the repository")
+def test_files_that_make_names_are_there():
+    """`make bounds` ends at once where one is not."""
+    lines = (ROOT / "Makefile").read_text().replace("\\\n", " ").splitlines()
+    [names] = (line.partition("test_%.py,")[2] for line in lines if line.startswith("BOUNDS"))
+    missing = [
+        name
+        for name in names.rstrip(")").split()
+        if not (ROOT / "tests" / f"test_{name}.py").exists()
+    ]
+    assert names
+    assert missing == []
+
+
 def test_classifiers_name_the_pythons_that_are_allowed():
     lowest, end = re.fullmatch(r">=3\.(\d+),<3\.(\d+)", PROJECT["requires-python"]).groups()
     allowed = {f"Programming Language :: Python :: 3.{n}" for n in range(int(lowest), int(end))}
