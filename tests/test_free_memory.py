@@ -343,6 +343,39 @@ def test_defects_of_ours_are_not_taken_for_the_systems(error):
     assert sentence_of(error) is None
 
 
+def test_memory_that_runs_out_in_blocks_names_the_job_that_is_kept(
+    scene, tmp_path, little, monkeypatch, capsys
+):
+    out = tmp_path / "small.ply"
+    given = ["simplify", scene, out, "-r", "0.1", "--preset", "fast"]
+
+    def run_out(*_args, **_options):
+        raise MemoryError
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nanogs.scale.work.store_groups", run_out)
+        assert command(*given) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "error: Memory ran out; free some" in said
+    kept = tmp_path / "small.ply.job"
+    assert f"What is done is kept in {kept}: --resume goes on" in said
+    assert "another --max-memory." in said
+    assert command(*given, "--resume") == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["small.ply"]
+
+
+def test_memory_that_runs_out_before_a_job_is_begun_names_none(
+    scene, tmp_path, little, monkeypatch, capsys
+):
+    def run_out(*_args):
+        raise MemoryError
+
+    monkeypatch.setattr("nanogs.scale.job.open_scratch", run_out)
+    assert command("simplify", scene, tmp_path / "a.ply", "-r", "0.1", "--preset", "fast") == 2
+    assert ".job" not in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_memory_that_runs_out_halfway_leaves_nothing(scene, tmp_path, monkeypatch, capsys):
     import nanogs.io.ply_write
 

@@ -3,6 +3,8 @@
 import re
 import traceback
 
+from nanogs.cli.wording import with_options
+
 _REMEDY = (
     "free some, raise its limit (`ulimit`, the container), or let simplify and lod work in less"
     " with --max-memory"
@@ -14,7 +16,16 @@ def sentence_of(error: Exception) -> str | None:
 
     Args:
         error: What ended the command; what its frames held is given back first.
+
+    Returns:
+        That sentence, and what the library noted on the error.
     """
+    said = _reason(error)
+    notes = map(with_options, getattr(error, "__notes__", ()))
+    return said and " ".join([said, *notes])
+
+
+def _reason(error: Exception) -> str | None:
     if is_shortage(error):
         traceback.clear_frames(error.__traceback__)
         asked = re.search(r"Unable to allocate ([\d.]+ \w+)", str(error))  # as NumPy says it

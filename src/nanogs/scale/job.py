@@ -9,12 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nanogs.defaults import PATIENCE
-from nanogs.errors import OutputError
+from nanogs.errors import NanogsError, OutputError
 from nanogs.progress import WAITING, Progress, Tracker
 from nanogs.report import StageClock
 from nanogs.scale.cluster import connected, starting, threads_each
 from nanogs.scale.ending import Ending
-from nanogs.scale.folder import SCRATCH, forget, locked, read_manifest, write_manifest
+from nanogs.scale.folder import (
+    MANIFEST,
+    SCRATCH,
+    forget,
+    locked,
+    read_manifest,
+    write_manifest,
+)
 from nanogs.scale.run import Done, Executor, Here, job_stages, run_tasks
 from nanogs.scale.scratch import Scratch, is_url, open_scratch
 from nanogs.scale.settings import Settings, differences
@@ -108,7 +115,7 @@ class BlockJob:
             NanogsError: The job is another one, cannot be done, or is in use.
         """
         progress = Tracker(told, job_stages(self.settings))
-        with locked(self.folder):
+        with locked(self.folder), _telling_of(self.folder):
             place = self._found(resume=resume)
             resumed = place is not None
             with where.executor(progress) as executor, use_threads(where.threads) as threads:
@@ -173,6 +180,22 @@ class BlockJob:
         for left in self.folder.glob(".nanogs-*.tmp"):
             left.unlink(missing_ok=True)
         forget(self.folder)
+
+
+@contextmanager
+def _telling_of(folder: Path) -> Iterator[None]:
+    """Note on an error of the system, such as too little memory, that a job was kept."""
+    try:
+        yield
+    except NanogsError:
+        raise
+    except Exception as error:
+        if (folder / MANIFEST).exists():
+            error.add_note(
+                f"What is done is kept in {folder}: `resume=True` goes on from there; remove the"
+                " folder to begin anew, as with another `max_memory`."
+            )
+        raise
 
 
 def _above(place: str) -> str:
