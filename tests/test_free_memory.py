@@ -16,6 +16,7 @@ from nanogs.errors import NotEnoughMemoryError
 from nanogs.io.files import splat_bytes
 from nanogs.lod.levels import judged_levels
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, free_memory, process_memory
+from nanogs.simplify.presets import effective, parameters
 
 GB = 10**9
 COUNT = 60_000
@@ -231,6 +232,8 @@ def test_levels_that_do_not_fit_go_to_blocks(scene, tmp_path, little, capsys):
         (["-r", "0.1", "--views", "3"], "--views, --cameras or --up needs the whole model"),
         (["-r", "0.1", "--crop", "sphere:0,0,0,1"], "a filter needs the whole model"),
         (["-r", "0.1", "--preset", "paper"], "the preset paper needs the whole model"),
+        (["-r", "0.1", "--preset", "best"], "the preset best needs the whole model"),
+        (["-r", "0.1", "--steps", "50"], "a fit of 50 steps needs the whole model"),
     ],
 )
 def test_what_blocks_cannot_do_is_refused_at_once(scene, tmp_path, little, capsys, wish, said):
@@ -555,13 +558,27 @@ def test_a_plan_in_blocks_names_no_views(scene, tmp_path, little, capsys):
     assert "measure False" in said
     assert "views" not in said
     assert command(*given, "--json") == 0
-    parameters = json.loads(capsys.readouterr().out)["parameters"]
-    assert (parameters["measure"], parameters["steps"]) == (False, 0)
+    used = json.loads(capsys.readouterr().out)["parameters"]
+    assert (used["measure"], used["steps"]) == (False, 0)
 
 
 def test_presets_that_render_nothing_fit_nothing(capsys):
     assert command("presets", "--json") == 0
     assert json.loads(capsys.readouterr().out)["fast"]["steps"] == 0
+
+
+@pytest.mark.parametrize(
+    ("more", "named", "unnamed"),
+    [
+        ({}, set(), {"hidden", "steps", "views", "view_size"}),
+        ({"steps": 5}, {"steps", "views", "view_size"}, {"hidden"}),
+        ({"measure": True}, {"hidden", "steps", "views", "view_size"}, set()),
+    ],
+)
+def test_parameters_without_an_effect_are_not_named(more, named, unnamed):
+    shown = effective(parameters("fast", more)).keys()
+    assert named <= shown
+    assert not unnamed & shown
 
 
 @pytest.mark.parametrize("more", [[], ["--dry-run"]])

@@ -77,6 +77,13 @@ def test_a_lone_view_decides_and_nothing_is_fitted():
     assert any("not fitted" in note for note in report.notes)
 
 
+def test_the_report_of_the_fit_says_how_many_views_it_had():
+    _, report = nanogs.simplify(random_splats(300), ratio=0.5, views=8, view_size=48, steps=2)
+    said = report.refit.parameters
+    assert said["views"] == len(report.refit.fit_views) == 7
+    assert said["validation"] == len(report.refit.validation_views) == 1
+
+
 def test_hidden_splats_are_merged_first():
     """Of a box and a ball of as many splats inside it, the ball gives way."""
     box = box_with_something_inside()

@@ -12,7 +12,7 @@ from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.formatting import bytes_text
 from nanogs.io.collect import Pair
 from nanogs.memory import Memory, allowed_memory, process_memory
-from nanogs.scale.plan import can_do_without_renders
+from nanogs.scale.plan import can_do_without_renders, wish_to_render
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +207,7 @@ def refuse_whole_model_wishes(
         "--sh-degree": reduced,
         "--measure": measured,
         "a model in a pipe, which blocks cannot read or write,": blocks.piped,
-        f"the preset {plan.preset}": not can_do_without_renders(plan.parameters),
+        wish_to_render(plan.preset, plan.parameters): not can_do_without_renders(plan.parameters),
     }
     for wish, asked in wishes.items():
         if asked:

@@ -17,7 +17,13 @@ from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.folder import job_folder, read_manifest
-from nanogs.scale.plan import ScalePlan, can_do_without_renders, in_blocks, plan_blocks
+from nanogs.scale.plan import (
+    ScalePlan,
+    can_do_without_renders,
+    in_blocks,
+    plan_blocks,
+    wish_to_render,
+)
 from nanogs.scale.scratch import is_url
 from nanogs.scale.settings import Chunks, Settings
 from nanogs.scale.source import look_at, segments_of
@@ -56,8 +62,8 @@ def simplify_blocks(
     """Simplify files block by block, in bounded memory, here or on Dask workers.
 
     The result does not depend on where, in how many processes or in how many runs it was made; it
-    does depend on the size of the blocks. Nothing is rendered: `default` reassigns splats after the
-    cut, `fast` does not.
+    does depend on the size of the blocks. Nothing is rendered: `default` is `fast` with a second
+    round of reassignment after the cut.
 
     Args:
         inputs: A file, or several that are parts of one scene.
@@ -166,9 +172,10 @@ def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters
     """
     chosen = parameters(preset, overrides)
     if not can_do_without_renders(chosen):
+        wish = wish_to_render(preset, chosen)
         raise OptionError(
-            f"The preset {preset} needs the whole model in memory; use default or fast, or give it"
-            " more memory."
+            f"{wish[0].upper()}{wish[1:]} needs the whole model in memory; take default or fast as"
+            " they are, or give it more memory."
         )
     return chosen
 

@@ -13,7 +13,7 @@ from nanogs.simplify.target import Goal
 
 _UNRENDERED = (
     "The model was simplified block by block, so nothing was rendered: splats were not weighed by"
-    " what is seen of them, results not compared with views of the original, colours not fitted{}."
+    " what is seen of them, results neither compared with the original nor fitted to it{}."
     " Expect less quality than in memory, by up to 5 dB; more memory makes blocks needless."
 )
 _REASSIGNED = "; splats were reassigned after the cut"

@@ -14,7 +14,7 @@ from nanogs.scale.encoding import encoding_of
 from nanogs.scale.settings import MOST_SEEN, Chunks, Layout
 from nanogs.scale.unpack import Cost
 from nanogs.simplify.memory import plan_memory
-from nanogs.simplify.presets import ForestParameters, Parameters
+from nanogs.simplify.presets import PRESETS, ForestParameters, Parameters
 
 _MANY = 1_000_000
 _KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the making
@@ -73,6 +73,18 @@ SHORT = ForestParameters().steps  # of a fit that is left out where nothing is r
 def can_do_without_renders(parameters: Parameters) -> TypeGuard[ForestParameters]:
     """Whether a method can be done in blocks at all: not where a long fit is what was asked for."""
     return isinstance(parameters, ForestParameters) and parameters.steps <= SHORT
+
+
+def wish_to_render(preset: str, parameters: Parameters) -> str:
+    """Name what cannot be done without renders: the preset, or a longer fit than its own."""
+    own = PRESETS[preset]
+    if (
+        isinstance(parameters, ForestParameters)
+        and isinstance(own, ForestParameters)
+        and parameters.steps != own.steps
+    ):
+        return f"a fit of {parameters.steps} steps"
+    return f"the preset {preset}"
 
 
 def in_blocks(parameters: ForestParameters) -> ForestParameters:

@@ -156,7 +156,11 @@ def _fit(
     """The fitted model, or the same one and why it cannot be fitted."""
     if not views.fitting:
         return small, None, ("The result was not fitted: one view cannot tell what helps.",)
-    chosen = fit_parameters(build.parameters)
+    chosen = replace(
+        fit_parameters(build.parameters),
+        views=len(views.fitting),
+        validation=sum(len(group.targets) for group in views.deciding),
+    )
     fitted, report = fit_to_views(
         small, views.fitting, views.deciding, chosen, len(build.splats), build.threads,
         progress.part,

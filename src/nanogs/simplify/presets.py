@@ -75,7 +75,8 @@ class ForestParameters:
             to 1.8.
         measure: Render the original: weigh splats by what is seen of them, and choose between
             results by how they look.
-        steps: Of fitting the result to the original, each on one view; 0 fits nothing.
+        steps: Of fitting the result to the original, each on one view; a long fit is made in
+            rounds of about 32, so that it may take a few more; 0 fits nothing.
         views: Views of the original to render, where it is; one in six of them decides.
         view_size: Pixels along the longer side of a view.
     """
@@ -178,8 +179,8 @@ def refuse_search(preset: str, wish: str) -> None:
 def effective(chosen: Parameters) -> dict[str, Any]:
     """The parameters that have an effect, by name: without views, none that is about views."""
     unused: set[str] = set()
-    if isinstance(chosen, ForestParameters) and not renders(chosen):
-        unused = {"hidden", "steps", "views", "view_size"}
+    if isinstance(chosen, ForestParameters) and not chosen.measure:
+        unused = {"hidden"} if chosen.steps else {"hidden", "steps", "views", "view_size"}
     return {name: value for name, value in dataclasses.asdict(chosen).items() if name not in unused}
 
 
