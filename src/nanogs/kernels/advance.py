@@ -51,6 +51,16 @@ def _axes(quat: F64, axes: F32) -> None:
 
 
 @inline
+def _activate(log_scales: F64, quat: F64, axes: F32, scales: F32, factors: F32) -> None:
+    """Write a splat's axes, scales, and their products (see `advance_splats`)."""
+    _axes(quat, axes)
+    for k in range(3):
+        scales[k] = math.exp(log_scales[k])
+        for r in range(3):
+            factors[r, k] = axes[r, k] * scales[k]
+
+
+@inline
 def _recolour(
     sums: F64, shown: F32, basis: F64, bands: F64, bend: float, rate: float, given: F32, sh: F32
 ) -> None:
@@ -180,11 +190,7 @@ def advance_splats(
         least = min(limits[10], logits[i])
         logits[i] = min(max(logits[i] + rate * step[9], least), limits[11])
 
-        _axes(quats[i], axes[i])
-        for k in range(3):
-            scales[i, k] = math.exp(log_scales[i, k])
-            for r in range(3):
-                factors[i, r, k] = axes[i, r, k] * scales[i, k]
+        _activate(log_scales[i], quats[i], axes[i], scales[i], factors[i])
         opacity = 1.0 / (1.0 + math.exp(-logits[i]))
         opacities[i] = opacity
         keep[i] = opacity >= MIN_ALPHA
