@@ -15,13 +15,15 @@ _TREE = 3 * _F8 + _I4 + 12 + 1  # scaled centres and their rows, boxes, a flag
 _PAIRS_PER_NEIGHBOUR = 0.66
 _LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
 _CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the median, flags
-_TILES = 3  # tiles of a 256-pixel view that a splat lies in, on average at most
+_TILES = 3  # tiles of a view of 560 pixels that a splat lies in, on average: 2.3 to 3.2
 _IMAGES = VIEWS * PIXELS**2 * 3 * _F4  # of the original, that results are judged by
 _PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rasteriser reads them
 _DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
 _SHARES = 5 * _F8 + _TILES * _F4  # of every splat in a view and in all
 _GROUPS = 12  # see `reassign.NEIGHBOURS`
-_FIT_TILES = 2  # that a splat of the result lies in, of a view of 576 pixels
+# That a splat of the result lies in. In views of 560 pixels it is 3 to 8, of half and of a tenth of
+# the splats; what else is counted makes up for it, measured, and in larger views it does not.
+_FIT_TILES = 2
 _CURVATURES = (55 + 1) * _F4 + _I4  # of a splat that is fitted, and how many views it was in
 
 
