@@ -109,3 +109,23 @@ def test_nothing_visible_is_said_and_the_count_still_met():
     assert report.candidates == ()
     assert any(note.startswith("Nothing was measured: ") for note in report.notes)
     assert nanogs.simplify(splats, count=13, preset="fast")[1].notes == ()
+
+
+def test_some_of_the_views_that_are_found_may_roam():
+    splats = box_with_something_inside()
+    views = visibility.look(splats, count=5, size=48, near=2)
+    every = [view for group in views.deciding for view in group.targets] + list(views.fitting)
+    roaming = [view.camera for view in every if "roam" in view.camera.name]
+    assert len(every) == 5
+    assert {(camera.width, camera.height) for camera in roaming} == {(32, 32)}
+    assert len(roaming) == 2
+    assert views.notes == ()
+
+
+def test_it_is_said_where_fewer_roaming_views_are_found(monkeypatch):
+    def none(*_, **__):
+        raise ModelError("none")
+
+    monkeypatch.setattr(visibility, "roaming_cameras", none)
+    views = visibility.look(box_with_something_inside(), count=3, size=32, near=1)
+    assert views.notes == ("Of 1 roaming view to learn from 0 were found.",)

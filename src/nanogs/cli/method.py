@@ -55,7 +55,7 @@ Steps = Annotated[
         "--steps",
         min=0,
         help="Steps of fitting the result to renders of the original; 0 fits nothing.",
-        show_default="24, 160 in best",
+        show_default="24, 224 in best",
         rich_help_panel=_FOREST,
     ),
 ]
@@ -65,7 +65,7 @@ Views = Annotated[
         "--views",
         min=1,
         help="Views of the original to render.",
-        show_default="20, 38 in best",
+        show_default="20, 40 in best",
         rich_help_panel=options.VIEWS,
     ),
 ]

@@ -126,9 +126,10 @@ def fit(
 def _furthest(guard: Guard, best: State, state: State) -> tuple[State, float]:
     """The state furthest on the way from the best to another that is better, and its share."""
     for share in SHARES:
-        between = state.copy() if share == 1 else best.towards(state, share)
+        between = state if share == 1 else best.towards(state, share)
         if guard.accepts(between):
-            return between, share
+            # The descent moves its own state on. Copied only now: the judged model is gone again.
+            return state.copy() if share == 1 else between, share
     return best, 0.0
 
 

@@ -82,8 +82,11 @@ def build_forest(
         progress.begin("look")
         with clock.time("look"):
             try:
-                views = look(splats, cameras, parameters.views, parameters.view_size, progress.part)
-                notes = tuple(lens_notes(cameras or ()))
+                views = look(
+                    splats, cameras, parameters.views, parameters.view_size, parameters.near,
+                    progress.part,
+                )  # fmt: skip
+                notes = (*lens_notes(cameras or ()), *views.notes)
             except ModelError as error:
                 notes = (f"Nothing was measured: {error}",)
     progress.begin("activate")

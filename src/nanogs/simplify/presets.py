@@ -78,6 +78,8 @@ class ForestParameters:
         steps: Of fitting the result to the original, each on one view; a long fit is made in
             rounds of about 32, so that it may take a few more; 0 fits nothing.
         views: Views of the original to render, where it is; one in six of them decides.
+        near: How many of the views that are found roam: anywhere in free space, mostly nearer, and
+            two thirds as wide.
         view_size: Pixels along the longer side of a view.
     """
 
@@ -91,6 +93,7 @@ class ForestParameters:
     measure: bool = True
     steps: int = 24
     views: int = 20
+    near: int = 0
     view_size: int = 560
 
     def __post_init__(self) -> None:
@@ -104,6 +107,7 @@ class ForestParameters:
         _require(1 <= self.growth < math.inf, "growth", self.growth, "1 or more, and finite")
         _require(self.steps >= 0, "steps", self.steps, "0 or more")
         _require(self.views >= 1, "views", self.views, "at least 1")
+        _require(0 <= self.near < self.views, "near", self.near, "0 or more, below `views`")
         _require(16 <= self.view_size <= 8192, "view_size", self.view_size, "16 to 8192 pixels")
 
 
@@ -119,7 +123,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
     {
         "default": ForestParameters(),
         "fast": ForestParameters(rounds=1, measure=False, steps=0),
-        "best": ForestParameters(steps=160, views=38, view_size=768),
+        "best": ForestParameters(steps=224, views=40, near=10, view_size=768),
         "paper": PaperParameters(),
     }
 )
@@ -180,7 +184,8 @@ def effective(chosen: Parameters) -> dict[str, Any]:
     """The parameters that have an effect, by name: without views, none that is about views."""
     unused: set[str] = set()
     if isinstance(chosen, ForestParameters) and not chosen.measure:
-        unused = {"hidden"} if chosen.steps else {"hidden", "steps", "views", "view_size"}
+        views = {"steps", "views", "near", "view_size"}
+        unused = {"hidden"} if chosen.steps else {"hidden"} | views
     return {name: value for name, value in dataclasses.asdict(chosen).items() if name not in unused}
 
 

@@ -1,17 +1,21 @@
 """What views of the original show: how visible each splat is, and what a result is held against."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.errors import ModelError
+from nanogs.formatting import counted
 from nanogs.metrics import psnr, ssim
 from nanogs.progress import Parts, each, untold
 from nanogs.refit.groups import Group, grouped, hold_out
 from nanogs.refit.targets import Target, as_target
 from nanogs.render.camera import Camera, spread
 from nanogs.render.rasterize import prepare, render
+from nanogs.render.roam import roaming_cameras
 from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
 
@@ -28,11 +32,13 @@ class OriginalViews:
             which it lies; 1 for one that lies in none.
         deciding: Views to choose by and to judge a fit by, at least one, in groups.
         fitting: Views to fit to; none of the others.
+        notes: What the user should know, one sentence each.
     """
 
     visible: F64
     deciding: tuple[Group, ...]
     fitting: tuple[Target, ...]
+    notes: tuple[str, ...] = ()
 
 
 def look(
@@ -40,6 +46,7 @@ def look(
     cameras: Sequence[Camera] | None = None,
     count: int = 20,
     size: int = 560,
+    near: int = 0,
     tell: Parts = untold,
 ) -> OriginalViews:
     """Render the original once.
@@ -49,18 +56,21 @@ def look(
         cameras: The views; by default automatic ones.
         count: How many of them at most.
         size: Pixels along the longer side of a view at most.
+        near: How many of the views that are found roam in free space (see `roam`), at two thirds of
+            the size.
         tell: Told of the views rendered.
 
     Raises:
         ModelError: No splat is visible.
     """
+    notes: tuple[str, ...] = ()
     if cameras:
         chosen = [camera.reduced(size) for camera in spread(cameras, count)]
     else:
-        chosen = automatic_cameras(splats, count, width=size, height=size, habit=False)
+        chosen, notes = _found(splats, count - near, near, size)
     prepared = prepare(splats)
     seen, whole = np.zeros(len(splats)), np.zeros(len(splats))
-    views = []
+    views: list[Target] = []
     for camera in each(chosen, tell):
         view = render(prepared, camera, contributions=True, depth=True)
         assert view.contributions is not None  # noqa: S101 - asked for
@@ -73,7 +83,21 @@ def look(
     deciding = tuple(hold_out(grouped(views), max(1, len(views) // DECIDING)))
     held = [view for group in deciding for view in group.targets]
     fitting = tuple(view for view in views if view not in held)
-    return OriginalViews(np.minimum(visible, 1.0), deciding, fitting)
+    return OriginalViews(np.minimum(visible, 1.0), deciding, fitting, notes)
+
+
+def _found(
+    splats: Splats, around: int, near: int, size: int
+) -> tuple[list[Camera], tuple[str, ...]]:
+    """Automatic views and roaming ones, and a note where fewer of these were found."""
+    cameras = automatic_cameras(splats, around, width=size, height=size, habit=False)
+    if not near:
+        return cameras, ()
+    side, roaming = max(16, size * 2 // 3), []
+    with suppress(ModelError):  # none was found, which the note says
+        roaming = roaming_cameras(splats, near, width=side, height=side, split="fit")
+    lacking = f"Of {counted(near, 'roaming view')} to learn from {len(roaming)} were found."
+    return cameras + roaming, (lacking,) if len(roaming) < near else ()
 
 
 def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
