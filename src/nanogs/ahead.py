@@ -49,5 +49,15 @@ def compile_later_stages() -> None:
     ssim(grey, grey)
 
 
+def compile_fitting() -> None:
+    """Fit a model of no importance, once the first process has compiled how to render."""
+    import nanogs
+    from nanogs.datasets.synthetic import make_scene
+
+    scene = make_scene(200)
+    nanogs.simplify(scene, ratio=0.1, preset="fast", steps=1, views=2, view_size=16)
+
+
 if __name__ == "__main__":
     compile_later_stages()
+    compile_fitting()

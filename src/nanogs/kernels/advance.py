@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64, Bool
+from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.kernels.chain import PACKED, SHAPE, damped_step, shape_terms
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
@@ -100,6 +100,7 @@ def advance_splats(
     logits: F64,
     sh: F32,
     touched: Bool,
+    centres: F,
     axes: F32,
     scales: F32,
     factors: F32,
@@ -142,6 +143,7 @@ def advance_splats(
         logits: (N,) in and out, of the opacity.
         sh: (N, K, 3) in and out.
         touched: (N,) out, true for what moves.
+        centres: (N, 3) out, the means as they are drawn.
         axes: (N, 3, 3) in and out, rotation matrices.
         scales: (N, 3) in and out, scene units.
         factors: (N, 3, 3) out, axes times scales.
@@ -185,6 +187,7 @@ def advance_splats(
         for r in range(3):
             for k in range(3):
                 means[i, r] += rate * step[k] * axes[i, r, k] * scales[i, k]
+            centres[i, r] = means[i, r]
             log_scales[i, r] += rate * step[3 + r]
         _turn(quats[i], rate * step[6], rate * step[7], rate * step[8])
         least = min(limits[10], logits[i])

@@ -107,6 +107,7 @@ class Descent:
             state.logits,
             state.sh,
             state.touched,
+            model.means,
             active.axes,
             active.scales,
             model.factors,

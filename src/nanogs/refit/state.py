@@ -59,7 +59,7 @@ class Active:
     """A state as the kernels take it.
 
     Attributes:
-        model: What `project` takes; its centres and coefficients are the state's own.
+        model: What `project` takes; its coefficients are the state's own.
         axes: (N, 3, 3) float32, rotation matrices.
         scales: (N, 3) float32, scene units.
     """
@@ -88,7 +88,7 @@ def activate(state: State, splats: Splats, finite: Bool) -> Active:
         scales = np.exp(state.log_scales).astype(np.float32)
         opacities = (1.0 / (1.0 + np.exp(-state.logits))).astype(np.float32)
     model = PreparedSplats(
-        means=state.means,
+        means=state.means.astype(splats.means.dtype),  # as they are stored, and drawn elsewhere
         factors=axes * scales[:, None, :],
         opacities=opacities,
         reaches=reaches_of(opacities),
