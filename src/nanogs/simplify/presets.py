@@ -123,7 +123,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
     {
         "default": ForestParameters(),
         "fast": ForestParameters(rounds=1, measure=False, steps=0),
-        "best": ForestParameters(steps=224, views=40, near=10, view_size=768),
+        "best": ForestParameters(steps=224, views=40, view_size=768),
         "paper": PaperParameters(),
     }
 )
@@ -131,7 +131,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
 SUMMARIES: Mapping[str, str] = {
     "default": "one merge forest; the cut that looks most like the original, fitted a little",
     "fast": "the same forest, one cut, nothing rendered",
-    "best": "default with more and larger views, fitted at length; takes 4 to 9 times as long",
+    "best": "default with more and larger views, fitted at length; takes 3 to 4 times as long",
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
