@@ -11,10 +11,12 @@ from nanogs.simplify.presets import parameters
 
 COUNT = 300_000
 COLUMNS = 4 * 59  # bytes of a splat of SH degree 3
-MOST = {"fast": 2.0, "paper": 2.0, "default": 2.5}  # of the columns, beside the libraries
+MOST = {"fast": 2.0, "paper": 2.0, "default": 2.5}  # of the columns, beside libraries and views
+# A view's pixels while it is drawn and compared, and the pictures kept: of any model's size.
+VIEWS = {"fast": 0, "paper": 0, "default": 65_000_000}
 # Of a process that has its kernels: what it had before, and the most that it took since.
 RUN = """
-import re, sys
+import ctypes, re, sys
 from pathlib import Path
 import nanogs
 from nanogs.datasets.synthetic import make_scene
@@ -23,10 +25,12 @@ def status(name):
     text = Path("/proc/self/status").read_text()
     return int(re.search(name + r":\\s+(\\d+)", text)[1]) * 1024
 
-nanogs.simplify(make_scene(500), ratio=0.1, preset=sys.argv[1])
+nanogs.simplify(make_scene(500), ratio=0.1, preset=sys.argv[1], threads=2)
+# What the first run freed is given back: it would count as held before, or not, by chance.
+getattr(ctypes.CDLL(None), "malloc_trim", lambda pad: 0)(0)
 Path("/proc/self/clear_refs").write_text("5")  # forget the peak
 before = status("VmRSS")
-nanogs.simplify(nanogs.load(sys.argv[2]), ratio=0.1, preset=sys.argv[1])
+nanogs.simplify(nanogs.load(sys.argv[2]), ratio=0.1, preset=sys.argv[1], threads=2)
 print(before, status("VmHWM"))
 """
 
@@ -41,16 +45,16 @@ def test_a_run_takes_what_the_plan_says_and_no_more_than_promised(preset, large_
     planned = plan_memory(COUNT, 3, 0, parameters(preset, {}), COUNT // 10, judged=False)
     assert planned.input_columns == COUNT * COLUMNS
     assert 0.88 < (peak - before) / planned.peak < 1.08
-    assert peak - before < MOST[preset] * COUNT * COLUMNS
+    assert peak - before < MOST[preset] * COUNT * COLUMNS + VIEWS[preset]
     # The oldest Numba and NumPy that are allowed take three quarters of what the newest do.
-    assert 0.65 * LIBRARIES < before < 1.05 * LIBRARIES
+    assert 0.55 * LIBRARIES < before < 1.05 * LIBRARIES
 
 
 @pytest.mark.parametrize("preset", MOST)
 @pytest.mark.parametrize("count", [COUNT, 5_000_000, 50_000_000])
 def test_the_plan_keeps_what_is_promised(preset, count):
     planned = plan_memory(count, 3, 0, parameters(preset, {}), count // 10, judged=False)
-    assert planned.peak <= MOST[preset] * count * COLUMNS
+    assert planned.peak <= MOST[preset] * count * COLUMNS + VIEWS[preset]
     assert planned.peak == max(planned.stages.values())
     assert all(held > planned.input_columns for held in planned.stages.values())
 

@@ -17,6 +17,9 @@ _LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0
 _CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the median, flags
 _TILES = 3  # tiles of a view of 560 pixels that a splat lies in, on average: 2.3 to 3.2
 _IMAGES = VIEWS * PIXELS**2 * 3 * _F4  # of the original, that results are judged by
+_PIXEL = 80  # of a view while it is drawn with contributions and depths
+_COMPARED = 110  # and while it is held against the original's, or pulls
+_BATCH = 2 * _I4 + 2 * _F4 + 2 * _F8  # of a pair, in a batch of which the costs are computed
 _PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rasteriser reads them
 _DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
 _SHARES = 5 * _F8 + _TILES * _F4  # of every splat in a view and in all
@@ -52,15 +55,19 @@ def forest_stages(
     drawn = looked or judged
     kept = count * (_I4 + (_F8 if looked else 0))  # which rows are used, what is visible of each
     kept += _IMAGES if judged else 0
-    kept += parameters.views * parameters.view_size**2 * 4 if looked else 0
+    images = parameters.views * parameters.view_size**2 * 4 if looked else 0
+    pixels = parameters.view_size**2 if looked else 0
+    kept += images
     leaves = kept + count * _NODE  # their features are the model's
     forest = leaves + count * _MERGE
     best = target * row if drawn else 0  # of those tried before
-    draw = target * (_PREPARED + _DRAWN) if drawn else 0
+    draw = target * (_PREPARED + _DRAWN) + pixels * _COMPARED if drawn else 0
     labels = 2 * count * _I4 if looked else count * _I4
     stages = {
         "measure": _IMAGES + count * (_I4 + _PREPARED + _DRAWN) if judged else 0,
-        "look": count * (_I4 + _PREPARED + _DRAWN + _SHARES) if looked else 0,
+        "look": images + pixels * _PIXEL + count * (_I4 + _PREPARED + _DRAWN + _SHARES)
+        if looked
+        else 0,
         "activate": leaves,
         **{stage: kept + held for stage, held in _growing(count, features, k).items()},
         "cut": forest + count * _CUT + labels + best,
@@ -68,7 +75,9 @@ def forest_stages(
         if parameters.rounds
         else 0,
         "store": forest + labels + best + target * row + max(draw, _store(count, target)),
-        "fit": forest + best + _fit(target, features) if parameters.steps else 0,
+        "fit": forest + best + _fit(target, features) + pixels * _COMPARED
+        if parameters.steps
+        else 0,
     }
     return leaves, {stage: held for stage, held in stages.items() if held}
 
@@ -114,7 +123,7 @@ def _growing(count: int, features: int, k: int) -> dict[str, int]:
         h + x * lists + n for h, x, n in zip(held, left, nodes[1:], strict=False)
     )  # fmt: skip
     whole = {stage: int(count * most) for stage, most in stages.items()}
-    whole["cost"] += min(int(count * pairs_of(k)), BLOCK_PAIRS) * (2 * _I4 + 2 * _F4)
+    whole["cost"] += min(int(count * pairs_of(k)), BLOCK_PAIRS) * _BATCH
     return whole
 
 
