@@ -16,7 +16,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.io import load
 from nanogs.kernels import backward, chain, pulls
 from nanogs.refit.descent import Descent
-from nanogs.refit.groups import grouped, hold_out
+from nanogs.refit.groups import grouped, hold_out, split
 from nanogs.refit.report import RefitStop
 from nanogs.refit.state import activate, start, store
 from nanogs.refit.targets import ALPHA, WHITE, make_target, pull, squared_error
@@ -372,6 +372,20 @@ def test_views_are_grouped_by_size_and_distance():
     assert set(groups[0].targets) == set(targets[10:20])
     assert [len(group.targets) for group in hold_out(groups, 6)] == [2, 2, 1]
     assert [group.name for group in grouped(targets[:3] + targets[20:])] == ["40 to 100 px"]
+
+
+def test_views_either_decide_or_are_fitted_to():
+    original, _ = cloud_pair()
+    prepared = prepare(original)
+    cameras = automatic_cameras(original, 12, width=40, height=40)
+    targets = [make_target(prepared, camera) for camera in cameras]
+    fitting, deciding = split(targets, 2)
+    held = [target for group in deciding for target in group.targets]
+    assert len(held) == 2
+    assert list(fitting) == [target for target in targets if target not in held], "in their order"
+    assert len(fitting) == 10
+    alone, deciding = split(targets[:1], 1)
+    assert (alone, deciding[0].targets) == ((), tuple(targets[:1]))
 
 
 def dolly(camera, distance):

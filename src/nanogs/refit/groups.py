@@ -65,6 +65,16 @@ def hold_out(groups: Sequence[Group], count: int) -> list[Group]:
     return held
 
 
+def split(targets: Sequence[Target], count: int) -> tuple[tuple[Target, ...], tuple[Group, ...]]:
+    """Views to fit to, and about `count` others that decide, in groups; each view is in one part.
+
+    Of a single view none is left to fit to.
+    """
+    deciding = tuple(hold_out(grouped(targets), count))
+    held = [target for group in deciding for target in group.targets]
+    return tuple(target for target in targets if target not in held), deciding
+
+
 def _by_size(targets: Sequence[Target]) -> list[list[Target]]:
     """Views by the longer side of their pictures, to the nearest power of two; few join others."""
     sizes: dict[int, list[Target]] = {}

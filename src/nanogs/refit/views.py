@@ -6,7 +6,7 @@ import numpy as np
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.progress import Parts, each
-from nanogs.refit.groups import Group, grouped, hold_out
+from nanogs.refit.groups import Group, split
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.targets import Target, make_target
 from nanogs.render.camera import Camera, spread
@@ -23,7 +23,7 @@ def view_targets(
     cameras: Sequence[Camera] | None,
     parameters: RefitParameters,
     tell: Parts,
-) -> tuple[list[Target], list[Group]]:
+) -> tuple[tuple[Target, ...], tuple[Group, ...]]:
     """Views to fit to, and views that decide, in groups by picture size and distance.
 
     Raises:
@@ -39,10 +39,9 @@ def view_targets(
             "The original is seen in fewer than two views; choose other cameras or let them be "
             "found."
         )
-    deciding = hold_out(grouped(targets), parameters.validation)
-    held = [target for group in deciding for target in group.targets]
-    _refuse_elsewhere(small, held)
-    return [target for target in targets if target not in held], deciding
+    fitting, deciding = split(targets, parameters.validation)
+    _refuse_elsewhere(small, [target for group in deciding for target in group.targets])
+    return fitting, deciding
 
 
 def _cameras(

@@ -11,7 +11,7 @@ from nanogs.errors import ModelError
 from nanogs.formatting import counted
 from nanogs.metrics import psnr, ssim
 from nanogs.progress import Parts, each, untold
-from nanogs.refit.groups import Group, grouped, hold_out
+from nanogs.refit.groups import Group, split
 from nanogs.refit.targets import Target, as_target
 from nanogs.render.camera import Camera, spread
 from nanogs.render.rasterize import prepare, render
@@ -80,9 +80,7 @@ def look(
         views.append(as_target(view, camera))
     visible = np.ones(len(splats))
     np.divide(seen, whole, out=visible, where=whole > 0)
-    deciding = tuple(hold_out(grouped(views), max(1, len(views) // DECIDING)))
-    held = [view for group in deciding for view in group.targets]
-    fitting = tuple(view for view in views if view not in held)
+    fitting, deciding = split(views, max(1, len(views) // DECIDING))
     return OriginalViews(np.minimum(visible, 1.0), deciding, fitting, notes)
 
 
