@@ -14,6 +14,7 @@ from nanogs.kernels.chain import PACKED, SHAPE, damped_step, shape_terms
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.project import MIN_ALPHA, SLACK
+from nanogs.kernels.quaternion import rotation_matrix
 
 LEAST_WEIGHT = 1e-6  # curvature of the colour, pixels: less teaches nothing
 
@@ -36,25 +37,11 @@ def _turn(quat: F64, x: float, y: float, z: float) -> None:
 
 
 @inline
-def _axes(quat: F64, axes: F32) -> None:
-    """Write the rotation matrix of a unit quaternion."""
-    w, x, y, z = quat[0], quat[1], quat[2], quat[3]
-    axes[0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    axes[0, 1] = 2.0 * (x * y - w * z)
-    axes[0, 2] = 2.0 * (x * z + w * y)
-    axes[1, 0] = 2.0 * (x * y + w * z)
-    axes[1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    axes[1, 2] = 2.0 * (y * z - w * x)
-    axes[2, 0] = 2.0 * (x * z - w * y)
-    axes[2, 1] = 2.0 * (y * z + w * x)
-    axes[2, 2] = 1.0 - 2.0 * (x * x + y * y)
-
-
-@inline
 def _activate(log_scales: F64, quat: F64, axes: F32, scales: F32, factors: F32) -> None:
-    """Write a splat's axes, scales, and their products (see `advance_splats`)."""
-    _axes(quat, axes)
+    """Write a splat's axes, which are its rotation matrix, its scales, and their products."""
+    first, second, third = rotation_matrix(quat)
     for k in range(3):
+        axes[0, k], axes[1, k], axes[2, k] = first[k], second[k], third[k]
         scales[k] = math.exp(log_scales[k])
         for r in range(3):
             factors[r, k] = axes[r, k] * scales[k]

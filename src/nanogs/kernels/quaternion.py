@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nanogs._types import F32
+from nanogs._types import F32, F
 from nanogs.kernels.policy import inline
 
 Row3 = tuple[float, float, float]
@@ -18,7 +18,7 @@ def row3(array: F32, row: int) -> Row3:
 
 
 @inline
-def rotation_matrix(quat: F32) -> Matrix3:
+def rotation_matrix(quat: F) -> Matrix3:
     """Rows of the rotation matrix of a (4,) unit quaternion, wxyz; its columns are the axes."""
     w, x = np.float64(quat[0]), np.float64(quat[1])
     y, z = np.float64(quat[2]), np.float64(quat[3])
