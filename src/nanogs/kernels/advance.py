@@ -13,7 +13,7 @@ from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.kernels.chain import PACKED, SHAPE, damped_step, shape_terms
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.project import MIN_ALPHA, SLACK
+from nanogs.kernels.project import MIN_ALPHA, reach_of
 from nanogs.kernels.quaternion import rotation_matrix
 
 LEAST_WEIGHT = 1e-6  # curvature of the colour, pixels: less teaches nothing
@@ -184,4 +184,4 @@ def advance_splats(
         opacity = 1.0 / (1.0 + math.exp(-logits[i]))
         opacities[i] = opacity
         keep[i] = opacity >= MIN_ALPHA
-        reaches[i] = 2.0 * math.log(255.0 * max(opacity, MIN_ALPHA)) + SLACK
+        reaches[i] = reach_of(max(opacity, MIN_ALPHA))

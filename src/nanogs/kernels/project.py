@@ -19,6 +19,7 @@ needle, where the usual a dx² + 2 b dx dy + c dy² cancels.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -118,10 +119,19 @@ def unpack_box(box: int) -> tuple[int, int, int, int]:
     return box & 0xFFFF, (box >> 16) & 0xFFFF, (box >> 32) & 0xFFFF, box >> 48
 
 
+def _reach(opacity: Any) -> Any:  # noqa: ANN401 - a number, or an array of them
+    """The squared radius at which alpha falls to 1/255, plus SLACK, in standard deviations."""
+    return 2.0 * np.log(255.0 * opacity) + SLACK
+
+
+reach_of = inline(_reach)  # of a number, in kernels
+
+
 def reaches_of(opacities: F32) -> F32:
-    """(N,) float32, 2 ln(255 opacity) + SLACK; that of 1/255 where the opacity is less."""
+    """(N,) float32, the reach of each splat; that of 1/255 where the opacity is less."""
     seen = np.maximum(opacities, np.float32(MIN_ALPHA)).astype(np.float64)
-    return (2.0 * np.log(255.0 * seen) + SLACK).astype(np.float32)
+    reaches: F32 = _reach(seen).astype(np.float32)
+    return reaches
 
 
 @inline
@@ -202,7 +212,7 @@ def project_splats(
             opacity *= math.sqrt(max(0.0, ratio))
             if not opacity >= MIN_ALPHA:
                 continue
-            reach = 2.0 * math.log(255.0 * opacity) + SLACK
+            reach = reach_of(opacity)
         row[5] = reach
         row[6] = opacity
         row[7] = math.sqrt(reach * yy)
