@@ -7,6 +7,7 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.kernels.project import DILATION
 from nanogs.kernels.surroundings import reach
+from nanogs.render.occupancy import quantiles
 from nanogs.splats import RenderMode
 
 SHARE = 0.25  # of the alpha makes a splat's surroundings: all of it near by, with a copy far away
@@ -69,7 +70,4 @@ def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilati
 
 def _radius(point: F64, means: F64, weights: F64) -> float:
     """Distance from a point within which the share of the weight lies."""
-    distances = np.linalg.norm(means - point, axis=1)
-    order = np.argsort(distances)
-    summed = np.cumsum(weights[order])
-    return float(distances[order[np.searchsorted(summed, SHARE * summed[-1])]])
+    return quantiles(np.linalg.norm(means - point, axis=1), weights, SHARE)[0]
