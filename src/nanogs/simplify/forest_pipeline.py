@@ -48,7 +48,6 @@ class Build:
         origin: (3,) what the leaves' centres are relative to, scene units.
         dilation: What rasterisers add to splats, by where they are from the origin.
         views: What the original shows, or None where nothing is rendered.
-        cameras: The user's, or None for automatic ones.
         parameters: Of the method.
         threads: Threads for nearest-neighbour queries.
         notes: What the user should know, one sentence each.
@@ -60,7 +59,6 @@ class Build:
     origin: F64
     dilation: Dilation
     views: OriginalViews | None
-    cameras: Sequence[Camera] | None
     parameters: ForestParameters
     threads: int
     notes: tuple[str, ...]
@@ -116,9 +114,7 @@ def build_forest(
     )
     for one_pass in forest.passes:
         clock.add(one_pass.seconds)
-    return Build(
-        splats, leaves(), forest, origin, added, views, cameras, parameters, threads, notes
-    )
+    return Build(splats, leaves(), forest, origin, added, views, parameters, threads, notes)
 
 
 def deliver(build: Build, target: int, clock: StageClock, progress: Tracker) -> Outcome:
