@@ -12,7 +12,7 @@ from nanogs.compare.comparison import (
 from nanogs.compare.needed import LESS
 from nanogs.compare.on_sets import compare_on_sets
 from nanogs.compare.page import render_page
-from nanogs.compare.protocol import BLACK, PIXELS, Background, Judged
+from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background, Judged
 from nanogs.compare.scoring import ReferenceView
 from nanogs.compare.view_sets import Size, found_views, parse_sources, view_sets
 from nanogs.errors import OptionError
@@ -141,7 +141,7 @@ def _stages(
         stages += [Stage("photographs", 8), Stage("score", 8.0 * models)]
     for views in counts:
         for width, height in sizes:
-            effort = (views or 8) * max(1.0, width * height / PIXELS**2)
+            effort = (views or VIEWS) * max(1.0, width * height / PIXELS**2)
             stages += [Stage("render", effort), Stage("score", models * effort)]
     stages += [Stage("encode", 3.0 * models)] if page else []
     return stages + ([] if page is None else [Stage("write", 1.0)])
