@@ -1,6 +1,8 @@
 """Settings and helpers shared by all tests."""
 
+import importlib
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,6 +40,17 @@ def scene(splats, tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "scene.ply"
     nanogs.save(splats, path)
     return path
+
+
+@pytest.fixture(scope="module")
+def benchmark_module():
+    """Imports a module of the benchmarks by its name; skips the test where they are absent."""
+    folder = Path(__file__).resolve().parents[1] / "benchmarks"
+    if not folder.exists():
+        pytest.skip("benchmarks are only in the repository")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "path", [str(folder), *sys.path])
+        yield importlib.import_module
 
 
 @pytest.fixture(scope="module")

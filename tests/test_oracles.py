@@ -3,9 +3,6 @@
 In steps of each format's quantisation. `make oracles` installs the programs.
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -31,16 +28,9 @@ IN_STEPS = (".compressed.ply", ".splat", ".spz", ".spz v4", ".sog")
 
 
 @pytest.fixture(scope="module")
-def oracles():
+def oracles(benchmark_module):
     """The benchmark as a module."""
-    folder = Path(__file__).resolve().parents[1] / "benchmarks"
-    if not folder.exists():
-        pytest.skip("benchmarks are only in the repository")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [str(folder), *sys.path])
-        import oracles
-
-        yield oracles
+    return benchmark_module("oracles")
 
 
 def installed(oracles, name):

@@ -1,7 +1,5 @@
 """benchmarks/quality.py in small: what it keeps, what it measures again, and its tables."""
 
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -12,17 +10,9 @@ from nanogs.datasets.synthetic import make_scene
 
 
 @pytest.fixture(scope="module")
-def benchmarks():
+def benchmarks(benchmark_module):
     """Two of its modules."""
-    folder = Path(__file__).resolve().parents[1] / "benchmarks"
-    if not folder.exists():
-        pytest.skip("benchmarks are only in the repository")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [str(folder), *sys.path])
-        import leads
-        import measured
-
-        yield SimpleNamespace(leads=leads, measured=measured)
+    return SimpleNamespace(leads=benchmark_module("leads"), measured=benchmark_module("measured"))
 
 
 @pytest.fixture
