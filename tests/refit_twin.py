@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from nanogs.kernels import chain
 from nanogs.refit.descent import LIMITS
-from nanogs.render.rasterize import rotations
 from nanogs.splats import RenderMode
+from nanogs.stored import rotations
 from raster_twin import sh_basis, splat_on_screen
 
 

@@ -12,6 +12,7 @@ from nanogs._arrays import as_floats
 from nanogs._types import F32, Array, F
 from nanogs.errors import ModelError
 from nanogs.splats import RenderMode, Splats
+from nanogs.stored import base_colour
 
 _SHAPED = {"log_scales": "scales", "quats": "quats", "opacity_logits": "opacities"}
 _NEEDED = ("means", *_SHAPED.values())
@@ -76,6 +77,4 @@ def _harmonics(given: Mapping[str, object], count: int) -> Array:
 
 def _base(rgb: F) -> Array:
     """(N, 1, 3) for colours (N, 3) from 0 to 1."""
-    from nanogs.io.compressed_ply import base_colour  # not above: formats import the model
-
     return base_colour(rgb.astype(np.float64))[:, None]

@@ -17,6 +17,7 @@ import numpy as np
 from nanogs._arrays import as_array, as_floats, as_rows
 from nanogs._types import F32, F64, I32, I64, Array, Bool, F
 from nanogs.errors import ModelError, OptionError
+from nanogs.stored import alphas, unit
 
 MAX_SH_DEGREE = 4
 
@@ -325,23 +326,3 @@ def padded(sh: F32, coefficients: int) -> F32:
     longer = np.zeros((len(sh), coefficients, 3), np.float32)
     longer[:, : sh.shape[1]] = sh
     return longer
-
-
-def alphas(logits: F32) -> F64:
-    """(N,) float64 in [0, 1]: what logits stand for."""
-    with np.errstate(over="ignore"):
-        return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
-
-
-def unit(quats: F32) -> F32:
-    """(N, 4) float32: quaternions of length 1; a zero one stands for no rotation."""
-    # In single precision, but divided by the largest part first: tiny and huge quaternions
-    # must not under- or overflow. The result is unit to 1e-7 either way.
-    w, x, y, z = np.abs(quats).T
-    largest = np.maximum(np.maximum(w, x), np.maximum(y, z))
-    zero = largest == 0
-    largest[zero] = 1
-    result: F32 = quats / largest[:, None]
-    result[zero] = (1, 0, 0, 0)
-    result /= np.sqrt(np.einsum("ij,ij->i", result, result))[:, None]
-    return result

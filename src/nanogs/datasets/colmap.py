@@ -14,6 +14,7 @@ from nanogs.datasets.colmap_text import read_cameras_text, read_images_text
 from nanogs.datasets.photos import is_file
 from nanogs.errors import FormatError
 from nanogs.render.camera import Camera
+from nanogs.stored import rotations
 
 
 def find_model(folder: Path) -> Path | None:
@@ -122,12 +123,8 @@ def _pose(image: ColmapImage, where: str) -> F64:
             f"{where}: its rotation is a quaternion of length {norm:g}, not 1; "
             "export the model again from COLMAP"
         )
-    w, x, y, z = (value / norm for value in quaternion)  # as COLMAP does on reading
+    unit = [value / norm for value in quaternion]  # as COLMAP does on reading
     pose = np.eye(4)
-    pose[:3, :3] = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
+    pose[:3, :3] = rotations(np.array([unit]))[0]
     pose[:3, 3] = [fields.number(t, f"{where}, translation", limit) for t in image.translation]
     return pose

@@ -12,8 +12,8 @@ from nanogs.datasets.harmonics import lobe
 from nanogs.datasets.still_life import PARTS, SKYLIGHT, SUN, SUNLIGHT, UP, Builder, Part, Rng
 from nanogs.errors import OptionError
 from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
+from nanogs.stored import SH_C0
 
-SH_C0 = 0.28209479177387814
 TO_Y_DOWN = np.array([1.0, -1.0, -1.0])
 
 

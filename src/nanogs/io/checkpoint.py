@@ -18,12 +18,12 @@ import numpy as np
 
 from nanogs._types import F32, Array
 from nanogs.errors import FormatError, ModelError
-from nanogs.io.compressed_ply import base_colour
 from nanogs.io.info import FileInfo
 from nanogs.io.ply_header import printable
 from nanogs.io.torch_file import TorchFile
 from nanogs.io.torch_pickle import Tensor
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
+from nanogs.stored import alphas, base_colour
 
 FRAME = "that of the training, as stored; nerfstudio and gsplat turn scenes to have z up by default"
 _SHAPED = ("scales", "quats", "opacities")
@@ -175,8 +175,7 @@ def _harmonics(arrays: Mapping[str, Array], count: int) -> F32:
     else:
         base, rest = arrays["features_dc"], arrays.get("features_rest")
         if rest is None or rest.size == 0:
-            with np.errstate(over="ignore"):
-                base = base_colour(1 / (1 + np.exp(-base.astype(np.float64))))
+            base = base_colour(alphas(base))
     parts = [base.reshape(count, 1, 3)]
     if rest is not None and rest.size:
         parts.append(rest.reshape(count, -1, 3))

@@ -18,9 +18,9 @@ from nanogs.io.info import FileInfo
 from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes
 from nanogs.io.ply_rows import iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats, empty_arrays
+from nanogs.stored import base_colour, logit
 
 CHUNK_ROWS = 256
-SH_C0 = 0.28209479177387814
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
 BOUNDS += [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
@@ -216,19 +216,6 @@ def _quats(packed: U32) -> F64:
         rows = largest == index
         quats[rows] = np.insert(small[rows], index, left_out[rows], axis=1)
     return quats
-
-
-def logit(alpha: F64) -> F64:
-    """Logarithm of the odds; exactly ±inf for alpha 1 and 0."""
-    with np.errstate(divide="ignore"):
-        result: F64 = -np.log(1 / alpha - 1)
-    return result
-
-
-def base_colour(rgb: F64) -> F64:
-    """The SH coefficient of degree 0 for a colour from 0 to 1."""
-    result: F64 = (rgb - 0.5) / SH_C0
-    return result
 
 
 def _higher(sh: Array, degree: int) -> F64:

@@ -12,11 +12,12 @@ import numpy as np
 
 from nanogs._types import F32, F64, I64, U32, Array
 from nanogs.io import columns, limits, render_tag
-from nanogs.io.compressed_ply import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED, SH_C0
+from nanogs.io.compressed_ply import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.findings import Finding
 from nanogs.io.ply_write import header
 from nanogs.splats import Splats
+from nanogs.stored import SH_C0
 
 MAX_DEGREE = 3
 _LOG_SCALES = 20.0  # a log-scale beyond ±20 is clamped: one of -inf would void its chunk's bounds

@@ -11,7 +11,6 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.io import spz
-from nanogs.io.compressed_ply import logit
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.gltf_colours import to_display
 from nanogs.io.gltf_document import Document, Part
@@ -19,6 +18,7 @@ from nanogs.io.gltf_rows import Accessor, Body
 from nanogs.io.gltf_scene import EXTENSION, Placed, Pose
 from nanogs.io.spz_header import Header, read_header
 from nanogs.splats import RenderMode
+from nanogs.stored import logit
 
 MAX_DEGREE = 3
 PACKED = "KHR_gaussian_splatting_compression_spz_2"

@@ -18,7 +18,6 @@ from nanogs._types import F32, Array
 from nanogs._version import __version__
 from nanogs.errors import OutputError
 from nanogs.io import limits
-from nanogs.io.compressed_ply import SH_C0
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.glb import BODY_CHUNK, JSON_CHUNK, MAGIC
 from nanogs.io.gltf import COLOUR_SPACE, COMMENTS_KEY, MODE_KEY
@@ -27,6 +26,7 @@ from nanogs.io.gltf_primitives import MAX_DEGREE, attribute, coefficients
 from nanogs.io.gltf_scene import EXTENSION, HALF_TURN
 from nanogs.io.ply_header import printable
 from nanogs.splats import RenderMode, Splats
+from nanogs.stored import SH_C0
 
 _FLOAT, _BYTE = 5126, 5121
 _KINDS = {_FLOAT: "<f4", _BYTE: "u1"}

@@ -19,12 +19,12 @@ import numpy as np
 from nanogs._types import F64, I64, Array
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
-from nanogs.io.compressed_ply import base_colour, logit
 from nanogs.io.findings import negative_scales
 from nanogs.io.info import FileInfo
 from nanogs.io.ksplat_header import AGAIN, TYPE_NAMES, Headers, Section, columns, read_headers
 from nanogs.io.parts import Rows, row_blocks
 from nanogs.splats import RenderMode, Splats, empty_arrays
+from nanogs.stored import base_colour, logit
 
 _CENTRE = np.dtype([("centre", "<f4", 3)])
 _SCALE_RANGE = 32767  # steps of a centre on either side of the bucket's, where none are given

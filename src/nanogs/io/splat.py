@@ -10,16 +10,16 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from nanogs._types import F32, F64, U8, Array
+from nanogs._types import F32, F64, Array
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
 from nanogs.io import limits
-from nanogs.io.compressed_ply import SH_C0, base_colour, logit
 from nanogs.io.files import BLOCK_ROWS, input_size
 from nanogs.io.findings import negative_scales
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Rows, row_blocks
 from nanogs.splats import RenderMode, Splats, empty_arrays
+from nanogs.stored import SH_C0, alphas, base_colour, logit, rounded_bytes
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _SUFFIX = ".splat"
@@ -145,17 +145,10 @@ def _encode(splats: Splats, rows: slice) -> Array:
     out = np.empty(len(splats.means[rows]), _ROW)
     out["mean"] = splats.means[rows]
     out["scale"] = np.exp(splats.log_scales[rows].astype(np.float64))
-    out["rgba"][:, :3] = _bytes((splats.sh[rows, 0] * np.float64(SH_C0) + 0.5) * 255)
-    with np.errstate(over="ignore"):
-        alphas = 1 / (1 + np.exp(-splats.opacity_logits[rows].astype(np.float64)))
-    out["rgba"][:, 3] = _bytes(alphas * 255)
-    out["quat"] = _bytes(_near_unit(splats.quats[rows]) * 128 + 128)
+    out["rgba"][:, :3] = rounded_bytes((splats.sh[rows, 0] * np.float64(SH_C0) + 0.5) * 255)
+    out["rgba"][:, 3] = rounded_bytes(alphas(splats.opacity_logits[rows]) * 255)
+    out["quat"] = rounded_bytes(_near_unit(splats.quats[rows]) * 128 + 128)
     return out
-
-
-def _bytes(values: F64) -> U8:
-    result: U8 = np.rint(np.clip(values, 0, 255)).astype(np.uint8)
-    return result
 
 
 def _near_unit(quats: F32) -> F64:

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from nanogs._types import F32, F64, U8, Array
-from nanogs.io.compressed_ply import logit
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
@@ -24,6 +23,7 @@ from nanogs.io.section import whole_file
 from nanogs.io.spz_body import body_pieces, read_body, window_bytes
 from nanogs.io.spz_header import ANTIALIASED, LAST_GZIP, Header, read_header
 from nanogs.splats import RenderMode, Splats, empty_arrays
+from nanogs.stored import logit
 
 COLOUR_SCALE = 0.15
 SCALE_STEPS, SCALE_LOW = 16, -10.0

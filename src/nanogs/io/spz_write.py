@@ -27,6 +27,7 @@ from nanogs.io.spz_header import (
     column_widths,
 )
 from nanogs.splats import RenderMode, Splats
+from nanogs.stored import rounded_bytes
 
 SUFFIX = ".spz"
 SH_BITS = (5, 4)  # kept of a coefficient of degree 1, and of a higher one
@@ -129,9 +130,11 @@ def _encoders(splats: Splats, bits: int, version: int) -> Iterator[Encoder]:
     """For each column of the file, what encodes a range of rows."""
     yield lambda rows: _positions(splats.means[rows], bits)
     opacities = splats.opacities()
-    yield lambda rows: _bytes(opacities[rows] * 255)
-    yield lambda rows: _bytes((splats.sh[rows, 0] * np.float64(COLOUR_SCALE) + 0.5) * 255)
-    yield lambda rows: _bytes((splats.log_scales[rows] - np.float64(SCALE_LOW)) * SCALE_STEPS)
+    yield lambda rows: rounded_bytes(opacities[rows] * 255)
+    yield lambda rows: rounded_bytes((splats.sh[rows, 0] * np.float64(COLOUR_SCALE) + 0.5) * 255)
+    yield lambda rows: rounded_bytes(
+        (splats.log_scales[rows] - np.float64(SCALE_LOW)) * SCALE_STEPS
+    )
     quats = splats.unit_quats()
     yield lambda rows: (_xyz_rotations if version == 2 else _rotations)(quats[rows])
     if splats.sh_degree:
@@ -152,11 +155,6 @@ def _compressed(encode: Encoder, count: int) -> bytes:
     return zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_checksum=True).compress(plain)
 
 
-def _bytes(values: F64) -> U8:
-    result: U8 = np.rint(np.clip(values, 0, 255)).astype(np.uint8)
-    return result
-
-
 def _positions(means: F32 | F64, bits: int) -> U8:
     """(R, 9): three little-endian 24-bit integers."""
     fixed = np.rint(np.ldexp(means.astype(np.float64), bits)).astype("<i4")
@@ -167,7 +165,7 @@ def _positions(means: F32 | F64, bits: int) -> U8:
 def _xyz_rotations(quats: F32) -> U8:
     """(R, 3) from unit wxyz: x, y and z of the two that turn alike with w positive."""
     xyz = np.where(quats[:, :1] < 0, -quats[:, 1:], quats[:, 1:]).astype(np.float64)
-    return _bytes((xyz + 1) * 127.5)
+    return rounded_bytes((xyz + 1) * 127.5)
 
 
 def _rotations(quats: F32) -> U8:
@@ -194,4 +192,4 @@ def _buckets(degree: int) -> F64:
 def _coefficients(sh: F32, buckets: F64) -> U8:
     """(R, 3 (K - 1)): the nearest multiple of the bucket, which includes 128 for zero."""
     nearest = np.rint(sh.astype(np.float64) * SH_STEPS / buckets) * buckets + 128
-    return _bytes(nearest).reshape(len(sh), -1)
+    return rounded_bytes(nearest).reshape(len(sh), -1)

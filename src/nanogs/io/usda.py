@@ -15,13 +15,13 @@ import numpy as np
 from nanogs._types import F64, Array
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
-from nanogs.io.compressed_ply import logit
 from nanogs.io.files import BLOCK_ROWS, input_size, unreadable
 from nanogs.io.findings import negative_scales
 from nanogs.io.gltf_scene import pose_of
 from nanogs.io.info import FileInfo
 from nanogs.io.usda_text import Layer, Prim, read_layer
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats, concatenate, empty_arrays
+from nanogs.stored import logit
 
 PRIM = "ParticleField3DGaussianSplat"
 DEGREE = "radiance:sphericalHarmonicsDegree"

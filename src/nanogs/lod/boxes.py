@@ -8,6 +8,7 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.splats import Splats
+from nanogs.stored import rotations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,8 +26,6 @@ def box_around(splats: Splats, deviations: float) -> Box:
         splats: N splats, N at least 1, all finite.
         deviations: Half the length of an ellipsoid's axes over the standard deviations there.
     """
-    from nanogs.render.rasterize import rotations  # here: this brings Numba
-
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for start in range(0, len(splats), BLOCK_ROWS):
         rows = np.arange(start, min(start + BLOCK_ROWS, len(splats)))

@@ -7,8 +7,9 @@ import numpy as np
 
 from nanogs._types import F32, F64, Array, Bool
 from nanogs.kernels.project import MIN_ALPHA, reaches_of
-from nanogs.render.rasterize import PreparedSplats, rotations
+from nanogs.render.rasterize import PreparedSplats
 from nanogs.splats import Splats
+from nanogs.stored import rotations
 
 # Alpha is held at 0.99 when drawn: from a logit far above, an opacity would take long to come down,
 # and a splat that falls below 1/255 is not drawn and could never come back.

@@ -10,6 +10,7 @@ import numpy as np
 from nanogs._types import F64, I64
 from nanogs.errors import ModelError
 from nanogs.splats import Splats
+from nanogs.stored import rotations
 
 MAX_SAMPLE = 30_000  # splats looked at; a stride thins larger models
 FAINTEST = 1 / 255  # what the rasterisers skip
@@ -89,23 +90,11 @@ def sample(splats: Splats) -> Matter:
     stride = -(-len(visible) // MAX_SAMPLE)
     kept = splats.take(visible[::stride])
     scales = kept.scales().astype(np.float64)
-    axes = _axes(kept.unit_quats().astype(np.float64)) * scales[:, None, :]
+    axes = rotations(kept.unit_quats().astype(np.float64)) * scales[:, None, :]
     longest = np.argsort(-scales, axis=1, kind="stable")[:, :2]
     arms = np.take_along_axis(axes.transpose(0, 2, 1), longest[:, :, None], axis=1)
     means = kept.means.astype(np.float64)
     return Matter(means, kept.opacities(), arms, scales.min(axis=1), stride)
-
-
-def _axes(quats: F64) -> F64:
-    """(n, 3, 3) rotation matrices, a splat's axes in their columns, of unit wxyz (n, 4)."""
-    w, x, y, z = quats.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    matrices: F64 = np.array(rows).transpose(2, 0, 1)
-    return matrices
 
 
 def find_core(matter: Matter) -> Core:

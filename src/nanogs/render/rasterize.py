@@ -7,7 +7,6 @@ Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 20
 """
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -18,8 +17,7 @@ from nanogs.kernels import project as projection
 from nanogs.kernels.radix import radix_sort
 from nanogs.render.camera import Camera
 from nanogs.splats import RenderMode, Splats, refuse_other
-
-Floats = TypeVar("Floats", F32, F64)
+from nanogs.stored import rotations
 
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
 
@@ -132,22 +130,6 @@ def prepare(splats: Splats) -> PreparedSplats:
         render_mode=splats.render_mode,
         skipped=int(len(splats) - np.count_nonzero(finite)),
     )
-
-
-def rotations(quats: Floats) -> Floats:
-    """(N, 3, 3) rotation matrices of (N, 4) unit quaternions, wxyz; of the same dtype."""
-    w, x, y, z = quats.T
-    matrix = np.empty((len(quats), 3, 3), quats.dtype)
-    matrix[:, 0, 0] = 1 - 2 * (y * y + z * z)
-    matrix[:, 0, 1] = 2 * (x * y - w * z)
-    matrix[:, 0, 2] = 2 * (x * z + w * y)
-    matrix[:, 1, 0] = 2 * (x * y + w * z)
-    matrix[:, 1, 1] = 1 - 2 * (x * x + z * z)
-    matrix[:, 1, 2] = 2 * (y * z - w * x)
-    matrix[:, 2, 0] = 2 * (x * z - w * y)
-    matrix[:, 2, 1] = 2 * (y * z + w * x)
-    matrix[:, 2, 2] = 1 - 2 * (x * x + y * y)
-    return matrix
 
 
 def render(

@@ -5,7 +5,8 @@ import numpy as np
 from nanogs import spread
 from nanogs._types import F32, F64, I32
 from nanogs.simplify.blocks import blocks
-from nanogs.splats import Splats, pick, unit
+from nanogs.splats import Splats, pick
+from nanogs.stored import unit
 
 
 def activated(splats: Splats, rows: I32, origin: F64) -> tuple[F64, F32, F32]:

@@ -9,7 +9,8 @@ from nanogs.kernels.mixed import mean_features
 from nanogs.simplify.activation import activated
 from nanogs.simplify.blocks import blocks
 from nanogs.simplify.order import morton_order
-from nanogs.splats import Splats, alphas, pick
+from nanogs.splats import Splats, pick
+from nanogs.stored import alphas
 
 _SAMPLE = 40_000  # centres that tell where most are
 # What finite values can stand for, so that finite splats are stored as such.

@@ -19,7 +19,8 @@ from nanogs.kernels.nodes import (
 from nanogs.simplify.activation import activated
 from nanogs.simplify.blocks import blocks
 from nanogs.simplify.extent import Dilation
-from nanogs.splats import Splats, alphas, pick
+from nanogs.splats import Splats, pick
+from nanogs.stored import alphas
 
 UNRESOLVED = 1e-15  # of the squared trace: what rounding may leave of minors
 NEARER = 4.0  # from a view of the whole model to one of its parts

@@ -1,0 +1,69 @@
+"""Formulas between the values that files store and those that are drawn, in NumPy."""
+
+from typing import TypeVar
+
+import numpy as np
+
+from nanogs._types import F32, F64, U8, F
+
+SH_C0 = 0.28209479177387814  # the spherical harmonic of degree 0; as in `kernels/harmonics.py`
+
+Floats = TypeVar("Floats", F32, F64)
+
+
+def alphas(logits: F32) -> F64:
+    """(N,) float64 in [0, 1]: what logits stand for."""
+    with np.errstate(over="ignore"):
+        return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
+
+
+def logit(alpha: F64) -> F64:
+    """Logarithm of the odds; exactly ±inf for alpha 1 and 0."""
+    with np.errstate(divide="ignore"):
+        result: F64 = -np.log(1 / alpha - 1)
+    return result
+
+
+def base_colour(rgb: F64) -> F64:
+    """The SH coefficient of degree 0 for a colour from 0 to 1."""
+    result: F64 = (rgb - 0.5) / SH_C0
+    return result
+
+
+def rounded_bytes(values: F) -> U8:
+    """The nearest of 0 to 255, in the same shape."""
+    result: U8 = np.rint(np.clip(values, 0, 255)).astype(np.uint8)
+    return result
+
+
+def unit(quats: F32) -> F32:
+    """(N, 4) float32: quaternions of length 1; a zero one stands for no rotation."""
+    # In single precision, but divided by the largest part first: tiny and huge quaternions
+    # must not under- or overflow. The result is unit to 1e-7 either way.
+    w, x, y, z = np.abs(quats).T
+    largest = np.maximum(np.maximum(w, x), np.maximum(y, z))
+    zero = largest == 0
+    largest[zero] = 1
+    result: F32 = quats / largest[:, None]
+    result[zero] = (1, 0, 0, 0)
+    result /= np.sqrt(np.einsum("ij,ij->i", result, result))[:, None]
+    return result
+
+
+def rotations(quats: Floats) -> Floats:
+    """(N, 3, 3) rotation matrices of (N, 4) unit quaternions, wxyz; of the same dtype.
+
+    The axes of a splat are the columns.
+    """
+    w, x, y, z = quats.T
+    matrix = np.empty((len(quats), 3, 3), quats.dtype)
+    matrix[:, 0, 0] = 1 - 2 * (y * y + z * z)
+    matrix[:, 0, 1] = 2 * (x * y - w * z)
+    matrix[:, 0, 2] = 2 * (x * z + w * y)
+    matrix[:, 1, 0] = 2 * (x * y + w * z)
+    matrix[:, 1, 1] = 1 - 2 * (x * x + z * z)
+    matrix[:, 1, 2] = 2 * (y * z - w * x)
+    matrix[:, 2, 0] = 2 * (x * z - w * y)
+    matrix[:, 2, 1] = 2 * (y * z + w * x)
+    matrix[:, 2, 2] = 1 - 2 * (x * x + y * y)
+    return matrix
