@@ -89,7 +89,7 @@ class Streams:
         if source == DASH:
             source = self._received(folder)
         if target == DASH:
-            suffix = _suffix(self.write_as) if self.write_as else _suffix_of(source)
+            suffix = registry.suffix_of(self.write_as) if self.write_as else _own_suffix(source)
             target = folder / f"stdout{suffix}"
             registry.writer(target)
         return Pair(source, target)
@@ -105,7 +105,7 @@ class Streams:
             raise OutputError(f"stdin cannot be put into {place} ({reason}).") from error
         if not raw.stat().st_size:
             raise OptionError("stdin is empty; pipe a model into it.")
-        suffix = _suffix(self.read_as) if self.read_as else sniff(raw)
+        suffix = registry.suffix_of(self.read_as) if self.read_as else sniff(raw)
         if suffix is None:
             with raw.open("rb") as file:
                 refuse_stand_in(Path("stdin"), file.read(TOLD_BY))
@@ -118,11 +118,7 @@ class Streams:
         return raw.rename(named)
 
 
-def _suffix(text: str) -> str:
-    return f".{text.lstrip('.').lower()}"
-
-
-def _suffix_of(source: Path) -> str:
+def _own_suffix(source: Path) -> str:
     known = registry.find(source)
     if known is None or known.write is None:
         raise OptionError("The format of IN is none that nanogs writes; add --to ply.")

@@ -92,7 +92,7 @@ def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[P
     """
     pairs: dict[Path, Pair] = {}
     for source in sources:
-        target = folder / (_stem(source) + _suffix(source, suffix))
+        target = folder / (registry.stem_of(source) + _suffix(source, suffix))
         if target in pairs:
             raise OptionError(
                 f"{pairs[target].source} and {source} would both become {target}; rename one or"
@@ -102,17 +102,9 @@ def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[P
     return list(pairs.values())
 
 
-def _stem(source: Path) -> str:
-    known = registry.find(source)
-    if known is None:
-        return source.stem
-    stem = source.name[: len(source.name) - len(known.suffix)]
-    return stem or source.resolve().parent.name
-
-
 def _suffix(source: Path, asked: str | None) -> str:
     if asked is not None:
-        suffix = f".{asked.lstrip('.').lower()}"
+        suffix = registry.suffix_of(asked)
         registry.writer(Path(f"model{suffix}"))
         return suffix
     known = registry.find(source)

@@ -22,7 +22,7 @@ _IN_MEMORY = 1 << 28  # bytes of a file that is written before it goes to the di
 
 def as_named(path: Path, format: str | None) -> Path:  # noqa: A002 - as `load` has it
     """A name whose suffix says the format: the path's own, or one of the format given."""
-    return path if format is None else Path(f"model.{format.lstrip('.').lower()}")
+    return path if format is None else Path(f"model{registry.suffix_of(format)}")
 
 
 def read_file(file: BinaryIO, format: str | None) -> Splats:  # noqa: A002 - as `load` has it
@@ -101,7 +101,7 @@ def write_file(
 def _suffix(file: BinaryIO, format: str | None) -> str | None:  # noqa: A002
     """The suffix that is given, or that the file's name ends in, or None."""
     if format is not None:
-        return f".{format.lstrip('.').lower()}"
+        return registry.suffix_of(format)
     name = getattr(file, "name", None)  # a number, of files without one
     known = registry.find(Path(name)) if isinstance(name, str) else None
     return known.suffix if known and known.suffix.startswith(".") else None

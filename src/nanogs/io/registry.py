@@ -26,6 +26,18 @@ def find(path: Path) -> Format | None:
     return max(found, key=lambda known: len(known.suffix), default=None)
 
 
+def suffix_of(format: str) -> str:  # noqa: A002 - as `load` has it
+    """The suffix of a format's name, which may begin with a dot or not: ".ply" of "PLY"."""
+    return f".{format.lstrip('.').lower()}"
+
+
+def stem_of(path: Path) -> str:
+    """The file's name without its suffix; of a `meta.json` that of its folder."""
+    known = find(path)
+    stem = path.name[: -len(known.suffix)] if known else path.stem
+    return stem or path.resolve().parent.name
+
+
 def reader(path: Path) -> Format:
     """The format to read a file with.
 

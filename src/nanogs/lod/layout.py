@@ -87,7 +87,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
         )
     if suffix is None:
         return Output(path, Layout.FILES)
-    ending = f".{suffix.lstrip('.').lower()}"
+    ending = registry.suffix_of(suffix)
     registry.writer(Path(level_name(0, ending)))
     return Output(path, Layout.FILES, ending)
 

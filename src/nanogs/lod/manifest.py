@@ -14,7 +14,6 @@ from nanogs.report import SimplifyReport, StopReason
 NAME = "levels.json"
 FORMAT = "nanogs-levels"
 VERSION = 1
-_BLOCK = 1 << 20  # bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +150,5 @@ def _files(levels: object) -> Iterable[str]:
 
 
 def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while block := file.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -83,7 +83,7 @@ def simplify(
     size = None if size is None else as_bytes(size)
     goal = Goal(ratio, count, size, psnr)
     parameters(preset, overrides)
-    path = Path(f"model.{format.lstrip('.')}")
+    path = Path(f"model{registry.suffix_of(format)}")
     refuse_searches(goal, preset, path)
     splats = as_splats(model)
     # Here and not above: this brings Numba, which `--help` and `info` do without.

@@ -12,7 +12,7 @@ from nanogs.formatting import counted
 from nanogs.io import FileInfo, inspect, level_counts, load
 from nanogs.io.atomic import atomic_write
 from nanogs.io.collect import model_in
-from nanogs.io.registry import find
+from nanogs.io.registry import stem_of
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import compare_bytes, page_bytes
 from nanogs.progress import Parts, Progress, Stage, Tracker, each
@@ -209,14 +209,7 @@ def _stages(models: int, views: int) -> list[Stage]:
 
 def page_path(paths: Sequence[Path]) -> Path:
     """The page for these models where none is named: in the current folder, named after them."""
-    return Path("-".join(map(_stem, paths)) + ".html")
-
-
-def _stem(path: Path) -> str:
-    """The file's name without its suffix; of a `meta.json` that of its folder."""
-    known = find(path)
-    stem = path.name[: -len(known.suffix)] if known else path.stem
-    return stem or path.resolve().parent.name or "model"
+    return Path("-".join(stem_of(path) or "model" for path in paths) + ".html")
 
 
 def _measure(
