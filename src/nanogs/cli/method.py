@@ -7,7 +7,7 @@ import typer
 
 from nanogs.cli import options
 from nanogs.simplify.cameras import refuse_unused_views
-from nanogs.simplify.presets import SUMMARIES, Parameters
+from nanogs.simplify.presets import PRESETS, SUMMARIES, Parameters
 
 _ALL = "Parameters of every preset (each replaces the preset's value)"
 _FOREST = "Parameters of the presets default, fast and best"
@@ -23,6 +23,12 @@ class Nan(StrEnum):
 
 def _summaries() -> str:
     return "\n\n".join(f"{name}: {text}." for name, text in SUMMARIES.items())
+
+
+def _defaults(parameter: str) -> str:
+    """The values of a parameter where something is rendered: "20, 40 in best"."""
+    usual, best = (getattr(PRESETS[preset], parameter) for preset in ("default", "best"))
+    return f"{usual}, {best} in best"
 
 
 Preset = Annotated[
@@ -55,7 +61,7 @@ Steps = Annotated[
         "--steps",
         min=0,
         help="Steps of fitting the result to renders of the original; 0 fits nothing.",
-        show_default="24, 224 in best",
+        show_default=_defaults("steps"),
         rich_help_panel=_FOREST,
     ),
 ]
@@ -65,7 +71,7 @@ Views = Annotated[
         "--views",
         min=1,
         help="Views of the original to render.",
-        show_default="20, 40 in best",
+        show_default=_defaults("views"),
         rich_help_panel=options.VIEWS,
     ),
 ]
