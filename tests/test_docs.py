@@ -19,7 +19,8 @@ from nanogs.cli.filtering import parse_filters
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import registry
 from nanogs.quantities import parse_bytes
-from nanogs.simplify.presets import PRESETS
+from nanogs.simplify.choose import BALANCES
+from nanogs.simplify.presets import PRESETS, SUMMARIES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -94,6 +95,31 @@ def test_every_command_that_is_shown_can_be_parsed(page, commands):
         assert name in commands, words
         context = commands[name].make_context(name, list(arguments))
         check_values(name, context.params)
+
+
+def test_the_table_of_parameters_says_what_the_presets_have():
+    text = (DOCS / "guide" / "simplify.md").read_text()
+    [header] = re.findall(r"^\| option \| meaning \|(.*`paper`.*)\|$", text, re.MULTILINE)
+    rows = re.findall(r"^\|( `--[a-z-]+` \|[^|\n]+(?:\|[^|\n]*){4})\|$", text, re.MULTILINE)
+    names = re.findall(r"`([a-z]+)`", header)
+    assert sorted(names) == sorted(PRESETS)
+    assert len(rows) == 10
+    for row in rows:
+        option, _meaning, *cells = (cell.strip() for cell in row.split("|"))
+        parameter = option.strip("`-").replace("-", "_")
+        for name, cell in zip(names, cells, strict=True):
+            value = getattr(PRESETS[name], parameter, None)
+            said = "" if value is None else f"{value:g}"
+            if parameter == "balance" and getattr(PRESETS[name], "measure", False):
+                said = " or ".join(f"{balance:g}" for balance in BALANCES)
+            assert cell == said, (option, name)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", "docs/guide/simplify.md"])
+def test_pages_say_of_presets_what_the_command_says(page):
+    text = (ROOT / page).read_text().replace("`", "")
+    for name, summary in SUMMARIES.items():
+        assert f"| {name} | {summary}" in text
 
 
 def test_commands_are_found_and_wrong_ones_are_not_parsed(commands, tmp_path):
