@@ -24,7 +24,7 @@ _REACH = 3.0  # standard deviations that a splat is taken to extend
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """What decides over splats, and how it is called.
+    """A rule that tells which splats stay, and its name.
 
     Attributes:
         name: As in `--crop`, without the dashes.
@@ -39,7 +39,7 @@ class Filter:
 
 @dataclass(frozen=True, slots=True)
 class FilterReport:
-    """What one filter took.
+    """How many splats one filter took.
 
     Attributes:
         name: Of the filter.

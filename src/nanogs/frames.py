@@ -65,7 +65,7 @@ def checked_frame(name: str) -> str:
 
 
 def change_between(source: str, target: str) -> Change:
-    """What leads from one frame to another.
+    """Find the change that leads from one frame to another.
 
     Raises:
         OptionError: One of them is no frame.

@@ -1,4 +1,4 @@
-"""What is in a model: structure, bounds and statistics, as one report."""
+"""Structure, bounds and statistics of a model, as one report."""
 
 from dataclasses import asdict, dataclass, field
 from os import PathLike
@@ -36,7 +36,7 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class ModelInfo:
-    """What `nanogs info` reports.
+    """The report of `nanogs info`.
 
     Attributes:
         file: What the header says.
@@ -109,7 +109,7 @@ def info(path: str | PathLike[str]) -> ModelInfo:
 
 @dataclass(slots=True)
 class _Census:
-    """What is counted, block by block; the columns are filled from the top."""
+    """Counts so far, block by block; the columns are filled from the top."""
 
     alphas: F32
     scales: F32

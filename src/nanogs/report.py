@@ -1,4 +1,4 @@
-"""What a simplification did: frozen dataclasses that become JSON as they stand."""
+"""The report of a simplification: frozen dataclasses that become JSON as they stand."""
 
 import time
 from collections.abc import Iterator
@@ -127,7 +127,7 @@ class BlocksReport:
 
 @dataclass(frozen=True, slots=True)
 class SimplifyReport:
-    """What was asked of `simplify`, what it delivered, and why it stopped.
+    """The report of `simplify`: what was asked, what was delivered, and why it stopped.
 
     Attributes:
         preset: Name of the preset.

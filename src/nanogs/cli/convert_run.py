@@ -1,4 +1,4 @@
-"""What `nanogs convert` does with a file, and what it says of it."""
+"""`nanogs convert` of a file, and the report of it."""
 
 import time
 from collections.abc import Sequence
@@ -100,7 +100,7 @@ def convert_file(
 
 
 def _written(target: Path, splats: Splats) -> dict[str, Any]:
-    """What the file holds, as it says itself where it can be read."""
+    """Describe the file that was written, by its own header where it can be read."""
     known = registry.find(target)
     if known is None or not known.readable:
         return {

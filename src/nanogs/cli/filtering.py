@@ -1,4 +1,4 @@
-"""What the options that leave out splats ask for, and how what they took is said."""
+"""Options that leave out splats, and the sentences about what they took."""
 
 from typing import Any
 

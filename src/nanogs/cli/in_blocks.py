@@ -79,7 +79,7 @@ def simplify_in_blocks(
 def levels_encoding(
     info: FileInfo, ratios: Sequence[float], output: Output, chunk: int | None, *, plain: bool
 ) -> Encoding:
-    """What the chunks of the levels of a model take; nothing for plain files."""
+    """Memory and time for the chunks of a model's levels; none for plain files."""
     row = splat_bytes(info.sh_degree) + info.extra_bytes()
     chunks = chunks_of(output.layout, chunk, plain=plain)
     return encoding_of(row, info.sh_degree, chunks, info.splats, ratios)

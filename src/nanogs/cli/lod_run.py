@@ -1,4 +1,4 @@
-"""What `nanogs lod` does with a model that fits into memory, and how its levels are shown."""
+"""`nanogs lod` of a model that fits into memory, and how its levels are shown."""
 
 import time
 from collections.abc import Sequence

@@ -23,7 +23,7 @@ from nanogs.quantities import is_unit
 
 
 def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> list[Pair]:
-    """What is read and what is written for it.
+    """Pair each input with its output.
 
     Raises:
         NanogsError: The files and options do not go together, or names collide.

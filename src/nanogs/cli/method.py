@@ -15,7 +15,7 @@ _PAPER = "Parameters of the preset paper"
 
 
 class Nan(StrEnum):
-    """What to do with splats that hold a NaN or an infinite value."""
+    """Ways to treat splats that hold a NaN or an infinite value."""
 
     drop = "drop"
     error = "error"

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a run is going to do.
+    """A run before it begins.
 
     Attributes:
         info: The input.
@@ -70,7 +70,7 @@ class Plan:
         return more or self.goal.psnr is not None
 
     def memory(self) -> MemoryPlan:
-        """What it takes; an unknown count takes what the whole model would."""
+        """The memory it takes; an unknown count takes that of the whole model."""
         info = self.info
         most = self.count or info.splats
         plan = plan_memory(
@@ -110,7 +110,7 @@ def print_divided(plan: Plan, text: str) -> None:
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
-    """What a run would do, for JSON."""
+    """Describe what a run would do, for JSON."""
     asked = {"asked_ratio": plan.goal.ratio, "asked_count": plan.count}
     asked |= {"asked_size": plan.goal.size, "asked_psnr": plan.goal.psnr}
     return describe_plan(plan, asked)
@@ -132,7 +132,7 @@ def show_plan(plan: Plan, asked: dict[str, Any], text: str, *, json: bool) -> No
 
 
 def describe_plan(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
-    """What a run would do and what is asked of it, for JSON."""
+    """Describe what a run would do and what is asked of it, for JSON."""
     return {
         "input": plan.name,
         "input_count": plan.info.splats,
@@ -304,7 +304,7 @@ def _lead_text(chosen: dict[str, Any], next_one: dict[str, Any]) -> str:
 
 
 def choice_text(candidates: list[dict[str, Any]]) -> str:
-    """What was chosen by measurement, and by how much over the best of the others."""
+    """Say what was chosen by measurement, and its gain over the best of the others."""
     if not candidates:
         return ""
     chosen = next(entry for entry in candidates if entry["chosen"])
@@ -317,7 +317,7 @@ def choice_text(candidates: list[dict[str, Any]]) -> str:
 
 
 def refit_text(refit: dict[str, Any] | None) -> str:
-    """What fitting gained on the views that decide, and why it ended."""
+    """Say what fitting gained on the views that decide, and why it ended."""
     if refit is None:
         return ""
     before, after = refit["psnr_before"], refit["psnr_after"]

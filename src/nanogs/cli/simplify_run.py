@@ -1,4 +1,4 @@
-"""What `nanogs simplify` does with each file: plan it, and simplify it."""
+"""`nanogs simplify` of each file: plan it, and simplify it."""
 
 import time
 from dataclasses import asdict, dataclass, replace
@@ -33,7 +33,7 @@ from nanogs.splats import Splats
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What is asked for every file.
+    """The wishes for every file, checked.
 
     Attributes:
         goal: The wish.

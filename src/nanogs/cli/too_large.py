@@ -1,4 +1,4 @@
-"""What is asked for models that do not fit into the memory given, and whether one does not."""
+"""Options about models larger than memory, and whether a model is one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -143,7 +143,7 @@ def parse_blocks(
     scheduler: str | None,
     patience: float,
 ) -> Blocks:
-    """What was asked for, checked as far as it can be without the inputs.
+    """Check what was asked for, as far as that is possible without the inputs.
 
     Raises:
         OptionError: The options do not go together.

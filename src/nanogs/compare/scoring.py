@@ -24,7 +24,7 @@ OnView = Callable[["ReferenceView", "Rendering", "ViewScore"], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceView:
-    """What a model's rendering is held against.
+    """A view of the original, or a photograph: renderings are held against it.
 
     Attributes:
         camera: The camera.

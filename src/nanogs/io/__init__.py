@@ -180,7 +180,7 @@ def as_stored(
 
 
 def losses(splats: Splats, path: str | PathLike[str]) -> tuple[str, ...]:
-    """What `save` would leave out, one sentence each; quantisation, which a format implies, is not.
+    """Name what `save` would leave out, a sentence each; quantisation, which formats imply, is not.
 
     Raises:
         OptionError: As for `save`.

@@ -95,7 +95,7 @@ def _take_place(made: Path, target: Path, path: Path, *, overwrite: bool) -> Non
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
-    """What the system's refusal means for the user."""
+    """The error for a refusal of the system, in words for the user."""
     if error.errno in _FULL:
         return OutputError(f"{path}: the disk or quota is full; free some space and run again.")
     if error.errno in _DENIED:

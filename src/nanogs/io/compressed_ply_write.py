@@ -64,7 +64,7 @@ def file_bytes(splats: Splats, count: int) -> int:
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """What the file leaves out or clamps, one sentence each."""
+    """Name what the file leaves out or clamps, one sentence each."""
     found = limits.left_out(splats, ".compressed.ply", comments=False, max_degree=MAX_DEGREE)
     found += limits.rounded(splats, ".compressed.ply")
     if count := int((np.abs(splats.log_scales) > _LOG_SCALES).any(axis=1).sum()):

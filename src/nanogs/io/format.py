@@ -1,4 +1,4 @@
-"""What nanogs knows of a format: its entry in the registry."""
+"""A format's entry in the registry."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ Writer = Callable[..., None]
 Sizer = Callable[[Splats, int], int]
 """Bytes of the file of a model of so many splats that is like the given one in all else."""
 Losses = Callable[[Splats], tuple[str, ...]]
-"""What a file of the format cannot hold of a model, one sentence each, besides quantisation."""
+"""Names what a file of the format cannot hold of a model, a sentence each, besides quantisation."""
 
 
 class FolderWriter(Protocol):

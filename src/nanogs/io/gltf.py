@@ -236,7 +236,7 @@ def _colour_space(scene: _Scene, primitive: Part) -> bool:
 
 
 def _describe(scene: _Scene, primitive: Part, mode: RenderMode) -> None:
-    """What a primitive says about itself beside its numbers."""
+    """Note what a primitive says about itself beside its numbers."""
     kernel = primitive.part("extensions").part(EXTENSION).text("kernel", "ellipse")
     if kernel != "ellipse":
         scene.notes.append(f"The kernel {kernel[:40]!a} is unknown and was read as ellipse.")

@@ -54,7 +54,7 @@ class Accessor:
         return np.ndarray(shape, self.kind, buffer=data, offset=before, strides=strides)
 
     def decoded(self, stored: Array) -> F64:
-        """What the stored numbers stand for, float64."""
+        """Decode stored numbers to float64."""
         values = stored.astype(np.float64)
         if self.normalized and stored.dtype.kind in "iu":
             values /= np.iinfo(stored.dtype).max

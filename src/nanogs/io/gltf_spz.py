@@ -45,7 +45,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """What the file leaves out or clamps, one sentence each."""
+    """Name what the file leaves out or clamps, one sentence each."""
     cut = splats.with_sh_degree(MAX_DEGREE)
     found = spz_write.losses(cut)
     if cut.sh_degree == splats.sh_degree:

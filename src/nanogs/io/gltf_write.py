@@ -77,7 +77,7 @@ def file_bytes(splats: Splats, count: int) -> int:
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """What the file leaves out, one sentence each."""
+    """Name what the file leaves out, one sentence each."""
     found = limits.left_out(splats, ".glb", comments=False, max_degree=MAX_DEGREE)
     return (*found, *limits.rounded(splats, ".glb"))
 

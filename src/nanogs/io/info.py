@@ -1,4 +1,4 @@
-"""What a scene file says about itself, without its body being read."""
+"""A scene file's description of itself, found without reading its body."""
 
 from dataclasses import dataclass
 from pathlib import Path

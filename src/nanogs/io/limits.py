@@ -1,4 +1,4 @@
-"""What the formats that do not hold everything refuse, and what they leave out.
+"""Refusals and losses of the formats that do not hold everything.
 
 Said in one place, so that every such format says it alike.
 """

@@ -178,7 +178,7 @@ def file_bytes(splats: Splats, count: int) -> int:
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """What the file leaves out, one sentence each."""
+    """Name what the file leaves out, one sentence each."""
     return tuple(limits.left_out(splats, _SUFFIX, extras=False))
 
 

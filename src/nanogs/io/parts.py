@@ -55,7 +55,7 @@ class Packed(Protocol):
 
     @property
     def columns(self) -> Mapping[str, Column]:
-        """What is unpacked, by name, in the order it comes."""
+        """The columns that are unpacked, by name, in the order they come."""
 
     @property
     def memory(self) -> int:

@@ -102,7 +102,7 @@ def printable(text: str) -> str:
 
 
 def header_notes(header: Header) -> list[str]:
-    """What the header holds that `Splats` carries in another way, or not at all."""
+    """Name what the header holds that `Splats` carries in another way, or not at all."""
     notes = render_tag.contradiction([*header.comments, *header.obj_info])
     if header.obj_info:
         notes.append(f"{len(header.obj_info)} obj_info lines were kept as comments.")

@@ -80,7 +80,7 @@ def writer(path: Path, options: Mapping[str, Any] | None = None) -> Writer:
 
 
 def keywords(known: Format, options: Mapping[str, Any]) -> dict[str, Any]:
-    """What a format's writer takes, from options by name; None stands for the default.
+    """Arguments for a format's writer, from options by name; None stands for the default.
 
     Raises:
         OptionError: The format has no such option, or not that value of it.
@@ -131,7 +131,7 @@ def sizer(path: Path) -> Sizer:
 
 
 def losses(path: Path, splats: Splats) -> tuple[str, ...]:
-    """What a file of that suffix cannot hold of a model, one sentence each.
+    """Name what a file of that suffix cannot hold of a model, one sentence each.
 
     Raises:
         OptionError: As for `writable`.
@@ -140,7 +140,7 @@ def losses(path: Path, splats: Splats) -> tuple[str, ...]:
 
 
 def losses_by_format(splats: Splats) -> dict[str, tuple[str, ...]]:
-    """What a file of each suffix that is written cannot hold of a model."""
+    """Name what a file of each suffix that is written cannot hold of a model."""
     return {known.suffix: known.losses(splats) for known in formats() if known.writable}
 
 

@@ -220,7 +220,7 @@ def _joined(models: list[Splats], notes: tuple[str, ...]) -> Splats:
 
 
 def joined_notes(models: Sequence[Sequence[str]], notes: Sequence[str]) -> list[str]:
-    """What is said of the models and of the manifest, each once."""
+    """Join the notes of the models and of the manifest, each once."""
     return [*dict.fromkeys(note for model in models for note in model), *notes]
 
 

@@ -120,7 +120,7 @@ def contents(splats: Splats, groups: I64 | None = None, tell: Parts = untold) ->
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """What a SOG file cannot hold of a model, one sentence each."""
+    """Name what a SOG file cannot hold of a model, one sentence each."""
     return tuple(limits.left_out(splats, ".sog", max_degree=MAX_DEGREE))
 
 

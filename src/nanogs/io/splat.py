@@ -123,7 +123,7 @@ def file_bytes(_splats: Splats, count: int) -> int:
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """What the file leaves out or clamps, one sentence each."""
+    """Name what the file leaves out or clamps, one sentence each."""
     out = limits.left_out(splats, _SUFFIX)
     if splats.sh_degree:
         out.append(

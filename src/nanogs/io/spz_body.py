@@ -1,4 +1,4 @@
-"""What is inside an `.spz` file: columns and extension records, inflated a piece at a time.
+"""Contents of an `.spz` file: columns and extension records, inflated a piece at a time.
 
 The layout is in `spz_header`. No more is ever inflated than the header's count allows.
 """
@@ -70,7 +70,7 @@ def body_pieces(header: Header, notes: list[str]) -> Iterator[bytes]:
 
 
 def window_bytes(header: Header) -> int:
-    """What a decoder of the columns holds, as the first frame of each stream states it.
+    """Bytes that a decoder of the columns holds, as the first frame of each stream states it.
 
     Raises:
         FormatError: The file cannot be read, or a stream is damaged.

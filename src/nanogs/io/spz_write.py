@@ -75,7 +75,7 @@ def write(splats: Splats, file: BinaryIO, *, version: int = 3) -> None:
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """What the file leaves out or clamps, one sentence each."""
+    """Name what the file leaves out or clamps, one sentence each."""
     step = 0.5 / SCALE_STEPS
     low, high = SCALE_LOW, SCALE_LOW + 255 / SCALE_STEPS
     scales, colours, rest = splats.log_scales, splats.sh[:, 0], splats.sh[:, 1:]

@@ -63,7 +63,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
-    """What the file leaves out, one sentence each."""
+    """Name what the file leaves out, one sentence each."""
     out = limits.left_out(splats, SUFFIX)
     out += limits.rounded(splats, SUFFIX)
     return (*out, *limits.lost_mode(splats, SUFFIX))

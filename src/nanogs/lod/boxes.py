@@ -13,7 +13,7 @@ from nanogs.stored import rotations
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Box:
-    """What lies between two corners, each (3,) float64, scene units."""
+    """A box between two corners, each (3,) float64, scene units."""
 
     low: F64
     high: F64

@@ -1,4 +1,4 @@
-"""What the chunked layouts share: the splats of a level in the order of their cells."""
+"""Shared by the chunked layouts: the splats of a level in the order of their cells."""
 
 import json
 from collections.abc import Iterable

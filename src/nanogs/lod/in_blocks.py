@@ -47,7 +47,7 @@ def plan_levels(
     nan: NanPolicy = "drop",
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[Settings, ScalePlan]:
-    """What the job would be, and what it takes; only headers are read.
+    """Plan the job, and what it takes; only headers are read.
 
     Args:
         inputs: As `write_levels_in_blocks` takes them, and all others too.
@@ -154,7 +154,7 @@ def write_levels_in_blocks(
 
 @dataclass(frozen=True, slots=True)
 class _Telling:
-    """What is said of the levels once they are made."""
+    """Describes the levels once they are made."""
 
     source: str
     preset: str
@@ -209,7 +209,7 @@ def _entry(
 
 
 def _left_out(done: "Done") -> list[str]:
-    """What the files leave out: said of the finest level, and of others where it differs."""
+    """Name what the files leave out of the finest level, and of others where it differs."""
     from nanogs.scale.chunked import losses_of
 
     found: list[str] = []

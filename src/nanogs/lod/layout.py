@@ -1,4 +1,4 @@
-"""What `nanogs lod` can make of the levels of a model, and what it may replace.
+"""The layouts in which `nanogs lod` writes levels, and the folders that it may replace.
 
 The output's name says which: `out/lod-meta.json`, `out/tileset.json`, or the folder itself.
 """
@@ -46,7 +46,7 @@ class Output:
 
     @property
     def path(self) -> Path:
-        """What a viewer opens: the file that describes the folder, or the folder."""
+        """The path that a viewer opens: the file that describes the folder, or the folder."""
         return self.folder / NAMES.get(self.layout, "")
 
     @property
@@ -126,7 +126,7 @@ def check_options(layout: Layout, chunk: int | None, *, plain: bool) -> None:
 def writer(
     layout: Layout, folder: Path, chunk: int | None, *, plain: bool, suffix: str = PLY
 ) -> LevelWriter:
-    """What writes a layout into a folder that exists and is empty.
+    """Make the writer of a layout, into a folder that exists and is empty.
 
     Args:
         layout: How the levels are to lie.

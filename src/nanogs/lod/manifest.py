@@ -1,4 +1,4 @@
-"""What a folder of levels holds; the folder of `.ply` files says it in its `levels.json`."""
+"""The contents of a folder of levels, as `levels.json` in a folder of plain files has them."""
 
 import hashlib
 import json
@@ -67,7 +67,7 @@ class ChunkedLevel:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """What `levels.json` says, besides its format and version.
+    """The contents of `levels.json`, besides its format and version.
 
     Attributes:
         generator: The program and its version.

@@ -34,7 +34,7 @@ _WIDTH = 4.0
 
 
 def _plain_losses(splats: Splats) -> tuple[str, ...]:
-    """What `gltf_write` leaves out, and the comments, which would be in every tile."""
+    """Name what `gltf_write` leaves out, and the comments, which would be in every tile."""
     from nanogs.io import limits
     from nanogs.io.gltf_primitives import MAX_DEGREE
 

@@ -63,7 +63,7 @@ def seen_from(matter: Matter, frame: F64) -> Matter:
 
 
 def body_of(matter: Matter) -> Body:
-    """What lies within a few median distances of the middle."""
+    """The splats within a few median distances of the middle."""
     distances = np.linalg.norm(matter.points - _middle(matter), axis=1)
     rows = np.flatnonzero(distances <= REACH * quantiles(distances, matter.alphas, 0.5)[0])
     weights = capped(matter.areas[rows])

@@ -75,7 +75,7 @@ class Projection:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendering:
-    """What `render` returns.
+    """A picture of a model, and what else was asked for.
 
     Attributes:
         color: (H, W, 3) float32, over the background; not clipped at 1.

@@ -64,7 +64,7 @@ class Scene:
 
 @dataclass(slots=True)
 class Known:
-    """What the search has found so far.
+    """The findings of the search so far.
 
     Attributes:
         weights: (N,) float64, what each splat has of the pictures so far; each adds up to 1.

@@ -32,7 +32,7 @@ INSIDE_FOV = 75.0
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What is known of a model before cameras are placed.
+    """Findings about a model before cameras are placed.
 
     Attributes:
         matter: A sample of its visible splats, in the model's own frame.

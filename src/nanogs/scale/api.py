@@ -189,7 +189,7 @@ def plan_job(
     nan: NanPolicy,
     chunks: Chunks | None = None,
 ) -> tuple[Settings, ScalePlan]:
-    """What the job is, and what it takes; only headers are read.
+    """Plan the job, and what it takes; only headers are read.
 
     Args:
         paths: The inputs.

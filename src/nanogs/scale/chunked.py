@@ -138,7 +138,7 @@ def tiles_of(record: Record) -> dict[int, Tile]:
 
 
 def losses_of(record: Record) -> list[str]:
-    """What the files leave out of a block's level, as sentences that can be joined."""
+    """Name what the files leave out of a block's level, in sentences that can be joined."""
     found: list[str] = []
     for template, value in record.facts["losses"]:
         if value is None:

@@ -110,7 +110,7 @@ def _answering(scheduler: str) -> "Client":
 
 
 async def _kind(address: str) -> str:
-    """What Dask runs at an address: "Scheduler", "Worker" or "Nanny"."""
+    """The kind of process at an address of Dask's: "Scheduler", "Worker" or "Nanny"."""
     from distributed import rpc
 
     async with rpc(address, timeout=_PATIENCE) as server:
@@ -118,7 +118,7 @@ async def _kind(address: str) -> str:
 
 
 def _in_time(ask: Callable[[], str]) -> str:
-    """What is answered within some seconds; who does not come back by then is left behind.
+    """Ask, and give up after some seconds; an answer that comes later is dropped.
 
     Raises:
         TimeoutError: There is no answer.

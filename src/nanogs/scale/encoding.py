@@ -1,4 +1,4 @@
-"""What the making of chunks takes, in memory and time; computed from measurements of one file."""
+"""Memory and time for making chunks, computed from measurements of one file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ _SECONDS = {SOG: (1e-5, 8e-5), TILES: (1e-6, 1e-6), "spz": (2e-6, 4e-6)}
 
 @dataclass(frozen=True, slots=True)
 class Encoding:
-    """What a job takes for its chunks; nothing where it has none.
+    """Memory and time that a job takes for its chunks; none where it has no chunks.
 
     Attributes:
         file: Bytes for the file that is being made.
@@ -45,7 +45,7 @@ class Encoding:
         return max(min(block, int((room - self.file) / self.each)), 0)
 
     def remedy(self) -> str:
-        """What takes less, to end a sentence about memory."""
+        """Advice on what takes less, to end a sentence about memory."""
         if self.each == 0:
             return "."
         size = "larger" if self.described > self.file else "smaller"
@@ -58,7 +58,7 @@ NO_CHUNKS = Encoding()
 def encoding_of(
     row: int, degree: int, chunks: Chunks | None, splats: int, shares: Sequence[float]
 ) -> Encoding:
-    """What the chunks of some levels take.
+    """Memory and time for the chunks of some levels.
 
     Args:
         row: Bytes of a splat.

@@ -1,4 +1,4 @@
-"""What becomes of a job's files in the end: results that get their names whole."""
+"""The end of a job: its files become results, which get their names when they are complete."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What all blocks of a scene share, estimated from evenly spread rows: scales and Morton cells."""
+"""Scales and Morton cells that all blocks of a scene share, from evenly spread rows."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -49,7 +49,7 @@ class Frame:
         return np.array(self.origin)
 
     def dilation(self) -> Dilation:
-        """What rasterisers add to splats."""
+        """The dilation that rasterisers add to splats."""
         rows = np.array(self.anchors)
         return Dilation(np.ascontiguousarray(rows[:, :3]), rows[:, 3].copy(), self.per_radius)
 

@@ -19,7 +19,7 @@ REACHES = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Halo:
-    """What a block sees of another.
+    """The groups and splats of another block that lie near a block.
 
     Attributes:
         block: The other.
@@ -47,7 +47,7 @@ class _Near:
 def find_halo(
     scratch: Scratch, cuts: Sequence[Record], block: int, splats: int, threads: int
 ) -> list[Halo]:
-    """What a block sees of each of the others near it, in their order.
+    """Find what lies near a block in each of the others, in their order.
 
     Args:
         scratch: Where the cuts are.

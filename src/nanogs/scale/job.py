@@ -52,7 +52,7 @@ class Where:
 
     @contextmanager
     def executor(self, progress: Tracker) -> Iterator[Executor]:
-        """What does the tasks.
+        """Connect to whoever does the tasks.
 
         Args:
             progress: Told where there is no worker.
@@ -83,7 +83,7 @@ def _same(client: "Client") -> "Client":
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockJob:
-    """What is to be made, and where it is kept until then.
+    """A job to be done, and where its files are until then.
 
     Attributes:
         settings: What decides the results.

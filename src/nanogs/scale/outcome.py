@@ -29,7 +29,7 @@ def report_of(
     start: float,
     level: int = 0,
 ) -> SimplifyReport:
-    """What was asked, delivered and spent.
+    """Report what was asked, delivered and spent.
 
     Args:
         preset: Its name.

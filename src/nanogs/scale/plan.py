@@ -28,7 +28,7 @@ _PLACES = 4 * 8  # bytes a group: its centre and reach
 
 @dataclass(frozen=True, slots=True)
 class ScalePlan:
-    """What a job takes.
+    """Blocks, memory, disk and time that a job takes.
 
     Attributes:
         splats: Rows of all inputs.

@@ -38,7 +38,7 @@ class Here:
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What a job did.
+    """A job whose tasks are done.
 
     Attributes:
         work: The job, all records in it.

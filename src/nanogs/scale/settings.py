@@ -1,4 +1,4 @@
-"""What a job is about: all that decides the bytes of its result, as plain data."""
+"""A job as plain data: all that decides the bytes of its result."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -24,7 +24,7 @@ GONE = -1  # the label of a splat that was handed over
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What a block sees: its own splats and groups first, those of its halo after them.
+    """A block and its halo: its own splats and groups first, those of the halo after them.
 
     Attributes:
         leaves: A node for each splat.

@@ -150,7 +150,7 @@ def sample(settings: Settings, unpacked: Unpacked | None = None) -> Splats:
 def _opened(
     settings: Settings, number: int, unpacked: Unpacked | None
 ) -> Iterator[Callable[[int, int], Splats]]:
-    """What reads rows of a file, which must be the same before and after."""
+    """Open a file to read rows of it; it must be the same before and after."""
     file = settings.inputs[number]
     check_unchanged(file)
     if unpacked is not None and number in unpacked.records:

@@ -44,7 +44,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What a task made.
+    """The record of a table that a task made.
 
     Attributes:
         name: Of the table.

@@ -35,7 +35,7 @@ class Unpacked:
 
     @contextmanager
     def opened(self, number: int, packed: Packed) -> Iterator[Callable[[int, int], Splats]]:
-        """What reads rows of a file.
+        """Open the columns of a file to read rows of it.
 
         Args:
             number: Of the file.
@@ -53,7 +53,7 @@ class Unpacked:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What unpacking takes.
+    """Memory and disk that unpacking takes.
 
     Attributes:
         scratch: Bytes of the columns of all files.
@@ -67,7 +67,7 @@ class Cost:
 
 
 def cost_of(settings: Settings) -> Cost:
-    """What unpacking will take, from headers.
+    """Memory and disk that unpacking will take, from headers.
 
     Raises:
         FormatError: A file cannot be read.

@@ -77,7 +77,7 @@ class Work:
     known: dict[str, Record] = field(default_factory=dict)
 
     def record(self, task: Task) -> Record:
-        """What a task wrote.
+        """The record of what a task wrote.
 
         Raises:
             OutputError: It is not there.
@@ -95,12 +95,12 @@ class Work:
 
     @property
     def frame(self) -> Frame:
-        """What all blocks share."""
+        """The frame that all blocks share."""
         return frame_of(self.record(Task("frame")).facts)
 
     @property
     def partition(self) -> Partition:
-        """What is in each block."""
+        """The rows of each block."""
         return partition_of(self.record(Task("partition")).facts)
 
     def unpacked(self) -> Unpacked:
@@ -113,15 +113,15 @@ class Work:
         return [self.record(Task("segment", i)) for i in range(len(self.settings.segments))]
 
     def of_job(self, stage: str, level: int = 0) -> Record:
-        """What a stage of one task wrote."""
+        """The record of what a stage of one task wrote."""
         return self.record(Task(stage, 0, level))
 
     def of_block(self, stage: str, block: int, level: int = 0) -> Record:
-        """What a stage wrote for a block."""
+        """The record of what a stage wrote for a block."""
         return self.record(Task(stage, block, level))
 
     def of_blocks(self, stage: str, level: int = 0) -> list[Record]:
-        """What a stage wrote for each block."""
+        """The records of what a stage wrote, one a block."""
         return [self.record(Task(stage, b, level)) for b in range(self.partition.blocks)]
 
     def read(

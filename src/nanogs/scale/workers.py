@@ -171,7 +171,7 @@ def do_task(
     threads: int | None,
     version: str,
 ) -> None:
-    """What a worker runs.
+    """Do a task in a worker.
 
     Args:
         place: Folder or URL of the scratch.

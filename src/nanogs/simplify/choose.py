@@ -26,7 +26,7 @@ class Candidate:
 
 
 def quality(psnr: float, ssim: float) -> float:
-    """What is compared: PSNR alone would favour blur."""
+    """PSNR and SSIM in one number: PSNR alone would favour blur."""
     return psnr + SSIM_WORTH * ssim
 
 

@@ -18,7 +18,7 @@ _SAMPLE = 4096  # splats looked at; a stride thins larger models
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dilation:
-    """What rasterisers add to splats on the screen, in scene units where each splat is.
+    """The size that rasterisers add to splats, in scene units where each splat is.
 
     Attributes:
         anchors: (A, 3) float64, some centres, scene units from the origin of the run.
@@ -47,7 +47,7 @@ class Dilation:
 
 
 def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilation:
-    """What a rasteriser adds to splats where a model is looked at as a whole.
+    """Find what a rasteriser adds to splats where a model is looked at as a whole.
 
     That is where a splat's surroundings, the ball about it that holds a quarter of the alpha, are
     `pixels` across: about as far away as viewers stand, whatever else the model holds elsewhere.

@@ -122,7 +122,7 @@ class Job:
         clock: StageClock,
         start: float,
     ) -> SimplifyReport:
-        """What was asked, delivered and spent.
+        """Report what was asked, delivered and spent.
 
         Args:
             goal: What was asked.

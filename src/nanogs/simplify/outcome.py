@@ -1,4 +1,4 @@
-"""What a method hands back, whatever its stages."""
+"""The outcome of any method, whatever its stages."""
 
 from dataclasses import dataclass
 

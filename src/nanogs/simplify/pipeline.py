@@ -15,7 +15,7 @@ from nanogs.simplify.presets import PaperParameters
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PipelineResult:
-    """What the passes left, what each of them did, and why they ended."""
+    """The splats that the passes left, what each of them did, and why they ended."""
 
     gaussians: Gaussians
     passes: tuple[PassReport, ...]

@@ -11,7 +11,7 @@ from nanogs.formatting import counted
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What is asked for: exactly one of four.
+    """The wish: exactly one of four.
 
     Attributes:
         ratio: Compaction ratio in (0, 1].

@@ -47,7 +47,7 @@ def facts_of(
     reference: int | None = None,
     judged: Judged | None = None,
 ) -> tuple[str, ...]:
-    """What a page says of a model.
+    """Lines that a page shows of a model.
 
     Args:
         splats: Number of splats.
@@ -119,7 +119,7 @@ def render_page(models: Sequence[Shown], start: Opening, background: Background)
 
 
 def _scene(models: Sequence[Shown], start: Opening, background: Background) -> dict[str, Any]:
-    """What the viewer is told, in units of the page."""
+    """The data for the viewer, in units of the page."""
     [position] = in_page(start.position[None], start)
     return {
         "models": [
