@@ -92,6 +92,9 @@ def size_text(pixels: tuple[int, int]) -> str:
 
 def background_text(background: Background) -> str:
     """Its name, or #rrggbb."""
-    names = {BLACK: "black", WHITE: "white"}
-    shown = "#" + "".join(f"{round(255 * part):02x}" for part in background)
-    return names.get(background, shown)
+    return {BLACK: "black", WHITE: "white"}.get(background, hex_text(background))
+
+
+def hex_text(background: Background) -> str:
+    """It as #rrggbb."""
+    return "#" + "".join(f"{round(255 * part):02x}" for part in background)

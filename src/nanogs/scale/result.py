@@ -33,11 +33,8 @@ def refuse_large(path: Path, count: int, row: int, max_memory: int | None) -> No
     Raises:
         OptionError: It is too large, a folder, or in a format that is not written.
     """
+    registry.writer(path)  # which refuses folders
     known = registry.writable(path)
-    if known.write is None:
-        raise OptionError(
-            f"{path} describes a folder of files; name a file, such as {path.with_suffix('.sog')}."
-        )
     if known.suffix != _STREAMED and max_memory is not None and 3 * count * row > max_memory:
         raise OptionError(
             f"{path}: only .ply is written block by block, and {count:,} splats are too many to be"

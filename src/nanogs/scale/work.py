@@ -245,7 +245,7 @@ def _members(work: Work, task: Task) -> tuple[Splats, Nodes, I32]:
     columns = with_codes(empty_columns(work.settings.layout, count), count)
     by_row = np.empty(count, np.int32)
     work.read(task.number, columns)
-    with Table(work.scratch, work.record(Task("settle", task.number, task.level))) as table:
+    with Table(work.scratch, work.of_block("settle", task.number, task.level)) as table:
         table.read_into(LABELS, 0, by_row[:own])
     at = own
     for record, start, stop in given:
@@ -280,11 +280,11 @@ def _block(work: Work, block: int, layout: Layout | None = None) -> tuple[Splats
 
 
 def _forest_of(work: Work, task: Task) -> Record:
-    return work.record(Task("forest", task.number))
+    return work.of_block("forest", task.number)
 
 
 def _groups(work: Work, task: Task) -> int:
-    return int(work.record(Task("budget", 0, task.level)).facts["groups"][task.number])
+    return int(work.of_job("budget", task.level).facts["groups"][task.number])
 
 
 _STAGES: dict[str, Callable[[Work, Task], Record]] = {

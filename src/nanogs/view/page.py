@@ -7,7 +7,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from nanogs._version import __version__
-from nanogs.compare.protocol import Background, Judged
+from nanogs.compare.protocol import Background, Judged, hex_text
 from nanogs.errors import ModelError
 from nanogs.formatting import bytes_text, counted, number_text
 from nanogs.render.opening import Opening
@@ -110,7 +110,7 @@ def render_page(models: Sequence[Shown], start: Opening, background: Background)
         .from_string(_template("page.html.j2"))
         .render(
             title=" and ".join(model.name for model in models),
-            background=_hex(background),
+            background=hex_text(background),
             policy=POLICY,
             version=__version__,
             viewer=Markup(viewer_part(models, start, background)),  # noqa: S704 - escaped there
@@ -138,12 +138,8 @@ def _scene(models: Sequence[Shown], start: Opening, background: Background) -> d
             "lens": start.lens,
             "near": start.near,
         },
-        "background": _hex(background),
+        "background": hex_text(background),
     }
-
-
-def _hex(color: Background) -> str:
-    return "#" + "".join(f"{round(255 * part):02x}" for part in color)
 
 
 def _environment() -> "Environment":
