@@ -1,6 +1,10 @@
-"""Numbers as people read them, the same on the terminal and on pages."""
+"""Numbers as people read them, the same on the terminal and on pages, and values for JSON."""
 
 import math
+from dataclasses import asdict, is_dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
 
 NONE = "–"  # noqa: RUF001 - an en dash stands for "no value"
 
@@ -55,3 +59,16 @@ def time_text(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401 - whatever a report holds
+    """Dictionaries, lists, numbers and text; infinities and NaN, which JSON lacks, as text."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, dict):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return str(value) if isinstance(value, Path | StrEnum) else value

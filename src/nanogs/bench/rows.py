@@ -1,10 +1,11 @@
 """One row for each scene, method and ratio, whatever became of it."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
+
+from nanogs.formatting import plain
 
 ORIGINAL = "original"
 RowKey = tuple[str, str, float]
@@ -117,7 +118,7 @@ class BenchRow:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values; infinities and NaN, which JSON lacks, as strings."""
-        data: dict[str, Any] = _plain(asdict(self))
+        data: dict[str, Any] = plain(asdict(self))
         return data
 
     @classmethod
@@ -141,13 +142,3 @@ def _value(value: Any) -> Any:  # noqa: ANN401 - whatever a row holds
     if isinstance(value, dict):
         return {name: _value(entry) for name, entry in value.items()}
     return float(value) if value in ("inf", "-inf", "nan") else value
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a row holds
-    if isinstance(value, dict):
-        return {name: _plain(entry) for name, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return str(value) if isinstance(value, StrEnum) else value

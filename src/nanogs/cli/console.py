@@ -1,6 +1,5 @@
 """How the command speaks: data on stdout, everything for people on stderr."""
 
-import dataclasses
 import json
 import os
 import sys
@@ -8,12 +7,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+
+from nanogs.formatting import plain
 
 if TYPE_CHECKING:
     from nanogs.report import StageClock
@@ -75,22 +75,8 @@ def arrow() -> str:
 def print_json(data: dict[str, Any], file: TextIO | None = None) -> None:
     """Write one JSON object, to stdout by default; infinities, which JSON lacks, become strings."""
     stream = file or sys.stdout
-    json.dump(_plain(data), stream, indent=2, allow_nan=False)
+    json.dump(plain(data), stream, indent=2, allow_nan=False)
     stream.write("\n")
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a report holds
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return _plain(dataclasses.asdict(value))
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, float) and (value != value or value in (float("inf"), -float("inf"))):
-        return str(value)
-    return value
 
 
 def with_file_seconds(run: dict[str, Any], clock: "StageClock", start: float) -> dict[str, Any]:

@@ -1,9 +1,21 @@
 """Checks that every metric shares."""
 
+import math
+
 import numpy as np
 
 from nanogs._types import F64, Array
 from nanogs.errors import ModelError, OptionError
+
+
+def check_range(data_range: float) -> None:
+    """Refuse a range of values that is none.
+
+    Raises:
+        OptionError: It is not above 0, or not finite.
+    """
+    if not (data_range > 0 and math.isfinite(data_range)):
+        raise OptionError(f"data_range must be above 0, not {data_range}.")
 
 
 def image_pair(a: Array, b: Array) -> tuple[F64, F64]:

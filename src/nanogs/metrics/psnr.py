@@ -5,8 +5,7 @@ import math
 import numpy as np
 
 from nanogs._types import Array
-from nanogs.errors import OptionError
-from nanogs.metrics._images import image_pair
+from nanogs.metrics._images import check_range, image_pair
 
 
 def psnr(a: Array, b: Array, data_range: float = 1.0) -> float:
@@ -27,8 +26,7 @@ def psnr(a: Array, b: Array, data_range: float = 1.0) -> float:
         OptionError: Shapes differ, values are integers, or data_range is not above 0.
         ModelError: A pixel is not finite.
     """
-    if not (data_range > 0 and math.isfinite(data_range)):
-        raise OptionError(f"data_range must be above 0, not {data_range}.")
+    check_range(data_range)
     first, second = image_pair(a, b)
     first -= second  # copies, both of them
     error = float(np.mean(np.square(first, out=first)))

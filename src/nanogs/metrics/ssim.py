@@ -9,7 +9,7 @@ import numpy as np
 from nanogs._types import Array
 from nanogs.errors import OptionError
 from nanogs.kernels.window import similarity_rows
-from nanogs.metrics._images import image_pair
+from nanogs.metrics._images import check_range, image_pair
 
 RADIUS = 5  # 11 x 11 window
 SIGMA = 1.5  # pixels
@@ -36,8 +36,7 @@ def ssim(a: Array, b: Array, data_range: float = 1.0) -> float:
             data_range is not above 0.
         ModelError: A pixel is not finite.
     """
-    if not (data_range > 0 and np.isfinite(data_range)):
-        raise OptionError(f"data_range must be above 0, not {data_range}.")
+    check_range(data_range)
     first, second = image_pair(a, b)
     if min(first.shape[:2]) < 2 * RADIUS + 1:
         raise OptionError(f"SSIM needs at least 11 x 11 pixels, not {first.shape[:2]}.")
