@@ -10,7 +10,7 @@ import nanogs
 from builders import model_bytes, random_splats
 from launch import run as run_command
 from nanogs.errors import OptionError
-from nanogs.frames import FRAMES, change_between, change_frame, half_turn
+from nanogs.frames import FRAMES, TRAINED, Y_UP, change_between, change_frame
 from nanogs.io.registry import formats
 from nanogs.render.rasterize import render
 from nanogs.render.views import automatic_cameras
@@ -65,6 +65,10 @@ def test_there_and_back_is_the_same(target):
     assert np.array_equal(through.means, there.means)
     assert np.array_equal(through.unit_quats(), there.unit_quats())
     assert through.sh == pytest.approx(there.sh, abs=1e-6)
+
+
+def half_turn(splats):
+    return change_frame(splats, TRAINED, Y_UP)
 
 
 def test_two_half_turns_change_nothing():

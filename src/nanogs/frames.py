@@ -109,15 +109,6 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
     )
 
 
-def half_turn(splats: Splats) -> Splats:
-    """The model turned by 180 degrees about x; turned twice it is the same, bit for bit.
-
-    Args:
-        splats: N splats; see `change_frame`.
-    """
-    return change_frame(splats, TRAINED, Y_UP)
-
-
 def _turned(sh: F32, change: Change) -> F32:
     """(N, K, 3): coefficients whose colours are the old ones, seen from the turned side."""
     matrix = _band_matrix(int(sh.shape[1] ** 0.5) - 1, change)

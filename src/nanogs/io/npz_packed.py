@@ -23,10 +23,8 @@ def packed(path: Path) -> Packed | None:
         members = members_of(path, archive)
         mode = load_array(archive, members[MODE]) if MODE in members else None
     arrays = {name: member for name, member in members.items() if ours(name) and name != MODE}
-    rowwise = all(
-        m.dtype.itemsize and (len(m.shape) == 1 or not m.fortran) for m in arrays.values()
-    )
-    if not rowwise or len({member.shape[:1] for member in arrays.values()}) > 1:
+    counts = {member.shape[:1] for member in arrays.values()}
+    if not all(map(_is_rowwise, arrays.values())) or len(counts) > 1:
         return None
     found = _Arrays(path, arrays, mode, (*members,))
     found.model({name: np.empty((0, *m.shape[1:]), m.dtype) for name, m in arrays.items()})
