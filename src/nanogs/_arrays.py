@@ -35,7 +35,7 @@ def as_array(name: str, value: object) -> Array:
 
 
 def as_floats(name: str, value: object, *, double: bool = False) -> F:
-    """The same values as float32; the array itself where it is one of those already.
+    """Convert to float32; an array that needs no conversion is returned itself.
 
     Args:
         name: What the value is called, for the message.

@@ -32,7 +32,7 @@ _NORMALS = ("nx", "ny", "nz")
 
 
 class Change(NamedTuple):
-    """From one frame to another: axis i there is `signs[i]` times axis `axes[i]` here."""
+    """A change of frames: the new axis i is `signs[i]` times the old axis `axes[i]`."""
 
     axes: tuple[int, int, int]
     signs: tuple[int, int, int]
@@ -80,7 +80,7 @@ def change_between(source: str, target: str) -> Change:
 
 
 def change_frame(splats: Splats, source: str, target: str) -> Splats:
-    """The same scene in other coordinates; there and back again is the same, colours aside.
+    """Put a scene into another frame; there and back again is the same, colours aside.
 
     Args:
         splats: N splats; normals are turned too, other extra columns stay as they are.

@@ -23,13 +23,13 @@ _COUNTED = 20  # a splat: what the percentiles of `info` are from
 
 
 def model_bytes(info: FileInfo) -> int:
-    """The model as loaded."""
+    """Bytes of the model as loaded."""
     row = splat_bytes(info.sh_degree) + info.extra_bytes() + _DOUBLE * info.double_means
     return info.splats * row
 
 
 def render_bytes(info: FileInfo, pixels: int) -> int:
-    """Rendering a model.
+    """Bytes for rendering a model.
 
     Args:
         info: The model.

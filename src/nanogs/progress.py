@@ -136,7 +136,7 @@ def each(items: Iterable[T], tell: Parts) -> Iterator[T]:
 
 
 def untold(_done: float, _parts: int) -> None:
-    """For parts that no one wants to know of."""
+    """Tell nobody of parts."""
 
 
 def _ignore(_step: Step) -> None:

@@ -251,7 +251,7 @@ class Splats:
         return self.take(slice(start, stop))
 
     def with_sh_degree(self, degree: int) -> "Splats":
-        """The same splats without the bands of spherical harmonics above a degree.
+        """Leave out the bands of spherical harmonics above a degree.
 
         Args:
             degree: The highest that may stay, 0 to 4; a model of a lower one is returned as it is.

@@ -30,7 +30,7 @@ class Spread(Generic[P]):
         least: int,
         each: int,
     ) -> None:
-        """For the arguments see `policy.parallel_kernel`."""
+        """Take what `policy.parallel_kernel` describes."""
         self._compiled = compiled
         self._place = list(inspect.signature(function).parameters).index(over) - 2
         self._least, self._each = least, each

@@ -19,7 +19,7 @@ def main() -> None:
 
 
 def _run() -> int:
-    """The exit code."""
+    """Run the command; its exit code."""
     with uncollected():
         import typer
 

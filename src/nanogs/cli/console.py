@@ -42,7 +42,7 @@ def fail(message: str) -> None:
 
 @contextmanager
 def notes_about(name: str) -> Iterator[None]:
-    """In the block, notes begin with a name: that of one of several files."""
+    """Begin notes in the block with a name: that of one of several files."""
     before = _subject.set(name)
     try:
         yield
@@ -64,7 +64,7 @@ def say(message: str) -> None:
 
 
 def arrow() -> str:
-    """From one thing to another; plain where the terminal has few characters."""
+    """The sign between before and after; plain where the terminal has few characters."""
     try:
         "→".encode(err.encoding)
     except (LookupError, UnicodeEncodeError):

@@ -28,7 +28,7 @@ def parse_frames(text: str | None) -> Frames | None:
 
 
 def frames_of(pair: Pair, given: Frames | None) -> Frames | None:
-    """From where to where one file is turned, with what its formats say; None without an option.
+    """Frames from and to which a file is turned, by option and formats; None without an option.
 
     Raises:
         OptionError: A frame is missing or contradicts what a format says.

@@ -81,7 +81,7 @@ class Watch:
 
     @property
     def seconds(self) -> float:
-        """Since the run began."""
+        """Seconds since the run began."""
         return time.monotonic() - self._start
 
     def left(self) -> float | None:

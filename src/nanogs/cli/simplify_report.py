@@ -104,7 +104,7 @@ def print_wish(plan: Plan) -> None:
 
 
 def print_divided(plan: Plan, text: str) -> None:
-    """The same with what would be written in other words."""
+    """Show the plan of a model in blocks, with words for what would be written."""
     rows = _wish_rows(plan, text)
     show(err, key_value_table(rows | {"peak memory": f"{bytes_text(plan.memory().peak)} if whole"}))
 
@@ -213,7 +213,7 @@ def print_report(run: dict[str, Any], *, verbose: bool) -> None:
 
 
 def summary(run: dict[str, Any]) -> str:
-    """Such as "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s", with the PSNR if known."""
+    """Sum up: "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s", with the PSNR if known."""
     to = arrow()
     parts = [
         f"{run['read_count']:,} {to} {counted(run['achieved_count'], 'splat')} in {run['output']}",

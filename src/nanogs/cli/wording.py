@@ -22,7 +22,7 @@ def with_options(text: str) -> str:
 
 
 def _option(argument: re.Match[str]) -> str:
-    """Such as `--nan drop` for `nan="drop"`, and `--resume` for `resume=True`."""
+    """Say an argument as an option: `--nan drop` for `nan="drop"`, `--resume` for `resume=True`."""
     name, value = argument.groups()
     option = f"--{name.replace('_', '-')}"
     return option if value in (None, "True") else f"{option} {value.strip(chr(34))}"

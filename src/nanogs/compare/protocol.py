@@ -91,10 +91,10 @@ def size_text(pixels: tuple[int, int]) -> str:
 
 
 def background_text(background: Background) -> str:
-    """Its name, or #rrggbb."""
+    """A background's name, or #rrggbb."""
     return {BLACK: "black", WHITE: "white"}.get(background, hex_text(background))
 
 
 def hex_text(background: Background) -> str:
-    """It as #rrggbb."""
+    """A background as #rrggbb."""
     return "#" + "".join(f"{round(255 * part):02x}" for part in background)

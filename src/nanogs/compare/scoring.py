@@ -1,4 +1,4 @@
-"""From models and cameras to numbers: what every claim about quality rests on."""
+"""Scores of models on views: every claim about quality rests on them."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -41,7 +41,7 @@ def nearest(values: F32, book: F32) -> U8:
 
 
 def _entries(values: F64, most: int, power: float) -> F64:
-    """At most so many values to quantise finite ones to."""
+    """Choose the values, at most so many, that finite ones are quantised to."""
     values = np.sort(values)
     changes = np.flatnonzero(values[1:] != values[:-1]) + 1
     if len(changes) < most:

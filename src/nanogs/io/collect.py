@@ -1,4 +1,4 @@
-"""From what the user names to the files to read, and the names of what is written for them."""
+"""The files to read of what the user names, and the files to write for them."""
 
 import glob
 from collections.abc import Iterable, Sequence
@@ -78,7 +78,7 @@ def _readable(file: Path) -> bool:
 
 
 def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[Pair]:
-    """Where the result for each file goes: into one folder, under the file's own name.
+    """Pair files with results: in one folder, under the file's own name.
 
     A SOG model in a folder gives the folder's name.
 

@@ -1,4 +1,4 @@
-"""Where the files of a SOG model lie: in a folder, or in one zip. Only files asked for are read."""
+"""The files of a SOG model, in a folder or in one zip; only those asked for are read."""
 
 import zipfile
 import zlib

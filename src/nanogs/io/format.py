@@ -29,7 +29,7 @@ class FolderWriter(Protocol):
 
 
 def unread(path: Path) -> NoReturn:
-    """In place of the reader of a format that is only written.
+    """Stand in for the reader of a format that is only written.
 
     Raises:
         FormatError: Always.

@@ -206,7 +206,7 @@ class Document:
         return number, start, start + length
 
     def _located(self, buffer: Part, *, first: bool) -> Section:
-        """Where a buffer lies."""
+        """Find where a buffer lies."""
         uri = buffer.text("uri")
         if not uri:
             if self.body is None or not first:

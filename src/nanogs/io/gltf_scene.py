@@ -1,4 +1,4 @@
-"""Where the splats of a glTF scene stand: node transforms, and turning splats by them.
+"""Node transforms of a glTF scene, and turning splats by them.
 
 A node's transform is similar (uniform positive scale, rotation, translation) or is refused: other
 ones shear the splats. Spherical harmonics turn with the rotation, as the extension asks for.

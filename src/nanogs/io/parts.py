@@ -42,7 +42,7 @@ class Column:
 
     @property
     def bytes(self) -> int:
-        """Its size."""
+        """Bytes of the column."""
         return np.dtype(self.kind).itemsize * prod(self.shape)
 
 

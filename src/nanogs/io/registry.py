@@ -13,7 +13,7 @@ LEVELS, TILESET = "lod-meta.json", "tileset.json"
 
 
 def formats() -> tuple[Format, ...]:
-    """All of them."""
+    """All formats."""
     from nanogs.io.formats import FORMATS  # a quarter of the time that `--help` took
 
     return FORMATS

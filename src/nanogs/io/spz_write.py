@@ -117,7 +117,7 @@ def fraction_bits(splats: Splats) -> int:
 
 
 def _bits(splats: Splats) -> int:
-    """As for `fraction_bits`, but negative where a centre is too far out or not finite."""
+    """Fraction bits, see `fraction_bits`; negative where a centre is too far out or not finite."""
     reach = float(np.abs(splats.means).max(initial=0))
     if not reach <= _FIXED_MAX:
         return -1
@@ -127,7 +127,7 @@ def _bits(splats: Splats) -> int:
 
 
 def _encoders(splats: Splats, bits: int, version: int) -> Iterator[Encoder]:
-    """For each column of the file, what encodes a range of rows."""
+    """Functions that encode a range of rows, one for each column of the file."""
     yield lambda rows: _positions(splats.means[rows], bits)
     opacities = splats.opacities()
     yield lambda rows: rounded_bytes(opacities[rows] * 255)

@@ -57,7 +57,7 @@ def left_beside(target: Path, suffix: str) -> Iterator[Path]:
 
 
 def _prefix(target: Path) -> str:
-    """The same for all that is made for a target on this machine."""
+    """The prefix of all names that are made for a target on this machine."""
     whose = f"{socket.gethostname()}/{target.name}".encode(errors="surrogateescape")
     return f".nanogs-{hashlib.sha256(whose).hexdigest()[:8]}-"
 

@@ -63,7 +63,7 @@ class _Tileset:
     notes: tuple[str, ...]
 
     def levels(self) -> int:
-        """How many there are."""
+        """The number of levels."""
         depths = [tile.depth for tile in _all(self.root) if tile.contents]
         if not depths:
             raise FormatError(f"{self.path} names no content; export the tileset again.")
@@ -223,7 +223,7 @@ class _Reader:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a tile stands.
+    """The place of a tile.
 
     Attributes:
         path: The tileset that it is in.

@@ -181,7 +181,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 class _MakeTensor:
-    """In place of PyTorch's function; no function of ours, whose attributes a pickle could set."""
+    """Stand in for PyTorch's function; no plain function, whose attributes a pickle could set."""
 
     __slots__ = ()
 

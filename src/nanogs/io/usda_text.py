@@ -48,7 +48,7 @@ class Prim:
     values: dict[str, Span] = field(default_factory=dict)
 
     def depth(self) -> int:
-        """Prims around it."""
+        """Number of prims around it."""
         count, prim = 0, self.parent
         while prim is not None:
             count, prim = count + 1, prim.parent
@@ -99,7 +99,7 @@ class _Parser:
         self._metadata: dict[str, str] = {}
 
     def layer(self) -> Layer:
-        """All of it."""
+        """Parse the whole layer."""
         inside: Prim | None = None
         words: list[bytes] = []
         while token := self._next():

@@ -143,7 +143,7 @@ def _packed(nodes: list[_Node]) -> Cells:
 
 
 def _ends(nodes: list[_Node]) -> Iterator[int]:
-    """For each node the leaf after its last: that of its last descendant."""
+    """Find the leaf after each node's last: that of its last descendant."""
     ends = [0] * len(nodes)
     for number in range(len(nodes) - 1, -1, -1):
         node = nodes[number]

@@ -81,5 +81,5 @@ def read_own(path: Path, *keys: str) -> dict[str, Any] | None:
 
 
 def plain_paths(names: Iterable[object]) -> list[str]:
-    """Those that lead to files below the folder: a description that someone changed may not."""
+    """Keep paths that lead below the folder: those of a changed description may not."""
     return [name for name in names if isinstance(name, str) and all(map(is_plain, name.split("/")))]

@@ -32,7 +32,7 @@ NAMES = {Layout.SOG: streamed_sog.NAME, Layout.TILES: tiles.NAME}
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """Where the levels go.
+    """The place and form of the levels.
 
     Attributes:
         folder: The folder to make.

@@ -78,7 +78,7 @@ def judged_levels(
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
-    """The same as `levels`, where views of the original may be held beside.
+    """Make levels as `levels` does, where views of the original may be held beside.
 
     Args:
         model: As `levels` takes it, and so are the others.

@@ -32,7 +32,7 @@ META = "meta.json"
 
 
 class Place(NamedTuple):
-    """Where the splats of a leaf are in a model, and the box around them."""
+    """The splats of a leaf in a model, and the box around them."""
 
     leaf: int
     offset: int

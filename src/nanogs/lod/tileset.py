@@ -34,7 +34,7 @@ class Tile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tree:
-    """Some of the scene.
+    """A tree of tiles: the scene, or a block of it.
 
     Attributes:
         cells: What divides it.
@@ -114,6 +114,6 @@ def _volume(box: Box) -> list[float]:
 
 
 def _turned(point: F64) -> F64:
-    """From y down by half a turn about z to y up, and on by a quarter about x to z up."""
+    """Turn from y down to z up: half a turn about z, then a quarter about x."""
     x, y, z = point
     return np.array([-x, -z, -y])

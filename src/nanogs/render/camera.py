@@ -51,7 +51,7 @@ class Camera:
         return position
 
     def reduced(self, size: int) -> "Camera":
-        """The same view with at most `size` pixels along the longer side."""
+        """Reduce the view to at most `size` pixels along the longer side."""
         factor = size / max(self.width, self.height)
         if factor >= 1:
             return self
@@ -59,7 +59,7 @@ class Camera:
         return self.resized(width, height)
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The same view with other numbers of pixels."""
+        """Give the view other numbers of pixels."""
         along, down = width / self.width, height / self.height
         return replace(
             self,
@@ -73,6 +73,6 @@ class Camera:
 
 
 def spread(items: Sequence[Item], count: int) -> list[Item]:
-    """At most `count` of the items, evenly from the first part to the last."""
+    """Pick at most `count` of the items, evenly from the first part to the last."""
     n, count = len(items), min(count, len(items))
     return [items[(2 * place + 1) * n // (2 * count)] for place in range(count)]

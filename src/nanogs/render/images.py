@@ -65,7 +65,7 @@ def render_images(
 
 @contextmanager
 def _filled(folder: Path) -> Iterator[Path]:
-    """Where the files of a folder are written: one that is new appears whole or not at all."""
+    """Yield where to write a folder's files: a new folder appears whole or not at all."""
     if folder.is_dir():
         yield folder
         return

@@ -42,7 +42,7 @@ class Lens:
         return self.fisheye or not self.known or any((*self.above, *self.below, *self.tangential))
 
     def distorted(self, x: F64, y: F64) -> tuple[F64, F64]:
-        """Where it moves points of a pinhole's picture at distance 1; of any shape."""
+        """Move points of a pinhole's picture at distance 1 as the lens does; of any shape."""
         square = x * x + y * y
         factor = self._factor(np.sqrt(square))
         p1, p2 = self.tangential

@@ -1,4 +1,4 @@
-"""Where a model's matter is: a weighted sample of it, and a coarse grid to look along rays.
+"""A model's matter: a weighted sample of it, and a coarse grid to look along rays.
 
 Only for choosing where cameras stand; nothing here renders.
 """

@@ -1,4 +1,4 @@
-"""Where a viewer begins: all of an object, or the first view in a room; what it turns about."""
+"""The first view of a viewer: all of an object, or a view in a room; what it turns about."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Opening:
 
     @property
     def distance(self) -> float:
-        """From the camera to the target, scene units, more than 0."""
+        """Distance of the camera from the target, scene units, more than 0."""
         return float(np.linalg.norm(self.target - self.position))
 
 

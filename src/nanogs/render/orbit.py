@@ -65,7 +65,7 @@ def overview(matter: Matter, core: Core, up: F64, lens: F64) -> tuple[F64, float
 
 
 def _focus(matter: Matter, core: Core) -> tuple[F64, float]:
-    """Where the orbit looks, (3,), and how far from there 90 % of the core reaches.
+    """Find where the orbit looks, (3,), and how far from there 90 % of the core reaches.
 
     The median and not the middle of the extremes, which a tall thing on a wide ground would pull
     off the ground that most of the views should show.

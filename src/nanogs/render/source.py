@@ -1,4 +1,4 @@
-"""Where cameras come from: found from the model, or read from a file."""
+"""Cameras by source: found from the model, or read from a file."""
 
 from collections.abc import Sequence
 from pathlib import Path

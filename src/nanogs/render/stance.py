@@ -103,7 +103,7 @@ def _ground_up(surfaces: Surfaces, flats: list[F64]) -> F64 | None:
 
 
 def _room_up(seen: Matter, core: Core, surfaces: Surfaces, flats: list[F64]) -> F64 | None:
-    """In a room, across its largest walls, floor and ceiling, and away from where things stand."""
+    """Up in a room: across its largest walls, floor and ceiling, away from where things stand."""
     for up in flats[:WALLS]:
         if is_room(seen, core, up):
             low, middle, high = quantiles(surfaces.points @ up, surfaces.areas, 0.01, 0.5, 0.99)

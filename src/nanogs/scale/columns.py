@@ -44,7 +44,7 @@ def _kinds(layout: Layout) -> dict[str, tuple[str, int]]:
 
 
 def empty_columns(layout: Layout, count: int) -> dict[str, Array]:
-    """Columns to fill."""
+    """Make columns to be filled."""
     coefficients = (layout.sh_degree + 1) ** 2
     shapes: dict[str, tuple[int, ...]] = {
         "means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3)

@@ -90,5 +90,5 @@ class Files:
         return count
 
     def _file(self, folder: Path, level: int) -> Path:
-        """Where a result is until it gets its name."""
+        """The file of a result until it gets its name."""
         return folder / f"{RESULT}{level}{''.join(self.paths[level].suffixes[-2:])}"

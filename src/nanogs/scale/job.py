@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Where:
-    """Where the tasks of a job are done.
+    """The processes that do the tasks of a job.
 
     Attributes:
         threads: In this process, or in each worker; None takes all.

@@ -33,7 +33,7 @@ class Partition:
 
     @property
     def blocks(self) -> int:
-        """How many there are."""
+        """The number of blocks."""
         return len(self.bounds[0]) - 1
 
     def pieces(self, block: int) -> list[slice]:

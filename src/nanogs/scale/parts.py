@@ -40,7 +40,7 @@ def further(small: Splats, target: int, settings: Settings) -> Splats:
 
 
 def write_rest(work: "Work", name: str, level: int, target: int) -> Record:
-    """Where blocks could not go as far as asked, do the rest in memory, and divide what it gives.
+    """Do the rest in memory where blocks could not go as far as asked, and divide the outcome.
 
     Splats go to the block that they lie in; where a finer level left one empty, to the one before.
 

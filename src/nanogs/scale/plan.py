@@ -49,7 +49,7 @@ class ScalePlan:
     seconds: float
 
     def unpacking(self, cost: Cost, max_memory: int | None) -> "ScalePlan":
-        """With what it takes to unpack the inputs first.
+        """Add what it takes to unpack the inputs first.
 
         Args:
             cost: Of that.

@@ -1,4 +1,4 @@
-"""Where a job keeps its intermediate files: a folder, or a URL (`remote`).
+"""Intermediate files of a job: in a folder, or at a URL (`remote`).
 
 Files appear whole or not at all. They are not forced to the disk: after a power cut, a resumed job
 finds by their checksums which of them never arrived.

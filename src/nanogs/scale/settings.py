@@ -89,7 +89,7 @@ class Chunks:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """A job.
+    """The settings of a job.
 
     Attributes:
         inputs: The files, parts of one scene.

@@ -42,7 +42,7 @@ class View:
 
 
 def settled(view: View, rounds: int, threads: int) -> I32:
-    """Where each of the block's splats ends.
+    """Reassign, and find the group in which each of the block's splats ends.
 
     Args:
         view: What the block sees.

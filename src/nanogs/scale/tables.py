@@ -24,14 +24,14 @@ _WINDOW = 1 << 15  # rows
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a column is in the file, and what it holds."""
+    """The place of a column in the file, and what it holds."""
 
     dtype: str
     shape: tuple[int, ...]
     offset: int
 
     def row(self) -> "np.dtype[Any]":
-        """One row of it.
+        """The type of one row.
 
         Raises:
             FormatError: It is of no kind that a model has.

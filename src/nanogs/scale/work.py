@@ -53,7 +53,7 @@ class Task:
 
     @property
     def name(self) -> str:
-        """Of what it writes."""
+        """Name of the table that it writes."""
         return f"{self.stage}-{self.level}-{self.number:05d}"
 
 

@@ -87,7 +87,7 @@ def choose_model(
 
 
 def better(first: Candidate | None, second: Candidate) -> Candidate:
-    """Of two candidates the one of higher quality, the first of equal ones."""
+    """Pick the candidate of higher quality, the first of equal ones."""
     if first is None or second.report.quality > first.report.quality:
         return second
     return first

@@ -157,7 +157,7 @@ def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:
 
 
 def gather_pairs(leaves: Nodes, labels: I32, groups: int) -> Nodes:
-    """As `gather`, for groups of one or two splats; their features stay those of the splats.
+    """Gather groups of one or two splats; their features stay those of the splats.
 
     Args:
         leaves: N nodes, one a splat.
@@ -212,7 +212,7 @@ def _gathered(nodes: Nodes, starts: I64, members: I32, features: F32, rows: I32)
 
 
 def member_lists(labels: I32, groups: int) -> tuple[I64, I32]:
-    """Where each group starts (groups + 1,), and the members (N,) of one group after the other."""
+    """List where each group starts (groups + 1,), and the members (N,), group after group."""
     starts = np.zeros(groups + 1, dtype=np.int64)
     members = np.empty(len(labels), dtype=np.int32)
     group_members(labels, starts, members)

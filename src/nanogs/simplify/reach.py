@@ -46,7 +46,7 @@ class Found:
 
     @property
     def slope(self) -> float:
-        """Of the PSNR over the logarithm of the count, between the two latest counts, dB."""
+        """Slope of the PSNR over the logarithm of the count, by the two latest counts, dB."""
         return _slope(self.probes)
 
 

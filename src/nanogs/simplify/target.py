@@ -1,4 +1,4 @@
-"""From what the user asks to an exact count. No Numba here: `--dry-run` uses it too."""
+"""The exact count for what the user asks. No Numba here: `--dry-run` uses it too."""
 
 import math
 from collections.abc import Callable
