@@ -113,7 +113,8 @@ def test_nothing_is_learnt_from_the_views_that_judge():
     scene = make_scene(500)
     judging = automatic_cameras(scene, split="test")
     learning = automatic_cameras(scene, 40, split="fit", habit=False)
-    learning += [view.camera for view in look(scene).fitting]
-    learning += [view.camera for group in look(scene).deciding for view in group.targets]
+    views = look(scene, near=0.3, further=20)
+    learning += [view.camera for view in views.fitting] + list(views.further)
+    learning += [view.camera for group in views.deciding for view in group.targets]
     places = {tuple(camera.position.round(6)) for camera in learning}
     assert not any(tuple(camera.position.round(6)) in places for camera in judging)

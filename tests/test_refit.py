@@ -19,7 +19,7 @@ from nanogs.refit.descent import Descent
 from nanogs.refit.groups import grouped, hold_out, split
 from nanogs.refit.report import RefitStop
 from nanogs.refit.state import activate, start, store
-from nanogs.refit.targets import ALPHA, WHITE, make_target, pull, squared_error
+from nanogs.refit.targets import ALPHA, WHITE, Fitting, make_target, pull, squared_error
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import prepare, project
 from nanogs.render.roam import roaming_cameras
@@ -210,7 +210,7 @@ def test_a_step_is_that_of_its_twin(mode):
     original = make_splats(12, 6, size=-1.5, mode=mode, degree=2)
     near = dataclasses.replace(make_camera(), fx=60.0, fy=60.0)
     targets = [make_target(prepare(original), camera) for camera in (make_camera(), near)]
-    descent = Descent(splats, targets, RefitParameters())
+    descent = Descent(splats, Fitting(targets), RefitParameters())
     twin = AdvanceTwin(splats, RefitParameters(), len(targets))
     for target, rate in zip(targets, (0.3, 0.7), strict=True):
         model = activate(descent.state, splats, descent.finite).model
@@ -388,6 +388,21 @@ def test_views_either_decide_or_are_fitted_to():
     assert (alone, deciding[0].targets) == ((), tuple(targets[:1]))
 
 
+def test_views_that_are_drawn_when_their_turn_comes_are_as_good_as_kept_ones():
+    original, small = cloud_pair()
+    prepared = prepare(original)
+    cameras = automatic_cameras(original, 6, width=40, height=40)
+    kept = [make_target(prepared, camera) for camera in cameras]
+    drawn = Fitting(kept[:2], prepared, cameras[2:])
+    assert (len(drawn), drawn.names) == (6, Fitting(kept).names)
+    for index, target in enumerate(kept):
+        assert np.array_equal(drawn.take(index).image, target.image)
+    descents = [Descent(small, views, QUICK) for views in (Fitting(kept), drawn)]
+    errors = [[descent.step(0.5, 0.0) for _ in range(8)] for descent in descents]
+    assert errors[0] == errors[1]
+    assert np.array_equal(descents[0].state.means, descents[1].state.means)
+
+
 def dolly(camera, distance):
     """The camera at a distance from the scene's middle, looking the same way."""
     matrix = camera.world_to_camera.copy()
@@ -423,7 +438,7 @@ def test_a_rare_view_moves_a_splat_no_further_than_its_own_optimum():
     turned = np.diag([-1.0, 1, -1, 1]) @ shown.world_to_camera
     away = dataclasses.replace(shown, world_to_camera=turned)
     targets = [make_target(prepared, camera) for camera in [shown] + [away] * 15]
-    descent = Descent(small, targets, QUICK)
+    descent = Descent(small, Fitting(targets), QUICK)
     errors = [descent.step(1.0, 0.0) for _ in range(64)]
     seen = [error for error in errors if error > 0]
     assert len(seen) == 4
@@ -444,7 +459,7 @@ def test_steps_follow_their_pull():
     original, small = cloud_pair()
     camera = automatic_cameras(original, 1, width=64, height=64)[0]
     target = make_target(prepare(original), camera)
-    descent = Descent(small, [target], QUICK)
+    descent = Descent(small, Fitting([target]), QUICK)
     before = descent.step(0.2, 0.0)
     after = squared_error(activate(descent.state, small, small.finite()).model, target)
     assert after < before

@@ -69,6 +69,19 @@ def test_the_users_cameras_are_the_ones_looked_through():
     assert len(both) == 3
 
 
+def test_further_views_are_others_than_those_looked_at():
+    splats = box_with_something_inside()
+    for cameras in (None, automatic_cameras(splats, 20, width=64, height=64)):
+        views = visibility.look(splats, cameras, count=6, size=48, further=9)
+        every = [view for group in views.deciding for view in group.targets] + list(views.fitting)
+        looked = [view.camera for view in every]
+        assert (len(looked), len(views.further)) == (6, 9)
+        assert len({camera.name for camera in (*looked, *views.further)}) == 15
+        assert {camera.width for camera in (*looked, *views.further)} == {48}
+    few = visibility.look(splats, cameras[:7], count=6, size=48, further=9)
+    assert len(few.further) == 1
+
+
 def test_a_lone_view_decides_and_nothing_is_fitted():
     splats = random_splats(300)
     assert len(visibility.look(splats, count=1).deciding) == 1
@@ -113,12 +126,13 @@ def test_nothing_visible_is_said_and_the_count_still_met():
 
 def test_some_of_the_views_that_are_found_may_roam():
     splats = box_with_something_inside()
-    views = visibility.look(splats, count=5, size=48, near=2)
+    views = visibility.look(splats, count=5, size=48, near=0.4, further=5)
     every = [view for group in views.deciding for view in group.targets] + list(views.fitting)
     roaming = [view.camera for view in every if "roam" in view.camera.name]
     assert len(every) == 5
-    assert {(camera.width, camera.height) for camera in roaming} == {(32, 32)}
     assert len(roaming) == 2
+    assert ["roam" in camera.name for camera in views.further] == [False] * 3 + [True] * 2
+    assert {camera.width for camera in (*roaming, *views.further)} == {48}
     assert views.notes == ()
 
 
@@ -127,5 +141,5 @@ def test_it_is_said_where_fewer_roaming_views_are_found(monkeypatch):
         raise ModelError("none")
 
     monkeypatch.setattr(visibility, "roaming_cameras", none)
-    views = visibility.look(box_with_something_inside(), count=3, size=32, near=1)
+    views = visibility.look(box_with_something_inside(), count=3, size=32, near=0.3)
     assert views.notes == ("Of 1 roaming view to learn from 0 were found.",)

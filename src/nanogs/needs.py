@@ -89,6 +89,7 @@ def refit_bytes(original: FileInfo, small: FileInfo, pixels: int, views: int) ->
     """
     held = model_bytes(original) + 2 * model_bytes(small)
     working = max(original.splats * _FITTED, small.splats * _FITTING)
+    working += original.splats * _PREPARED
     return held + working + pixels * (_PICTURE + _FIT_KEPT * views)
 
 

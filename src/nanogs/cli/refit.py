@@ -62,7 +62,7 @@ def refit(
     check_writable(target, overwrite=overwrite)
     refuse_too_large(
         f"Fitting {small}",
-        refit_bytes(inspect(original), inspect(small), pixels**2, views + chosen.held),
+        refit_bytes(inspect(original), inspect(small), pixels**2, chosen.kept + chosen.held),
         allowed_memory(options.parse_memory(max_memory) if max_memory else None),
         "free some, or take fewer or smaller views (--views, --pixels)",
     )

@@ -17,7 +17,7 @@ from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.refit.groups import Group
-    from nanogs.refit.targets import Target
+    from nanogs.refit.targets import Fitting
     from nanogs.render.camera import Camera
 
 
@@ -87,18 +87,18 @@ def refit(
 
 def fit_to_views(
     small: Splats,
-    fitting: Sequence["Target"],
+    fitting: "Fitting",
     deciding: Sequence["Group"],
     parameters: RefitParameters,
     original_count: int,
     threads: int,
     tell: Parts,
 ) -> tuple[Splats, RefitReport]:
-    """Fit a small model to views that are rendered already.
+    """Fit a small model to given views.
 
     Args:
         small: The model.
-        fitting: Views of the original to fit to, at least one.
+        fitting: Views of the original to fit to, at least one, kept or to be drawn.
         deciding: Groups of others, which decide what is kept, at least one.
         parameters: See `RefitParameters`.
         original_count: Splats of the original, for the report.
@@ -114,7 +114,7 @@ def fit_to_views(
         parameters=asdict(parameters),
         original_count=original_count,
         count=len(fitted),
-        fit_views=tuple(target.camera.name for target in fitting),
+        fit_views=fitting.names,
         validation_views=tuple(name for group in outcome.groups for name in group.views),
         groups=outcome.groups,
         psnr_before=outcome.psnr_before,

@@ -6,7 +6,6 @@ are those of a separable surrogate (see `nanogs.kernels.backward`).
 """
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from nanogs.kernels.advance import advance_splats
 from nanogs.kernels.chain import PACKED
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.state import HIGHEST_LOGIT, LOWEST_LOGIT, State, activate, start
-from nanogs.refit.targets import Target, pull
+from nanogs.refit.targets import Fitting, Target, pull
 from nanogs.splats import RenderMode, Splats
 
 # Largest steps: centres in standard deviations, log-scales, turns in radians, logit of the opacity.
@@ -30,15 +29,13 @@ class Descent:
 
     Args:
         splats: The input; ridges pull back to its colours.
-        targets: The views to fit to.
+        views: The views to fit to, each in its turn; a view is drawn when its turn comes.
         parameters: See there.
     """
 
-    def __init__(
-        self, splats: Splats, targets: Sequence[Target], parameters: RefitParameters
-    ) -> None:
+    def __init__(self, splats: Splats, views: Fitting, parameters: RefitParameters) -> None:
         self.splats = splats
-        self.targets = targets
+        self.views = views
         self.parameters = parameters
         self.finite: Bool = splats.finite()
         self._given = np.ascontiguousarray(splats.sh)
@@ -75,8 +72,8 @@ class Descent:
 
     def _next(self) -> Target:
         if not self._queue:
-            self._queue = self._random.permutation(len(self.targets)).tolist()
-        return self.targets[self._queue.pop()]
+            self._queue = self._random.permutation(len(self.views)).tolist()
+        return self.views.take(self._queue.pop())
 
     def _follow(self, target: Target, rate: float) -> float:
         """Move what a view shows, and return the view's error before that."""
@@ -97,7 +94,7 @@ class Descent:
             rate,
             self.parameters.damping,
             self.parameters.floor,
-            len(self.targets),
+            len(self.views),
             self._limits,
             self._bands,
             self._given,

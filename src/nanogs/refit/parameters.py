@@ -5,13 +5,16 @@ from dataclasses import dataclass
 
 from nanogs.errors import OptionError
 
+KEPT = 64
+
 
 @dataclass(frozen=True, slots=True)
 class RefitParameters:
     """Parameters of `nanogs.refit`.
 
     Attributes:
-        views: Views of the original to fit to; of given cameras, at most so many.
+        views: Views of the original to fit to, by default one for every step; of given cameras, at
+            most so many.
         validation: Further views that only decide what is kept, at most; see `held`.
         size: Pixels along the longer side of a view; larger given cameras are reduced to it.
         rounds: Rounds at most; of each is kept what brings the validation views nearer.
@@ -26,17 +29,22 @@ class RefitParameters:
         seed: Order of the views.
     """
 
-    views: int = 64
+    views: int = 320
     validation: int = 6
     size: int = 512
     rounds: int = 5
     steps: int = 64
-    rate: float = 0.7
+    rate: float = 1.0
     damping: float = 0.1
     floor: float = 0.02
     ridge: float = 0.02
     band_ridge: float = 0.3
     seed: int = 0
+
+    @property
+    def kept(self) -> int:
+        """Views to fit to that stay in memory; more are drawn whenever their turn comes."""
+        return min(self.views, KEPT)
 
     @property
     def held(self) -> int:

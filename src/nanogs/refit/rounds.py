@@ -13,7 +13,7 @@ from nanogs.refit.groups import Group
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import GroupReport, RefitStop, RoundReport
 from nanogs.refit.state import State, start, store
-from nanogs.refit.targets import Target
+from nanogs.refit.targets import Fitting
 from nanogs.render.rasterize import prepare
 from nanogs.splats import Splats
 
@@ -75,7 +75,7 @@ class Guard:
 
 def fit(
     small: Splats,
-    fitting: Sequence[Target],
+    fitting: Fitting,
     deciding: Sequence[Group],
     parameters: RefitParameters,
     tell: Parts,

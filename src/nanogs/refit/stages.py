@@ -13,9 +13,11 @@ def refit_stages(parameters: RefitParameters, original: int, count: int) -> list
         count: Splats of the model that is fitted.
     """
     pixels = (parameters.size / 512) ** 2
-    seen = parameters.views + parameters.held
+    seen = parameters.kept + parameters.held
     looks = parameters.rounds * parameters.steps
+    drawn = min(parameters.views - parameters.kept, looks)
+    render = 0.02 * pixels + 0.1 * original / 1e6
     return [
-        Stage("render", seen * (0.03 * pixels + 0.15 * original / 1e6)),
-        Stage("fit", looks * (0.06 * pixels + 0.6 * count / 1e6)),
+        Stage("render", seen * render),
+        Stage("fit", looks * (0.06 * pixels + 0.6 * count / 1e6) + drawn * render),
     ]

@@ -1,6 +1,7 @@
 """What a refit aims at: renders of the original, and how far a model is from them."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,12 +26,45 @@ class Target:
         camera: The camera.
         image: (H, W, 4) uint8, the colours as a screen shows them over black, and alpha; 255 for 1:
             a quarter of the memory of float32.
-        footprint: Width of a pixel at the median depth of what is seen, scene units.
+        footprint: Width of a pixel at the median depth of what is seen, scene units; infinite where
+            nothing is seen, or where it is of no use.
     """
 
     camera: Camera
     image: U8
     footprint: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitting:
+    """The views to fit to: some are kept, the others drawn whenever they are asked for.
+
+    Attributes:
+        kept: Views that are rendered already.
+        original: What the others show; None where there are none.
+        further: Their cameras.
+    """
+
+    kept: Sequence[Target]
+    original: PreparedSplats | None = None
+    further: Sequence[Camera] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all cameras, in their order."""
+        cameras = [*(target.camera for target in self.kept), *self.further]
+        return tuple(camera.name for camera in cameras)
+
+    def __len__(self) -> int:
+        return len(self.kept) + len(self.further)
+
+    def take(self, index: int) -> Target:
+        """One of the views, drawn now if it is not kept."""
+        if index < len(self.kept):
+            return self.kept[index]
+        assert self.original is not None  # noqa: S101 - whoever gives cameras gives what they show
+        camera = self.further[index - len(self.kept)]
+        return make_target(self.original, camera, depth=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,19 +82,29 @@ class Pull:
     error: float
 
 
-def make_target(original: PreparedSplats, camera: Camera) -> Target:
-    """Render the original from a camera."""
-    return as_target(render(original, camera, depth=True), camera)
+def make_target(original: PreparedSplats, camera: Camera, *, depth: bool = True) -> Target:
+    """Render the original from a camera; without depth the footprint stays unknown."""
+    return as_target(render(original, camera, depth=depth), camera)
 
 
 def as_target(rendering: Rendering, camera: Camera) -> Target:
-    """What a rendering of the original over black, with its depth, shows."""
-    image = np.dstack([np.clip(rendering.color, 0, 1), rendering.alpha])
-    fixed = np.rint(image * np.float32(255)).astype(np.uint8)
-    assert rendering.depth is not None  # noqa: S101 - asked for
+    """A rendering of the original over black, with its depth or without."""
+    fixed = np.empty((*rendering.alpha.shape, 4), np.uint8)
+    fixed[..., :3] = _in_bytes(rendering.color)
+    fixed[..., 3] = _in_bytes(rendering.alpha)
+    if rendering.depth is None:
+        return Target(camera, fixed, math.inf)
     seen = rendering.depth[rendering.alpha > 0.5 * rendering.alpha.max()]
     depth = float(np.median(seen)) if seen.size else math.inf
     return Target(camera, fixed, depth / max(camera.fx, camera.fy))
+
+
+def _in_bytes(values: F32) -> F32:
+    """Values in [0, 1], those outside held to it, as whole numbers up to 255."""
+    scaled = values * np.float32(255)
+    np.clip(scaled, 0, 255, out=scaled)
+    np.rint(scaled, out=scaled)
+    return scaled
 
 
 def _blend(model: PreparedSplats, camera: Camera) -> tuple[Projection, F32, F32]:

@@ -8,8 +8,8 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.progress import Parts, each
 from nanogs.refit.groups import Group, split
 from nanogs.refit.parameters import RefitParameters
-from nanogs.refit.targets import Target, make_target
-from nanogs.render.camera import Camera, spread
+from nanogs.refit.targets import Fitting, Target, make_target
+from nanogs.render.camera import Camera, apart, spread
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
@@ -23,14 +23,14 @@ def view_targets(
     cameras: Sequence[Camera] | None,
     parameters: RefitParameters,
     tell: Parts,
-) -> tuple[tuple[Target, ...], tuple[Group, ...]]:
+) -> tuple[Fitting, tuple[Group, ...]]:
     """Views to fit to, and views that decide, in groups by picture size and distance.
 
     Raises:
         OptionError: There are fewer than two cameras.
         ModelError: No two views show the original, or the small model is elsewhere.
     """
-    chosen = _cameras(original, cameras, parameters)
+    chosen, further = _cameras(original, cameras, parameters)
     prepared = prepare(original)
     targets = [make_target(prepared, camera) for camera in each(chosen, tell)]
     targets = [target for target in targets if target.image[..., 3].any()]
@@ -41,20 +41,23 @@ def view_targets(
         )
     fitting, deciding = split(targets, parameters.validation)
     _refuse_elsewhere(small, [target for group in deciding for target in group.targets])
-    return fitting, deciding
+    return Fitting(fitting, prepared, further), deciding
 
 
 def _cameras(
     original: Splats, cameras: Sequence[Camera] | None, parameters: RefitParameters
-) -> list[Camera]:
+) -> tuple[list[Camera], list[Camera]]:
+    """Those whose views are kept, the deciding ones among them, and the others."""
     count, size = parameters.views + parameters.held, parameters.size
+    kept = parameters.kept + parameters.held
     if cameras is None:
-        return automatic_cameras(original, count, width=size, height=size, habit=False)
+        found = automatic_cameras(original, count, width=size, height=size, habit=False)
+        return found[:kept], found[kept:]
     if len(cameras) < 2:
         raise OptionError(
             f"A refit needs two cameras or more, one of which decides, not {len(cameras)}."
         )
-    return [camera.reduced(size) for camera in spread(cameras, count)]
+    return apart([camera.reduced(size) for camera in spread(cameras, count)], kept)
 
 
 def _refuse_elsewhere(small: Splats, targets: Sequence[Target]) -> None:

@@ -72,6 +72,15 @@ class Camera:
         )
 
 
+def apart(items: Sequence[Item], count: int) -> tuple[list[Item], list[Item]]:
+    """At most `count` of the items, spread evenly, and all the others."""
+    rows = set(spread(range(len(items)), count))
+    return (
+        [item for row, item in enumerate(items) if row in rows],
+        [item for row, item in enumerate(items) if row not in rows],
+    )
+
+
 def spread(items: Sequence[Item], count: int) -> list[Item]:
     """Pick at most `count` of the items, evenly from the first part to the last."""
     n, count = len(items), min(count, len(items))

@@ -13,8 +13,10 @@ from nanogs.errors import ModelError
 from nanogs.progress import Tracker
 from nanogs.refit.api import fit_to_views
 from nanogs.refit.report import RefitReport
+from nanogs.refit.targets import Fitting
 from nanogs.render.camera import Camera
 from nanogs.render.lens import lens_notes
+from nanogs.render.rasterize import prepare
 from nanogs.report import CandidateReport, StageClock, StopReason
 from nanogs.simplify.choose import BALANCES, Candidate, choose_model
 from nanogs.simplify.cut import cut
@@ -82,7 +84,7 @@ def build_forest(
             try:
                 views = look(
                     splats, cameras, parameters.views, parameters.view_size, parameters.near,
-                    progress.part,
+                    parameters.further, progress.part,
                 )  # fmt: skip
                 notes = (*lens_notes(cameras or ()), *views.notes)
             except ModelError as error:
@@ -153,15 +155,17 @@ def _fit(
     build: Build, small: Splats, views: OriginalViews, progress: Tracker
 ) -> tuple[Splats, RefitReport | None, tuple[str, ...]]:
     """The fitted model, or the same one and why it cannot be fitted."""
-    if not views.fitting:
+    original = prepare(build.splats) if views.further else None
+    fitting = Fitting(views.fitting, original, views.further)
+    if not len(fitting):
         return small, None, ("The result was not fitted: one view cannot tell what helps.",)
     chosen = replace(
         fit_parameters(build.parameters),
-        views=len(views.fitting),
+        views=len(fitting),
         validation=sum(len(group.targets) for group in views.deciding),
     )
     fitted, report = fit_to_views(
-        small, views.fitting, views.deciding, chosen, len(build.splats), build.threads,
+        small, fitting, views.deciding, chosen, len(build.splats), build.threads,
         progress.part,
     )  # fmt: skip
     return fitted, report, ()

@@ -75,7 +75,7 @@ def forest_stages(
         if parameters.rounds
         else 0,
         "store": forest + labels + best + target * row + max(draw, _store(count, target)),
-        "fit": forest + best + _fit(target, features) + pixels * _COMPARED
+        "fit": forest + best + pixels * _COMPARED + _fit(count, target, features, parameters)
         if parameters.steps
         else 0,
     }
@@ -137,9 +137,13 @@ def _store(count: int, target: int) -> int:
     return count * (2 * _I4 + _I8) + target * (_NODE + 2 * 6 * _F8 + 7 * _F4 + 3 * _I8)
 
 
-def _fit(target: int, features: int) -> int:
-    """The state and where it began, what is drawn of it, and a view's pulls and curvatures."""
-    state = features + 2 * 11 * _F8 + 2 + 22 * _F4  # and as the rasteriser reads it
-    drawn = 8 * _F8 + 8 * _F4 + 2 * _I8
-    pulls = 25 * _F8 + _FIT_TILES * (25 * _F4 + _I4)
-    return target * (state + drawn + pulls + _CURVATURES)
+def _fit(count: int, target: int, features: int, parameters: ForestParameters) -> int:
+    """The state, where it began and curvatures; then the larger of two things.
+
+    They are a view of the original that is drawn now, and one of the state with its pulls.
+    """
+    held = target * (features + 2 * 11 * _F8 + 2 + 22 * _F4 + _CURVATURES)
+    step = target * (8 * _F8 + 8 * _F4 + 2 * _I8 + 25 * _F8 + _FIT_TILES * (25 * _F4 + _I4))
+    if not parameters.further:
+        return held + step
+    return held + count * _PREPARED + max(step, count * _DRAWN)

@@ -77,9 +77,10 @@ class ForestParameters:
             results by how they look.
         steps: Of fitting the result to the original, each on one view; a long fit is made in
             rounds of about 32, so that it may take a few more; 0 fits nothing.
-        views: Views of the original to render, where it is; one in six of them decides.
-        near: How many of the views that are found roam: anywhere in free space, mostly nearer, and
-            two thirds as wide.
+        views: Views of the original to look at, where it is rendered: for what is hidden, to choose
+            by and to fit to; one in six of them decides.
+        further: More views to fit to, each drawn when its turn comes.
+        near: Share of the views that are found which roam: anywhere in free space, mostly nearer.
         view_size: Pixels along the longer side of a view.
     """
 
@@ -92,9 +93,10 @@ class ForestParameters:
     growth: float = 1.25
     measure: bool = True
     steps: int = 24
-    views: int = 20
-    near: int = 0
-    view_size: int = 560
+    views: int = 14
+    further: int = 0
+    near: float = 0.0
+    view_size: int = 768
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
@@ -107,7 +109,8 @@ class ForestParameters:
         _require(1 <= self.growth < math.inf, "growth", self.growth, "1 or more, and finite")
         _require(self.steps >= 0, "steps", self.steps, "0 or more")
         _require(self.views >= 1, "views", self.views, "at least 1")
-        _require(0 <= self.near < self.views, "near", self.near, "0 or more, below `views`")
+        _require(self.further >= 0, "further", self.further, "0 or more")
+        _require(0 <= self.near < 1, "near", self.near, "0 or more, below 1")
         _require(16 <= self.view_size <= 8192, "view_size", self.view_size, "16 to 8192 pixels")
 
 
@@ -123,7 +126,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
     {
         "default": ForestParameters(),
         "fast": ForestParameters(rounds=1, measure=False, steps=0),
-        "best": ForestParameters(steps=224, views=40, view_size=768),
+        "best": ForestParameters(steps=224, views=24, further=204, view_size=768),
         "paper": PaperParameters(),
     }
 )
@@ -131,7 +134,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
 SUMMARIES: Mapping[str, str] = {
     "default": "one merge forest; the cut that looks most like the original, fitted a little",
     "fast": "the same forest, one cut, nothing rendered",
-    "best": "default with more and larger views, fitted at length; takes 3 to 4 times as long",
+    "best": "default with a new view for every step of a long fit; takes 4 to 5 times as long",
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"

@@ -82,7 +82,9 @@ def delivery_stages(parameters: Parameters, splats: int, count: int) -> list[Sta
         moved = 3 * parameters.rounds
         stages = [Stage("cut", (0.1 + moved) * all_of_them), Stage("store", 0.2 * all_of_them)]
     if parameters.steps:
-        stages.append(refit_stages(fit_parameters(parameters), splats, count)[-1])
+        fit = refit_stages(fit_parameters(parameters), splats, count)[-1]
+        drawn = min(parameters.further, parameters.steps)
+        stages.append(Stage("fit", fit.weight + drawn * _render(parameters, splats)))
     return stages
 
 
@@ -124,6 +126,10 @@ def _sum(stages: list[Stage]) -> float:
 
 
 def _look(parameters: ForestParameters, splats: int) -> Stage:
-    pixels = (parameters.view_size / 512) ** 2
-    looks = parameters.views + parameters.near  # found by trying
-    return Stage("look", looks * (0.03 * pixels + 0.12 * splats / _MILLION))
+    looks = parameters.views * (1 + parameters.near)  # those that roam are found by trying
+    return Stage("look", 2 * looks * _render(parameters, splats))
+
+
+def _render(parameters: ForestParameters, splats: int) -> float:
+    """One view of the original."""
+    return 0.015 * (parameters.view_size / 512) ** 2 + 0.06 * splats / _MILLION

@@ -13,7 +13,7 @@ from nanogs.metrics import psnr, ssim
 from nanogs.progress import Parts, each, untold
 from nanogs.refit.groups import Group, split
 from nanogs.refit.targets import Target, as_target
-from nanogs.render.camera import Camera, spread
+from nanogs.render.camera import Camera, apart, spread
 from nanogs.render.rasterize import prepare, render
 from nanogs.render.roam import roaming_cameras
 from nanogs.render.views import automatic_cameras
@@ -32,21 +32,39 @@ class OriginalViews:
             which it lies; 1 for one that lies in none.
         deciding: Views to choose by and to judge a fit by, at least one, in groups.
         fitting: Views to fit to; none of the others.
+        further: Cameras of more views to fit to, which are not rendered yet.
         notes: What the user should know, one sentence each.
     """
 
     visible: F64
     deciding: tuple[Group, ...]
     fitting: tuple[Target, ...]
+    further: tuple[Camera, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Cameras of views of the original.
+
+    Attributes:
+        looked: Of those that are rendered at once.
+        further: Of more views to fit to.
+        notes: What the user should know, one sentence each.
+    """
+
+    looked: list[Camera]
+    further: list[Camera]
     notes: tuple[str, ...] = ()
 
 
 def look(
     splats: Splats,
     cameras: Sequence[Camera] | None = None,
-    count: int = 20,
-    size: int = 560,
-    near: int = 0,
+    count: int = 14,
+    size: int = 768,
+    near: float = 0.0,
+    further: int = 0,
     tell: Parts = untold,
 ) -> OriginalViews:
     """Render the original once.
@@ -56,22 +74,22 @@ def look(
         cameras: The views; by default automatic ones.
         count: How many of them at most.
         size: Pixels along the longer side of a view at most.
-        near: How many of the views that are found roam in free space (see `roam`), at two thirds of
-            the size.
+        near: Share of the views that are found which roam in free space (see `roam`).
+        further: How many more cameras to choose, at most, for views to fit to.
         tell: Told of the views rendered.
 
     Raises:
         ModelError: No splat is visible.
     """
-    notes: tuple[str, ...] = ()
-    if cameras:
-        chosen = [camera.reduced(size) for camera in spread(cameras, count)]
-    else:
-        chosen, notes = _found(splats, count - near, near, size)
+    chosen = (
+        _given(cameras, count, further, size)
+        if cameras
+        else _found(splats, count, further, near, size)
+    )
     prepared = prepare(splats)
     seen, whole = np.zeros(len(splats)), np.zeros(len(splats))
     views: list[Target] = []
-    for camera in each(chosen, tell):
+    for camera in each(chosen.looked, tell):
         view = render(prepared, camera, contributions=True, depth=True)
         assert view.contributions is not None  # noqa: S101 - asked for
         assert view.unhidden is not None  # noqa: S101 - asked for
@@ -81,21 +99,34 @@ def look(
     visible = np.ones(len(splats))
     np.divide(seen, whole, out=visible, where=whole > 0)
     fitting, deciding = split(views, max(1, len(views) // DECIDING))
-    return OriginalViews(np.minimum(visible, 1.0), deciding, fitting, notes)
+    return OriginalViews(
+        np.minimum(visible, 1.0), deciding, fitting, tuple(chosen.further), chosen.notes
+    )
 
 
-def _found(
-    splats: Splats, around: int, near: int, size: int
-) -> tuple[list[Camera], tuple[str, ...]]:
+def _given(cameras: Sequence[Camera], count: int, further: int, size: int) -> Chosen:
+    """The user's cameras, those that are looked from spread over them."""
+    reduced = [camera.reduced(size) for camera in spread(cameras, count + further)]
+    return Chosen(*apart(reduced, count))
+
+
+def _found(splats: Splats, count: int, further: int, near: float, size: int) -> Chosen:
     """Automatic views and roaming ones, and a note where fewer of these were found."""
-    cameras = automatic_cameras(splats, around, width=size, height=size, habit=False)
-    if not near:
-        return cameras, ()
-    side, roaming = max(16, size * 2 // 3), []
+    looked, roaming = round(near * count), round(near * (count + further))
+    around = automatic_cameras(
+        splats, count + further - roaming, width=size, height=size, habit=False
+    )
+    if not roaming:
+        return Chosen(around[:count], around[count:])
+    found: list[Camera] = []
     with suppress(ModelError):  # none was found, which the note says
-        roaming = roaming_cameras(splats, near, width=side, height=side, split="fit")
-    lacking = f"Of {counted(near, 'roaming view')} to learn from {len(roaming)} were found."
-    return cameras + roaming, (lacking,) if len(roaming) < near else ()
+        found = roaming_cameras(splats, roaming, width=size, height=size, split="fit")
+    lacking = f"Of {counted(roaming, 'roaming view')} to learn from {len(found)} were found."
+    return Chosen(
+        around[: count - looked] + found[:looked],
+        around[count - looked :] + found[looked:],
+        (lacking,) if len(found) < roaming else (),
+    )
 
 
 def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
