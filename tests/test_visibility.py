@@ -41,6 +41,21 @@ def test_what_is_hidden_counts_little_and_what_no_view_holds_counts_whole():
     assert (visibility.look(splats, away).visible == 1).all()
 
 
+def test_the_report_says_what_share_of_the_model_is_seen():
+    shares = visibility.shown_share(
+        np.array([2.0, 1.0, 1.0]), np.array([1.0, 0.5, 1.0]), np.array([False, False, True])
+    )
+    assert shares == pytest.approx(2.5 / 4)
+    splats = box_with_something_inside()
+    cameras = automatic_cameras(splats, 3, width=64, height=64)
+    [every, one] = (
+        nanogs.simplify(splats, ratio=0.5, cameras=chosen, steps=0)[1].shown
+        for chosen in (cameras, cameras[:1])
+    )
+    assert 0.05 < one < every < 1
+    assert nanogs.simplify(splats, ratio=0.5, preset="fast")[1].shown is None
+
+
 def test_weights_of_hidden_splats_are_a_hundredth():
     weights = visibility.visible_weights(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.0]), 0.01)
     assert weights == pytest.approx([2.0, 1.01, 0.02])

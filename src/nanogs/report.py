@@ -147,6 +147,8 @@ class SimplifyReport:
         seconds: Time by stage over all passes, seconds.
         total_seconds: The whole call, seconds.
         threads: Threads used.
+        shown: Share of the model's coverage, alpha times footprint, that reaches the views it was
+            looked at from: the rest is hidden or outside of them. None where nothing was looked at.
         candidates: What was rendered to choose the result, in the order tried; none where the
             method does not measure.
         refit: What fitting the result to the original gained (see `nanogs.refit`), or None.
@@ -177,6 +179,7 @@ class SimplifyReport:
     seconds: dict[str, float]
     total_seconds: float
     threads: int
+    shown: float | None = None
     candidates: tuple[CandidateReport, ...] = ()
     refit: RefitReport | None = None
     notes: tuple[str, ...] = ()

@@ -35,7 +35,7 @@ from nanogs.simplify.reassign import reassign
 from nanogs.simplify.stages import fit_parameters
 from nanogs.simplify.store import store_groups
 from nanogs.simplify.tree import Forest, grow_forest
-from nanogs.simplify.visibility import OriginalViews, judge, look, visible_weights
+from nanogs.simplify.visibility import OriginalViews, judge, look, shown_share, visible_weights
 from nanogs.splats import Splats, pick
 
 
@@ -51,6 +51,7 @@ class Build:
         dilation: What rasterisers add to splats, by where they are from the origin.
         views: What the original shows, or None where nothing is rendered.
         parameters: Of the method.
+        shown: See `SimplifyReport`.
         threads: Threads for nearest-neighbour queries.
         notes: What the user should know, one sentence each.
     """
@@ -61,6 +62,7 @@ class Build:
     origin: F64
     dilation: Dilation
     views: OriginalViews | None
+    shown: float | None
     parameters: ForestParameters
     threads: int
     notes: tuple[str, ...]
@@ -116,7 +118,10 @@ def build_forest(
     )
     for one_pass in forest.passes:
         clock.add(one_pass.seconds)
-    return Build(splats, leaves(), forest, origin, added, views, parameters, threads, notes)
+    nodes, shown = leaves(), None
+    if views is not None:
+        shown = shown_share(nodes.coverages, views.visible[rows], views.missed[rows])
+    return Build(splats, nodes, forest, origin, added, views, shown, parameters, threads, notes)
 
 
 def deliver(build: Build, target: int, clock: StageClock, progress: Tracker) -> Outcome:
@@ -145,6 +150,7 @@ def deliver(build: Build, target: int, clock: StageClock, progress: Tracker) -> 
         splats=small,
         passes=forest.passes,
         stop=StopReason.TARGET if groups == target else forest.stop,
+        shown=build.shown,
         candidates=candidates,
         refit=fitted,
         notes=notes,

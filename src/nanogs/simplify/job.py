@@ -154,6 +154,7 @@ class Job:
             seconds=clock.seconds,
             total_seconds=time.perf_counter() - start,
             threads=threads,
+            shown=outcome.shown,
             candidates=outcome.candidates,
             refit=outcome.refit,
             notes=(*self.splats.notes, *outcome.notes),

@@ -24,6 +24,7 @@ class Outcome:
     pruned: int = 0
     prune_threshold: float = 0.0
     prune_limited: bool = False
+    shown: float | None = None
     candidates: tuple[CandidateReport, ...] = ()
     refit: RefitReport | None = None
     notes: tuple[str, ...] = ()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs._types import F64
+from nanogs._types import F64, Bool
 from nanogs.errors import ModelError
 from nanogs.formatting import counted
 from nanogs.metrics import psnr, ssim
@@ -30,6 +30,7 @@ class OriginalViews:
     Attributes:
         visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
             which it lies; 1 for one that lies in none.
+        missed: (N,) bool, the splats that lie in no view.
         deciding: Views to choose by and to judge a fit by, at least one, in groups.
         fitting: Views to fit to; none of the others.
         further: Cameras of more views to fit to, which are not rendered yet.
@@ -37,6 +38,7 @@ class OriginalViews:
     """
 
     visible: F64
+    missed: Bool
     deciding: tuple[Group, ...]
     fitting: tuple[Target, ...]
     further: tuple[Camera, ...] = ()
@@ -100,7 +102,7 @@ def look(
     np.divide(seen, whole, out=visible, where=whole > 0)
     fitting, deciding = split(views, max(1, len(views) // DECIDING))
     return OriginalViews(
-        np.minimum(visible, 1.0), deciding, fitting, tuple(chosen.further), chosen.notes
+        np.minimum(visible, 1.0), whole == 0, deciding, fitting, tuple(chosen.further), chosen.notes
     )
 
 
@@ -139,6 +141,19 @@ def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
     """
     weights: F64 = coverages * (hidden + (1 - hidden) * visible)
     return weights
+
+
+def shown_share(coverages: F64, visible: F64, missed: Bool) -> float:
+    """Share of all footprints that reaches the views, in [0, 1].
+
+    Args:
+        coverages: (N,) alpha times footprint.
+        visible: (N,) in [0, 1].
+        missed: (N,) which lie in no view.
+    """
+    total = float(coverages.sum())
+    shown = float((coverages * visible)[~missed].sum())
+    return shown / total if total > 0 else 0.0
 
 
 def judge(small: Splats, views: OriginalViews) -> tuple[float, float]:
