@@ -59,7 +59,14 @@ def small_views():
     from nanogs.simplify import presets
 
     few = {
-        name: replace(chosen, views=2, further=2, near=0, view_size=32, steps=min(chosen.steps, 2))
+        name: replace(
+            chosen,
+            views=2,
+            further=2,
+            roaming=min(chosen.roaming, 1),
+            view_size=32,
+            steps=min(chosen.steps, 2),
+        )
         if isinstance(chosen, presets.ForestParameters)
         else chosen
         for name, chosen in presets.PRESETS.items()

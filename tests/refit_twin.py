@@ -153,7 +153,7 @@ class AdvanceTwin:
             row, sums, self.means[i] - camera.position, rotations(self.quats)[i].astype(np.float32),
             np.exp(self.log_scales[i]).astype(np.float32), 1 / (1 + np.exp(-self.logits[i])),
             np.ascontiguousarray(camera.world_to_camera[:3, :3]), lens,
-            self.mode is RenderMode.MIP, pull, block,
+            self.mode is RenderMode.MIP, chain.new_scratch(), pull, block,
         )  # fmt: skip
         return pull, block
 

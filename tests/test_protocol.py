@@ -113,7 +113,7 @@ def test_nothing_is_learnt_from_the_views_that_judge():
     scene = make_scene(500)
     judging = automatic_cameras(scene, split="test")
     learning = automatic_cameras(scene, 40, split="fit", habit=False)
-    views = look(scene, near=0.3, further=20)
+    views = look(scene, further=20, roaming=4)
     learning += [view.camera for view in views.fitting] + list(views.further)
     learning += [view.camera for group in views.deciding for view in group.targets]
     places = {tuple(camera.position.round(6)) for camera in learning}

@@ -131,7 +131,8 @@ def shape_sums(splats, camera, residual, precision):
     for i in view.order:
         chain.shape_terms(
             view.geometry[i], totals[i], model.means[i] - camera.position, active.axes[i],
-            active.scales[i], model.opacities[i], np.eye(3), lens, mip, pulls[i], blocks[i],
+            active.scales[i], model.opacities[i], np.eye(3), lens, mip,
+            chain.new_scratch(), pulls[i], blocks[i],
         )  # fmt: skip
     return view.order, pulls, blocks
 
@@ -189,7 +190,7 @@ def test_damped_steps_solve_each_block():
     blocks = np.array([[m[a, b] for a in range(10) for b in range(a + 1)] for m in full])
     for matrix, block, right in zip(full, blocks, rng.normal(size=(30, 10)), strict=True):
         step = right.copy()
-        assert chain.damped_step(step, block, 0.1, 0.01, np.full(10, 1e9))
+        assert chain.damped_step(step, block, 0.1, 0.01, np.full(10, 1e9), chain.new_scratch())
         diagonal = np.diag(matrix)
         damped = matrix + np.diag(0.1 * diagonal + 0.01 * diagonal.max())
         np.testing.assert_allclose(damped @ step, right, atol=1e-9)
@@ -197,9 +198,11 @@ def test_damped_steps_solve_each_block():
 
 def test_damped_steps_keep_limits():
     block, step = np.zeros(55), np.full(10, 5.0)
-    assert not chain.damped_step(step, block, 0.0, 0.01, np.full(10, 0.5))  # nothing is known
+    assert not chain.damped_step(
+        step, block, 0.0, 0.01, np.full(10, 0.5), chain.new_scratch()
+    )  # nothing is known
     block[[a * (a + 3) // 2 for a in range(10)]] = 1.0
-    assert chain.damped_step(step, block, 0.0, 0.01, np.linspace(0.5, 1.4, 10))
+    assert chain.damped_step(step, block, 0.0, 0.01, np.linspace(0.5, 1.4, 10), chain.new_scratch())
     np.testing.assert_allclose(step, 0.5)  # as a whole
 
 

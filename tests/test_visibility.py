@@ -139,16 +139,18 @@ def test_nothing_visible_is_said_and_the_count_still_met():
     assert nanogs.simplify(splats, count=13, preset="fast")[1].notes == ()
 
 
-def test_some_of_the_views_that_are_found_may_roam():
+def test_what_can_be_seen_from_free_space_is_not_hidden():
+    """Cameras around see the box alone; one that stands in it sees what it holds."""
     splats = box_with_something_inside()
-    views = visibility.look(splats, count=5, size=48, near=0.4, further=5)
-    every = [view for group in views.deciding for view in group.targets] + list(views.fitting)
-    roaming = [view.camera for view in every if "roam" in view.camera.name]
-    assert len(every) == 5
-    assert len(roaming) == 2
-    assert ["roam" in camera.name for camera in views.further] == [False] * 3 + [True] * 2
-    assert {camera.width for camera in (*roaming, *views.further)} == {48}
-    assert views.notes == ()
+    around = automatic_cameras(splats, 5, width=48, height=48, habit=False)
+    assert visibility.look(splats, around, roaming=8).notes == ()
+    alone = visibility.look(splats, count=5, size=48)
+    wandered = visibility.look(splats, count=5, size=48, roaming=8)
+    assert (wandered.visible >= alone.visible).all()
+    assert (wandered.visible > alone.visible).any()
+    assert (alone.missed | ~wandered.missed).all()
+    for name in ("deciding", "fitting"):
+        assert len(getattr(wandered, name)) == len(getattr(alone, name))
 
 
 def test_it_is_said_where_fewer_roaming_views_are_found(monkeypatch):
@@ -156,5 +158,5 @@ def test_it_is_said_where_fewer_roaming_views_are_found(monkeypatch):
         raise ModelError("none")
 
     monkeypatch.setattr(visibility, "roaming_cameras", none)
-    views = visibility.look(box_with_something_inside(), count=3, size=32, near=0.3)
-    assert views.notes == ("Of 1 roaming view to learn from 0 were found.",)
+    views = visibility.look(box_with_something_inside(), count=3, size=32, roaming=2)
+    assert views.notes == ("Of 2 roaming views to look from 0 were found.",)

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Bool, F
-from nanogs.kernels.chain import PACKED, SHAPE, damped_step, shape_terms
+from nanogs.kernels.chain import PACKED, SHAPE, damped_step, new_scratch, shape_terms
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.project import MIN_ALPHA, reach_of
@@ -142,7 +142,7 @@ def advance_splats(
         weights: (N,) in and out, mean curvature of the colours.
     """
     point, basis = np.empty(3), np.empty(25)
-    step, block = np.empty(SHAPE), np.empty(PACKED)
+    step, block, scratch = np.empty(SHAPE), np.empty(PACKED), new_scratch()
     for place in range(start, stop):
         i = order[place]
         weight = totals[i, 3]
@@ -152,7 +152,7 @@ def advance_splats(
             point[r] = means[i, r] - position[r]
         shape_terms(
             geometry[i], totals[i], point, axes[i], scales[i], opacities[i], rotation, lens, mip,
-            step, block,
+            scratch, step, block,
         )  # fmt: skip
         seen[i] += 1
         touched[i] = True
@@ -169,7 +169,7 @@ def advance_splats(
         bend = excess * weights[i]
         _recolour(totals[i], features[i], basis, bands, bend, rate, given[i], sh[i])
 
-        if not damped_step(step, block, damping, floor, limits):
+        if not damped_step(step, block, damping, floor, limits, scratch):
             continue
         for r in range(3):
             for k in range(3):

@@ -11,6 +11,7 @@ Projection as in `nanogs.kernels.project`, whose derivatives these are.
 """
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 
@@ -36,6 +37,22 @@ PRODUCTS = np.array(
         [12, 17, 13, 21, 18, 14],
     ]
 )
+
+Scratch: TypeAlias = tuple[F64, F64, F64, F64, F64, F64, F64]
+
+
+@inline
+def new_scratch() -> Scratch:
+    """Allocate what `shape_terms` and `damped_step` work in, for any number of splats."""
+    return (
+        np.empty((3, 3)),  # axes in camera space
+        np.empty((2, 3)),  # axes on screen
+        np.empty((3, 3)),  # three triples
+        np.empty(SCREEN),
+        np.zeros((SHAPE, SCREEN)),  # the Jacobian; that of the opacity stays 0 but for one place
+        np.empty((SCREEN, SCREEN)),
+        np.empty((SHAPE, SHAPE)),  # Cholesky's factor
+    )
 
 
 @inline
@@ -73,11 +90,19 @@ def _to_screen(
 
 @inline
 def _screen_jacobian(
-    turn: F64, scales: F64, point: F64, row: F64, lens: F64, mip: bool, flat: F64, jacobian: F64
+    turn: F64,
+    scales: F64,
+    point: F64,
+    row: F64,
+    lens: F64,
+    mip: bool,
+    flat: F64,
+    before: F64,
+    jacobian: F64,
 ) -> None:
     """(9, 6) change of ln alpha for each parameter but the opacity.
 
-    turn: (3, 3) the splat's axes in camera space, in columns. flat: (2, 3) scratch.
+    turn: (3, 3) the splat's axes in camera space, in columns. flat: (2, 3), before: (3,) scratch.
     """
     fx, fy, cx, cy, width, height = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
     z = point[2]
@@ -87,7 +112,7 @@ def _screen_jacobian(
     tx = min(max(xz, -cx / fx - margin_x), (width - cx) / fx + margin_x)
     ty = min(max(yz, -cy / fy - margin_y), (height - cy) / fy + margin_y)
     jx, jy = fx / z, fy / z
-    before = np.zeros(3)
+    before[0], before[1], before[2] = 0.0, 0.0, 0.0
     for k in range(3):
         flat[0, k] = jx * (turn[0, k] - tx * turn[2, k])
         flat[1, k] = jy * (turn[1, k] - ty * turn[2, k])
@@ -180,6 +205,7 @@ def shape_terms(
     rotation: F64,
     lens: F64,
     mip: bool,
+    scratch: Scratch,
     pull: F64,
     block: F64,
 ) -> None:
@@ -195,21 +221,21 @@ def shape_terms(
         rotation: (3, 3), world to camera.
         lens: (6 or more,) fx, fy, cx, cy, width, height in pixels.
         mip: Whether opacities were compensated for the dilation.
+        scratch: From `new_scratch`; what is allocated for each splat costs a tenth of its step.
         pull: (10,) out.
         block: (55,) out, a lower triangle.
     """
-    turn, flat = np.empty((3, 3)), np.empty((2, 3))
-    seen, size, product = np.empty(3), np.empty(3), np.empty(SCREEN)
-    jacobian = np.zeros((SHAPE, SCREEN))
+    turn, flat, triples, product, jacobian, moments, _ = scratch
+    seen, size, before = triples[0], triples[1], triples[2]
     for r in range(3):
         seen[r] = rotation[r, 0] * point[0] + rotation[r, 1] * point[1] + rotation[r, 2] * point[2]
         for k in range(3):
             turn[r, k] = rotation[r, 0] * axes[0, k] + rotation[r, 1] * axes[1, k]
             turn[r, k] += rotation[r, 2] * axes[2, k]
         size[r] = scales[r]
-    _screen_jacobian(turn, size, seen, row, lens, mip, flat, jacobian)
+    _screen_jacobian(turn, size, seen, row, lens, mip, flat, before, jacobian)
     jacobian[OPACITY, 0] = 1.0 - opacity
-    _pull_and_block(jacobian, sums, np.empty((SCREEN, SCREEN)), product, pull, block)
+    _pull_and_block(jacobian, sums, moments, product, pull, block)
 
 
 @inline
@@ -244,7 +270,9 @@ def _substitute(lower: F64, step: F64) -> None:
 
 
 @inline
-def damped_step(pull: F64, block: F64, damping: float, floor: float, limits: F64) -> bool:
+def damped_step(
+    pull: F64, block: F64, damping: float, floor: float, limits: F64, scratch: Scratch
+) -> bool:
     """Solve a splat's ten equations (Levenberg and Marquardt) and hold the step to its limits.
 
     Args:
@@ -254,6 +282,7 @@ def damped_step(pull: F64, block: F64, damping: float, floor: float, limits: F64
         floor: Share of the largest curvature added to all of the diagonal, more than 0: what
             nothing determines stays where it is.
         limits: (10 or more,) largest steps, above 0; a longer step is shortened as a whole.
+        scratch: From `new_scratch`.
 
     Returns:
         Whether there is a step: not where nothing bends, or where numbers are past all bounds.
@@ -263,7 +292,7 @@ def damped_step(pull: F64, block: F64, damping: float, floor: float, limits: F64
         largest = max(largest, block[a * (a + 3) // 2])
     if not largest > 0.0:
         return False
-    lower = np.empty((SHAPE, SHAPE))
+    lower = scratch[6]
     _factorise(block, damping, floor * largest, lower)
     _substitute(lower, pull)
     excess, length = 1.0, 0.0

@@ -85,8 +85,8 @@ def build_forest(
         with clock.time("look"):
             try:
                 views = look(
-                    splats, cameras, parameters.views, parameters.view_size, parameters.near,
-                    parameters.further, progress.part,
+                    splats, cameras, parameters.views, parameters.view_size,
+                    parameters.further, parameters.roaming, progress.part,
                 )  # fmt: skip
                 notes = (*lens_notes(cameras or ()), *views.notes)
             except ModelError as error:

@@ -80,7 +80,7 @@ class ForestParameters:
         views: Views of the original to look at, where it is rendered: for what is hidden, to choose
             by and to fit to; one in six of them decides.
         further: More views to fit to, each drawn when its turn comes.
-        near: Share of the views that are found which roam: anywhere in free space, mostly nearer.
+        roaming: Small views from anywhere in free space, that only say what is hidden.
         view_size: Pixels along the longer side of a view.
     """
 
@@ -95,7 +95,7 @@ class ForestParameters:
     steps: int = 24
     views: int = 14
     further: int = 0
-    near: float = 0.0
+    roaming: int = 0
     view_size: int = 768
 
     def __post_init__(self) -> None:
@@ -110,7 +110,7 @@ class ForestParameters:
         _require(self.steps >= 0, "steps", self.steps, "0 or more")
         _require(self.views >= 1, "views", self.views, "at least 1")
         _require(self.further >= 0, "further", self.further, "0 or more")
-        _require(0 <= self.near < 1, "near", self.near, "0 or more, below 1")
+        _require(self.roaming >= 0, "roaming", self.roaming, "0 or more")
         _require(16 <= self.view_size <= 8192, "view_size", self.view_size, "16 to 8192 pixels")
 
 
@@ -126,7 +126,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
     {
         "default": ForestParameters(),
         "fast": ForestParameters(rounds=1, measure=False, steps=0),
-        "best": ForestParameters(steps=224, views=24, further=204, view_size=768),
+        "best": ForestParameters(steps=192, views=24, further=172, roaming=24, view_size=768),
         "paper": PaperParameters(),
     }
 )
@@ -187,7 +187,7 @@ def effective(chosen: Parameters) -> dict[str, Any]:
     """The parameters that have an effect, by name: without views, none that is about views."""
     unused: set[str] = set()
     if isinstance(chosen, ForestParameters) and not chosen.measure:
-        views = {"steps", "views", "near", "view_size"}
+        views = {"steps", "views", "further", "roaming", "view_size"}
         unused = {"hidden"} if chosen.steps else {"hidden"} | views
     return {name: value for name, value in dataclasses.asdict(chosen).items() if name not in unused}
 

@@ -126,8 +126,8 @@ def _sum(stages: list[Stage]) -> float:
 
 
 def _look(parameters: ForestParameters, splats: int) -> Stage:
-    looks = parameters.views * (1 + parameters.near)  # those that roam are found by trying
-    return Stage("look", 2 * looks * _render(parameters, splats))
+    roaming = parameters.roaming * (0.01 + 0.3 * splats / _MILLION)  # found by trying
+    return Stage("look", roaming + 2 * parameters.views * _render(parameters, splats))
 
 
 def _render(parameters: ForestParameters, splats: int) -> float:

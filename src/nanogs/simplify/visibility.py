@@ -14,12 +14,13 @@ from nanogs.progress import Parts, each, untold
 from nanogs.refit.groups import Group, split
 from nanogs.refit.targets import Target, as_target
 from nanogs.render.camera import Camera, apart, spread
-from nanogs.render.rasterize import prepare, render
+from nanogs.render.rasterize import PreparedSplats, Rendering, prepare, render
 from nanogs.render.roam import roaming_cameras
 from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; a third of the work
+SMALL = 128  # pixels of a roaming view
 DECIDING = 6  # one view in so many also decides: what is chosen, and whether a fit is kept
 
 
@@ -45,28 +46,13 @@ class OriginalViews:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Chosen:
-    """Cameras of views of the original.
-
-    Attributes:
-        looked: Of those that are rendered at once.
-        further: Of more views to fit to.
-        notes: What the user should know, one sentence each.
-    """
-
-    looked: list[Camera]
-    further: list[Camera]
-    notes: tuple[str, ...] = ()
-
-
 def look(
     splats: Splats,
     cameras: Sequence[Camera] | None = None,
     count: int = 14,
     size: int = 768,
-    near: float = 0.0,
     further: int = 0,
+    roaming: int = 0,
     tell: Parts = untold,
 ) -> OriginalViews:
     """Render the original once.
@@ -76,59 +62,75 @@ def look(
         cameras: The views; by default automatic ones.
         count: How many of them at most.
         size: Pixels along the longer side of a view at most.
-        near: Share of the views that are found which roam in free space (see `roam`).
         further: How many more cameras to choose, at most, for views to fit to.
+        roaming: Small views from anywhere in free space (see `roam`) that only say what is hidden;
+            none where cameras are given.
         tell: Told of the views rendered.
 
     Raises:
         ModelError: No splat is visible.
     """
-    chosen = (
-        _given(cameras, count, further, size)
-        if cameras
-        else _found(splats, count, further, near, size)
-    )
+    looked, rest = _cameras(splats, cameras, count, further, size)
     prepared = prepare(splats)
-    seen, whole = np.zeros(len(splats)), np.zeros(len(splats))
+    light = Light(len(splats))
     views: list[Target] = []
-    for camera in each(chosen.looked, tell):
+    for camera in each(looked, tell):
         view = render(prepared, camera, contributions=True, depth=True)
+        light.add(view)
+        views.append(as_target(view, camera))
+    fitting, deciding = split(views, max(1, len(views) // DECIDING))
+    notes: tuple[str, ...] = ()
+    visible, missed = light.shares(), light.whole == 0
+    visible[missed] = 1.0
+    if roaming and not cameras:
+        there, notes = _light_from_anywhere(splats, prepared, roaming)
+        np.maximum(visible, there.shares(), out=visible)
+        missed &= there.whole == 0
+    return OriginalViews(visible, missed, deciding, fitting, tuple(rest), notes)
+
+
+class Light:
+    """How much of N splats reaches views."""
+
+    def __init__(self, count: int) -> None:
+        self.seen, self.whole = np.zeros(count), np.zeros(count)
+
+    def add(self, view: Rendering) -> None:
+        """Count a view, rendered with contributions."""
         assert view.contributions is not None  # noqa: S101 - asked for
         assert view.unhidden is not None  # noqa: S101 - asked for
-        seen += view.contributions
-        whole += view.unhidden
-        views.append(as_target(view, camera))
-    visible = np.ones(len(splats))
-    np.divide(seen, whole, out=visible, where=whole > 0)
-    fitting, deciding = split(views, max(1, len(views) // DECIDING))
-    return OriginalViews(
-        np.minimum(visible, 1.0), whole == 0, deciding, fitting, tuple(chosen.further), chosen.notes
-    )
+        self.seen += view.contributions
+        self.whole += view.unhidden
+
+    def shares(self) -> F64:
+        """(N,) float64 in [0, 1], of the alpha of each in the views that it lies in; 0 in none."""
+        shares = np.zeros(len(self.seen))
+        np.divide(self.seen, self.whole, out=shares, where=self.whole > 0)
+        return np.minimum(shares, 1.0, out=shares)
 
 
-def _given(cameras: Sequence[Camera], count: int, further: int, size: int) -> Chosen:
-    """The user's cameras, those that are looked from spread over them."""
-    reduced = [camera.reduced(size) for camera in spread(cameras, count + further)]
-    return Chosen(*apart(reduced, count))
-
-
-def _found(splats: Splats, count: int, further: int, near: float, size: int) -> Chosen:
-    """Automatic views and roaming ones, and a note where fewer of these were found."""
-    looked, roaming = round(near * count), round(near * (count + further))
-    around = automatic_cameras(
-        splats, count + further - roaming, width=size, height=size, habit=False
-    )
-    if not roaming:
-        return Chosen(around[:count], around[count:])
+def _light_from_anywhere(
+    splats: Splats, prepared: PreparedSplats, count: int
+) -> tuple[Light, tuple[str, ...]]:
+    """What small roaming views show, and a note where fewer of them were found."""
     found: list[Camera] = []
     with suppress(ModelError):  # none was found, which the note says
-        found = roaming_cameras(splats, roaming, width=size, height=size, split="fit")
-    lacking = f"Of {counted(roaming, 'roaming view')} to learn from {len(found)} were found."
-    return Chosen(
-        around[: count - looked] + found[:looked],
-        around[count - looked :] + found[looked:],
-        (lacking,) if len(found) < roaming else (),
-    )
+        found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit")
+    light = Light(len(splats))
+    for camera in found:
+        light.add(render(prepared, camera, contributions=True))
+    lacking = f"Of {counted(count, 'roaming view')} to look from {len(found)} were found."
+    return light, (lacking,) if len(found) < count else ()
+
+
+def _cameras(
+    splats: Splats, cameras: Sequence[Camera] | None, count: int, further: int, size: int
+) -> tuple[list[Camera], list[Camera]]:
+    """Those to look from, and more to fit to: the user's, or automatic ones."""
+    if cameras:
+        return apart([camera.reduced(size) for camera in spread(cameras, count + further)], count)
+    found = automatic_cameras(splats, count + further, width=size, height=size, habit=False)
+    return found[:count], found[count:]
 
 
 def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
