@@ -42,10 +42,9 @@ def test_what_is_hidden_counts_little_and_what_no_view_holds_counts_whole():
 
 
 def test_the_report_says_what_share_of_the_model_is_seen():
-    shares = visibility.shown_share(
-        np.array([2.0, 1.0, 1.0]), np.array([1.0, 0.5, 1.0]), np.array([False, False, True])
-    )
-    assert shares == pytest.approx(2.5 / 4)
+    coverages, visible = np.array([2.0, 1.0, 1.0, 1.0]), np.array([1.0, 0.5, 1.0, 0.005])
+    missed = np.array([False, False, True, False])
+    assert visibility.shown_share(coverages, visible, missed) == pytest.approx(3 / 5)
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=64, height=64)
     [every, one] = (

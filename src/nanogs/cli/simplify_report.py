@@ -245,7 +245,9 @@ def _print_details(run: dict[str, Any]) -> None:
         "kept": f"{after / before:.3%} of the splats{filtered} (asked: {_asked_text(run)})",
         "passes": f"{len(run['passes'])}, stopped by: {run['stop']}" if run["passes"] else "",
         "blocks": _blocks_text(run["blocks"]),
-        "seen": f"{run['shown']:.0%} of the coverage" if run["shown"] is not None else "",
+        "seen": f"{run['shown']:.0%} of the coverage is of splats that the views show"
+        if run["shown"] is not None
+        else "",
         "chosen": choice_text(run["candidates"]),
         "fitted": refit_text(run["refit"]),
         "probes": f"{counted(len(run['probes']), 'count')} tried" if run["probes"] else "",

@@ -20,6 +20,7 @@ from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; a third of the work
+SHOWN = 0.01  # of a splat that reaches the views, from which it counts as shown
 SMALL = 128  # pixels of a roaming view
 DECIDING = 6  # one view in so many also decides: what is chosen, and whether a fit is kept
 
@@ -146,7 +147,7 @@ def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
 
 
 def shown_share(coverages: F64, visible: F64, missed: Bool) -> float:
-    """Share of all footprints that reaches the views, in [0, 1].
+    """Share of all footprints, in [0, 1], that splats have which the views show.
 
     Args:
         coverages: (N,) alpha times footprint.
@@ -154,7 +155,7 @@ def shown_share(coverages: F64, visible: F64, missed: Bool) -> float:
         missed: (N,) which lie in no view.
     """
     total = float(coverages.sum())
-    shown = float((coverages * visible)[~missed].sum())
+    shown = float(coverages[(visible >= SHOWN) & ~missed].sum())
     return shown / total if total > 0 else 0.0
 
 
