@@ -21,6 +21,7 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError, OptionError
+from nanogs.progress import Parts, untold
 from nanogs.render.camera import Camera
 from nanogs.render.free_space import FreeSpace, middle
 from nanogs.render.poses import look_at
@@ -101,6 +102,7 @@ def roaming_cameras(
     fov: float = FOV,
     up: Sequence[float] | None = None,
     split: str = "fit",
+    tell: Parts = untold,
 ) -> list[Camera]:
     """Draw cameras from all free space from which something of the model is seen, near and far.
 
@@ -116,6 +118,7 @@ def roaming_cameras(
             (see `stance.own_stance`).
         split: Name that all that is drawn depends on: other names have other cameras. "test" is
             what results are judged by, so nothing may be learnt from it.
+        tell: Told of the cameras found.
 
     Returns:
         At most `count` cameras named `fit_roam_000` and so on: fewer where so few were found in
@@ -129,7 +132,9 @@ def roaming_cameras(
     scene = _scene(splats, up)
     known = _begin(scene, splats, up, split)
     for candidate in _candidates(scene, known, lens, split, TRIES * count):
-        if _keeps(scene, known, candidate) and len(known.cameras) == count:
+        if _keeps(scene, known, candidate):
+            tell(len(known.cameras), count)
+        if len(known.cameras) == count:
             break
     if not known.cameras:
         raise ModelError(

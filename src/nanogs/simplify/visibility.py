@@ -75,7 +75,8 @@ def look(
     prepared = prepare(splats)
     light = Light(len(splats))
     views: list[Target] = []
-    for camera in each(looked, tell):
+    total = len(looked) + (0 if cameras else roaming)
+    for camera in each(looked, lambda done, _: tell(done, total)):
         view = render(prepared, camera, contributions=True, depth=True)
         light.add(view)
         views.append(as_target(view, camera))
@@ -84,7 +85,9 @@ def look(
     visible, missed = light.shares(), light.whole == 0
     visible[missed] = 1.0
     if roaming and not cameras:
-        there, notes = _light_from_anywhere(splats, prepared, roaming)
+        there, notes = _light_from_anywhere(
+            splats, prepared, roaming, lambda done, _: tell(len(looked) + done, total)
+        )
         np.maximum(visible, there.shares(), out=visible)
         missed &= there.whole == 0
     return OriginalViews(visible, missed, deciding, fitting, tuple(rest), notes)
@@ -111,12 +114,12 @@ class Light:
 
 
 def _light_from_anywhere(
-    splats: Splats, prepared: PreparedSplats, count: int
+    splats: Splats, prepared: PreparedSplats, count: int, tell: Parts
 ) -> tuple[Light, tuple[str, ...]]:
     """What small roaming views show, and a note where fewer of them were found."""
     found: list[Camera] = []
     with suppress(ModelError):  # none was found, which the note says
-        found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit")
+        found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", tell=tell)
     light = Light(len(splats))
     for camera in found:
         light.add(render(prepared, camera, contributions=True))
