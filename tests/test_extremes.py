@@ -66,7 +66,7 @@ def test_finite_splats_give_finite_splats_of_the_exact_count(preset, data):
 
 @every_preset
 @pytest.mark.parametrize("count", [2, 3, 4, 40])
-@pytest.mark.parametrize("value", [1e30, -LARGEST])
+@pytest.mark.parametrize("value", [1e30, LARGEST, -LARGEST])
 def test_one_huge_coefficient(preset, count, value):
     """Its squared difference overflows float32, and a score that is NaN once cut too little."""
     splats = random_splats(count)

@@ -101,8 +101,8 @@ def as_target(rendering: Rendering, camera: Camera) -> Target:
 
 def _in_bytes(values: F32) -> F32:
     """Values in [0, 1], those outside held to it, as whole numbers up to 255."""
-    scaled = values * np.float32(255)
-    np.clip(scaled, 0, 255, out=scaled)
+    scaled = np.clip(values, 0, 1)
+    scaled *= np.float32(255)
     np.rint(scaled, out=scaled)
     return scaled
 
