@@ -30,7 +30,12 @@ def view_targets(
         OptionError: There are fewer than two cameras.
         ModelError: No two views show the original, or the small model is elsewhere.
     """
-    chosen, further = _cameras(original, cameras, parameters)
+    if cameras is not None and len(cameras) < 2:
+        raise OptionError(
+            f"A refit needs two cameras or more, one of which decides, not {len(cameras)}."
+        )
+    kept, more = parameters.kept + parameters.held, parameters.views - parameters.kept
+    chosen, further = choose_cameras(original, cameras, kept, more, parameters.size)
     prepared = prepare(original)
     targets = [make_target(prepared, camera) for camera in each(chosen, tell)]
     targets = [target for target in targets if target.image[..., 3].any()]
@@ -44,20 +49,22 @@ def view_targets(
     return Fitting(fitting, prepared, further), deciding
 
 
-def _cameras(
-    original: Splats, cameras: Sequence[Camera] | None, parameters: RefitParameters
+def choose_cameras(
+    splats: Splats, cameras: Sequence[Camera] | None, kept: int, further: int, size: int
 ) -> tuple[list[Camera], list[Camera]]:
-    """Those whose views are kept, the deciding ones among them, and the others."""
-    count, size = parameters.views + parameters.held, parameters.size
-    kept = parameters.kept + parameters.held
-    if cameras is None:
-        found = automatic_cameras(original, count, width=size, height=size, habit=False)
-        return found[:kept], found[kept:]
-    if len(cameras) < 2:
-        raise OptionError(
-            f"A refit needs two cameras or more, one of which decides, not {len(cameras)}."
-        )
-    return apart([camera.reduced(size) for camera in spread(cameras, count)], kept)
+    """Those whose views are kept, and more to fit to: the user's, evenly, or automatic ones.
+
+    Args:
+        splats: The original.
+        cameras: The user's; automatic ones are chosen where there are none.
+        kept: How many of the first kind at most.
+        further: How many of the second at most.
+        size: Pixels along the longer side of a view at most.
+    """
+    if cameras:
+        return apart([camera.reduced(size) for camera in spread(cameras, kept + further)], kept)
+    found = automatic_cameras(splats, kept + further, width=size, height=size, habit=False)
+    return found[:kept], found[kept:]
 
 
 def _refuse_elsewhere(small: Splats, targets: Sequence[Target]) -> None:

@@ -13,10 +13,10 @@ from nanogs.metrics import psnr, ssim
 from nanogs.progress import Parts, each, untold
 from nanogs.refit.groups import Group, split
 from nanogs.refit.targets import Target, as_target
-from nanogs.render.camera import Camera, apart, spread
+from nanogs.refit.views import choose_cameras
+from nanogs.render.camera import Camera
 from nanogs.render.rasterize import PreparedSplats, Rendering, prepare, render
 from nanogs.render.roam import roaming_cameras
-from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; a third of the work
@@ -71,11 +71,12 @@ def look(
     Raises:
         ModelError: No splat is visible.
     """
-    looked, rest = _cameras(splats, cameras, count, further, size)
+    looked, rest = choose_cameras(splats, cameras, count, further, size)
+    wandering = 0 if cameras else roaming
     prepared = prepare(splats)
     light = Light(len(splats))
     views: list[Target] = []
-    total = len(looked) + (0 if cameras else roaming)
+    total = len(looked) + wandering
     for camera in each(looked, lambda done, _: tell(done, total)):
         view = render(prepared, camera, contributions=True, depth=True)
         light.add(view)
@@ -84,9 +85,9 @@ def look(
     notes: tuple[str, ...] = ()
     visible, missed = light.shares(), light.whole == 0
     visible[missed] = 1.0
-    if roaming and not cameras:
+    if wandering:
         there, notes = _light_from_anywhere(
-            splats, prepared, roaming, lambda done, _: tell(len(looked) + done, total)
+            splats, prepared, wandering, lambda done, _: tell(len(looked) + done, total)
         )
         np.maximum(visible, there.shares(), out=visible)
         missed &= there.whole == 0
@@ -125,16 +126,6 @@ def _light_from_anywhere(
         light.add(render(prepared, camera, contributions=True))
     lacking = f"Of {counted(count, 'roaming view')} to look from {len(found)} were found."
     return light, (lacking,) if len(found) < count else ()
-
-
-def _cameras(
-    splats: Splats, cameras: Sequence[Camera] | None, count: int, further: int, size: int
-) -> tuple[list[Camera], list[Camera]]:
-    """Those to look from, and more to fit to: the user's, or automatic ones."""
-    if cameras:
-        return apart([camera.reduced(size) for camera in spread(cameras, count + further)], count)
-    found = automatic_cameras(splats, count + further, width=size, height=size, habit=False)
-    return found[:count], found[count:]
 
 
 def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
