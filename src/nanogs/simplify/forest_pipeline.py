@@ -86,7 +86,8 @@ def build_forest(
             try:
                 views = look(
                     splats, cameras, parameters.views, parameters.view_size,
-                    parameters.further, parameters.roaming, progress.part,
+                    parameters.further if parameters.steps else 0, parameters.roaming,
+                    progress.part,
                 )  # fmt: skip
                 notes = (*lens_notes(cameras or ()), *views.notes)
             except ModelError as error:
