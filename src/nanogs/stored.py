@@ -11,7 +11,7 @@ SH_C0 = 0.28209479177387814  # the spherical harmonic of degree 0; as in `kernel
 Floats = TypeVar("Floats", F32, F64)
 
 
-def alphas(logits: F32) -> F64:
+def alphas(logits: F) -> F64:
     """(N,) float64 in [0, 1]: what logits stand for."""
     with np.errstate(over="ignore"):
         return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))

@@ -9,7 +9,7 @@ from nanogs._types import F32, F64, Array, Bool
 from nanogs.kernels.project import MIN_ALPHA, reaches_of
 from nanogs.render.rasterize import PreparedSplats
 from nanogs.splats import Splats
-from nanogs.stored import rotations
+from nanogs.stored import alphas, rotations
 
 # Alpha is held at 0.99 when drawn: from a logit far above, an opacity would take long to come down,
 # and a splat that falls below 1/255 is not drawn and could never come back.
@@ -85,9 +85,9 @@ def start(splats: Splats) -> State:
 def activate(state: State, splats: Splats, finite: Bool) -> Active:
     """What the kernels take; tags and everything that does not move from `splats`."""
     axes = rotations(state.quats).astype(np.float32)
+    opacities = alphas(state.logits).astype(np.float32)
     with np.errstate(over="ignore"):
         scales = np.exp(state.log_scales).astype(np.float32)
-        opacities = (1.0 / (1.0 + np.exp(-state.logits))).astype(np.float32)
     model = PreparedSplats(
         means=state.means.astype(splats.means.dtype),  # as they are stored, and drawn elsewhere
         factors=axes * scales[:, None, :],
