@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nanogs.kernels import chain
-from nanogs.refit.descent import LIMITS
+from nanogs.refit.descent import LIMITS, _lens
 from nanogs.splats import RenderMode
 from nanogs.stored import rotations
 from raster_twin import sh_basis, splat_on_screen
@@ -117,6 +117,20 @@ def turn_matrix(quat):
     return np.array(axes).T
 
 
+def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
+    """How a view pulls at one splat's parameters of shape (10,), and their curvatures (55,)."""
+    jacobians, lanes, products = chain.new_chains(1)
+    rotation = np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64)
+    chain.screen_jacobian(
+        row, point, axes, scales, opacity, rotation, _lens(camera), mode is RenderMode.MIP,
+        jacobians[:, :, 0],
+    )  # fmt: skip
+    lanes[:, 0] = sums
+    pulls, blocks = np.empty((10, 1)), np.empty((55, 1))
+    chain.pulls_and_blocks(jacobians, lanes, products, pulls, blocks)
+    return pulls[:, 0], blocks[:, 0]
+
+
 class AdvanceTwin:
     """A state that follows views as `nanogs.kernels.advance` does, splat by splat in float64."""
 
@@ -147,15 +161,11 @@ class AdvanceTwin:
             self._reshape(i, step, excess * self.blocks[i], rate)
 
     def _terms(self, row, sums, camera, i):
-        pull, block = np.empty(10), np.empty(55)
-        lens = np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
-        chain.shape_terms(
+        return shape_terms(
             row, sums, self.means[i] - camera.position, rotations(self.quats)[i].astype(np.float32),
             np.exp(self.log_scales[i]).astype(np.float32), 1 / (1 + np.exp(-self.logits[i])),
-            np.ascontiguousarray(camera.world_to_camera[:3, :3]), lens,
-            self.mode is RenderMode.MIP, chain.new_scratch(), pull, block,
+            camera, self.mode,
         )  # fmt: skip
-        return pull, block
 
     def _recolour(self, i, sums, shown, camera, bend, rate):
         degree = round(math.sqrt(len(self.sh[i]))) - 1

@@ -32,7 +32,7 @@ for (module, name), signatures in compiled().items():
 
 
 # Compiled last, when rendering has been; the rotations of a step are inlined there.
-FITTING = {"advance", "chain", "backward", "pulls", "quaternion"}
+FITTING = {"advance", "chain", "damped", "backward", "pulls", "quaternion"}
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from nanogs import RefitParameters, refit
 from nanogs.compare.scoring import reference_views, score
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import load
-from nanogs.kernels import backward, chain, pulls
+from nanogs.kernels import backward, damped, pulls
 from nanogs.refit.descent import Descent
 from nanogs.refit.groups import grouped, hold_out, split
 from nanogs.refit.report import RefitStop
@@ -25,7 +25,14 @@ from nanogs.render.rasterize import prepare, project
 from nanogs.render.roam import roaming_cameras
 from nanogs.render.views import automatic_cameras
 from nanogs.splats import RenderMode, Splats
-from refit_twin import AdvanceTwin, blend_twin, moved, pixel_weights, pull_twin
+from refit_twin import (
+    AdvanceTwin,
+    blend_twin,
+    moved,
+    pixel_weights,
+    pull_twin,
+    shape_terms,
+)
 
 QUICK = RefitParameters(views=6, validation=2, size=64, rounds=2, steps=12)
 
@@ -126,13 +133,11 @@ def shape_sums(splats, camera, residual, precision):
     totals = pull_twin(splats, camera, features, residual, precision, cutoff=0.0)
     active = activate(start(splats), splats, splats.finite())
     pulls, blocks = np.zeros((len(splats), 10)), np.zeros((len(splats), 55))
-    lens = np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
-    mip, model = splats.render_mode is RenderMode.MIP, active.model
+    model = active.model
     for i in view.order:
-        chain.shape_terms(
+        pulls[i], blocks[i] = shape_terms(
             view.geometry[i], totals[i], model.means[i] - camera.position, active.axes[i],
-            active.scales[i], model.opacities[i], np.eye(3), lens, mip,
-            chain.new_scratch(), pulls[i], blocks[i],
+            active.scales[i], model.opacities[i], camera, splats.render_mode,
         )  # fmt: skip
     return view.order, pulls, blocks
 
@@ -183,27 +188,49 @@ def unpack(blocks):
     return full
 
 
+def packed(full):
+    return np.array([[m[a, b] for a in range(10) for b in range(a + 1)] for m in full])
+
+
+def solved(pulls, blocks, damping, floor, limits, lanes):
+    """Steps (N, 10) and whether there is one, of as many splats as the lanes hold at the most."""
+    steps, bends, moves = damped.new_lanes(lanes)
+    steps[:, : len(pulls)], bends[:, : len(pulls)] = np.transpose(pulls), np.transpose(blocks)
+    damped.damped_steps(steps, bends, damping, floor, limits, np.empty(lanes), moves)
+    return steps.T[: len(pulls)], moves[: len(pulls)]
+
+
 def test_damped_steps_solve_each_block():
     rng = np.random.default_rng(8)
     factors = rng.normal(size=(30, 10, 12))
-    full = factors @ factors.transpose(0, 2, 1)
-    blocks = np.array([[m[a, b] for a in range(10) for b in range(a + 1)] for m in full])
-    for matrix, block, right in zip(full, blocks, rng.normal(size=(30, 10)), strict=True):
-        step = right.copy()
-        assert chain.damped_step(step, block, 0.1, 0.01, np.full(10, 1e9), chain.new_scratch())
-        diagonal = np.diag(matrix)
-        damped = matrix + np.diag(0.1 * diagonal + 0.01 * diagonal.max())
-        np.testing.assert_allclose(damped @ step, right, atol=1e-9)
+    full, pulls = factors @ factors.transpose(0, 2, 1), rng.normal(size=(30, 10))
+    steps, moves = solved(pulls, packed(full), 0.1, 0.01, np.full(10, 1e9), 32)
+    assert moves.all()
+    diagonals = np.diagonal(full, axis1=1, axis2=2)
+    lifts = 0.1 * diagonals + 0.01 * diagonals.max(axis=1, keepdims=True)
+    damped_blocks = full + lifts[:, :, None] * np.eye(10)
+    np.testing.assert_allclose(np.einsum("nab,nb->na", damped_blocks, steps), pulls, atol=1e-9)
 
 
 def test_damped_steps_keep_limits():
     block, step = np.zeros(55), np.full(10, 5.0)
-    assert not chain.damped_step(
-        step, block, 0.0, 0.01, np.full(10, 0.5), chain.new_scratch()
-    )  # nothing is known
     block[[a * (a + 3) // 2 for a in range(10)]] = 1.0
-    assert chain.damped_step(step, block, 0.0, 0.01, np.linspace(0.5, 1.4, 10), chain.new_scratch())
-    np.testing.assert_allclose(step, 0.5)  # as a whole
+    blocks = [0 * block, block, np.nan * block, block]  # of the first nothing is known
+    pulls = [step, step, step, np.nan * step]
+    steps, moves = solved(pulls, blocks, 0.0, 0.01, np.linspace(0.5, 1.4, 10), 8)
+    np.testing.assert_array_equal(moves, [False, True, False, False])
+    np.testing.assert_allclose(steps[1], 0.5)  # as a whole
+
+
+def test_a_damped_step_is_the_same_beside_any_others():
+    rng = np.random.default_rng(9)
+    factors = rng.normal(size=(40, 10, 12))
+    blocks, pulls = packed(factors @ factors.transpose(0, 2, 1)), rng.normal(size=(40, 10))
+    limits = np.full(10, 0.3)
+    whole, _ = solved(pulls, blocks, 0.1, 0.01, limits, 40)
+    for first, last, lanes in ((0, 3, 40), (5, 40, 40), (17, 18, 40)):
+        part, _ = solved(pulls[first:last], blocks[first:last], 0.1, 0.01, limits, lanes)
+        np.testing.assert_array_equal(part, whole[first:last])
 
 
 @pytest.mark.parametrize("mode", [RenderMode.DEFAULT, RenderMode.MIP])

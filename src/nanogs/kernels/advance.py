@@ -10,7 +10,8 @@ import math
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Bool, F
-from nanogs.kernels.chain import PACKED, SHAPE, damped_step, new_scratch, shape_terms
+from nanogs.kernels.chain import OPACITY, PACKED, new_chains, pulls_and_blocks, screen_jacobian
+from nanogs.kernels.damped import damped_steps, new_lanes
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.project import MIN_ALPHA, reach_of
@@ -37,6 +38,18 @@ def _turn(quat: F64, x: float, y: float, z: float) -> None:
 
 
 @inline
+def _reshape(
+    step: F64, rate: float, mean: F64, log_scales: F64, quat: F64, axes: F32, scales: F32
+) -> None:
+    """Move a splat's centre, scales and rotation by a step in its own frame."""
+    for r in range(3):
+        for k in range(3):
+            mean[r] += rate * step[k] * axes[r, k] * scales[k]
+        log_scales[r] += rate * step[3 + r]
+    _turn(quat, rate * step[6], rate * step[7], rate * step[8])
+
+
+@inline
 def _activate(log_scales: F64, quat: F64, axes: F32, scales: F32, factors: F32) -> None:
     """Write a splat's axes, which are its rotation matrix, its scales, and their products."""
     first, second, third = rotation_matrix(quat)
@@ -49,9 +62,20 @@ def _activate(log_scales: F64, quat: F64, axes: F32, scales: F32, factors: F32) 
 
 @inline
 def _recolour(
-    sums: F64, shown: F32, basis: F64, bands: F64, bend: float, rate: float, given: F32, sh: F32
+    sums: F64,
+    shown: F32,
+    point: F64,
+    degree: int,
+    basis: F64,
+    bands: F64,
+    bend: float,
+    rate: float,
+    given: F32,
+    sh: F32,
 ) -> None:
     """Move a splat's coefficients (K, 3); a channel cut off at black is pulled upwards only."""
+    distance = math.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
+    sh_basis(point[0] / distance, point[1] / distance, point[2] / distance, degree, basis)
     for k in range(len(sh)):
         held = bands[k, 1] * bend
         step = rate / (bands[k, 0] * bend + held)
@@ -78,6 +102,7 @@ def advance_splats(
     damping: float,
     floor: float,
     memory: int,
+    lanes: int,
     limits: F64,
     bands: F64,
     given: F32,
@@ -113,13 +138,14 @@ def advance_splats(
         totals: (N, 25) from `gather_entries`.
         rotation: (3, 3), world to camera.
         position: (3,) the camera's centre, scene units.
-        lens: (6,) fx, fy, cx, cy, width, height in pixels.
+        lens: (6,) see `screen_jacobian`.
         mip: Whether opacities were compensated for the dilation.
         degree: Spherical-harmonic degree, of which `sh` has all coefficients.
         rate: Length of the step, 1 for the whole way to the minimum of the quadratic.
-        damping: See `damped_step`.
-        floor: See `damped_step`.
+        damping: See `damped_steps`.
+        floor: See `damped_steps`.
         memory: Views of a splat that its mean curvatures remember, about.
+        lanes: How many splats are solved for side by side, see `damped`.
         limits: (12,) largest steps of the ten parameters of shape, then least and most of the
             opacity's logit; a logit that starts below the least may stay there.
         bands: (K, 2) curvature of each coefficient for a weight of 1, and its ridge.
@@ -142,46 +168,57 @@ def advance_splats(
         weights: (N,) in and out, mean curvature of the colours.
     """
     point, basis = np.empty(3), np.empty(25)
-    step, block, scratch = np.empty(SHAPE), np.empty(PACKED), new_scratch()
-    for place in range(start, stop):
-        i = order[place]
-        weight = totals[i, 3]
-        if not weight > LEAST_WEIGHT:
-            continue
-        for r in range(3):
-            point[r] = means[i, r] - position[r]
-        shape_terms(
-            geometry[i], totals[i], point, axes[i], scales[i], opacities[i], rotation, lens, mip,
-            scratch, step, block,
-        )  # fmt: skip
-        seen[i] += 1
-        touched[i] = True
-        share = 1.0 / min(seen[i], memory)
-        weights[i] = weights[i] + share * (weight - weights[i])  # rounded last: never to 0
-        excess = max(weight / weights[i], 1.0)
-        for a in range(PACKED):
-            blocks[i, a] += np.float32(share * (block[a] - blocks[i, a]))
-            block[a] = excess * blocks[i, a]
+    jacobians, sums, products = new_chains(lanes)
+    pulls, curvatures, moves = new_lanes(lanes)
+    rows, excesses, lifts = np.empty(lanes, np.int64), np.empty(lanes), np.empty(lanes)
+    place = start
+    while place < stop:
+        lane = 0
+        while lane < lanes and place < stop:
+            i = order[place]
+            place += 1
+            weight = totals[i, 3]
+            if not weight > LEAST_WEIGHT:
+                continue
+            for r in range(3):
+                point[r] = means[i, r] - position[r]
+            screen_jacobian(
+                geometry[i], point, axes[i], scales[i], opacities[i], rotation, lens, mip,
+                jacobians[:, :, lane],
+            )  # fmt: skip
+            for k in range(len(sums)):
+                sums[k, lane] = totals[i, k]
+            seen[i] += 1
+            touched[i] = True
+            # Rounded last: never to 0.
+            weights[i] = weights[i] + (weight - weights[i]) / min(seen[i], memory)
+            excesses[lane] = max(weight / weights[i], 1.0)
+            _recolour(
+                totals[i], features[i], point, degree, basis, bands, excesses[lane] * weights[i],
+                rate, given[i], sh[i],
+            )  # fmt: skip
+            rows[lane] = i
+            lane += 1
 
-        distance = math.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
-        x, y, z = point[0] / distance, point[1] / distance, point[2] / distance
-        sh_basis(x, y, z, degree, basis)
-        bend = excess * weights[i]
-        _recolour(totals[i], features[i], basis, bands, bend, rate, given[i], sh[i])
-
-        if not damped_step(step, block, damping, floor, limits, scratch):
-            continue
-        for r in range(3):
-            for k in range(3):
-                means[i, r] += rate * step[k] * axes[i, r, k] * scales[i, k]
-            centres[i, r] = means[i, r]
-            log_scales[i, r] += rate * step[3 + r]
-        _turn(quats[i], rate * step[6], rate * step[7], rate * step[8])
-        least = min(limits[10], logits[i])
-        logits[i] = min(max(logits[i] + rate * step[9], least), limits[11])
-
-        _activate(log_scales[i], quats[i], axes[i], scales[i], factors[i])
-        opacity = 1.0 / (1.0 + math.exp(-logits[i]))
-        opacities[i] = opacity
-        keep[i] = opacity >= MIN_ALPHA
-        reaches[i] = reach_of(max(opacity, MIN_ALPHA))
+        pulls_and_blocks(jacobians, sums, products, pulls, curvatures)
+        for k in range(lane):
+            i = rows[k]
+            share = 1.0 / min(seen[i], memory)
+            for a in range(PACKED):
+                blocks[i, a] += np.float32(share * (curvatures[a, k] - blocks[i, a]))
+                curvatures[a, k] = excesses[k] * blocks[i, a]
+        damped_steps(pulls, curvatures, damping, floor, limits, lifts, moves)
+        for k in range(lane):
+            if not moves[k]:
+                continue
+            i = rows[k]
+            _reshape(pulls[:, k], rate, means[i], log_scales[i], quats[i], axes[i], scales[i])
+            least = min(limits[10], logits[i])
+            logits[i] = min(max(logits[i] + rate * pulls[OPACITY, k], least), limits[11])
+            for r in range(3):
+                centres[i, r] = means[i, r]
+            _activate(log_scales[i], quats[i], axes[i], scales[i], factors[i])
+            opacity = 1.0 / (1.0 + math.exp(-logits[i]))
+            opacities[i] = opacity
+            keep[i] = opacity >= MIN_ALPHA
+            reaches[i] = reach_of(max(opacity, MIN_ALPHA))

@@ -1,4 +1,4 @@
-"""From a view's sums on screen to a step of a splat's parameters of shape.
+"""From a view's sums on screen to what they say of a splat's parameters of shape.
 
 There are ten of them, all without unit:
 
@@ -17,7 +17,8 @@ import numpy as np
 
 from nanogs._types import F32, F64
 from nanogs.kernels.policy import inline
-from nanogs.kernels.project import GUARD
+
+Triple: TypeAlias = tuple[float, float, float]
 
 SHAPE = 10
 PACKED = 55  # lower triangle of a 10 x 10 matrix, row by row
@@ -38,166 +39,62 @@ PRODUCTS = np.array(
     ]
 )
 
-Scratch: TypeAlias = tuple[F64, F64, F64, F64, F64, F64, F64]
+
+@inline
+def new_chains(lanes: int) -> tuple[F64, F64, F64]:
+    """Allocate what `pulls_and_blocks` takes and works in: Jacobians, sums, products."""
+    # The opacity's row of a Jacobian stays 0 but for one place.
+    return np.zeros((SHAPE, SCREEN, lanes)), np.zeros((25, lanes)), np.zeros((SCREEN, lanes))
 
 
 @inline
-def new_scratch() -> Scratch:
-    """Allocate what `shape_terms` and `damped_step` work in, for any number of splats."""
+def _to_monomials(
+    p: float, q: float, pp: float, pq: float, qq: float, mip: bool, bare: Triple, out: F64
+) -> None:
+    """Change of ln alpha as six coefficients of 1, p, q, p², pq, q².
+
+    In the splat's own frame on screen, where its covariance is the unit matrix: (p, q) is the
+    change of its centre, (pp, pq, qq) that of its covariance, and bare that covariance without the
+    dilation (pp, pq, qq).
+    """
+    fade = 0.0
+    if mip:  # ln of sqrt(det bare / det covariance)
+        det = bare[0] * bare[2] - bare[1] * bare[1]
+        trace = bare[2] * pp - 2.0 * bare[1] * pq + bare[0] * qq
+        fade = 0.5 * ((trace / det if det > 0.0 else 0.0) - pp - qq)
+    out[0], out[1], out[2] = fade, p, q
+    out[3], out[4], out[5] = 0.5 * pp, pq, 0.5 * qq
+
+
+@inline
+def _turned(rotation: F64, x: float, y: float, z: float) -> Triple:
+    """A vector in camera space."""
     return (
-        np.empty((3, 3)),  # axes in camera space
-        np.empty((2, 3)),  # axes on screen
-        np.empty((3, 3)),  # three triples
-        np.empty(SCREEN),
-        np.zeros((SHAPE, SCREEN)),  # the Jacobian; that of the opacity stays 0 but for one place
-        np.empty((SCREEN, SCREEN)),
-        np.empty((SHAPE, SHAPE)),  # Cholesky's factor
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
     )
 
 
 @inline
-def _to_screen(
+def _flattened(
+    axis: Triple,
+    jx: float,
+    jy: float,
+    tx: float,
+    ty: float,
+    inv_w: float,
+    slope: float,
+    inv_h: float,
+) -> tuple[float, float]:
+    """A vector of camera space as it lies on screen, in the splat's own frame."""
+    y = jy * (axis[1] - ty * axis[2])
+    return inv_w * (jx * (axis[0] - tx * axis[2]) - slope * y), inv_h * y
+
+
+@inline
+def screen_jacobian(
     row: F64,
-    before: F64,
-    mip: bool,
-    du: float,
-    dv: float,
-    xx: float,
-    xy: float,
-    yy: float,
-    out: F64,
-) -> None:
-    """Change of ln alpha as six coefficients of 1, p, q, p², pq, q².
-
-    (du, dv) is the change of the centre in pixels and (xx, xy, yy) that of the covariance in
-    pixels²; before holds the covariance without the dilation (xx, xy, yy).
-    """
-    inv_w, slope, inv_h = row[2], row[3], math.sqrt(row[4])
-    m00 = inv_w * inv_w * (xx - 2.0 * slope * xy + slope * slope * yy)
-    m01 = inv_w * inv_h * (xy - slope * yy)
-    m11 = inv_h * inv_h * yy
-    out[0] = 0.0
-    if mip:  # ln of sqrt(det before / det after)
-        det = before[0] * before[2] - before[1] * before[1]
-        trace = before[2] * xx - 2.0 * before[1] * xy + before[0] * yy
-        out[0] = 0.5 * ((trace / det if det > 0.0 else 0.0) - m00 - m11)
-    out[1] = inv_w * (du - slope * dv)
-    out[2] = inv_h * dv
-    out[3] = 0.5 * m00
-    out[4] = m01
-    out[5] = 0.5 * m11
-
-
-@inline
-def _screen_jacobian(
-    turn: F64,
-    scales: F64,
-    point: F64,
-    row: F64,
-    lens: F64,
-    mip: bool,
-    flat: F64,
-    before: F64,
-    jacobian: F64,
-) -> None:
-    """(9, 6) change of ln alpha for each parameter but the opacity.
-
-    turn: (3, 3) the splat's axes in camera space, in columns. flat: (2, 3), before: (3,) scratch.
-    """
-    fx, fy, cx, cy, width, height = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
-    z = point[2]
-    xz, yz = point[0] / z, point[1] / z
-    margin_x = (GUARD - 1.0) * 0.5 * width / fx
-    margin_y = (GUARD - 1.0) * 0.5 * height / fy
-    tx = min(max(xz, -cx / fx - margin_x), (width - cx) / fx + margin_x)
-    ty = min(max(yz, -cy / fy - margin_y), (height - cy) / fy + margin_y)
-    jx, jy = fx / z, fy / z
-    before[0], before[1], before[2] = 0.0, 0.0, 0.0
-    for k in range(3):
-        flat[0, k] = jx * (turn[0, k] - tx * turn[2, k])
-        flat[1, k] = jy * (turn[1, k] - ty * turn[2, k])
-        square = scales[k] * scales[k]
-        before[0] += square * flat[0, k] * flat[0, k]
-        before[1] += square * flat[0, k] * flat[1, k]
-        before[2] += square * flat[1, k] * flat[1, k]
-    for k in range(3):
-        s = scales[k]
-        d0, d1, d2 = s * turn[0, k], s * turn[1, k], s * turn[2, k]
-        along_x, along_y = (d0 - xz * d2) / z, (d1 - yz * d2) / z
-        slide_x = along_x if tx == xz else 0.0
-        slide_y = along_y if ty == yz else 0.0
-        xx, xy, yy = -2.0 * d2 / z * before[0], -2.0 * d2 / z * before[1], -2.0 * d2 / z * before[2]
-        for j in range(3):
-            depth = scales[j] * scales[j] * turn[2, j]
-            ax, ay = -jx * slide_x * depth, -jy * slide_y * depth
-            xx += 2.0 * ax * flat[0, j]
-            xy += ax * flat[1, j] + ay * flat[0, j]
-            yy += 2.0 * ay * flat[1, j]
-        _to_screen(row, before, mip, fx * along_x, fy * along_y, xx, xy, yy, jacobian[k])
-        a, b = flat[0, k], flat[1, k]
-        square = 2.0 * s * s
-        xx, xy, yy = square * a * a, square * a * b, square * b * b
-        _to_screen(row, before, mip, 0.0, 0.0, xx, xy, yy, jacobian[3 + k])
-        i, j = (k + 1) % 3, (k + 2) % 3
-        spread = scales[i] * scales[i] - scales[j] * scales[j]
-        xx = 2.0 * spread * flat[0, i] * flat[0, j]
-        xy = spread * (flat[0, i] * flat[1, j] + flat[0, j] * flat[1, i])
-        yy = 2.0 * spread * flat[1, i] * flat[1, j]
-        _to_screen(row, before, mip, 0.0, 0.0, xx, xy, yy, jacobian[6 + k])
-
-
-@inline
-def _bend(
-    a: int, first: int, jacobian: F64, sums: F64, moments: F64, product: F64, pull: F64, block: F64
-) -> None:
-    """Row a of J g and of J M Jᵀ; its Jacobian is 0 from column 1 up to `first`."""
-    total = jacobian[a, 0] * sums[4]
-    for d in range(first, SCREEN):
-        total += jacobian[a, d] * sums[4 + d]
-    pull[a] = total
-    for c in range(SCREEN):
-        entry = jacobian[a, 0] * moments[0, c]
-        for d in range(first, SCREEN):
-            entry += jacobian[a, d] * moments[d, c]
-        product[c] = entry
-    row = a * (a + 1) // 2
-    for b in range(min(a + 1, CENTRE)):
-        entry = 0.0
-        for c in range(SCREEN):
-            entry += product[c] * jacobian[b, c]
-        block[row + b] = entry
-    for b in range(CENTRE, min(a + 1, OPACITY)):
-        entry = product[0] * jacobian[b, 0]
-        for c in range(SPREAD, SCREEN):
-            entry += product[c] * jacobian[b, c]
-        block[row + b] = entry
-    if a == OPACITY:
-        block[row + a] = product[0] * jacobian[a, 0]
-
-
-@inline
-def _pull_and_block(
-    jacobian: F64, sums: F64, moments: F64, product: F64, pull: F64, block: F64
-) -> None:
-    """The pull J g, and of the block J M Jᵀ the lower triangle.
-
-    Only the centre moves a splat on screen: the linear monomials, columns 1 and 2, are its alone.
-    Only opacity changes alpha alike everywhere.
-    """
-    for d in range(SCREEN):
-        for c in range(SCREEN):
-            moments[d, c] = sums[PRODUCTS[d, c]]
-    for a in range(CENTRE):
-        _bend(a, 1, jacobian, sums, moments, product, pull, block)
-    for a in range(CENTRE, OPACITY):
-        _bend(a, SPREAD, jacobian, sums, moments, product, pull, block)
-    _bend(OPACITY, SCREEN, jacobian, sums, moments, product, pull, block)
-
-
-@inline
-def shape_terms(
-    row: F64,
-    sums: F64,
     point: F64,
     axes: F32,
     scales: F32,
@@ -205,102 +102,124 @@ def shape_terms(
     rotation: F64,
     lens: F64,
     mip: bool,
-    scratch: Scratch,
-    pull: F64,
-    block: F64,
+    jacobian: F64,
 ) -> None:
-    """Write how a view pulls at a splat's ten parameters of shape, and the curvatures.
+    """Write how a splat's ten parameters of shape change ln alpha on screen.
 
     Args:
         row: (8,) the projected splat.
-        sums: (25,) from `gather_entries`.
         point: (3,) its centre less the camera's, scene units.
         axes: (3, 3) its rotation matrix.
         scales: (3,) scene units.
         opacity: In [0, 1], before any compensation.
         rotation: (3, 3), world to camera.
-        lens: (6 or more,) fx, fy, cx, cy, width, height in pixels.
+        lens: (6,) focal lengths fx and fy in pixels, then least and most x / z and least and most
+            y / z at which axes on screen turn as a centre moves across the picture.
         mip: Whether opacities were compensated for the dilation.
-        scratch: From `new_scratch`; what is allocated for each splat costs a tenth of its step.
-        pull: (10,) out.
-        block: (55,) out, a lower triangle.
+        jacobian: (10, 6) out, coefficients of 1, p, q, p², pq, q²; of the opacity's row the first
+            alone is written, the others are 0.
     """
-    turn, flat, triples, product, jacobian, moments, _ = scratch
-    seen, size, before = triples[0], triples[1], triples[2]
-    for r in range(3):
-        seen[r] = rotation[r, 0] * point[0] + rotation[r, 1] * point[1] + rotation[r, 2] * point[2]
-        for k in range(3):
-            turn[r, k] = rotation[r, 0] * axes[0, k] + rotation[r, 1] * axes[1, k]
-            turn[r, k] += rotation[r, 2] * axes[2, k]
-        size[r] = scales[r]
-    _screen_jacobian(turn, size, seen, row, lens, mip, flat, before, jacobian)
+    fx, fy = lens[0], lens[1]
+    inv_w, slope, inv_h = row[2], row[3], math.sqrt(row[4])
+    x, y, z = _turned(rotation, point[0], point[1], point[2])
+    per_depth = 1.0 / z
+    xz, yz = x * per_depth, y * per_depth
+    tx, ty = min(max(xz, lens[2]), lens[3]), min(max(yz, lens[4]), lens[5])
+    jx, jy = fx * per_depth, fy * per_depth
+    slides_x, slides_y = (jx if tx == xz else 0.0), (jy if ty == yz else 0.0)
+
+    # Along each axis: a unit's way on screen in the splat's own frame (p, q), in depth, and the
+    # square of the scale.
+    first = _turned(rotation, axes[0, 0], axes[1, 0], axes[2, 0])
+    second = _turned(rotation, axes[0, 1], axes[1, 1], axes[2, 1])
+    third = _turned(rotation, axes[0, 2], axes[1, 2], axes[2, 2])
+    turned = (first, second, third)
+    lengths = (float(scales[0]), float(scales[1]), float(scales[2]))
+    flat = (
+        _flattened(first, jx, jy, tx, ty, inv_w, slope, inv_h),
+        _flattened(second, jx, jy, tx, ty, inv_w, slope, inv_h),
+        _flattened(third, jx, jy, tx, ty, inv_w, slope, inv_h),
+    )
+    pp, pq, qq, leaning_p, leaning_q = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        square = lengths[k] * lengths[k]
+        p, q = flat[k]
+        pp += square * p * p
+        pq += square * p * q
+        qq += square * q * q
+        leaning_p += square * turned[k][2] * p
+        leaning_q += square * turned[k][2] * q
+    bare = (pp, pq, qq)
+
+    for k in range(3):
+        nearer = lengths[k] * turned[k][2] * per_depth
+        x = lengths[k] * turned[k][0] * per_depth - xz * nearer
+        y = lengths[k] * turned[k][1] * per_depth - yz * nearer
+        slide_p, slide_q = inv_w * (slides_x * x - slope * slides_y * y), inv_h * slides_y * y
+        _to_monomials(
+            inv_w * (fx * x - slope * fy * y),
+            inv_h * fy * y,
+            -2.0 * (nearer * bare[0] + slide_p * leaning_p),
+            -2.0 * nearer * bare[1] - slide_p * leaning_q - slide_q * leaning_p,
+            -2.0 * (nearer * bare[2] + slide_q * leaning_q),
+            mip, bare, jacobian[k],
+        )  # fmt: skip
+
+        p, q = flat[k]
+        square = 2.0 * lengths[k] * lengths[k]
+        pp, pq, qq = square * p * p, square * p * q, square * q * q
+        _to_monomials(0.0, 0.0, pp, pq, qq, mip, bare, jacobian[3 + k])
+
+        i, j = (k + 1) % 3, (k + 2) % 3
+        spread = lengths[i] * lengths[i] - lengths[j] * lengths[j]
+        pp, qq = 2.0 * spread * flat[i][0] * flat[j][0], 2.0 * spread * flat[i][1] * flat[j][1]
+        pq = spread * (flat[i][0] * flat[j][1] + flat[j][0] * flat[i][1])
+        _to_monomials(0.0, 0.0, pp, pq, qq, mip, bare, jacobian[6 + k])
     jacobian[OPACITY, 0] = 1.0 - opacity
-    _pull_and_block(jacobian, sums, moments, product, pull, block)
 
 
 @inline
-def _factorise(block: F64, damping: float, lift: float, lower: F64) -> None:
-    """Cholesky's lower factor of a damped block, with the inverse of its diagonal there."""
-    for a in range(SHAPE):
-        row = a * (a + 1) // 2
-        for b in range(a):
-            value = block[row + b]
-            for k in range(b):
-                value -= lower[a, k] * lower[b, k]
-            lower[a, b] = value * lower[b, b]
-        value = (1.0 + damping) * block[row + a] + lift
-        for k in range(a):
-            value -= lower[a, k] * lower[a, k]
-        lower[a, a] = 1.0 / math.sqrt(max(value, lift))  # rounding alone could make it less
+def _add_products(out: F64, a: F64, b: F64) -> None:
+    for lane in range(len(out)):
+        out[lane] += a[lane] * b[lane]
 
 
 @inline
-def _substitute(lower: F64, step: F64) -> None:
-    """Solve for the step in place, with the factor of `_factorise`."""
-    for a in range(SHAPE):
-        value = step[a]
-        for k in range(a):
-            value -= lower[a, k] * step[k]
-        step[a] = value * lower[a, a]
-    for a in range(SHAPE - 1, -1, -1):
-        value = step[a]
-        for k in range(a + 1, SHAPE):
-            value -= lower[k, a] * step[k]
-        step[a] = value * lower[a, a]
+def _bend(
+    a: int, first: int, jacobians: F64, sums: F64, products: F64, pulls: F64, blocks: F64
+) -> None:
+    """Row a of J g and of J M Jᵀ; its Jacobian is 0 from column 1 up to `first`."""
+    row = a * (a + 1) // 2
+    pulls[a], products[:], blocks[row : row + a + 1] = 0.0, 0.0, 0.0
+    for d in range(SCREEN):
+        if d and d < first:
+            continue
+        _add_products(pulls[a], jacobians[a, d], sums[4 + d])
+        for c in range(SCREEN):
+            _add_products(products[c], jacobians[a, d], sums[PRODUCTS[d, c]])
+    for b in range(a + 1):
+        for c in range(SCREEN):
+            # As below: only a centre has the linear monomials, and the opacity has the first alone.
+            if b < CENTRE or c == 0 or (c >= SPREAD and b < OPACITY):
+                _add_products(blocks[row + b], products[c], jacobians[b, c])
 
 
 @inline
-def damped_step(
-    pull: F64, block: F64, damping: float, floor: float, limits: F64, scratch: Scratch
-) -> bool:
-    """Solve a splat's ten equations (Levenberg and Marquardt) and hold the step to its limits.
+def pulls_and_blocks(jacobians: F64, sums: F64, products: F64, pulls: F64, blocks: F64) -> None:
+    """The pulls J g of splats side by side, and of their blocks J M Jᵀ the lower triangles.
+
+    Only the centre moves a splat on screen: the linear monomials, columns 1 and 2, are its alone.
+    Only opacity changes alpha alike everywhere.
 
     Args:
-        pull: (10,) in; the step out.
-        block: (55,) lower triangle.
-        damping: Share of the diagonal added to it.
-        floor: Share of the largest curvature added to all of the diagonal, more than 0: what
-            nothing determines stays where it is.
-        limits: (10 or more,) largest steps, above 0; a longer step is shortened as a whole.
-        scratch: From `new_scratch`.
-
-    Returns:
-        Whether there is a step: not where nothing bends, or where numbers are past all bounds.
+        jacobians: (10, 6, L) from `screen_jacobian`.
+        sums: (25, L) from `gather_entries`.
+        products: (6, L) scratch.
+        pulls: (10, L) out.
+        blocks: (55, L) out.
     """
-    largest = 0.0
-    for a in range(SHAPE):
-        largest = max(largest, block[a * (a + 3) // 2])
-    if not largest > 0.0:
-        return False
-    lower = scratch[6]
-    _factorise(block, damping, floor * largest, lower)
-    _substitute(lower, pull)
-    excess, length = 1.0, 0.0
-    for a in range(SHAPE):
-        excess = max(excess, abs(pull[a]) / limits[a])
-        length += abs(pull[a])
-    if not length < math.inf:
-        return False
-    for a in range(SHAPE):
-        pull[a] /= excess
-    return True
+    for a in range(CENTRE):
+        _bend(a, 1, jacobians, sums, products, pulls, blocks)
+    for a in range(CENTRE, OPACITY):
+        _bend(a, SPREAD, jacobians, sums, products, pulls, blocks)
+    _bend(OPACITY, SCREEN, jacobians, sums, products, pulls, blocks)
