@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, F64, U8
 from nanogs.kernels import backward, pulls
 from nanogs.render.camera import Camera
@@ -16,6 +17,8 @@ from nanogs.render.rasterize import PreparedSplats, Projection, Rendering, blend
 # (dc² + (dc - da)²) / 2 = (dc - da / 2)² + (da / 2)².
 WHITE = 0.5  # share of white; colours are blended less this much
 ALPHA = math.sqrt(3 * WHITE * (1 - WHITE))  # the fourth channel: alpha times this
+
+ROWS = 32  # of an image that become bytes at once: they fit a processor's cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +93,13 @@ def make_target(original: PreparedSplats, camera: Camera, *, depth: bool = True)
 def as_target(rendering: Rendering, camera: Camera) -> Target:
     """A rendering of the original over black, with its depth or without."""
     fixed = np.empty((*rendering.alpha.shape, 4), np.uint8)
-    fixed[..., :3] = _in_bytes(rendering.color)
-    fixed[..., 3] = _in_bytes(rendering.alpha)
+
+    def fill(rows: slice) -> None:
+        fixed[rows, :, :3] = _in_bytes(rendering.color[rows])
+        fixed[rows, :, 3] = _in_bytes(rendering.alpha[rows])
+
+    height = len(fixed)
+    spread.each((slice(row, row + ROWS) for row in range(0, height, ROWS)), fill)
     if rendering.depth is None:
         return Target(camera, fixed, math.inf)
     seen = rendering.depth[rendering.alpha > 0.5 * rendering.alpha.max()]
