@@ -196,9 +196,8 @@ def test_store(timed, scene):
             scene["splats"],
             scene["origin"],
             scene["pixel"],
-            1.1,
             sheets=True,
-        ),
+        ).grown(1.1),
         scene["merged"].features,
     )
 

@@ -116,7 +116,8 @@ def test_stored_groups_block_what_their_members_did(n, seed, pixel):
     labels = (np.arange(n) // 2).astype(np.int32)
     groups = int(labels[-1]) + 1
     merged = gather(nodes, labels, groups)
-    small = store_groups(nodes, labels, splats, np.zeros(3), same_pixel(pixel), 1.0, sheets=False)
+    stored = store_groups(nodes, labels, splats, np.zeros(3), same_pixel(pixel), sheets=False)
+    small = stored.grown(1.0)
     assert len(small) == groups
     alphas = small.opacities()
     sigmas = [twins.pack(twins.covariance(s, q)) for s, q in
@@ -412,7 +413,7 @@ def test_the_best_judged_is_chosen_and_marked_once(qualities, usual, growths, wi
     chosen, reports = choose_model(
         regroup,
         lambda balance: np.array([round(10 * balance)], np.int32),
-        lambda labels, growth: (int(labels[0]), growth),
+        lambda labels: lambda growth: (int(labels[0]), growth),
         lambda _model: (next(scores), 0.0),
         (0.5, 0.8, 1.0),
         1.1,

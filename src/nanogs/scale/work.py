@@ -213,9 +213,8 @@ def _settle(work: Work, task: Task) -> Record:
 def _part(work: Work, task: Task) -> Record:
     splats, leaves, labels = _members(work, task)
     frame, growth = work.frame, work.settings.parameters.growth
-    small = store_groups(
-        leaves, labels, splats, frame.centre(), frame.dilation(), growth, sheets=True
-    )
+    groups = store_groups(leaves, labels, splats, frame.centre(), frame.dilation(), sheets=True)
+    small = groups.grown(growth)
     order = morton_rows(frame.codes(small))
     return write_table(work.scratch, task.name, sorted_columns(small, order), {})
 

@@ -18,9 +18,10 @@ SSIM_WORTH = 50.0  # dB of PSNR that a whole unit of SSIM is worth: 0.02 counts 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A grouping, the model it makes and how that did."""
+    """A grouping, the model it makes, also if it grows by so much, and how that did."""
 
     labels: I32
+    grown: Callable[[float], Splats]
     model: Splats
     report: CandidateReport
 
@@ -33,7 +34,7 @@ def quality(psnr: float, ssim: float) -> float:
 def choose_model(
     regroup: Callable[[I32], I32],
     groups_at: Callable[[float], I32],
-    store: Callable[[I32, float], Splats],
+    store: Callable[[I32], Callable[[float], Splats]],
     judge: Callable[[Splats], tuple[float, float]],
     balances: Sequence[float],
     growth: float,
@@ -46,7 +47,7 @@ def choose_model(
     Args:
         regroup: Reassigns labels.
         groups_at: The labels of the cut of a balance.
-        store: The model that labels make, its opaque splats grown by so much at most.
+        store: The model that labels make, if its opaque splats grow by so much at most.
         judge: Its PSNR and SSIM.
         balances: What to try, at least one; ties go to the first.
         growth: That of the first candidates.
@@ -58,27 +59,37 @@ def choose_model(
     reports: list[CandidateReport] = []
     most = len(balances) + 1 + sum(more > growth for more in GROWTHS)
 
-    def attempt(labels: I32, balance: float, growth: float, *, reassigned: bool) -> Candidate:
-        model = store(labels, growth)
+    def attempt(
+        labels: I32,
+        grown: Callable[[float], Splats],
+        balance: float,
+        growth: float,
+        *,
+        reassigned: bool,
+    ) -> Candidate:
+        model = grown(growth)
         psnr, ssim = judge(model)
         worth = quality(psnr, ssim)
         report = CandidateReport(balance, reassigned, growth, psnr, ssim, worth, chosen=False)
         reports.append(report)
         tell(len(reports), most)
-        return Candidate(labels, model, report)
+        return Candidate(labels, grown, model, report)
 
     usual: Candidate | None = None
     for balance in balances:
-        usual = better(usual, attempt(groups_at(balance), balance, growth, reassigned=False))
+        labels = groups_at(balance)
+        usual = better(usual, attempt(labels, store(labels), balance, growth, reassigned=False))
     assert usual is not None  # noqa: S101 - at least one balance
-    labels, balance = usual.labels, usual.report.balance
-    usual = better(usual, attempt(regroup(labels), balance, growth, reassigned=True))
+    labels, balance = regroup(usual.labels), usual.report.balance
+    usual = better(usual, attempt(labels, store(labels), balance, growth, reassigned=True))
 
     winner = usual
     for more in GROWTHS:
         if more > growth:
             report = winner.report
-            further = attempt(winner.labels, report.balance, more, reassigned=report.reassigned)
+            further = attempt(
+                winner.labels, winner.grown, report.balance, more, reassigned=report.reassigned
+            )
             if further.report.quality <= report.quality + GROWTH_MARGIN:
                 break
             winner = further

@@ -33,7 +33,7 @@ from nanogs.simplify.outcome import Outcome
 from nanogs.simplify.presets import USUAL_BALANCE, ForestParameters, renders
 from nanogs.simplify.reassign import reassign
 from nanogs.simplify.stages import fit_parameters
-from nanogs.simplify.store import store_groups
+from nanogs.simplify.store import Groups, store_groups
 from nanogs.simplify.tree import Forest, grow_forest
 from nanogs.simplify.visibility import OriginalViews, judge, look, shown_share, visible_weights
 from nanogs.splats import Splats, pick
@@ -185,7 +185,7 @@ def _group(build: Build, groups: int, clock: StageClock, progress: Tracker) -> S
         labels = _regroup(build, cut(build.forest, groups, build.parameters.balance), groups)
     progress.begin("store")
     with clock.time("store"):
-        return _model(build, labels, build.parameters.growth, sheets=True)
+        return _grouped(build, labels, sheets=True).grown(build.parameters.growth)
 
 
 def _choose(
@@ -195,7 +195,7 @@ def _choose(
     return choose_model(
         lambda labels: _regroup(build, labels, groups),
         lambda balance: cut(build.forest, groups, balance),
-        lambda labels, growth: _model(build, labels, growth, sheets=False),
+        lambda labels: _grouped(build, labels, sheets=False).grown,
         lambda small: judge(small, views),
         sorted({*BALANCES, build.parameters.balance} - {USUAL_BALANCE}),
         build.parameters.growth,
@@ -207,7 +207,7 @@ def _regroup(build: Build, labels: I32, groups: int) -> I32:
     return reassign(build.leaves, labels, groups, build.parameters.rounds, build.threads)
 
 
-def _model(build: Build, labels: I32, growth: float, *, sheets: bool) -> Splats:
+def _grouped(build: Build, labels: I32, *, sheets: bool) -> Groups:
     return store_groups(
-        build.leaves, labels, build.splats, build.origin, build.dilation, growth, sheets=sheets
-    )  # fmt: skip
+        build.leaves, labels, build.splats, build.origin, build.dilation, sheets=sheets
+    )

@@ -32,10 +32,10 @@ def blocked(coverages: F64, areas: F64) -> F64:
     return areas * shares
 
 
-def area_growths(
-    merged: Nodes, leaves: Nodes, labels: I32, areas: F64, growth: float, *, sheets: bool
-) -> F64:
-    """(G,) float64: how much larger each group has to be for an opaque splat to block enough.
+def area_needs(
+    merged: Nodes, leaves: Nodes, labels: I32, areas: F64, *, sheets: bool
+) -> tuple[F64, F64]:
+    """How much larger each group has to be for an opaque splat to block enough light.
 
     What has to be blocked is what members do (`blocked`) that count in proportion to how visible
     they are, (sum w)² / (sum w²/a) for weights w and coverages a: all of them where all are seen
@@ -47,8 +47,11 @@ def area_growths(
         leaves: (M) their members.
         labels: (M,) the group of each.
         areas: (G,) float64, footprints of the groups, square scene units.
-        growth: Most that an axis may grow, 1 or more.
-        sheets: Those of groups on flat sheets may grow more (`growth_on_sheets`).
+        sheets: Those of groups on flat sheets grow whatever others may (`growth_on_sheets`).
+
+    Returns:
+        (G,) float64, how much larger to block enough, and (G,) float64, from 1, how much larger
+        for flat sheets.
     """
     squares = np.zeros(len(merged))
     with np.errstate(divide="ignore", over="ignore"):
@@ -56,15 +59,15 @@ def area_growths(
             shares = leaves.weights[block] ** 2 / leaves.coverages[block]
             np.add.at(squares, labels[block], shares)
         wanted = merged.weights**2 / squares
-    factors = np.clip(blocked(wanted, areas) / areas, 1.0, growth**2)
+    least = np.ones(len(merged))
     if sheets:
         most = growth_on_sheets(merged, leaves, labels, 1.0)
-        np.maximum(factors, np.clip(wanted / areas, 1.0, most**2), out=factors)
-    return factors
+        least = np.clip(wanted / areas, 1.0, most**2)
+    return blocked(wanted, areas) / areas, least
 
 
-def widen(scales: F32, larger: F64) -> None:
-    """Lengthen the two longer axes of splats, in place: a surface grows and becomes no thicker.
+def widened(scales: F32, larger: F64) -> F32:
+    """(G, 3) float32 scales of which the two longer are longer: no surface becomes thicker.
 
     Args:
         scales: (G, 3) float32, scene units.
@@ -72,7 +75,7 @@ def widen(scales: F32, larger: F64) -> None:
     """
     factors = np.repeat(np.sqrt(larger)[:, None], 3, axis=1)
     factors[np.arange(len(scales)), np.argmin(scales, axis=1)] = 1.0
-    scales *= factors.astype(np.float32)
+    return scales * factors.astype(np.float32)
 
 
 def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32, growth: float) -> F64:

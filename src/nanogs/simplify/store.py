@@ -1,19 +1,46 @@
 """Groups of splats as stored splats."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nanogs._types import F64, I32
+from nanogs._types import F32, F64, I32, Bool
 from nanogs.kernels.nodes import principal_axes
 from nanogs.simplify.blocks import blocks
 from nanogs.simplify.extent import Dilation
 from nanogs.simplify.gaussians import LEAST_ALPHA, LEAST_SCALE
-from nanogs.simplify.growth import area_growths, blocked, widen
+from nanogs.simplify.growth import area_needs, blocked, widened
 from nanogs.simplify.nodes import Nodes, footprints, gather, stored_order
 from nanogs.splats import Splats
 
 MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Groups:
+    """Groups of splats as stored splats, of which the opaque ones may still grow.
+
+    Attributes:
+        model: G splats as they are without growth.
+        new: (G,) bool, those of more than one member.
+        scales: (M, 3) float32 of the new ones without growth, scene units.
+        needed: (M,) float64, how much larger they have to be to block enough light.
+        least: (M,) float64, from 1, how much larger those on flat sheets become in any case.
+    """
+
+    model: Splats
+    new: Bool
+    scales: F32
+    needed: F64
+    least: F64
+
+    def grown(self, growth: float) -> Splats:
+        """The model, whose axes may grow by so much at most; its other columns are shared."""
+        larger = np.maximum(np.clip(self.needed, 1.0, growth**2), self.least)
+        log_scales = self.model.log_scales.copy()
+        scales = np.maximum(widened(self.scales, larger), np.float32(LEAST_SCALE))
+        log_scales[self.new] = np.log(scales)
+        return replace(self.model, log_scales=log_scales)
 
 
 def store_groups(
@@ -22,14 +49,13 @@ def store_groups(
     splats: Splats,
     origin: F64,
     dilation: Dilation,
-    growth: float,
     *,
     sheets: bool,
-) -> Splats:
+) -> Groups:
     """Stored values of groups, in the order of their dominant members in the input.
 
     alpha = min(1, blocked / footprint): as much light is stopped as was (`growth.blocked`). Where
-    that asks for more than an opaque splat, it grows (`area_growths`). A group of one gets the
+    that asks for more than an opaque splat, it may grow (`area_needs`). A group of one gets the
     input's bytes back; a larger one takes its extra columns from its dominant member.
 
     Args:
@@ -38,7 +64,6 @@ def store_groups(
         splats: The input.
         origin: (3,) what `activate_nodes` took off the centres, scene units.
         dilation: As `activate_nodes` takes it.
-        growth: Most that an axis may grow.
         sheets: Those of groups on flat sheets may grow more (`growth.growth_on_sheets`).
     """
     groups = int(labels.max()) + 1
@@ -52,17 +77,15 @@ def store_groups(
     quats = np.empty((len(scales), 4), np.float32)
     areas = footprints(merged.covariances, dilation.at(merged.means))
     principal_axes(merged.covariances[new], scales, quats)
-    larger = area_growths(merged, leaves, labels, areas, growth, sheets=sheets)[new]
-    widen(scales, larger)
+    needed, least = area_needs(merged, leaves, labels, areas, sheets=sheets)
     alphas = blocked(merged.coverages[new], areas[new]) / areas[new]
     alphas = np.clip(alphas, LEAST_ALPHA, MOST_OPAQUE)
     stored = replace(splats, sh=splats.sh[:, :1]).take(sources)
     stored.means[new] = merged.means[new] + origin
     stored.quats[new] = quats
-    stored.log_scales[new] = np.log(np.maximum(scales, np.float32(LEAST_SCALE)))
     stored.opacity_logits[new] = np.log(alphas) - np.log1p(-alphas)
     sh = merged.features.reshape(groups, *splats.sh.shape[1:])
     alone = np.flatnonzero(~new)
     for block in blocks(len(alone)):
         sh[alone[block]] = splats.sh[sources[alone[block]]]
-    return replace(stored, sh=sh)
+    return Groups(replace(stored, sh=sh), new, scales, needed[new], least[new])
