@@ -66,7 +66,7 @@ def pulls_of(splats, camera, residual, precision):
     backward.pull_tiles(
         view.geometry, features, view.starts, view.entries, image, residual, precision, partial
     )
-    totals = np.empty((len(splats), pulls.SUMS))
+    totals = np.empty((len(splats), pulls.SUMS), np.float32)
     backward.gather_entries(view.entries, partial, totals)
     return features.astype(np.float64), totals
 

@@ -62,7 +62,7 @@ def _activate(log_scales: F64, quat: F64, axes: F32, scales: F32, factors: F32) 
 
 @inline
 def _recolour(
-    sums: F64,
+    sums: F32,
     shown: F32,
     point: F64,
     degree: int,
@@ -92,7 +92,7 @@ def advance_splats(
     order: I64,
     geometry: F64,
     features: F32,
-    totals: F64,
+    totals: F32,
     rotation: F64,
     position: F64,
     lens: F64,

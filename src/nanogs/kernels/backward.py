@@ -145,7 +145,7 @@ def pull_tiles(
 
 
 @parallel_kernel("totals", each=1)
-def gather_entries(start: int, stop: int, entries: I32, partial: F32, totals: F64) -> None:
+def gather_entries(start: int, stop: int, entries: I32, partial: F32, totals: F32) -> None:
     """Add up each splat's entries in the order of the tiles.
 
     Args:

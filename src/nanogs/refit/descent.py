@@ -23,7 +23,7 @@ from nanogs.splats import RenderMode, Splats
 # Largest steps: centres in standard deviations, log-scales, turns in radians, logit of the opacity.
 LIMITS = (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.5)
 WARM_UP = 4  # steps until the rate is reached: the first curvatures come from few views
-SLOWEST = 0.05  # of the rate, at the end of the schedule
+SLOWEST = 0.3  # of the rate, at the end of the schedule, where states are averaged
 FITTED = ("centres", "scales", "rotations", "opacities", "colours")
 
 

@@ -12,13 +12,14 @@ from nanogs.refit.descent import FITTED, Descent
 from nanogs.refit.groups import Group
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.report import GroupReport, RefitStop, RoundReport
-from nanogs.refit.state import State, start, store
+from nanogs.refit.state import MeanState, State, start, store
 from nanogs.refit.targets import Fitting
 from nanogs.render.rasterize import prepare
 from nanogs.splats import Splats
 
 SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # of a round's way that are tried
-SHORTER = 0.5  # of the rate, after a round of which only a part was kept
+AVERAGED = 0.2  # of all steps, the last ones: their states are averaged; at most the last round's
+SHORTER = 0.7  # of the rate, after a round of which only a part was kept
 SHORTEST = 0.25  # after one of which nothing was
 LEAST = 0.05  # of the first rate: below it, what does not help is at an optimum
 
@@ -98,8 +99,8 @@ def fit(
     stop = RefitStop.ROUNDS
     for number in range(parameters.rounds):
         begin, before = time.perf_counter(), _mean(guard.best)
-        errors = _round(descent, rate, number, tell)
-        best, share = _furthest(guard, best, descent.state)
+        reached, errors = _round(descent, rate, number, tell)
+        best, share = _furthest(guard, best, reached)
         seconds = time.perf_counter() - begin
         psnrs = _psnr(_mean(errors)), before, _mean(guard.best)
         reports.append(RoundReport(FITTED, len(errors), rate, *psnrs, share, seconds))
@@ -133,15 +134,22 @@ def _furthest(guard: Guard, best: State, state: State) -> tuple[State, float]:
     return best, 0.0
 
 
-def _round(descent: Descent, rate: float, number: int, tell: Parts) -> list[float]:
-    """The steps of one round; the schedule of their lengths spans all rounds."""
+def _round(descent: Descent, rate: float, number: int, tell: Parts) -> tuple[State, list[float]]:
+    """Where the steps of one round lead, and the errors that they met.
+
+    The schedule of their lengths spans all rounds; the last states of the last one are averaged.
+    """
     steps = descent.parameters.steps
     total = steps * descent.parameters.rounds
-    errors = []
+    averaged = max((1 - AVERAGED) * total, total - steps)
+    errors, mean = [], None
     for i in range(number * steps, (number + 1) * steps):
         tell(i, total)
         errors.append(descent.step(rate, i / total))
-    return errors
+        if i >= averaged:
+            mean = mean or MeanState()
+            mean.add(descent.state)
+    return mean.state() if mean else descent.state, errors
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -55,6 +55,42 @@ class State:
         )
 
 
+class MeanState:
+    """The mean of states that a descent comes by (Polyak and Juditsky, 1992).
+
+    Each step follows one view, and states go to and fro between what views ask for; their mean
+    does not.
+    """
+
+    def __init__(self) -> None:
+        self._mean: State | None = None
+        self._count = 0
+
+    def add(self, state: State) -> None:
+        """Count one more state."""
+        self._count += 1
+        if self._mean is None:
+            self._mean = state.copy()
+            return
+        share = 1 / self._count
+        for mean, new in (
+            (self._mean.means, state.means),
+            (self._mean.log_scales, state.log_scales),
+            (self._mean.quats, state.quats),  # of a way of small turns: none is on the other side
+            (self._mean.logits, state.logits),
+            (self._mean.sh, state.sh),
+        ):
+            np.multiply(mean, 1 - share, out=mean)
+            np.add(mean, new * share, out=mean)
+        np.logical_or(self._mean.touched, state.touched, out=self._mean.touched)
+
+    def state(self) -> State:
+        """The mean, with unit quaternions; of at least one state."""
+        assert self._mean is not None  # noqa: S101 - whoever asks has added some
+        self._mean.quats[:] /= np.linalg.norm(self._mean.quats, axis=1, keepdims=True)
+        return self._mean
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Active:
     """A state as the kernels take it.

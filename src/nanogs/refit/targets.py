@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs import spread
-from nanogs._types import F32, F64, U8
+from nanogs._types import F32, U8
 from nanogs.kernels import backward, pulls
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import PreparedSplats, Projection, Rendering, blend, project, render
@@ -76,12 +76,12 @@ class Pull:
 
     Attributes:
         view: The projection.
-        totals: (N, 25) float64, see `nanogs.kernels.backward.pull_tiles`; junk where not drawn.
+        totals: (N, 25) float32, see `nanogs.kernels.backward.pull_tiles`; junk where not drawn.
         error: Mean squared error, as `squared_error` gives it.
     """
 
     view: Projection
-    totals: F64
+    totals: F32
     error: float
 
 
@@ -147,6 +147,6 @@ def pull(model: PreparedSplats, target: Target) -> Pull:
     backward.pull_tiles(
         view.geometry, features, view.starts, view.entries, image, residual, precision, partial
     )
-    totals = np.empty((len(model), pulls.SUMS), np.float64)
+    totals = np.empty((len(model), pulls.SUMS), np.float32)
     backward.gather_entries(view.entries, partial, totals)
     return Pull(view, totals, error)

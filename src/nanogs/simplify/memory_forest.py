@@ -138,12 +138,12 @@ def _store(count: int, target: int) -> int:
 
 
 def _fit(count: int, target: int, features: int, parameters: ForestParameters) -> int:
-    """The state, where it began and curvatures; then the larger of two things.
+    """The state, where it began, its mean and curvatures; then the larger of two things.
 
     They are a view of the original that is drawn now, and one of the state with its pulls.
     """
-    held = target * (features + 2 * 11 * _F8 + 2 + 22 * _F4 + _CURVATURES)
-    step = target * (8 * _F8 + 8 * _F4 + 2 * _I8 + 25 * _F8 + _FIT_TILES * (25 * _F4 + _I4))
+    held = target * (2 * features + 3 * 11 * _F8 + 3 + 22 * _F4 + _CURVATURES)
+    step = target * (8 * _F8 + 8 * _F4 + 2 * _I8 + 25 * _F4 + _FIT_TILES * (25 * _F4 + _I4))
     if not parameters.further:
         return held + step
     return held + count * _PREPARED + max(step, count * _DRAWN)
