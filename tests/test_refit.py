@@ -18,7 +18,7 @@ from nanogs.kernels import backward, damped, pulls
 from nanogs.refit.descent import Descent
 from nanogs.refit.groups import grouped, hold_out, split
 from nanogs.refit.report import RefitStop
-from nanogs.refit.state import activate, start, store
+from nanogs.refit.state import MeanState, activate, start, store
 from nanogs.refit.targets import ALPHA, WHITE, Fitting, make_target, pull, squared_error
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import prepare, project
@@ -473,6 +473,26 @@ def test_a_rare_view_moves_a_splat_no_further_than_its_own_optimum():
     seen = [error for error in errors if error > 0]
     assert len(seen) == 4
     assert seen == sorted(seen, reverse=True)
+
+
+def test_a_mean_of_states_is_that_of_each_number():
+    states = []
+    for seed in range(3):
+        splats = make_splats(6, seed, degree=1)
+        splats.opacity_logits[0] = -np.inf  # is not drawn, and does not move
+        states.append(start(splats))
+        states[-1].quats[:] = states[0].quats
+        states[-1].touched[seed] = True
+    mean = MeanState()
+    for state in states:
+        mean.add(state)
+    found = mean.state()
+    for name in ("means", "log_scales", "logits", "sh", "quats"):
+        each = [getattr(state, name) for state in states]
+        np.testing.assert_allclose(getattr(found, name), np.mean(each, axis=0), rtol=1e-6)
+    assert found.touched.tolist() == [True] * 3 + [False] * 3
+    assert not states[0].touched[1]  # the first is not the mean itself
+    assert states[0].towards(states[1], 0.5).logits[0] == -np.inf
 
 
 def test_a_state_part_of_the_way_lies_between():

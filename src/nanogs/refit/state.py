@@ -43,14 +43,15 @@ class State:
 
     def towards(self, other: "State", share: float) -> "State":
         """The state a share of the way to another one that came of it, in [0, 1]."""
-        quats = self.quats + share * (_facing(other.quats, self.quats) - self.quats)
+        left = 1 - share
+        quats = left * self.quats + share * _facing(other.quats, self.quats)
         quats /= np.linalg.norm(quats, axis=1, keepdims=True)
         return State(
-            means=self.means + share * (other.means - self.means),
-            log_scales=self.log_scales + share * (other.log_scales - self.log_scales),
+            means=left * self.means + share * other.means,
+            log_scales=left * self.log_scales + share * other.log_scales,
             quats=quats,
-            logits=self.logits + share * (other.logits - self.logits),
-            sh=self.sh + np.float32(share) * (other.sh - self.sh),
+            logits=left * self.logits + share * other.logits,  # what is infinite stays so
+            sh=np.float32(left) * self.sh + np.float32(share) * other.sh,
             touched=other.touched.copy(),
         )
 
