@@ -453,3 +453,29 @@ def test_twice_the_pixels_see_the_same_means(seed):
     large = render(splats, make_camera(40, 24, 30.0)).alpha
     pooled = large.reshape(12, 2, 20, 2).mean(axis=(1, 3))
     assert np.abs(pooled - small).max() < 0.03
+
+
+@pytest.mark.parametrize("scale", [1e-3, 0.1, 3.0])
+def test_what_is_left_out_as_beside_the_picture_reaches_none_of_it(scale):
+    random = np.random.default_rng(3)
+    lens = np.array([40.0, 55.0, 20.0, 11.0, 37.0, 21.0, 0.01])
+    bounds = project_kernels._guard_bounds(lens)
+    steepest = (
+        40.0**2 * (1 + max(bounds[0] ** 2, bounds[1] ** 2)),
+        55.0**2 * (1 + max(bounds[2] ** 2, bounds[3] ** 2)),
+    )
+    row, left_out, hidden = np.empty(8), 0, 0
+    for _ in range(3000):
+        sizes = scale * np.exp(random.normal(0, 1.5, 3))
+        factor = (np.linalg.qr(random.normal(size=(3, 3)))[0] * sizes).astype(np.float32)
+        z = float(np.exp(random.normal(0, 1)))
+        x, y = (z * random.normal(0, 1, 2)).tolist()
+        reach = float(np.float32(random.uniform(1e-4, 11)))
+        xx, yy, _ = project_kernels._project_gaussian(factor, x, y, z, np.eye(3), lens, bounds, row)
+        sides = math.sqrt(reach * xx), math.sqrt(reach * yy)
+        box = project_kernels._tile_box(row[0], row[1], *sides, lens[4], lens[5])
+        hidden += box == project_kernels.HIDDEN
+        if project_kernels._beside(factor, reach, x, y, z, lens, steepest):
+            left_out += 1
+            assert box == project_kernels.HIDDEN
+    assert left_out > 0.2 * hidden

@@ -31,6 +31,7 @@ from nanogs.kernels.policy import inline, parallel_kernel
 DILATION = 0.3  # pixels², added to both variances on screen ([K]'s rasteriser)
 GUARD = 1.3  # x/z and y/z in the Jacobian stay within this many half fields of view
 MIN_ALPHA = 1.0 / 255.0
+WIDER = 1.001  # than a bound, so that rounding makes it no less
 SLACK = 1e-4  # widens bounds only, so that rounding never loses a pixel: alpha is tested exactly
 HIDDEN = 0  # stands for the tiles of a splat that reaches no pixel
 LARGEST = 32767 * TILE  # pixels along a side of an image: a box of tiles is packed into 64 bits
@@ -119,6 +120,37 @@ def unpack_box(box: int) -> tuple[int, int, int, int]:
     return box & 0xFFFF, (box >> 16) & 0xFFFF, (box >> 32) & 0xFFFF, box >> 48
 
 
+@inline
+def _beside(
+    factor: F,
+    reach: float,
+    x: float,
+    y: float,
+    z: float,
+    lens: F64,
+    steepest: tuple[float, float],
+) -> bool:
+    """Whether a splat lies beside the picture however it is turned, as `_tile_box` would find.
+
+    Its deviation on screen along x is at most that of its longest axis in space, fx / z times as
+    long and slanted by the steepest x / z of the Jacobian; all squared, and times z². The sum of
+    the squared axes stands for the longest one.
+    """
+    square = 0.0
+    for r in range(3):
+        for k in range(3):
+            square += np.float64(factor[r, k]) * np.float64(factor[r, k])
+    dilation = DILATION * z * z
+    across = WIDER * reach * (square * steepest[0] + dilation)
+    along = WIDER * reach * (square * steepest[1] + dilation)
+    u, v = lens[0] * x + lens[2] * z, lens[1] * y + lens[3] * z
+    left, right = 0.5 * z - u, u - (lens[4] - 0.5) * z
+    above, below = 0.5 * z - v, v - (lens[5] - 0.5) * z
+    beyond_x, beyond_y = max(left, right), max(above, below)
+    beside = beyond_x > 0.0 and beyond_x * beyond_x > across
+    return bool(beside or (beyond_y > 0.0 and beyond_y * beyond_y > along))
+
+
 def _reach(opacity: Any) -> Any:  # noqa: ANN401 - a number, or an array of them
     """The squared radius at which alpha falls to 1/255, plus SLACK, in standard deviations."""
     return 2.0 * np.log(255.0 * opacity) + SLACK
@@ -173,7 +205,7 @@ def project_splats(
         means: (N, 3), scene units.
         factors: (N, 3, 3), R diag(s), scene units.
         opacities: (N,) in [0, 1].
-        reaches: (N,) see `reaches_of`; of no use for MIP models.
+        reaches: (N,) see `reaches_of`; of MIP models, bounds of what they have on screen.
         keep: (N,) false for rows that are not to be drawn, those of opacity below 1/255 among them.
         sh: (N, K, 3) with K >= (degree + 1)².
         rotation: (3, 3), world to camera.
@@ -192,6 +224,10 @@ def project_splats(
     px, py, pz = position[0], position[1], position[2]
     r = rotation
     near, width, height = lens[6], lens[4], lens[5]
+    steepest = (
+        lens[0] * lens[0] * (1.0 + max(bounds[0] * bounds[0], bounds[1] * bounds[1])),
+        lens[1] * lens[1] * (1.0 + max(bounds[2] * bounds[2], bounds[3] * bounds[3])),
+    )
     for i in range(start, stop):
         boxes[i] = HIDDEN
         if not keep[i]:
@@ -205,6 +241,8 @@ def project_splats(
             continue
         x = r[0, 0] * dx + r[0, 1] * dy + r[0, 2] * dz
         y = r[1, 0] * dx + r[1, 1] * dy + r[1, 2] * dz
+        if _beside(factors[i], float(reaches[i]), x, y, z, lens, steepest):
+            continue
         row = geometry[i]
         xx, yy, ratio = _project_gaussian(factors[i], x, y, z, rotation, lens, bounds, row)
         opacity, reach = float(opacities[i]), float(reaches[i])

@@ -123,7 +123,7 @@ def _light_from_anywhere(
         found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", tell=tell)
     light = Light(len(splats))
     for camera in found:
-        light.add(render(prepared, camera, contributions=True))
+        light.add(render(prepared, camera, contributions=True, sh_degree=0))
     lacking = f"Of {counted(count, 'roaming view')} to look from {len(found)} were found."
     return light, (lacking,) if len(found) < count else ()
 
