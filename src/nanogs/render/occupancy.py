@@ -3,6 +3,7 @@
 Only for choosing where cameras stand; nothing here renders.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,7 +127,7 @@ class Grid:
     """Optical depth of a cube around the core, for one cell's width of a ray.
 
     Attributes:
-        depth: (CELLS, CELLS, CELLS) float64.
+        depth: (CELLS + 2, CELLS + 2, CELLS + 2) float64, with an empty cell around all.
         corner: (3,) float64, scene units.
         cell: Width of a cell, scene units.
     """
@@ -145,8 +146,8 @@ class Grid:
         """
         steps = max(int(reach / (0.7 * self.cell)), 1)
         along = (np.arange(steps) + 0.5) * (reach / steps)
-        points = origins[:, None] + along[:, None] * directions[:, None]
-        depth = np.cumsum(self.at(points) * (reach / steps / self.cell), axis=1)
+        columns = [origins[:, k, None] + along * directions[:, k, None] for k in range(3)]
+        depth = np.cumsum(self._at(columns) * (reach / steps / self.cell), axis=1)
         first = (depth <= OPAQUE_DEPTH).sum(axis=1)  # depth only grows along a ray
         hits: F64 = np.append(along, np.inf)[first]
         return hits
@@ -158,10 +159,19 @@ class Grid:
 
     def at(self, points: F64) -> F64:
         """(...) optical depths of the cells that hold the points (..., 3); 0 outside."""
-        index = np.floor((points - self.corner) / self.cell).astype(np.int64)
-        inside = ((index >= 0) & (index < CELLS)).all(axis=-1)
-        i, j, k = np.moveaxis(np.where(np.expand_dims(inside, -1), index, 0), -1, 0)
-        depths: F64 = np.where(inside, self.depth[i, j, k], 0)
+        return self._at([points[..., k] for k in range(3)])
+
+    def _at(self, columns: Sequence[F64]) -> F64:
+        """As `at`, of points given by their coordinates."""
+        cells = np.zeros(columns[0].shape, np.int64)
+        for column, corner in zip(columns, self.corner, strict=True):
+            place = column - corner
+            place /= self.cell
+            place += 1
+            np.fmin(np.fmax(place, 0, out=place), CELLS + 1, out=place)  # NaN lies outside
+            cells *= CELLS + 2
+            cells += place.astype(np.int64)
+        depths: F64 = self.depth.ravel().take(cells)
         return depths
 
 
@@ -183,4 +193,4 @@ def build_grid(matter: Matter, centre: F64, half: float) -> Grid:
         before = np.zeros_like(smooth)
         np.moveaxis(before, axis, 0)[1:] = np.moveaxis(smooth, axis, 0)[:-1]
         smooth = (smooth + before) / 2
-    return Grid(smooth, corner, cell)
+    return Grid(np.pad(smooth, 1), corner, cell)
