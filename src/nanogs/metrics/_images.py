@@ -7,6 +7,8 @@ import numpy as np
 from nanogs._types import F64, Array
 from nanogs.errors import ModelError, OptionError
 
+NOT_FINITE = "an image holds pixels that are not finite; no metric is defined."
+
 
 def check_range(data_range: float) -> None:
     """Refuse a range of values that is none.
@@ -16,6 +18,22 @@ def check_range(data_range: float) -> None:
     """
     if not (data_range > 0 and math.isfinite(data_range)):
         raise OptionError(f"data_range must be above 0, not {data_range}.")
+
+
+def check_pair(a: Array, b: Array) -> None:
+    """Refuse two arrays that are no images of one size in floating point.
+
+    Raises:
+        OptionError: The shapes differ, are no image's or hold no pixel, or the values are integers,
+            whose range a metric would have to guess.
+    """
+    for image in (a, b):
+        if image.ndim not in (2, 3) or image.size == 0:
+            raise OptionError(f"an image must be (H, W) or (H, W, C), not {image.shape}.")
+        if not np.issubdtype(image.dtype, np.floating):
+            raise OptionError(f"images must be floats in [0, 1], not {image.dtype}.")
+    if a.shape != b.shape:
+        raise OptionError(f"images of one size are needed, not {a.shape} and {b.shape}.")
 
 
 def image_pair(a: Array, b: Array) -> tuple[F64, F64]:
@@ -29,20 +47,13 @@ def image_pair(a: Array, b: Array) -> tuple[F64, F64]:
         Both in double precision.
 
     Raises:
-        OptionError: The shapes differ, are no image's or hold no pixel, or the values are integers,
-            whose range a metric would have to guess.
+        OptionError: As `check_pair`.
         ModelError: A pixel is not finite.
     """
-    for image in (a, b):
-        if image.ndim not in (2, 3) or image.size == 0:
-            raise OptionError(f"an image must be (H, W) or (H, W, C), not {image.shape}.")
-        if not np.issubdtype(image.dtype, np.floating):
-            raise OptionError(f"images must be floats in [0, 1], not {image.dtype}.")
-    if a.shape != b.shape:
-        raise OptionError(f"images of one size are needed, not {a.shape} and {b.shape}.")
+    check_pair(a, b)
     first, second = a.astype(np.float64), b.astype(np.float64)
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
-        raise ModelError("an image holds pixels that are not finite; no metric is defined.")
+        raise ModelError(NOT_FINITE)
     return first, second
 
 

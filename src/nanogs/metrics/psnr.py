@@ -5,7 +5,10 @@ import math
 import numpy as np
 
 from nanogs._types import Array
-from nanogs.metrics._images import check_range, image_pair
+from nanogs.errors import ModelError
+from nanogs.metrics._images import NOT_FINITE, check_pair, check_range
+
+ROWS = 32  # at a time: their differences fit a processor's cache
 
 
 def psnr(a: Array, b: Array, data_range: float = 1.0) -> float:
@@ -27,9 +30,16 @@ def psnr(a: Array, b: Array, data_range: float = 1.0) -> float:
         ModelError: A pixel is not finite.
     """
     check_range(data_range)
-    first, second = image_pair(a, b)
-    first -= second  # copies, both of them
-    error = float(np.mean(np.square(first, out=first)))
+    check_pair(a, b)
+    total = 0.0
+    with np.errstate(invalid="ignore", over="ignore"):  # refused below
+        for row in range(0, len(a), ROWS):
+            rows = slice(row, row + ROWS)
+            change = np.subtract(a[rows], b[rows], dtype=np.float64)
+            total += float(np.square(change, out=change).sum())
+    if not math.isfinite(total):
+        raise ModelError(NOT_FINITE)
+    error = total / a.size
     if error == 0:
         return math.inf
     return 20 * math.log10(data_range) - 10 * math.log10(error)
