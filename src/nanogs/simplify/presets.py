@@ -96,7 +96,7 @@ class ForestParameters:
     views: int = 14
     further: int = 0
     roaming: int = 0
-    view_size: int = 768
+    view_size: int = 832
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
@@ -126,7 +126,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
     {
         "default": ForestParameters(),
         "fast": ForestParameters(rounds=1, measure=False, steps=0),
-        "best": ForestParameters(steps=192, views=24, further=172, roaming=24, view_size=768),
+        "best": ForestParameters(steps=224, views=24, further=204, roaming=24, view_size=768),
         "paper": PaperParameters(),
     }
 )
