@@ -44,7 +44,8 @@ def grouped(targets: Sequence[Target]) -> list[Group]:
         pixels = " to ".join(str(size) for size in sizes[:: max(1, len(sizes) - 1)]) + " px"
         near = sorted(views, key=lambda view: view.footprint)
         half = len(near) // 2
-        if half >= FEWEST and near[-1].footprint >= RANGE * near[0].footprint:
+        known = near[0].footprint < math.inf
+        if known and half >= FEWEST and near[-1].footprint >= RANGE * near[0].footprint:
             groups.append(Group(f"{pixels}, near", tuple(near[:half])))
             groups.append(Group(f"{pixels}, far", tuple(near[half:])))
         else:

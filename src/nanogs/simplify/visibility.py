@@ -78,7 +78,9 @@ def look(
     views: list[Target] = []
     total = len(looked) + wandering
     for camera in each(looked, lambda done, _: tell(done, total)):
-        view = render(prepared, camera, contributions=True, depth=True)
+        # Distances tell near views from far ones where the user gave both; automatic ones differ
+        # little in theirs.
+        view = render(prepared, camera, contributions=True, depth=bool(cameras))
         light.add(view)
         views.append(as_target(view, camera))
     fitting, deciding = split(views, max(1, len(views) // DECIDING))
