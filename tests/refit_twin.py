@@ -7,7 +7,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nanogs.kernels import chain
-from nanogs.refit.descent import LIMITS, _lens
+from nanogs.kernels.project import guard_bounds
+from nanogs.refit.descent import LIMITS
 from nanogs.splats import RenderMode
 from nanogs.stored import rotations
 from raster_twin import sh_basis, splat_on_screen
@@ -121,9 +122,10 @@ def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
     """How a view pulls at one splat's parameters of shape (10,), and their curvatures (55,)."""
     jacobians, lanes, products = chain.new_chains(1)
     rotation = np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64)
+    lens = np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
     chain.screen_jacobian(
-        row, point, axes, scales, opacity, rotation, _lens(camera), mode is RenderMode.MIP,
-        jacobians[:, :, 0],
+        row, point, axes, scales, opacity, rotation, lens, guard_bounds(lens),
+        mode is RenderMode.MIP, jacobians[:, :, 0],
     )  # fmt: skip
     lanes[:, 0] = sums
     pulls, blocks = np.empty((10, 1)), np.empty((55, 1))

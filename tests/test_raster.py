@@ -459,7 +459,7 @@ def test_twice_the_pixels_see_the_same_means(seed):
 def test_what_is_left_out_as_beside_the_picture_reaches_none_of_it(scale):
     random = np.random.default_rng(3)
     lens = np.array([40.0, 55.0, 20.0, 11.0, 37.0, 21.0, 0.01])
-    bounds = project_kernels._guard_bounds(lens)
+    bounds = project_kernels.guard_bounds(lens)
     steepest = (
         40.0**2 * (1 + max(bounds[0] ** 2, bounds[1] ** 2)),
         55.0**2 * (1 + max(bounds[2] ** 2, bounds[3] ** 2)),

@@ -14,7 +14,7 @@ from nanogs.kernels.chain import OPACITY, PACKED, new_chains, pulls_and_blocks, 
 from nanogs.kernels.damped import damped_steps, new_lanes
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.project import MIN_ALPHA, reach_of
+from nanogs.kernels.project import MIN_ALPHA, guard_bounds, reach_of
 from nanogs.kernels.quaternion import rotation_matrix
 
 LEAST_WEIGHT = 1e-6  # curvature of the colour, pixels: less teaches nothing
@@ -138,7 +138,7 @@ def advance_splats(
         totals: (N, 25) from `gather_entries`.
         rotation: (3, 3), world to camera.
         position: (3,) the camera's centre, scene units.
-        lens: (6,) see `screen_jacobian`.
+        lens: (6,) fx, fy, cx, cy, width, height in pixels.
         mip: Whether opacities were compensated for the dilation.
         degree: Spherical-harmonic degree, of which `sh` has all coefficients.
         rate: Length of the step, 1 for the whole way to the minimum of the quadratic.
@@ -167,6 +167,7 @@ def advance_splats(
         blocks: (N, 55) in and out, mean curvatures of shape, lower triangles.
         weights: (N,) in and out, mean curvature of the colours.
     """
+    bounds = guard_bounds(lens)
     point, basis = np.empty(3), np.empty(25)
     jacobians, sums, products = new_chains(lanes)
     pulls, curvatures, moves = new_lanes(lanes)
@@ -183,8 +184,8 @@ def advance_splats(
             for r in range(3):
                 point[r] = means[i, r] - position[r]
             screen_jacobian(
-                geometry[i], point, axes[i], scales[i], opacities[i], rotation, lens, mip,
-                jacobians[:, :, lane],
+                geometry[i], point, axes[i], scales[i], opacities[i], rotation, lens, bounds,
+                mip, jacobians[:, :, lane],
             )  # fmt: skip
             for k in range(len(sums)):
                 sums[k, lane] = totals[i, k]

@@ -7,7 +7,8 @@ There are ten of them, all without unit:
     6 to 8  a turn about its own axes, radians
     9       the logit of its opacity
 
-Projection as in `nanogs.kernels.project`, whose derivatives these are.
+Projection as in `nanogs.kernels.project`, whose derivatives these are. A Jacobian is made for one
+splat at a time, all that follows for many side by side (see `nanogs.kernels.damped`).
 """
 
 import math
@@ -17,8 +18,10 @@ import numpy as np
 
 from nanogs._types import F32, F64
 from nanogs.kernels.policy import inline
+from nanogs.kernels.pulls import SUMS
 
 Triple: TypeAlias = tuple[float, float, float]
+Bounds: TypeAlias = tuple[float, float, float, float]
 
 SHAPE = 10
 PACKED = 55  # lower triangle of a 10 x 10 matrix, row by row
@@ -44,7 +47,7 @@ PRODUCTS = np.array(
 def new_chains(lanes: int) -> tuple[F64, F64, F64]:
     """Allocate what `pulls_and_blocks` takes and works in: Jacobians, sums, products."""
     # The opacity's row of a Jacobian stays 0 but for one place.
-    return np.zeros((SHAPE, SCREEN, lanes)), np.zeros((25, lanes)), np.zeros((SCREEN, lanes))
+    return np.zeros((SHAPE, SCREEN, lanes)), np.zeros((SUMS, lanes)), np.zeros((SCREEN, lanes))
 
 
 @inline
@@ -101,6 +104,7 @@ def screen_jacobian(
     opacity: float,
     rotation: F64,
     lens: F64,
+    bounds: Bounds,
     mip: bool,
     jacobian: F64,
 ) -> None:
@@ -113,8 +117,8 @@ def screen_jacobian(
         scales: (3,) scene units.
         opacity: In [0, 1], before any compensation.
         rotation: (3, 3), world to camera.
-        lens: (6,) focal lengths fx and fy in pixels, then least and most x / z and least and most
-            y / z at which axes on screen turn as a centre moves across the picture.
+        lens: (2 or more,) fx and fy in pixels.
+        bounds: Of x / z and y / z, see `guard_bounds`.
         mip: Whether opacities were compensated for the dilation.
         jacobian: (10, 6) out, coefficients of 1, p, q, p², pq, q²; of the opacity's row the first
             alone is written, the others are 0.
@@ -124,7 +128,7 @@ def screen_jacobian(
     x, y, z = _turned(rotation, point[0], point[1], point[2])
     per_depth = 1.0 / z
     xz, yz = x * per_depth, y * per_depth
-    tx, ty = min(max(xz, lens[2]), lens[3]), min(max(yz, lens[4]), lens[5])
+    tx, ty = min(max(xz, bounds[0]), bounds[1]), min(max(yz, bounds[2]), bounds[3])
     jx, jy = fx * per_depth, fy * per_depth
     slides_x, slides_y = (jx if tx == xz else 0.0), (jy if ty == yz else 0.0)
 
@@ -180,6 +184,7 @@ def screen_jacobian(
 
 @inline
 def _add_products(out: F64, a: F64, b: F64) -> None:
+    """Add one product for each splat."""
     for lane in range(len(out)):
         out[lane] += a[lane] * b[lane]
 
@@ -192,7 +197,7 @@ def _bend(
     row = a * (a + 1) // 2
     pulls[a], products[:], blocks[row : row + a + 1] = 0.0, 0.0, 0.0
     for d in range(SCREEN):
-        if d and d < first:
+        if 0 < d < first:
             continue
         _add_products(pulls[a], jacobians[a, d], sums[4 + d])
         for c in range(SCREEN):

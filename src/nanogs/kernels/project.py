@@ -167,8 +167,8 @@ def reaches_of(opacities: F32) -> F32:
 
 
 @inline
-def _guard_bounds(lens: F64) -> tuple[float, float, float, float]:
-    """Least and most x/z and y/z of the Jacobian ([K])."""
+def guard_bounds(lens: F64) -> tuple[float, float, float, float]:
+    """Least and most x/z and y/z of the Jacobian ([K]); lens: (6 or more,) as below."""
     fx, fy, cx, cy, width, height = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
     margin_x = (GUARD - 1.0) * 0.5 * width / fx
     margin_y = (GUARD - 1.0) * 0.5 * height / fy
@@ -220,7 +220,7 @@ def project_splats(
     """
     coefficients = (degree + 1) ** 2
     basis = np.empty(25, np.float32)
-    bounds = _guard_bounds(lens)
+    bounds = guard_bounds(lens)
     px, py, pz = position[0], position[1], position[2]
     r = rotation
     near, width, height = lens[6], lens[4], lens[5]

@@ -13,11 +13,9 @@ from nanogs._types import F64, Bool
 from nanogs.kernels.advance import advance_splats
 from nanogs.kernels.chain import PACKED
 from nanogs.kernels.damped import LANES
-from nanogs.kernels.project import GUARD
 from nanogs.refit.parameters import RefitParameters
 from nanogs.refit.state import HIGHEST_LOGIT, LOWEST_LOGIT, State, activate, start
 from nanogs.refit.targets import Fitting, Target, pull
-from nanogs.render.camera import Camera
 from nanogs.splats import RenderMode, Splats
 
 # Largest steps: centres in standard deviations, log-scales, turns in radians, logit of the opacity.
@@ -83,6 +81,7 @@ class Descent:
         state, active, model = self.state, self._active, self._active.model
         view = pull(model, target)
         camera = target.camera
+        lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         advance_splats(
             np.sort(view.view.order),  # as they lie in memory, not by depth
             view.view.geometry,
@@ -90,7 +89,7 @@ class Descent:
             view.totals,
             np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64),
             camera.position,
-            _lens(camera),
+            np.array(lens, np.float64),
             model.render_mode is RenderMode.MIP,
             model.sh_degree,
             rate,
@@ -119,14 +118,6 @@ class Descent:
             self._weights,
         )
         return view.error
-
-
-def _lens(camera: Camera) -> F64:
-    """(6,) as `screen_jacobian` takes it."""
-    across, along = (GUARD - 1) * 0.5 * camera.width, (GUARD - 1) * 0.5 * camera.height
-    reach_x = (-camera.cx - across) / camera.fx, (camera.width - camera.cx + across) / camera.fx
-    reach_y = (-camera.cy - along) / camera.fy, (camera.height - camera.cy + along) / camera.fy
-    return np.array((camera.fx, camera.fy, *reach_x, *reach_y), np.float64)
 
 
 def _bands(degree: int, parameters: RefitParameters) -> F64:
