@@ -14,6 +14,7 @@ import pytest
 
 import nanogs
 from nanogs.datasets.synthetic import make_scene
+from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.kernels.forest import log_determinants, merge_increments
 from nanogs.kernels.listing import list_tiles
 from nanogs.kernels.raster import blend_tiles
@@ -235,8 +236,8 @@ def test_blend(timed, scene):
     partial = np.empty((len(view.entries), 0), np.float32)
     timed(
         lambda: blend_tiles(
-            view.geometry, view.features, view.starts, view.entries, behind, image, left,
-            probes, partial,
+            view.geometry, view.features, view.starts, view.entries, ALL_BLOCKS, behind, image,
+            left, probes, partial,
         ),
         view.entries, image,
     )  # fmt: skip

@@ -15,6 +15,7 @@ from nanogs.compare.scoring import reference_views, score
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import load
 from nanogs.kernels import backward, damped, pulls
+from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.refit.descent import Descent
 from nanogs.refit.groups import grouped, hold_out, split
 from nanogs.refit.report import RefitStop
@@ -55,7 +56,7 @@ def make_splats(n=12, seed=0, degree=0, size=-1.2, mode=RenderMode.DEFAULT):
     return Splats(**arrays, render_mode=mode)
 
 
-def pulls_of(splats, camera, residual, precision):
+def pulls_of(splats, camera, residual, precision, wanted=ALL_BLOCKS):
     """What the kernels sum up, with the features they were given."""
     view = project(prepare(splats), camera)
     features = np.zeros_like(view.features)
@@ -64,7 +65,15 @@ def pulls_of(splats, camera, residual, precision):
     image = blend_twin(splats, camera, features).astype(np.float32)
     partial = np.empty((len(view.entries), pulls.SUMS), np.float32)
     backward.pull_tiles(
-        view.geometry, features, view.starts, view.entries, image, residual, precision, partial
+        view.geometry,
+        features,
+        view.starts,
+        view.entries,
+        wanted,
+        image,
+        residual,
+        precision,
+        partial,
     )
     totals = np.empty((len(splats), pulls.SUMS), np.float32)
     backward.gather_entries(view.entries, partial, totals)
@@ -97,12 +106,14 @@ def test_pixels_are_weighed_over_black_and_white_alike():
     shifted[..., :3] -= WHITE * image[..., 3:]
     shifted[..., 3] *= ALPHA
     residual, precision = np.empty((9, 11, 4), np.float32), np.empty((9, 11), np.float32)
-    errors = np.empty(9)
+    errors = np.empty((9, 2))
     wanted = np.rint(wanted * 255) / 255
     fixed = np.rint(wanted * 255).astype(np.uint8)
     backward.weigh_pixels(
-        shifted.astype(np.float32), fixed, WHITE, ALPHA, residual, precision, errors
+        shifted.astype(np.float32), fixed, WHITE, ALPHA, ALL_BLOCKS, residual, precision, errors
     )
+    assert (errors[:, 1] == 11).all()
+    errors = errors[:, 0]
     change = wanted - np.minimum(image, 1)
     over_black = (change[..., :3] ** 2).sum()
     over_white = ((change[..., :3] - change[..., 3:]) ** 2).sum()
@@ -111,6 +122,38 @@ def test_pixels_are_weighed_over_black_and_white_alike():
     np.testing.assert_allclose(precision, image[..., 3], rtol=1e-5)
     expected = -WHITE * change[0, 0, 3]  # of the colours nothing is wanted
     np.testing.assert_allclose(residual[0, 0, :3], expected, atol=1e-4)
+
+
+def test_the_fields_of_a_chessboard_pull_together_as_all_pixels_do():
+    splats, camera = make_splats(20, 3), make_camera()
+    residual, precision = random_pixels(camera)
+    _, whole = pulls_of(splats, camera, residual, precision)
+    parts = [pulls_of(splats, camera, residual, precision, wanted)[1] for wanted in FIELDS]
+    assert all(np.abs(part[:, 3]).sum() > 0.2 * whole[:, 3].sum() for part in parts)
+    scale = np.abs(whole).max(axis=0)
+    assert (np.abs(parts[0] + parts[1] - whole).max(axis=0) < 1e-5 * scale).all()
+
+
+def test_errors_of_the_fields_are_of_their_pixels_alone():
+    splats, camera = make_splats(20, 3), make_camera()
+    target = make_target(prepare(make_splats(20, 4)), camera)
+    whole = pull(prepare(splats), target)
+    halves = [pull(prepare(splats), target, wanted) for wanted in FIELDS]
+    rows, columns = np.indices((camera.height, camera.width)) // 4
+    shares = [((rows + columns) % 2 == field).mean() for field in (0, 1)]
+    mean = sum(share * half.error for share, half in zip(shares, halves, strict=True))
+    assert mean == pytest.approx(whole.error, rel=1e-6)
+
+
+def test_views_show_their_other_half_when_they_come_again():
+    original, small = cloud_pair()
+    cameras = automatic_cameras(original, 3, width=32, height=32)
+    targets = [make_target(prepare(original), camera) for camera in cameras]
+    descent = Descent(small, Fitting(targets), dataclasses.replace(QUICK, halves=True))
+    turns = [[descent._next() for _ in range(3)] for _ in range(2)]
+    first, second = ({id(target): wanted for target, wanted in turn} for turn in turns)
+    assert first.keys() == second.keys()
+    assert all({first[view], second[view]} == set(FIELDS) for view in first)
 
 
 def test_pull_on_colours_is_the_adjoint_of_blending():
@@ -245,7 +288,7 @@ def test_a_step_is_that_of_its_twin(mode):
     for target, rate in zip(targets, (0.3, 0.7), strict=True):
         model = activate(descent.state, splats, descent.finite).model
         twin.follow(pull(model, target), target.camera, rate)
-        descent._follow(target, rate)
+        descent._follow(target, ALL_BLOCKS, rate)
     state = descent.state
     assert state.touched.any()
     for name in ("means", "log_scales", "quats", "logits", "sh"):

@@ -42,14 +42,15 @@ def weigh_pixels(
     start: int,
     stop: int,
     image: F32,
-    wanted: U8,
+    goal: U8,
     white: float,
     alpha_scale: float,
+    wanted: int,
     residual: F32,
     precision: F32,
     errors: F64,
 ) -> None:
-    """How far an image is from what is wanted.
+    """How far an image is from its goal.
 
     A colour that is brighter than a screen in both is not wanted to change.
 
@@ -57,28 +58,33 @@ def weigh_pixels(
         start: First row of the range.
         stop: The row after its last.
         image: (H, W, 4) blended colours less `white`, and alpha times `alpha_scale`.
-        wanted: (H, W, 4) colours over black and alpha, 255 for 1.
+        goal: (H, W, 4) colours over black and alpha, 255 for 1.
         white: Share of white in the background that errors are taken over.
         alpha_scale: Weight of an error in alpha.
+        wanted: Its set bits are the blocks of every tile that count; the others stay as they are.
         residual: (H, W, 4) out, wanted change of the image.
         precision: (H, W) out, alpha.
-        errors: (H,) out, sums of the squared residuals of each row.
+        errors: (H, 2) out, of each row the sum of the squared residuals, and how many pixels count.
     """
     width = image.shape[1]
     for y in range(start, stop):
-        total = 0.0
+        total, count = 0.0, 0
         for x in range(width):
+            block, _ = place_in_tile(x % TILE, y % TILE)
+            if wanted >> block & 1 == 0:
+                continue
+            count += 1
             alpha = image[y, x, 3] / alpha_scale
-            change = wanted[y, x, 3] / 255.0 - alpha
+            change = goal[y, x, 3] / 255.0 - alpha
             precision[y, x] = alpha
             residual[y, x, 3] = change * alpha_scale
             total += change * change * alpha_scale * alpha_scale
             for c in range(3):
                 colour = min(image[y, x, c] + white * alpha, 1.0)
-                error = wanted[y, x, c] / 255.0 - colour - white * change
+                error = goal[y, x, c] / 255.0 - colour - white * change
                 residual[y, x, c] = error
                 total += error * error
-        errors[y] = total
+        errors[y, 0], errors[y, 1] = total, count
 
 
 @parallel_kernel("starts", least=8)
@@ -89,6 +95,7 @@ def pull_tiles(
     features: F32,
     starts: I64,
     entries: I32,
+    wanted: int,
     image: F32,
     residual: F32,
     precision: F32,
@@ -103,6 +110,7 @@ def pull_tiles(
         features: (N, 4) what was blended.
         starts: (T + 1,) from `list_tiles`.
         entries: (E,) from `list_tiles`.
+        wanted: Its set bits are the blocks of every tile whose pixels pull.
         image: (H, W, 4) what `blend_tiles` made of these.
         residual: (H, W, 4) wanted change of the pixels, times their precision.
         precision: (H, W) weight of a pixel in the sum of squares, times its alpha.
@@ -114,7 +122,7 @@ def pull_tiles(
     tiles_x = (width + TILE - 1) // TILE
     left = np.empty((LANES, LANES), np.float32)
     behind = np.empty((CHANNELS, LANES, LANES), np.float32)
-    wanted = np.empty((CHANNELS, LANES, LANES), np.float32)
+    change = np.empty((CHANNELS, LANES, LANES), np.float32)
     trust = np.zeros((LANES, LANES), np.float32)
     shapes = np.empty((BATCH, SHAPE), np.float32)
     values = np.empty((BATCH, CHANNELS), np.float32)
@@ -123,9 +131,9 @@ def pull_tiles(
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         end = starts[tile + 1]
         partial[starts[tile] : end] = np.float32(0.0)
-        start_tile(left, x0, y0, width, height)
+        start_tile(left, x0, y0, width, height, wanted)
         _load_tile(image, x0, y0, behind)
-        _load_tile(residual, x0, y0, wanted)
+        _load_tile(residual, x0, y0, change)
         for y in range(min(TILE, height - y0)):
             for x in range(min(TILE, width - x0)):
                 block, lane = place_in_tile(x, y)
@@ -140,7 +148,7 @@ def pull_tiles(
             for j in range(count):
                 mark = mark_blocks(shapes, j, marks) & light
                 pull_blocks(
-                    mark, j, shapes, values, left, behind, wanted, trust, partial, first + j
+                    mark, j, shapes, values, left, behind, change, trust, partial, first + j
                 )
 
 

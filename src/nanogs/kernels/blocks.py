@@ -30,6 +30,8 @@ LANES = SIDE * SIDE  # pixels of a block, and blocks of a tile
 BATCH = 32  # splats that are looked at together, one bit of a number for each
 START, ACROSS, ALONG, HEIGHT, RISE, FAINT = range(6)
 SHAPE = 8
+ALL_BLOCKS = 0xFFFF  # of a tile, as the bits of a number
+FIELDS = (0xA5A5, 0x5A5A)  # one colour of a chessboard, and the other
 
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4

@@ -37,12 +37,12 @@ def place_in_tile(x: int, y: int) -> tuple[int, int]:
 
 
 @inline
-def start_tile(left: F32, x0: int, y0: int, width: int, height: int) -> None:
-    """Set the transmittances of a tile's blocks: 1 on the image, full outside."""
+def start_tile(left: F32, x0: int, y0: int, width: int, height: int, wanted: int) -> None:
+    """Set the transmittances of a tile's blocks: 1 on the image, full outside or if not wanted."""
     for y in range(TILE):
         for x in range(TILE):
             block, lane = place_in_tile(x, y)
-            inside = y0 + y < height and x0 + x < width
+            inside = y0 + y < height and x0 + x < width and wanted >> block & 1 == 1
             left[block, lane] = np.float32(1.0) if inside else np.float32(-1.0)
 
 
@@ -142,6 +142,7 @@ def blend_tiles(
     features: F32,
     starts: I64,
     entries: I32,
+    wanted: int,
     background: F32,
     image: F32,
     transmittance: F32,
@@ -157,6 +158,7 @@ def blend_tiles(
         features: (N, C or more) what to blend.
         starts: (T + 1,) from `list_tiles`.
         entries: (E,) from `list_tiles`.
+        wanted: Its set bits are the blocks of every tile to blend; others show the background.
         background: (C,) added with the transmittance that is left.
         image: (H, W, C) out.
         transmittance: (H, W) out, what is left of the light.
@@ -181,7 +183,7 @@ def blend_tiles(
             for p in range(len(probes)):
                 partial[e, p] = np.float32(0.0)
         _clear(planes)
-        start_tile(left, x0, y0, width, height)
+        start_tile(left, x0, y0, width, height, wanted)
         _read_tile(probes, x0, y0, probed)
         for first in range(starts[tile], end, BATCH):
             light = blocks.open_blocks(left)

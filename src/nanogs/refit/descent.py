@@ -11,6 +11,7 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.kernels.advance import advance_splats
+from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.chain import PACKED
 from nanogs.kernels.damped import LANES
 from nanogs.refit.parameters import RefitParameters
@@ -44,6 +45,7 @@ class Descent:
         self._limits = np.array([*LIMITS, LOWEST_LOGIT, HIGHEST_LOGIT])
         self._random = np.random.default_rng(parameters.seed)
         self._queue: list[int] = []
+        self._turns = 0  # how often all views have come
         self.begin(start(splats))
 
     def begin(self, state: State) -> None:
@@ -69,17 +71,21 @@ class Descent:
         self._count += 1
         rate *= min(1.0, self._count / WARM_UP)
         rate *= SLOWEST + (1 - SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
-        return self._follow(self._next(), rate)
+        return self._follow(*self._next(), rate)
 
-    def _next(self) -> Target:
+    def _next(self) -> tuple[Target, int]:
+        """A view, and the blocks of its tiles that the step follows."""
         if not self._queue:
             self._queue = self._random.permutation(len(self.views)).tolist()
-        return self.views.take(self._queue.pop())
+            self._turns += 1
+        index = self._queue.pop()
+        wanted = FIELDS[(index + self._turns) % 2] if self.parameters.halves else ALL_BLOCKS
+        return self.views.take(index), wanted
 
-    def _follow(self, target: Target, rate: float) -> float:
-        """Move what a view shows, and return the view's error before that."""
+    def _follow(self, target: Target, wanted: int, rate: float) -> float:
+        """Move what a view shows in some blocks, and return their error before that."""
         state, active, model = self.state, self._active, self._active.model
-        view = pull(model, target)
+        view = pull(model, target, wanted)
         camera = target.camera
         lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         advance_splats(

@@ -26,6 +26,9 @@ class RefitParameters:
             0: what no view determines stays where it is.
         ridge: Pull of the base colour back to the input's, as a share of its weight.
         band_ridge: The same for the higher harmonics.
+        halves: Whether a step follows half of its view's pixels, every other block of 4 x 4, and
+            the other half when the view comes again: half of the work, and little is lost where
+            views come again.
         seed: Order of the views.
     """
 
@@ -39,6 +42,7 @@ class RefitParameters:
     floor: float = 0.02
     ridge: float = 0.02
     band_ridge: float = 0.3
+    halves: bool = False
     seed: int = 0
 
     @property

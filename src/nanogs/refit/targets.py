@@ -9,6 +9,7 @@ import numpy as np
 from nanogs import spread
 from nanogs._types import F32, U8
 from nanogs.kernels import backward, pulls
+from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import PreparedSplats, Projection, Rendering, blend, project, render
 
@@ -115,23 +116,26 @@ def _in_bytes(values: F32) -> F32:
     return scaled
 
 
-def _blend(model: PreparedSplats, camera: Camera) -> tuple[Projection, F32, F32]:
+def _blend(
+    model: PreparedSplats, camera: Camera, wanted: int = ALL_BLOCKS
+) -> tuple[Projection, F32, F32]:
     """The projection, what is blended (N, 4), and the image (H, W, 4)."""
     view = project(model, camera)
     features = np.zeros_like(view.features)  # rows that are not drawn hold junk
     features[view.order, :3] = view.features[view.order, :3] - np.float32(WHITE)
     features[:, 3] = ALPHA
-    image, _, _ = blend(view, camera, features, np.zeros(4, np.float32))
+    image, _, _ = blend(view, camera, features, np.zeros(4, np.float32), wanted=wanted)
     return view, features, image
 
 
-def _weigh(target: Target, image: F32) -> tuple[F32, F32, float]:
+def _weigh(target: Target, image: F32, wanted: int = ALL_BLOCKS) -> tuple[F32, F32, float]:
     """(H, W, 4) wanted change of the image, (H, W) its alpha, and the mean squared error."""
     residual = np.empty_like(image)
     precision = np.empty(image.shape[:2], np.float32)
-    errors = np.empty(len(image), np.float64)
-    backward.weigh_pixels(image, target.image, WHITE, ALPHA, residual, precision, errors)
-    return residual, precision, float(errors.sum()) / (3 * precision.size)
+    errors = np.empty((len(image), 2))
+    backward.weigh_pixels(image, target.image, WHITE, ALPHA, wanted, residual, precision, errors)
+    error, pixels = errors.sum(axis=0)
+    return residual, precision, float(error) / (3 * max(float(pixels), 1))
 
 
 def squared_error(model: PreparedSplats, target: Target) -> float:
@@ -139,13 +143,27 @@ def squared_error(model: PreparedSplats, target: Target) -> float:
     return _weigh(target, _blend(model, target.camera)[2])[2]
 
 
-def pull(model: PreparedSplats, target: Target) -> Pull:
-    """Render a view and sum up how it pulls at each splat."""
-    view, features, image = _blend(model, target.camera)
-    residual, precision, error = _weigh(target, image)
+def pull(model: PreparedSplats, target: Target, wanted: int = ALL_BLOCKS) -> Pull:
+    """Render a view and sum up how it pulls at each splat.
+
+    Args:
+        model: The splats.
+        target: The view.
+        wanted: Its set bits are the blocks of every tile whose pixels pull.
+    """
+    view, features, image = _blend(model, target.camera, wanted)
+    residual, precision, error = _weigh(target, image, wanted)
     partial = np.empty((len(view.entries), pulls.SUMS), np.float32)
     backward.pull_tiles(
-        view.geometry, features, view.starts, view.entries, image, residual, precision, partial
+        view.geometry,
+        features,
+        view.starts,
+        view.entries,
+        wanted,
+        image,
+        residual,
+        precision,
+        partial,
     )
     totals = np.empty((len(model), pulls.SUMS), np.float32)
     backward.gather_entries(view.entries, partial, totals)

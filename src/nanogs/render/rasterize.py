@@ -14,6 +14,7 @@ from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.errors import OptionError
 from nanogs.kernels import listing, raster
 from nanogs.kernels import project as projection
+from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.kernels.radix import radix_sort
 from nanogs.render.camera import Camera
 from nanogs.splats import RenderMode, Splats, refuse_other
@@ -228,6 +229,7 @@ def blend(
     features: F32,
     background: F32,
     probes: F32 | None = None,
+    wanted: int = ALL_BLOCKS,
 ) -> tuple[F32, F32, F64]:
     """Blend features of the splats front to back.
 
@@ -237,6 +239,7 @@ def blend(
         features: (N, C or more) float32; rows that are not drawn may hold junk.
         background: (C,) float32, seen through what is left.
         probes: (P, H, W) float32, see there; none by default.
+        wanted: Its set bits are the blocks of every tile to blend; others show the background.
 
     Returns:
         The image (H, W, C), the transmittance (H, W), and for every splat (N, P) float64 the sums
@@ -250,7 +253,16 @@ def blend(
     left = np.empty(image.shape[:2], np.float32)
     partial = np.empty((len(view.entries), len(probes)), np.float32)
     raster.blend_tiles(
-        view.geometry, features, view.starts, view.entries, background, image, left, probes, partial
+        view.geometry,
+        features,
+        view.starts,
+        view.entries,
+        wanted,
+        background,
+        image,
+        left,
+        probes,
+        partial,
     )
     totals = np.zeros((len(features), len(probes)))
     if len(probes):

@@ -92,11 +92,11 @@ class ForestParameters:
     hidden: float = 0.03
     growth: float = 1.25
     measure: bool = True
-    steps: int = 24
+    steps: int = 28
     views: int = 14
     further: int = 0
     roaming: int = 0
-    view_size: int = 848
+    view_size: int = 896
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""

@@ -96,6 +96,7 @@ def fit_parameters(parameters: ForestParameters) -> RefitParameters:
         size=parameters.view_size,
         rounds=rounds,
         steps=-(-parameters.steps // rounds),
+        halves=not parameters.further,  # few views, which come again
     )
 
 
