@@ -58,6 +58,10 @@ class Descent:
         self._weights = np.zeros(n, np.float32)
         self._count = 0
 
+    def rest(self) -> None:
+        """Give back the memory that only steps need: none follow, or `begin` comes first."""
+        del self.state, self._active, self._seen, self._blocks, self._weights
+
     def step(self, rate: float, share: float) -> float:
         """Move the state by one step.
 

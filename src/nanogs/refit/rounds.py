@@ -94,18 +94,25 @@ def fit(
         The fitted model, or the input itself where nothing helped, and what happened.
     """
     guard, descent = Guard(small, deciding), Descent(small, fitting, parameters)
-    best, rate = start(small), parameters.rate
+    best: State | None = None  # the input, which is its own state
+    rate = parameters.rate
     reports: list[RoundReport] = []
     stop = RefitStop.ROUNDS
     for number in range(parameters.rounds):
         begin, before = time.perf_counter(), _mean(guard.best)
         reached, errors = _round(descent, rate, number, tell)
-        best, share = _furthest(guard, best, reached)
+        last = number == parameters.rounds - 1
+        if last:
+            descent.rest()
+        best, share = _furthest(guard, best, small, reached)
+        if best is not None and not last and share == 1:
+            best = best.copy()  # the descent moves its own on; the judged model is gone again
         seconds = time.perf_counter() - begin
         psnrs = _psnr(_mean(errors)), before, _mean(guard.best)
         reports.append(RoundReport(FITTED, len(errors), rate, *psnrs, share, seconds))
+        if share < 1 and not last:
+            descent.begin(best or start(small))
         if share < 1:
-            descent.begin(best)
             rate *= SHORTER if share else SHORTEST
         if rate < LEAST * parameters.rate and not share:
             stop = RefitStop.OPTIMUM
@@ -121,16 +128,20 @@ def fit(
         stop,
         notes,
     )
-    return store(best, small) if improved else small, outcome
+    return store(best, small) if best else small, outcome
 
 
-def _furthest(guard: Guard, best: State, state: State) -> tuple[State, float]:
-    """The state furthest on the way from the best to another that is better, and its share."""
+def _furthest(
+    guard: Guard, best: State | None, small: Splats, state: State
+) -> tuple[State | None, float]:
+    """The state furthest on the way from the best to another that is better, and its share.
+
+    The best is that of the input where there is none yet.
+    """
     for share in SHARES:
-        between = state if share == 1 else best.towards(state, share)
+        between = state if share == 1 else (best or start(small)).towards(state, share)
         if guard.accepts(between):
-            # The descent moves its own state on. Copied only now: the judged model is gone again.
-            return state.copy() if share == 1 else between, share
+            return between, share
     return best, 0.0
 
 

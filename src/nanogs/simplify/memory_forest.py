@@ -3,6 +3,7 @@
 from nanogs.compare.protocol import PIXELS, VIEWS
 from nanogs.simplify.blocks import BLOCK_PAIRS
 from nanogs.simplify.presets import ForestParameters, renders
+from nanogs.simplify.stages import fit_parameters
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _BARE = _F8 + 3 * _F8 + 6 * _F8 + _I4  # weights, means, covariances, row: what growing needs
@@ -18,7 +19,7 @@ _CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the m
 _TILES = 3  # tiles of a view of 560 pixels that a splat lies in, on average: 2.3 to 3.2
 _IMAGES = VIEWS * PIXELS**2 * 3 * _F4  # of the original, that results are judged by
 _PIXEL = 80  # of a view while it is drawn with contributions and depths
-_COMPARED = 110  # and while it is held against the original's, or pulls
+_COMPARED = 64  # and while it is held against the original's, or pulls
 _BATCH = 2 * _I4 + 2 * _F4 + 2 * _F8  # of a pair, in a batch of which the costs are computed
 _PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rasteriser reads them
 _DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
@@ -138,11 +139,13 @@ def _store(count: int, target: int) -> int:
 
 
 def _fit(count: int, target: int, features: int, parameters: ForestParameters) -> int:
-    """The state, where it began, its mean and curvatures; then the larger of two things.
+    """The state, its mean, after a first round the best so far, and curvatures; then two things.
 
-    They are a view of the original that is drawn now, and one of the state with its pulls.
+    The larger one of them: a view of the original that is drawn now, or one of the state with its
+    pulls.
     """
-    held = target * (2 * features + 3 * 11 * _F8 + 3 + 22 * _F4 + _CURVATURES)
+    states = 2 + (fit_parameters(parameters).rounds > 1)
+    held = target * (states * (features + 11 * _F8 + 1) + 22 * _F4 + _CURVATURES)
     step = target * (8 * _F8 + 8 * _F4 + 2 * _I8 + 25 * _F4 + _FIT_TILES * (25 * _F4 + _I4))
     if not parameters.further:
         return held + step
