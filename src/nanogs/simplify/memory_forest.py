@@ -55,8 +55,8 @@ def forest_stages(
     looked = renders(parameters)
     drawn = looked or judged
     kept = count * (_I4 + (_F8 if looked else 0))  # which rows are used, what is visible of each
-    kept += _IMAGES if judged else 0
     images = parameters.views * parameters.view_size**2 * 4 if looked else 0
+    images += _IMAGES if judged else 0
     pixels = parameters.view_size**2 if looked else 0
     kept += images
     leaves = kept + count * _NODE  # their features are the model's
