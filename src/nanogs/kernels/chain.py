@@ -17,7 +17,7 @@ from typing import TypeAlias
 import numpy as np
 
 from nanogs._types import F32, F64
-from nanogs.kernels.policy import inline
+from nanogs.kernels.policy import exact_inline, inline
 from nanogs.kernels.pulls import SUMS
 
 Triple: TypeAlias = tuple[float, float, float]
@@ -182,14 +182,14 @@ def screen_jacobian(
     jacobian[OPACITY, 0] = 1.0 - opacity
 
 
-@inline
+@exact_inline
 def _add_products(out: F64, a: F64, b: F64) -> None:
     """Add one product for each splat."""
     for lane in range(len(out)):
         out[lane] += a[lane] * b[lane]
 
 
-@inline
+@exact_inline
 def _bend(
     a: int, first: int, jacobians: F64, sums: F64, products: F64, pulls: F64, blocks: F64
 ) -> None:
@@ -209,7 +209,7 @@ def _bend(
                 _add_products(blocks[row + b], products[c], jacobians[b, c])
 
 
-@inline
+@exact_inline
 def pulls_and_blocks(jacobians: F64, sums: F64, products: F64, pulls: F64, blocks: F64) -> None:
     """The pulls J g of splats side by side, and of their blocks J M Jᵀ the lower triangles.
 

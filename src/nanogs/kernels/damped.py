@@ -3,7 +3,8 @@
 Every sum of one splat waits for the one before it, so that a processor that solves splat by splat
 mostly waits. Here the innermost loop runs over splats, which do not wait for each other and fill
 the processor's vectors: ten times as fast. Its length is not known to the compiler, which would
-write a known one out and then not find the vectors.
+write a known one out and then not find the vectors. Operations are those written: the end of a loop
+is compiled apart, and with liberties it could round a splat's step by where the splat stands.
 """
 
 import math
@@ -12,13 +13,13 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.kernels.chain import PACKED, SHAPE
-from nanogs.kernels.policy import inline
+from nanogs.kernels.policy import exact_inline
 
 # Splats side by side: their blocks fill 14 kB of the first cache.
 LANES = 32
 
 
-@inline
+@exact_inline
 def new_lanes(lanes: int) -> tuple[F64, F64, Bool]:
     """Allocate what `damped_steps` takes: the pulls, the blocks, and which splats have a step.
 
@@ -27,7 +28,7 @@ def new_lanes(lanes: int) -> tuple[F64, F64, Bool]:
     return np.zeros((SHAPE, lanes)), np.ones((PACKED, lanes)), np.zeros(lanes, np.bool_)
 
 
-@inline
+@exact_inline
 def _lift_diagonal(blocks: F64, damping: float, floor: float, lifts: F64, moves: Bool) -> None:
     """Damp the blocks, and note what the floor adds to each; 1 where nothing bends."""
     lanes = len(lifts)
@@ -43,7 +44,7 @@ def _lift_diagonal(blocks: F64, damping: float, floor: float, lifts: F64, moves:
             blocks[a * (a + 3) // 2, lane] += lifts[lane]
 
 
-@inline
+@exact_inline
 def _factorise(lower: F64, lifts: F64) -> None:
     """Cholesky's lower factors in place of the blocks, with the inverses of their diagonals."""
     lanes = len(lifts)
@@ -62,7 +63,7 @@ def _factorise(lower: F64, lifts: F64) -> None:
             lower[row + a, lane] = 1.0 / math.sqrt(max(lower[row + a, lane], lifts[lane]))
 
 
-@inline
+@exact_inline
 def _substitute(lower: F64, steps: F64) -> None:
     """Solve for the steps in place, with the factors of `_factorise`."""
     lanes = steps.shape[1]
@@ -82,7 +83,7 @@ def _substitute(lower: F64, steps: F64) -> None:
             steps[a, lane] *= lower[a * (a + 3) // 2, lane]
 
 
-@inline
+@exact_inline
 def _shorten(steps: F64, limits: F64, moves: Bool) -> None:
     """Hold every step to its limits; what is past all bounds is none."""
     for lane in range(steps.shape[1]):
@@ -95,7 +96,7 @@ def _shorten(steps: F64, limits: F64, moves: Bool) -> None:
             steps[a, lane] /= excess
 
 
-@inline
+@exact_inline
 def damped_steps(
     pulls: F64, blocks: F64, damping: float, floor: float, limits: F64, lifts: F64, moves: Bool
 ) -> None:
