@@ -15,14 +15,14 @@ from nanogs import RefitParameters, refit
 from nanogs.compare.scoring import reference_views, score
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import load
-from nanogs.kernels import backward, damped, pulls
+from nanogs.kernels import backward, damped
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.damped import LANES
 from nanogs.refit.descent import Descent
 from nanogs.refit.groups import grouped, hold_out, split
 from nanogs.refit.report import RefitStop
 from nanogs.refit.state import MeanState, activate, start, store
-from nanogs.refit.targets import ALPHA, WHITE, Fitting, make_target, pull, squared_error
+from nanogs.refit.targets import ALPHA, WHITE, Fitting, make_target, pull, squared_error, sum_pulls
 from nanogs.render.camera import Camera
 from nanogs.render.rasterize import prepare, project
 from nanogs.render.roam import roaming_cameras
@@ -65,20 +65,7 @@ def pulls_of(splats, camera, residual, precision, wanted=ALL_BLOCKS):
     features[view.order, :3] = view.features[view.order, :3] - np.float32(0.5)
     features[:, 3] = 0.7
     image = blend_twin(splats, camera, features).astype(np.float32)
-    partial = np.empty((len(view.entries), pulls.SUMS), np.float32)
-    backward.pull_tiles(
-        view.geometry,
-        features,
-        view.starts,
-        view.entries,
-        wanted,
-        image,
-        residual,
-        precision,
-        partial,
-    )
-    totals = np.empty((len(splats), pulls.SUMS), np.float32)
-    backward.gather_entries(view.entries, partial, totals)
+    totals = sum_pulls(view, features, image, residual, precision, wanted)
     return features.astype(np.float64), totals
 
 

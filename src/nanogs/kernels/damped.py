@@ -3,8 +3,8 @@
 Every sum of one splat waits for the one before it, so that a processor that solves splat by splat
 mostly waits. Here the innermost loop runs over splats, which do not wait for each other and fill
 the processor's vectors: ten times as fast. Its length is not known to the compiler, which would
-write a known one out and then not find the vectors. Operations are those written: the end of a loop
-is compiled apart, and with liberties it could round a splat's step by where the splat stands.
+write a known one out and then not find the vectors. Sums keep their order: the end of a loop is
+compiled apart, and with liberties it could round a splat's step by where the splat stands.
 """
 
 import math

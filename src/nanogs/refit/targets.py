@@ -153,6 +153,13 @@ def pull(model: PreparedSplats, target: Target, wanted: int = ALL_BLOCKS) -> Pul
     """
     view, features, image = _blend(model, target.camera, wanted)
     residual, precision, error = _weigh(target, image, wanted)
+    return Pull(view, sum_pulls(view, features, image, residual, precision, wanted), error)
+
+
+def sum_pulls(
+    view: Projection, features: F32, image: F32, residual: F32, precision: F32, wanted: int
+) -> F32:
+    """(N, 25) float32, see `nanogs.kernels.backward.pull_tiles`, whose arguments these are."""
     partial = np.empty((len(view.entries), pulls.SUMS), np.float32)
     backward.pull_tiles(
         view.geometry,
@@ -165,6 +172,6 @@ def pull(model: PreparedSplats, target: Target, wanted: int = ALL_BLOCKS) -> Pul
         precision,
         partial,
     )
-    totals = np.empty((len(model), pulls.SUMS), np.float32)
+    totals = np.empty((len(features), pulls.SUMS), np.float32)
     backward.gather_entries(view.entries, partial, totals)
-    return Pull(view, totals, error)
+    return totals
