@@ -14,20 +14,21 @@ import pytest
 
 import nanogs
 from nanogs.datasets.synthetic import make_scene
+from nanogs.fit import targets
 from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.kernels.forest import log_determinants, merge_increments
 from nanogs.kernels.listing import list_tiles
 from nanogs.kernels.raster import blend_tiles
+from nanogs.method import cut, gaussians, graph, match, neighbours, nodes, order
+from nanogs.method.extent import dilation
+from nanogs.method.forest import grow_forest
+from nanogs.method.paper import cost, merge
+from nanogs.method.reassign import reassign
+from nanogs.method.store import store_groups
 from nanogs.metrics import ssim
-from nanogs.refit import targets
-from nanogs.render import rasterize
-from nanogs.render.views import automatic_cameras
-from nanogs.simplify import cost, cut, gaussians, graph, match, merge, neighbours, nodes, order
-from nanogs.simplify.extent import dilation
-from nanogs.simplify.presets import PaperParameters
-from nanogs.simplify.reassign import reassign
-from nanogs.simplify.store import store_groups
-from nanogs.simplify.tree import grow_forest
+from nanogs.pipeline.presets import PaperParameters
+from nanogs.raster import rendering
+from nanogs.views.automatic import automatic_cameras
 
 THREADS = os.cpu_count() or 1
 RATIO = 10  # splats for each one kept
@@ -66,7 +67,7 @@ def scene(splats):
     labels = cut.cut(forest, target, 0.8)
     merged = nodes.gather(leaves, labels, target)
     camera = automatic_cameras(splats, 1, width=512, height=512)[0]
-    prepared = rasterize.prepare(splats)
+    prepared = rendering.prepare(splats)
     return {
         "splats": splats, "rows": rows, "origin": origin, "pixel": pixel, "leaves": leaves,
         "pairs": pairs, "dets": dets, "costs": costs, "forest": forest, "target": target,
@@ -219,18 +220,18 @@ def test_published_merge(timed, scene):
 
 
 def test_project(timed, scene):
-    view = rasterize.project(scene["prepared"], scene["camera"])
+    view = rendering.project(scene["prepared"], scene["camera"])
     moved = (scene["prepared"].factors, scene["prepared"].sh, view.geometry, view.features)
-    timed(lambda: rasterize.project(scene["prepared"], scene["camera"]), *moved)
+    timed(lambda: rendering.project(scene["prepared"], scene["camera"]), *moved)
 
 
 def test_list_tiles(timed, scene):
-    view = rasterize.project(scene["prepared"], scene["camera"])
+    view = rendering.project(scene["prepared"], scene["camera"])
     timed(lambda: list_tiles(view.geometry, view.boxes, view.order, 512, 512), view.entries)
 
 
 def test_blend(timed, scene):
-    view = rasterize.project(scene["prepared"], scene["camera"])
+    view = rendering.project(scene["prepared"], scene["camera"])
     image, left = np.empty((512, 512, 3), np.float32), np.empty((512, 512), np.float32)
     behind, probes = np.zeros(4, np.float32), np.empty((0, 512, 512), np.float32)
     partial = np.empty((len(view.entries), 0), np.float32)
@@ -245,7 +246,7 @@ def test_blend(timed, scene):
 
 def test_render_with_contributions(timed, scene):
     timed(
-        lambda: rasterize.render(scene["prepared"], scene["camera"], contributions=True),
+        lambda: rendering.render(scene["prepared"], scene["camera"], contributions=True),
         scene["prepared"].sh,
     )
 
@@ -253,7 +254,7 @@ def test_render_with_contributions(timed, scene):
 def test_pull(timed, scene):
     target = targets.make_target(scene["prepared"], scene["camera"])
     small, _ = nanogs.simplify(scene["splats"], ratio=1 / RATIO, preset="fast")
-    prepared = rasterize.prepare(small)
+    prepared = rendering.prepare(small)
     timed(lambda: targets.pull(prepared, target), prepared.sh)
 
 

@@ -15,9 +15,9 @@ import numpy as np
 import nanogs
 from measured import SCENES, UP
 from nanogs._types import F32, F64
-from nanogs.render.camera import Camera
-from nanogs.render.rasterize import PreparedSplats, prepare, render
-from nanogs.render.views import automatic_cameras
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import PreparedSplats, prepare, render
+from nanogs.views.automatic import automatic_cameras
 from rivals import BUILD
 
 

@@ -13,8 +13,8 @@ from PIL import Image
 
 import nanogs
 from nanogs.datasets.plant import load_plant
-from nanogs.render.images import to_bytes
-from nanogs.render.views import automatic_cameras
+from nanogs.raster.images import to_bytes
+from nanogs.views.automatic import automatic_cameras
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "images"
 RATIOS = (1.0, 0.1, 0.01)

@@ -15,16 +15,16 @@ import numpy as np
 import nanogs
 from nanogs.bench.baselines import BASELINES
 from nanogs.bench.worker import Job, run_job
-from nanogs.compare.protocol import BLACK, Background
-from nanogs.compare.run import photographs
-from nanogs.compare.scoring import ReferenceView, reference_views, score
-from nanogs.compare.view_sets import view_sets
 from nanogs.io import inspect, load
-from nanogs.render.camera import Camera
-from nanogs.render.rasterize import prepare
-from nanogs.render.views import automatic_cameras
-from nanogs.simplify.target import target_count
+from nanogs.pipeline.target import target_count
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import prepare
+from nanogs.scoring.protocol import BLACK, Background
+from nanogs.scoring.run import photographs
+from nanogs.scoring.scores import ReferenceView, reference_views, score
+from nanogs.scoring.view_sets import view_sets
 from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
 from rivals import RIVALS, rival_version, run_tool
 
 KINDS = ("512", "1600", "roam", "photographs")

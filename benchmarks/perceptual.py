@@ -13,9 +13,9 @@ import numpy as np
 import nanogs
 from measured import SCENES, UP, result_file
 from nanogs.metrics import lpips
-from nanogs.render.rasterize import prepare, render
-from nanogs.render.views import automatic_cameras
+from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
 from rivals import BUILD, RIVALS, rival_version
 
 PRESETS = ("default", "best")

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 
 import nanogs
+from nanogs.method.neighbours import nearest_neighbours
 from nanogs.metrics import psnr, ssim
-from nanogs.render.rasterize import prepare, render
-from nanogs.render.views import automatic_cameras
+from nanogs.pipeline.target import Goal
+from nanogs.raster.rendering import prepare, render
 from nanogs.report import StageClock
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.frame import survey
 from nanogs.scale.result import write_result
 from nanogs.scale.run import Here, run_tasks
 from nanogs.scale.scratch import FolderScratch
-from nanogs.simplify.neighbours import nearest_neighbours
-from nanogs.simplify.target import Goal
 from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
 
 VIEWS, SIZE = 8, 512
 

@@ -28,8 +28,8 @@ from nanogs.datasets.synthetic import make_scene
 from nanogs.formatting import bytes_text
 from nanogs.io import inspect
 from nanogs.io.files import splat_bytes
-from nanogs.simplify.order import morton_order
-from nanogs.simplify.target import target_count
+from nanogs.method.order import morton_order
+from nanogs.pipeline.target import target_count
 from rivals import ROOT, install, run_tool, timed
 
 WORK = ROOT / "build" / "speed"

@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from nanogs.simplify.extent import Dilation
-from nanogs.simplify.gaussians import Gaussians
+from nanogs.method.extent import Dilation
+from nanogs.method.gaussians import Gaussians
 from nanogs.splats import Splats
 
 

@@ -56,7 +56,7 @@ def benchmark_module():
 @pytest.fixture(scope="module")
 def small_views():
     """Presets that render and fit do so with few and small views."""
-    from nanogs.simplify import presets
+    from nanogs.pipeline import presets
 
     few = {
         name: replace(

@@ -22,7 +22,7 @@ from nanogs.spread import Spread
 
 # What runs need of these and of libraries is imported with them, or by the run itself.
 PACKAGES = (nanogs.cli, nanogs.io)
-OTHERS = ("nanogs.compare.run", "nanogs.compare.held_out", "nanogs.view.run", "typer._adapters")
+OTHERS = ("nanogs.scoring.run", "nanogs.scoring.held_out", "nanogs.view.run", "typer._adapters")
 
 
 def serve(line):

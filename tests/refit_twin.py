@@ -6,9 +6,9 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from nanogs.fit.descent import LIMITS
 from nanogs.kernels import chain
 from nanogs.kernels.project import guard_bounds
-from nanogs.refit.descent import LIMITS
 from nanogs.splats import RenderMode
 from nanogs.stored import rotations
 from raster_twin import sh_basis, splat_on_screen

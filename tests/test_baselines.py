@@ -11,8 +11,8 @@ from nanogs.bench.baselines import BASELINES, MethodContext, highest
 from nanogs.bench.significance import BETA, normalised_volumes, significance, view_contributions
 from nanogs.bench.voxel import merge_groups, merge_voxels, voxel_labels
 from nanogs.errors import ModelError, OptionError
-from nanogs.render.camera import Camera
-from nanogs.render.rasterize import render
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import render
 
 
 def looking_along_z(size=32, distance=4.0, name="a"):

@@ -35,14 +35,14 @@ from nanogs.bench.scenes import (
 )
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.worker import Job, Outcome, peak_memory, run_job
-from nanogs.compare.run import compare_files
 from nanogs.errors import OptionError, OutputError
 from nanogs.io import load
-from nanogs.render.camera import Camera
-from nanogs.render.rasterize import render
+from nanogs.method.graph import random_pairs
+from nanogs.pipeline.presets import PRESETS, parameters
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import render
 from nanogs.report import StopReason
-from nanogs.simplify.graph import random_pairs
-from nanogs.simplify.presets import PRESETS, parameters
+from nanogs.scoring.run import compare_files
 
 
 def run(*arguments, **kwargs):

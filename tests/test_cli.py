@@ -290,7 +290,7 @@ def test_completion_imports_neither_numpy_nor_what_draws_help(scene):
 
 def test_the_api_is_what_it_says():
     code = (
-        "import nanogs.simplify.presets, nanogs\n"
+        "import nanogs.pipeline.presets, nanogs\n"
         "for name in ('load', 'save', 'simplify', 'levels', 'Splats', 'SimplifyReport'):\n"
         "    assert callable(getattr(nanogs, name)), name\n"
     )
@@ -301,14 +301,14 @@ def test_the_api_is_what_it_says():
 @pytest.mark.parametrize(
     "before",
     [
-        "import nanogs.simplify.api, nanogs.refit.api",
-        "import nanogs.refit.parameters, nanogs.simplify.pipeline",
-        "from nanogs import simplify, refit; from nanogs.simplify.presets import parameters",
-        "import nanogs; nanogs.simplify, nanogs.refit; import nanogs.refit.rounds",
+        "import nanogs.pipeline.api, nanogs.fit.api",
+        "import nanogs.fit.parameters, nanogs.method.paper.passes",
+        "from nanogs import simplify, refit; from nanogs.pipeline.presets import parameters",
+        "import nanogs; nanogs.simplify, nanogs.refit; import nanogs.fit.rounds",
         "from nanogs import *",
     ],
 )
-def test_functions_keep_the_names_of_their_packages_whatever_is_imported(before):
+def test_public_names_are_the_same_whatever_is_imported_before(before):
     code = (
         f"{before}\n"
         "import nanogs, types\n"

@@ -8,15 +8,15 @@ import nanogs
 import twins
 from builders import random_splats, same_pixel
 from nanogs.datasets.synthetic import make_scene
+from nanogs.method.extent import ANCHORS, FARTHEST, Dilation, dilation
+from nanogs.method.growth import area_needs, blocked, widened
+from nanogs.method.nodes import NEARER, activate_nodes, footprints, gather
+from nanogs.method.store import store_groups
 from nanogs.metrics import psnr
-from nanogs.render.camera import Camera
-from nanogs.render.rasterize import prepare, render
-from nanogs.render.views import automatic_cameras
-from nanogs.simplify.extent import ANCHORS, FARTHEST, Dilation, dilation
-from nanogs.simplify.growth import area_needs, blocked, widened
-from nanogs.simplify.nodes import NEARER, activate_nodes, footprints, gather
-from nanogs.simplify.store import store_groups
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import prepare, render
 from nanogs.splats import RenderMode, Splats, concatenate
+from nanogs.views.automatic import automatic_cameras
 
 # Footprints
 

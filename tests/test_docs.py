@@ -18,9 +18,9 @@ from nanogs.cli import options
 from nanogs.cli.filtering import parse_filters
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import registry
+from nanogs.method.choose import BALANCES
+from nanogs.pipeline.presets import PRESETS, SUMMARIES
 from nanogs.quantities import parse_bytes
-from nanogs.simplify.choose import BALANCES
-from nanogs.simplify.presets import PRESETS, SUMMARIES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 import nanogs
 from builders import random_splats
 from nanogs.errors import OutputError
-from nanogs.simplify.extent import dilation
-from nanogs.simplify.gaussians import scene_origin
-from nanogs.simplify.presets import PRESETS
+from nanogs.method.extent import dilation
+from nanogs.method.gaussians import scene_origin
+from nanogs.pipeline.presets import PRESETS
 from nanogs.splats import RenderMode
 
 LARGEST = float(np.finfo(np.float32).max)

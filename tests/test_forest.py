@@ -13,24 +13,26 @@ import twins
 from builders import model_bytes, random_splats, same_pixel
 from nanogs.datasets.harmonics import basis
 from nanogs.kernels.assign import assign_nearest, invert_covariances
-from nanogs.progress import Tracker, untold
-from nanogs.report import PassReport, StageClock, StopReason
-from nanogs.simplify import choose, forest_pipeline, reassign, tree
-from nanogs.simplify.choose import choose_model, quality
-from nanogs.simplify.cut import cut, merge_scores
-from nanogs.simplify.growth import blocked
-from nanogs.simplify.match import MergePlan
-from nanogs.simplify.nodes import (
+from nanogs.method import choose, reassign
+from nanogs.method import forest as growth
+from nanogs.method.choose import choose_model, quality
+from nanogs.method.cut import cut, merge_scores
+from nanogs.method.forest import Forest, grow_forest
+from nanogs.method.growth import blocked
+from nanogs.method.match import MergePlan
+from nanogs.method.nodes import (
     activate_nodes,
     footprints,
     gather,
     gather_pairs,
     normalised,
 )
-from nanogs.simplify.order import morton_order
-from nanogs.simplify.presets import PRESETS
-from nanogs.simplify.store import MOST_OPAQUE, store_groups
-from nanogs.simplify.tree import Forest, grow_forest
+from nanogs.method.order import morton_order
+from nanogs.method.store import MOST_OPAQUE, store_groups
+from nanogs.pipeline import run as pipeline_run
+from nanogs.pipeline.presets import PRESETS
+from nanogs.progress import Tracker, untold
+from nanogs.report import PassReport, StageClock, StopReason
 
 pytestmark = pytest.mark.usefixtures("small_views")
 SOME = settings(max_examples=20)
@@ -274,12 +276,12 @@ def test_increments_below_zero_take_nothing_from_a_sum():
 @pytest.fixture
 def numberless(monkeypatch):
     """Costs that are not a number."""
-    whole = tree._increments
+    whole = growth._increments
 
     def increments(pairs, nodes, dets):
         return whole(pairs, nodes, dets) * np.float32(np.nan)
 
-    monkeypatch.setattr(tree, "_increments", increments)
+    monkeypatch.setattr(growth, "_increments", increments)
 
 
 @pytest.mark.parametrize("preset", ["fast", "default"])
@@ -293,7 +295,7 @@ def test_costs_without_a_number_end_the_forest(numberless, preset):
 
 
 def test_a_forest_that_ends_early_delivers_its_fewest(monkeypatch):
-    whole, calls = tree.match, []
+    whole, calls = growth.match, []
 
     def match(pairs, costs, rows, limit):
         calls.append(rows)
@@ -301,7 +303,7 @@ def test_a_forest_that_ends_early_delivers_its_fewest(monkeypatch):
             return MergePlan(pairs[:0], costs[:0], 0)
         return whole(pairs, costs, rows, limit)
 
-    monkeypatch.setattr(tree, "match", match)
+    monkeypatch.setattr(growth, "match", match)
     small, report = nanogs.simplify(random_splats(40), count=2, preset="fast")
     assert report.stop == StopReason.NO_PROGRESS
     assert len(small) == report.achieved_count == calls[-1] > 2
@@ -539,11 +541,9 @@ def test_the_stages_of_one_forest_answer_many_counts():
     parameters = PRESETS["fast"]
     clock = StageClock()
     rows = np.arange(200)
-    build = forest_pipeline.build_forest(
-        splats, rows, parameters, None, 1, clock, Tracker(None, [])
-    )
+    build = pipeline_run.build_forest(splats, rows, parameters, None, 1, clock, Tracker(None, []))
     for count in (1, 7, 100, 199, 200):
-        outcome = forest_pipeline.deliver(build, count, clock, Tracker(None, []))
+        outcome = pipeline_run.deliver(build, count, clock, Tracker(None, []))
         alone, _ = nanogs.simplify(splats, count=count, preset="fast")
         assert model_bytes(outcome.splats) == model_bytes(alone)
     assert all(isinstance(one, PassReport) for one in build.forest.passes)

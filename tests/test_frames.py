@@ -12,8 +12,8 @@ from launch import run as run_command
 from nanogs.errors import OptionError
 from nanogs.frames import FRAMES, TRAINED, Y_UP, change_between, change_frame
 from nanogs.io.registry import formats
-from nanogs.render.rasterize import render
-from nanogs.render.views import automatic_cameras
+from nanogs.raster.rendering import render
+from nanogs.views.automatic import automatic_cameras
 
 # By hand: what the axes of each of these are in the frame of training.
 TURNS = {

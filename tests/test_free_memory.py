@@ -10,13 +10,13 @@ import pytest
 import nanogs
 from nanogs import memory
 from nanogs.cli.failures import sentence_of
-from nanogs.compare.needed import needed_bytes
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import NotEnoughMemoryError
 from nanogs.io.files import splat_bytes
 from nanogs.lod.levels import judged_levels
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, free_memory, process_memory
-from nanogs.simplify.presets import effective, parameters
+from nanogs.pipeline.presets import effective, parameters
+from nanogs.scoring.needed import needed_bytes
 
 GB = 10**9
 COUNT = 60_000
@@ -248,7 +248,7 @@ def test_in_python_a_comparison_that_would_not_fit_is_refused_before_work(tmp_pa
     splats, path = make_scene(2000), tmp_path / "a.ply"
     nanogs.save(splats, path)
     monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(100_000, "free on this machine"))
-    monkeypatch.setattr("nanogs.compare.api.as_splats", None)  # nothing is read
+    monkeypatch.setattr("nanogs.scoring.api.as_splats", None)  # nothing is read
     for models in ((splats, splats), (path, splats), (path, path)):
         with pytest.raises(NotEnoughMemoryError, match="fewer or smaller views"):
             nanogs.compare(*models)
@@ -264,7 +264,7 @@ def test_in_python_a_comparison_that_would_not_fit_is_refused_before_work(tmp_pa
 def test_levels_that_are_measured_hold_the_views_of_the_original(monkeypatch):
     splats, asked = make_scene(2000), []
     monkeypatch.setattr(
-        "nanogs.simplify.job.refuse_too_large", lambda _what, needed, *_: asked.append(needed)
+        "nanogs.pipeline.job.refuse_too_large", lambda _what, needed, *_: asked.append(needed)
     )
     for judged in (False, True):
         judged_levels(splats, [0.5], judged=judged)

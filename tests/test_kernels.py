@@ -1,7 +1,6 @@
 """Each kernel against its plain float64 twin."""
 
 import dataclasses
-import importlib
 import math
 import os
 import subprocess
@@ -35,18 +34,15 @@ from nanogs.kernels.pairs import collect_free, count_pairs, fill_firsts, fill_se
 from nanogs.kernels.quaternion import rotation_matrix, unit_quaternion
 from nanogs.kernels.radix import radix_sort
 from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix
-from nanogs.simplify.cost import JITTER, log_masses, pair_costs
-from nanogs.simplify.graph import neighbour_pairs
-from nanogs.simplify.match import MergePlan, match
-from nanogs.simplify.merge import merge
-from nanogs.simplify.neighbours import coincident_groups, nearest_neighbours
-from nanogs.simplify.order import morton_codes
-from nanogs.simplify.presets import PaperParameters
+from nanogs.method import match as stage_four
+from nanogs.method.graph import neighbour_pairs
+from nanogs.method.match import MergePlan, match
+from nanogs.method.neighbours import coincident_groups, nearest_neighbours
+from nanogs.method.order import morton_codes
+from nanogs.method.paper.cost import JITTER, log_masses, pair_costs
+from nanogs.method.paper.merge import merge
+from nanogs.pipeline.presets import PaperParameters
 from nanogs.threads import use_threads
-
-stage_four = importlib.import_module(
-    "nanogs.simplify.match"
-)  # the package has a function so called
 
 
 def random_quats(count, seed=0):

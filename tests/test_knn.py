@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 import twins
 from nanogs.kernels import lanes
-from nanogs.simplify.neighbours import nearest_neighbours
+from nanogs.method.neighbours import nearest_neighbours
 
 
 def outliers(rng, n):

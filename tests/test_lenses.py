@@ -13,7 +13,7 @@ from launch import run
 from nanogs import io
 from nanogs.datasets.dataset import cameras_from_file, open_dataset
 from nanogs.errors import FormatError
-from nanogs.render.lens import Lens, lens_notes
+from nanogs.raster.lens import Lens, lens_notes
 
 SIZE = (160, 120)
 WHITE = (1.0, 1.0, 1.0)

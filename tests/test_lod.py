@@ -49,13 +49,11 @@ def test_every_level_is_what_simplify_gives(splats, preset):
 
 
 def test_one_build_serves_all_levels(splats, monkeypatch):
-    from nanogs.simplify import forest_pipeline
+    from nanogs.pipeline import run as pipeline_run
 
     built = []
-    grow = forest_pipeline.grow_forest
-    monkeypatch.setattr(
-        forest_pipeline, "grow_forest", lambda *given: built.append(1) or grow(*given)
-    )
+    grow = pipeline_run.grow_forest
+    monkeypatch.setattr(pipeline_run, "grow_forest", lambda *given: built.append(1) or grow(*given))
     assert len(list(nanogs.levels(splats, RATIOS, preset="fast"))) == 3
     assert built == [1]
 

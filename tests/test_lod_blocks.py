@@ -19,6 +19,7 @@ from nanogs.lod import blocks_folder
 from nanogs.lod.cells import divide
 from nanogs.lod.in_blocks import write_levels_in_blocks
 from nanogs.lod.layout import Layout, made_files
+from nanogs.pipeline.presets import ForestParameters
 from nanogs.scale import run as scale_run
 from nanogs.scale import work
 from nanogs.scale.chunked import cut_of
@@ -29,7 +30,6 @@ from nanogs.scale.scratch import FolderScratch
 from nanogs.scale.settings import SOG, TILES, Chunks
 from nanogs.scale.settings import Layout as Columns
 from nanogs.scale.tables import write_files
-from nanogs.simplify.presets import ForestParameters
 from nanogs.splats import concatenate
 from test_lod_stream import assert_binary, files, leaves, seen_by_the_viewer
 from test_scale_runs import wall
@@ -389,8 +389,8 @@ def test_the_command(tmp_path):
 
 def coverage(splats, size=160):
     """(size, size): how opaque a wall is, seen from the front."""
-    from nanogs.render.camera import Camera
-    from nanogs.render.rasterize import prepare, render
+    from nanogs.raster.camera import Camera
+    from nanogs.raster.rendering import prepare, render
 
     pose = np.eye(4)
     pose[2, 3] = 2.0

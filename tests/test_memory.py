@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from nanogs.memory import LIBRARIES
-from nanogs.simplify.memory import plan_memory
-from nanogs.simplify.presets import parameters
+from nanogs.pipeline.memory import plan_memory
+from nanogs.pipeline.presets import parameters
 
 COUNT = 300_000
 COLUMNS = 4 * 59  # bytes of a splat of SH degree 3

@@ -13,8 +13,8 @@ import pytest
 from conftest import scene_path
 from nanogs.kernels.harmonics import C0
 from nanogs.metrics import psnr
-from nanogs.render.camera import Camera
-from nanogs.render.rasterize import prepare, render
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
 
 EXPECTED = {0: 25.6, 10: 24.9, 50: 23.0, 120: 22.7}  # dB, of the reference rasteriser

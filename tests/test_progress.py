@@ -7,13 +7,13 @@ import pytest
 from tests.builders import random_splats
 
 import nanogs
-from nanogs.compare.comparison import NamedModel, compare_models
+from nanogs.fit.parameters import RefitParameters
 from nanogs.lod.layout import Layout
 from nanogs.lod.write import write_levels
 from nanogs.progress import Stage, Step, Tracker, each
-from nanogs.refit.parameters import RefitParameters
-from nanogs.render.images import render_images
-from nanogs.render.views import automatic_cameras
+from nanogs.raster.images import render_images
+from nanogs.scoring.comparison import NamedModel, compare_models
+from nanogs.views.automatic import automatic_cameras
 
 pytestmark = pytest.mark.usefixtures("small_views")
 PLAN = [Stage("first", 1.0), Stage("second", 3.0)]

@@ -10,13 +10,13 @@ import pytest
 import nanogs
 from launch import run
 from nanogs.cli.simplify_run import _judge
-from nanogs.compare.held_out import held_out
-from nanogs.compare.protocol import Protocol
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import ModelError
 from nanogs.io.collect import Pair
-from nanogs.render.views import automatic_cameras
-from nanogs.simplify.visibility import look
+from nanogs.method.visibility import look
+from nanogs.scoring.held_out import held_out
+from nanogs.scoring.protocol import Protocol
+from nanogs.views.automatic import automatic_cameras
 from viewer_bundle import require_bundle
 
 WORDS = "8 held-out views of 512 pixels"
@@ -95,7 +95,7 @@ def test_a_result_that_cannot_be_measured_says_why(monkeypatch):
     def unseen(*_arguments, **_options):
         raise ModelError("Nothing is visible.")
 
-    monkeypatch.setattr("nanogs.compare.held_out.judge_file", unseen)
+    monkeypatch.setattr("nanogs.scoring.held_out.judge_file", unseen)
     request = SimpleNamespace(frames=None, given={"threads": 1})
     pair, progress = Pair(Path("a.ply"), Path("b.ply")), SimpleNamespace(part=None)
     notes = ("The result was not measured: Nothing is visible.",)

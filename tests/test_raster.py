@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from nanogs.errors import OptionError
 from nanogs.kernels import harmonics, listing, raster
 from nanogs.kernels import project as project_kernels
-from nanogs.render.camera import Camera
-from nanogs.render.rasterize import SURFEL_NOTE, prepare, probe, project, render
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import SURFEL_NOTE, prepare, probe, project, render
 from nanogs.splats import RenderMode, Splats
 from raster_twin import render_twin, sh_basis
 

@@ -5,9 +5,9 @@ import pytest
 
 import nanogs
 from conftest import peer_path, scene_path
-from nanogs.compare.comparison import NamedModel, compare_models
-from nanogs.render.rasterize import prepare, render
-from nanogs.render.views import automatic_cameras
+from nanogs.raster.rendering import prepare, render
+from nanogs.scoring.comparison import NamedModel, compare_models
+from nanogs.views.automatic import automatic_cameras
 
 SCENES = {
     "biker": ("biker.compressed.ply", 152_746),

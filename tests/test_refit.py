@@ -12,22 +12,22 @@ from numba.core import config
 from builders import cloud_pair, model_bytes
 from conftest import peer_path, scene_path
 from nanogs import RefitParameters, refit
-from nanogs.compare.scoring import reference_views, score
 from nanogs.errors import ModelError, OptionError
+from nanogs.fit.descent import Descent
+from nanogs.fit.groups import grouped, hold_out, split
+from nanogs.fit.report import RefitStop
+from nanogs.fit.state import MeanState, activate, start, store
+from nanogs.fit.targets import ALPHA, WHITE, Fitting, make_target, pull, squared_error, sum_pulls
 from nanogs.io import load
 from nanogs.kernels import backward, damped
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.damped import LANES
-from nanogs.refit.descent import Descent
-from nanogs.refit.groups import grouped, hold_out, split
-from nanogs.refit.report import RefitStop
-from nanogs.refit.state import MeanState, activate, start, store
-from nanogs.refit.targets import ALPHA, WHITE, Fitting, make_target, pull, squared_error, sum_pulls
-from nanogs.render.camera import Camera
-from nanogs.render.rasterize import prepare, project
-from nanogs.render.roam import roaming_cameras
-from nanogs.render.views import automatic_cameras
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import prepare, project
+from nanogs.scoring.scores import reference_views, score
 from nanogs.splats import RenderMode, Splats
+from nanogs.views.automatic import automatic_cameras
+from nanogs.views.roam import roaming_cameras
 from refit_twin import (
     AdvanceTwin,
     blend_twin,

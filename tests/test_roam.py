@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from nanogs.errors import ModelError, OptionError
-from nanogs.render import roam
-from nanogs.render.free_space import FreeSpace
-from nanogs.render.rasterize import prepare, render
-from nanogs.render.roam import roaming_cameras
+from nanogs.raster.rendering import prepare, render
 from nanogs.splats import concatenate
+from nanogs.views import roam
+from nanogs.views.free_space import FreeSpace
+from nanogs.views.roam import roaming_cameras
 from test_views import SCENE, ball, cloud, product, room
 
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import FormatError, ModelError, NanogsError, OptionError, OutputError
+from nanogs.pipeline.presets import ForestParameters
 from nanogs.scale import run, work
 from nanogs.scale.budget import budget
 from nanogs.scale.columns import CODES
@@ -37,7 +38,6 @@ from nanogs.scale.settings import (
 from nanogs.scale.settle import keep_every_group
 from nanogs.scale.spill import DIGEST
 from nanogs.scale.tables import Place, Table, read_record, verified, write_table
-from nanogs.simplify.presets import ForestParameters
 from torchfiles import File
 
 FAST = {"preset": "fast", "block": 400, "threads": 1}

@@ -13,11 +13,11 @@ from conftest import scene_path
 from launch import run as run_command
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import sog_packed, spz
+from nanogs.pipeline.target import Goal
 from nanogs.scale import run, source, work
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.settings import Access
 from nanogs.scale.unpack import Cost
-from nanogs.simplify.target import Goal
 from plyfiles import BASE, ply
 from torchfiles import File
 

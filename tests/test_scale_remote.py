@@ -21,6 +21,8 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import FormatError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
+from nanogs.pipeline.presets import ForestParameters
+from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.scale import cluster
 from nanogs.scale.api import block_parameters, plan_job
@@ -28,8 +30,6 @@ from nanogs.scale.plan import held_bytes
 from nanogs.scale.run import Here, run_tasks
 from nanogs.scale.scratch import FolderScratch, open_scratch
 from nanogs.scale.settings import Layout
-from nanogs.simplify.presets import ForestParameters
-from nanogs.simplify.target import Goal
 
 COUNT, BLOCK = 48_000, 18_000
 MEMORY = int((LIBRARIES + BLOCK * held_bytes(Layout(0, False, (), "default", (), ()),

@@ -16,6 +16,8 @@ import launch
 import nanogs
 from builders import random_splats
 from nanogs.memory import LIBRARIES
+from nanogs.pipeline.presets import ForestParameters
+from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.report import StageClock
 from nanogs.scale import cluster
@@ -26,8 +28,6 @@ from nanogs.scale.result import write_result
 from nanogs.scale.run import Here, run_tasks
 from nanogs.scale.scratch import FolderScratch
 from nanogs.scale.settings import Layout
-from nanogs.simplify.presets import ForestParameters
-from nanogs.simplify.target import Goal
 
 COUNT = 40_000
 BLOCK = {"preset": "fast", "rounds": 1, "block": 14_000, "threads": 1}
@@ -232,8 +232,8 @@ def in_blocks(splats, folder, ratio, rounds):
 @pytest.mark.parametrize("rounds", [0, 2])
 def test_no_seam_shows_between_blocks(tmp_path, rounds):
     """The error of pixels near a border is that of the others, to a few hundredths."""
-    from nanogs.render.camera import Camera
-    from nanogs.render.rasterize import prepare, render
+    from nanogs.raster.camera import Camera
+    from nanogs.raster.rendering import prepare, render
 
     original = wall()
     small, of_block = in_blocks(original, tmp_path, 0.1, rounds)

@@ -7,12 +7,12 @@ from scipy.spatial.transform import Rotation
 import nanogs
 import twins
 from nanogs.kernels.sheets import DENSE, FLATNESS
+from nanogs.method.growth import SHEET_GROWTH, growth_on_sheets
+from nanogs.method.nodes import Nodes, gather
 from nanogs.metrics import psnr
-from nanogs.render.rasterize import prepare, render
-from nanogs.render.views import automatic_cameras
-from nanogs.simplify.growth import SHEET_GROWTH, growth_on_sheets
-from nanogs.simplify.nodes import Nodes, gather
+from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
 
 
 def plane(count, seed=0):

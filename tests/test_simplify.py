@@ -15,12 +15,12 @@ from scipy.spatial import ConvexHull
 import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import ModelError, OptionError
+from nanogs.method import match as match_stage
+from nanogs.method.paper import passes
+from nanogs.method.paper.prune import prune
+from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.target import target_count
 from nanogs.report import StopReason
-from nanogs.simplify import match as match_stage
-from nanogs.simplify import pipeline
-from nanogs.simplify.presets import PRESETS
-from nanogs.simplify.prune import prune
-from nanogs.simplify.target import target_count
 from nanogs.splats import ExtraElement, Splats
 
 # What is rendered and fitted is not the matter here.
@@ -253,7 +253,7 @@ def test_all_opacities_nan(preset):
 
 def test_costs_without_a_number_end_the_loop_and_the_report_says_why(monkeypatch):
     monkeypatch.setattr(
-        pipeline, "pair_costs", lambda g, pairs, *_: np.full(len(pairs), np.nan, np.float32)
+        passes, "pair_costs", lambda g, pairs, *_: np.full(len(pairs), np.nan, np.float32)
     )
     small, report = nanogs.simplify(random_splats(20), count=5, tau=0, preset="paper")
     assert report.stop == StopReason.NO_CANDIDATES
@@ -265,7 +265,7 @@ def test_a_pass_that_merges_nothing_ends_the_loop(monkeypatch):
     def nothing(pairs, costs, rows, limit):
         return match_stage.MergePlan(pairs[:0], costs[:0], 0)
 
-    monkeypatch.setattr(pipeline, "match", nothing)
+    monkeypatch.setattr(passes, "match", nothing)
     assert (
         nanogs.simplify(random_splats(20), count=5, preset="paper")[1].stop
         == StopReason.NO_PROGRESS

@@ -8,19 +8,19 @@ import pytest
 
 import nanogs
 from builders import model_bytes, random_splats
-from nanogs.compare.comparison import NamedModel, compare_models
-from nanogs.compare.held_out import held_out
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import encoded_bytes, ply_write, registry
-from nanogs.render.views import automatic_cameras
+from nanogs.pipeline import run as pipeline_run
+from nanogs.pipeline.fit_size import ENOUGH, search_fit
+from nanogs.pipeline.fit_size import MOST_PROBES as FIT_PROBES
+from nanogs.pipeline.fit_size import TOLERANCE as CLOSE
+from nanogs.pipeline.reach import MOST_PROBES, SPAN, STEPS, search_count
+from nanogs.pipeline.target import Goal, count_for_size
 from nanogs.report import StopReason
-from nanogs.simplify import forest_pipeline
-from nanogs.simplify.fit_size import ENOUGH, search_fit
-from nanogs.simplify.fit_size import MOST_PROBES as FIT_PROBES
-from nanogs.simplify.fit_size import TOLERANCE as CLOSE
-from nanogs.simplify.reach import MOST_PROBES, SPAN, STEPS, search_count
-from nanogs.simplify.target import Goal, count_for_size
+from nanogs.scoring.comparison import NamedModel, compare_models
+from nanogs.scoring.held_out import held_out
 from nanogs.splats import ExtraElement, RenderMode
+from nanogs.views.automatic import automatic_cameras
 
 
 @pytest.fixture(scope="module")
@@ -362,7 +362,7 @@ def test_the_search_is_bounded():
 
 
 def test_a_ratio_of_one_grows_nothing(splats, monkeypatch):
-    monkeypatch.setattr(forest_pipeline, "grow_forest", None)
+    monkeypatch.setattr(pipeline_run, "grow_forest", None)
     bad = splats.take(np.arange(len(splats)))
     bad.means[7] = np.nan
     for preset in ("fast", "default", "best"):

@@ -9,9 +9,9 @@ import twins
 from conftest import scene_path
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import load
-from nanogs.render.occupancy import sample
-from nanogs.render.stance import ALL_AROUND, UPRIGHT, own_stance
-from nanogs.render.views import automatic_cameras, survey
+from nanogs.views.automatic import automatic_cameras, survey
+from nanogs.views.occupancy import sample
+from nanogs.views.stance import ALL_AROUND, UPRIGHT, own_stance
 from test_views import ball, cloud, product, room
 
 SCENE = make_scene(6_000)  # on a floor, up is (0, -1, 0)

@@ -6,10 +6,10 @@ import pytest
 from conftest import scene_path
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import load
-from nanogs.render.occupancy import find_core, sample
-from nanogs.render.up import detect_up
-from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
+from nanogs.views.occupancy import find_core, sample
+from nanogs.views.up import detect_up
 
 SCENE = make_scene(6_000)  # on a floor, up is (0, -1, 0)
 # Rotations wxyz, and where they take (0, -1, 0).

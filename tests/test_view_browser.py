@@ -12,14 +12,14 @@ import pytest
 import nanogs
 from builders import random_splats
 from conftest import scene_path
-from nanogs.compare.run import compare_files
 from nanogs.metrics import psnr
-from nanogs.render.camera import Camera
-from nanogs.render.opening import opening_for
-from nanogs.render.poses import look_at
-from nanogs.render.rasterize import render
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import render
+from nanogs.scoring.run import compare_files
 from nanogs.splats import RenderMode
 from nanogs.view.run import view_files
+from nanogs.views.opening import opening_for
+from nanogs.views.poses import look_at
 from viewer_bundle import require_bundle
 
 CHROMIUM = next(

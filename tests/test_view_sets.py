@@ -10,12 +10,12 @@ from nanogs.bench.protocol import run_bench
 from nanogs.bench.scenes import BenchScene
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.tables import scene_table
-from nanogs.compare.protocol import usual_views
-from nanogs.compare.run import compare_files
-from nanogs.compare.view_sets import parse_sources, view_sets
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import OptionError
 from nanogs.formatting import number_text
+from nanogs.scoring.protocol import usual_views
+from nanogs.scoring.run import compare_files
+from nanogs.scoring.view_sets import parse_sources, view_sets
 from test_cli import run
 
 SCENE = make_scene(1500)
@@ -64,7 +64,7 @@ def test_there_are_as_many_views_as_usual_of_each_kind():
 
 
 def test_fewer_views_than_asked_for_are_said(monkeypatch):
-    monkeypatch.setattr("nanogs.render.roam.TRIES", 12)
+    monkeypatch.setattr("nanogs.views.roam.TRIES", 12)
     [found] = view_sets(SCENE, ["roam"], [(16, 16)], views=8)
     assert 1 < len(found.cameras) < 8
     assert found.notes == (f"roam: {len(found.cameras)} views were found of 8 asked for",)

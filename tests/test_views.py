@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from conftest import scene_path
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import ModelError, OptionError
-from nanogs.render.poses import look_at, low_discrepancy
-from nanogs.render.views import automatic_cameras
 from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
+from nanogs.views.poses import look_at, low_discrepancy
 
 SCENE = make_scene(6_000)
 

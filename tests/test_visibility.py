@@ -8,10 +8,10 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs.errors import ModelError
-from nanogs.render.views import automatic_cameras
+from nanogs.method import visibility
 from nanogs.report import StopReason
-from nanogs.simplify import visibility
 from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
 
 
 def box_with_something_inside():

@@ -9,14 +9,14 @@ import numpy as np
 
 import nanogs
 from nanogs._types import F32, U8
-from nanogs.compare.comparison import Comparison, NamedModel, compare_models
-from nanogs.compare.pictures import error_map
 from nanogs.datasets.plant import load_plant
-from nanogs.render.camera import Camera
-from nanogs.render.images import to_bytes
-from nanogs.render.rasterize import render
-from nanogs.render.views import automatic_cameras
+from nanogs.raster.camera import Camera
+from nanogs.raster.images import to_bytes
+from nanogs.raster.rendering import render
+from nanogs.scoring.comparison import Comparison, NamedModel, compare_models
+from nanogs.scoring.pictures import error_map
 from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
 
 RATIOS = (0.25, 0.1, 0.03)
 WIDTH, HEIGHT, VIEWS = 480, 480, 4

@@ -39,8 +39,8 @@ def compile_later_stages() -> None:
 
     import nanogs
     from nanogs.datasets.synthetic import make_scene
+    from nanogs.method.match import match
     from nanogs.metrics import ssim
-    from nanogs.simplify.match import match
 
     nanogs.simplify(make_scene(200), ratio=0.1, preset="fast", rounds=1)
     chain = np.arange(1000, dtype=np.int32)  # of which rounds leave most to the sorted walk

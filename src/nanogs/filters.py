@@ -13,7 +13,7 @@ import numpy as np
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import counted
-from nanogs.simplify.job import refuse_misaligned_elements
+from nanogs.pipeline.job import refuse_misaligned_elements
 from nanogs.splats import Splats, refuse_other
 
 NEIGHBOURS = 8  # clusters of up to so many splats can be floaters
@@ -194,7 +194,7 @@ def in_company(neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS) -> 
 
 
 def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:
-    from nanogs.simplify.neighbours import nearest_neighbours
+    from nanogs.method.neighbours import nearest_neighbours
     from nanogs.threads import use_threads
 
     found = np.zeros(len(splats), np.bool_)

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from nanogs.compare.protocol import Judged
-from nanogs.refit.report import RefitReport
+from nanogs.fit.report import RefitReport
+from nanogs.scoring.protocol import Judged
 
 
 class StopReason(StrEnum):

@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from nanogs.formatting import counted
-from nanogs.render.camera import Camera
+from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 
 WIDTH, HEIGHT = 480, 320  # of the picture, pixels
@@ -53,8 +53,8 @@ def _render(splats: Splats) -> bytes:
 
     from PIL import Image
 
-    from nanogs.render.images import to_bytes
-    from nanogs.render.rasterize import render
+    from nanogs.raster.images import to_bytes
+    from nanogs.raster.rendering import render
 
     file = BytesIO()
     Image.fromarray(to_bytes(render(splats, _overview(splats)).color)).save(file, format="PNG")
@@ -63,8 +63,8 @@ def _render(splats: Splats) -> bytes:
 
 def _overview(splats: Splats) -> Camera:
     """Where `nanogs view` begins too."""
-    from nanogs.render.opening import opening_for
-    from nanogs.render.poses import look_at
+    from nanogs.views.opening import opening_for
+    from nanogs.views.poses import look_at
 
     start = opening_for(splats)
     focal = min(WIDTH, HEIGHT) / 2 / start.lens

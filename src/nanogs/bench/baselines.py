@@ -14,7 +14,7 @@ from nanogs.bench.significance import significance
 from nanogs.bench.voxel import merge_voxels
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import counted
-from nanogs.render.camera import Camera
+from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nanogs.render.camera import Camera
+from nanogs.raster.camera import Camera
 from nanogs.splats import RenderMode, Splats
 
 _REPEATS = 5

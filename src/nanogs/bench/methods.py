@@ -8,8 +8,8 @@ from typing import Any
 
 from nanogs.bench.baselines import BASELINES, Method, MethodContext
 from nanogs.errors import OptionError
-from nanogs.simplify.api import simplify
-from nanogs.simplify.presets import PRESETS, parameters
+from nanogs.pipeline.api import simplify
+from nanogs.pipeline.presets import PRESETS, parameters
 from nanogs.splats import Splats
 
 _SWITCHES = {"true": True, "false": False}

@@ -15,13 +15,13 @@ from nanogs.bench.scenes import BenchScene, SceneViews, fill, scene_of_file, sce
 from nanogs.bench.settings import BenchSettings, refuse_twins
 from nanogs.bench.worker import Job, run_job
 from nanogs.cleanup import temporary_folder
-from nanogs.compare.scoring import EXTRA_METRICS, ModelScore, score
 from nanogs.errors import NanogsError, OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect, load
-from nanogs.render.camera import Camera
-from nanogs.render.rasterize import PreparedSplats, prepare, render
-from nanogs.simplify.target import target_count
+from nanogs.pipeline.target import target_count
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import PreparedSplats, prepare, render
+from nanogs.scoring.scores import EXTRA_METRICS, ModelScore, score
 from nanogs.splats import Splats
 from nanogs.threads import use_threads
 

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, overload
 from nanogs.bench.published import DATASETS, image_folder
 from nanogs.bench.rows import Against
 from nanogs.bench.settings import BenchSettings
-from nanogs.compare.protocol import BLACK, Background, background_text
 from nanogs.errors import FormatError, OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect
 from nanogs.io.collect import WHOLE_FOLDERS, collect
-from nanogs.render.camera import Camera
-from nanogs.render.source import AUTOMATIC
+from nanogs.raster.camera import Camera
+from nanogs.scoring.protocol import BLACK, Background, background_text
 from nanogs.splats import Splats
+from nanogs.views.cameras import AUTOMATIC
 
 if TYPE_CHECKING:  # these bring Numba
-    from nanogs.compare.scoring import ReferenceView
     from nanogs.datasets.dataset import Dataset
     from nanogs.datasets.frame import Frame
+    from nanogs.scoring.scores import ReferenceView
 
 TRAINED_MODEL = "{folder}/{scene}/point_cloud/iteration_30000/point_cloud.ply"
 
@@ -175,7 +175,7 @@ def scene_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> S
 
 def _fit_cameras(scene: BenchScene, splats: Splats, settings: BenchSettings) -> tuple[Camera, ...]:
     """Automatic views that baselines learn from."""
-    from nanogs.render.views import automatic_cameras
+    from nanogs.views.automatic import automatic_cameras
 
     size, kind = settings.sizes[0], AUTOMATIC.get(settings.kinds[0], "auto")
     return tuple(
@@ -186,9 +186,9 @@ def _fit_cameras(scene: BenchScene, splats: Splats, settings: BenchSettings) -> 
 
 
 def _automatic_views(scene: BenchScene, splats: Splats, settings: BenchSettings) -> SceneViews:
-    from nanogs.compare.scoring import reference_views
-    from nanogs.compare.view_sets import view_sets
-    from nanogs.render.rasterize import prepare
+    from nanogs.raster.rendering import prepare
+    from nanogs.scoring.scores import reference_views
+    from nanogs.scoring.view_sets import view_sets
 
     prepared = prepare(splats)
     sizes = [(size, size) for size in settings.sizes]
@@ -250,7 +250,7 @@ class PhotoViews(Sequence["ReferenceView"]):
     @overload
     def __getitem__(self, index: slice) -> "PhotoViews": ...
     def __getitem__(self, index: int | slice) -> "ReferenceView | PhotoViews":
-        from nanogs.compare.scoring import ReferenceView
+        from nanogs.scoring.scores import ReferenceView
 
         if isinstance(index, slice):
             return PhotoViews(self._dataset, self._frames[index], self._background)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 from nanogs.bench.methods import all_methods, find_method
 from nanogs.bench.rows import ORIGINAL
-from nanogs.compare.protocol import Background
 from nanogs.errors import OptionError
-from nanogs.render.source import FOUND
+from nanogs.scoring.protocol import Background
+from nanogs.views.cameras import FOUND
 
 RATIOS = (0.1, 0.01, 0.001)
 

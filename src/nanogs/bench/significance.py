@@ -12,7 +12,7 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.errors import OptionError
-from nanogs.render.camera import Camera
+from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 
 BETA = 0.1
@@ -50,7 +50,7 @@ def view_contributions(splats: Splats, cameras: Sequence[Camera]) -> F64:
     Raises:
         OptionError: There is no camera.
     """
-    from nanogs.render.rasterize import prepare, render  # brings Numba
+    from nanogs.raster.rendering import prepare, render  # brings Numba
 
     if not cameras:
         raise OptionError("Significance needs views to learn from; give at least one camera.")

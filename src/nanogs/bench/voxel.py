@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from nanogs._types import F64, I64, F
-from nanogs.simplify.gaussians import Gaussians, activate, scene_origin, store
+from nanogs.method.gaussians import Gaussians, activate, scene_origin, store
 from nanogs.splats import Splats
 
 _BISECTIONS = 40

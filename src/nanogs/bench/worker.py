@@ -16,8 +16,8 @@ from nanogs.bench.methods import find_method
 from nanogs.cleanup import cleaned_up, undisturbed
 from nanogs.errors import NanogsError
 from nanogs.io import load, save
-from nanogs.render.camera import Camera
-from nanogs.simplify.target import target_count
+from nanogs.pipeline.target import target_count
+from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 
 _WARM_UP = 1000  # splats on which the kernels are compiled or read from their cache

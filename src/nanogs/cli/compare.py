@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from nanogs.cli import options
-from nanogs.compare.protocol import PIXELS
 from nanogs.formatting import bytes_text, number_text
+from nanogs.scoring.protocol import PIXELS
 from nanogs.view.bundle import is_built
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from nanogs.compare.comparison import Comparison
+    from nanogs.scoring.comparison import Comparison
 
 
 def compare(
@@ -80,7 +80,7 @@ def compare(
         if not quiet:
             warn("The page has no interactive part; this installation was built without a viewer.")
         interactive = False
-    from nanogs.compare.run import compare_files
+    from nanogs.scoring.run import compare_files
     from nanogs.threads import use_threads
 
     with shown(quiet=quiet or json) as progress, use_threads(threads):

@@ -15,9 +15,9 @@ from nanogs.formatting import counted, sizes_text, time_text
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
+from nanogs.pipeline.stages import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import StageClock
-from nanogs.simplify.stages import read_weight, write_weight
 from nanogs.splats import RenderMode, Splats
 
 

@@ -10,7 +10,7 @@ from nanogs.cli import blocks, file_options, method, options
 from nanogs.cli.importing import uncollected
 from nanogs.defaults import CHUNK, PATIENCE
 from nanogs.errors import OptionError
-from nanogs.simplify.presets import DEFAULT_PRESET, parameters
+from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
 
 _LEVELS = "0.5,0.25,0.1,0.01"
 

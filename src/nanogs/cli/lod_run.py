@@ -23,17 +23,17 @@ from nanogs.cli.simplify_report import (
     show_plan,
     warn_of_input,
 )
-from nanogs.compare.protocol import Protocol
 from nanogs.formatting import bytes_text, counted, number_text, time_text
 from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.layout import Layout, Output
 from nanogs.lod.write import write_levels, write_levels_stages
+from nanogs.pipeline.cameras import requested_cameras
+from nanogs.pipeline.job import import_stages
+from nanogs.pipeline.presets import renders
+from nanogs.pipeline.target import target_count
 from nanogs.progress import Tracker
 from nanogs.report import StageClock
-from nanogs.simplify.cameras import requested_cameras
-from nanogs.simplify.job import import_stages
-from nanogs.simplify.presets import renders
-from nanogs.simplify.target import target_count
+from nanogs.scoring.protocol import Protocol
 
 if TYPE_CHECKING:
     from nanogs.scale.plan import ScalePlan

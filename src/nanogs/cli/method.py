@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from nanogs.cli import options
-from nanogs.simplify.cameras import refuse_unused_views
-from nanogs.simplify.presets import PRESETS, SUMMARIES, Parameters
+from nanogs.pipeline.cameras import refuse_unused_views
+from nanogs.pipeline.presets import PRESETS, SUMMARIES, Parameters
 
 _ALL = "Parameters of every preset (each replaces the preset's value)"
 _FOREST = "Parameters of the presets default, fast and best"

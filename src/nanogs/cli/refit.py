@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from nanogs.cli import options
+from nanogs.fit.parameters import RefitParameters
 from nanogs.formatting import counted
-from nanogs.refit.parameters import RefitParameters
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -93,11 +93,11 @@ def _refit_files(
     """Read, fit and write; the report with the files' names and the seconds of I/O."""
     from nanogs.cli.console import with_file_seconds
     from nanogs.cli.progress import shown
+    from nanogs.fit.api import refit as library_refit
     from nanogs.io import load, losses, save
+    from nanogs.pipeline.cameras import fit_cameras
     from nanogs.progress import Tracker
-    from nanogs.refit.api import refit as library_refit
     from nanogs.report import StageClock
-    from nanogs.simplify.cameras import fit_cameras
 
     start, clock = time.perf_counter(), StageClock()
     with shown(quiet=quiet) as watch:
@@ -127,10 +127,10 @@ def _stages(
     original: Path, small: Path, target: Path, parameters: RefitParameters
 ) -> "list[Stage]":
     """The stages to come: reading, the fit's own ones, writing."""
+    from nanogs.fit.stages import refit_stages
     from nanogs.io import inspect
+    from nanogs.pipeline.stages import read_weight, write_weight
     from nanogs.progress import Stage
-    from nanogs.refit.stages import refit_stages
-    from nanogs.simplify.stages import read_weight, write_weight
 
     splats, count = inspect(original).splats, inspect(small).splats
     fit = refit_stages(parameters, splats, count)

@@ -8,8 +8,8 @@ import typer
 from nanogs.cli import blocks, file_options, method, options
 from nanogs.cli.importing import uncollected
 from nanogs.defaults import PATIENCE
+from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
 from nanogs.quantities import parse_bytes
-from nanogs.simplify.presets import DEFAULT_PRESET, parameters
 
 
 def simplify(
@@ -90,7 +90,7 @@ def simplify(
         from nanogs.cli import framing, many, reading, streams, too_large
         from nanogs.cli.simplify_report import print_report
         from nanogs.cli.simplify_run import Request, plan_one, run_one
-        from nanogs.simplify.target import Goal
+        from nanogs.pipeline.target import Goal
 
     overrides: dict[str, Any] = {
         "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,

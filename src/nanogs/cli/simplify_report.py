@@ -9,15 +9,15 @@ from rich.table import Table
 
 from nanogs.cli.console import arrow, err, key_value_table, print_json, say, show, warn
 from nanogs.cli.filtering import report_filters
-from nanogs.compare.protocol import Judged, Protocol
 from nanogs.formatting import bytes_text, counted, number_text, sizes_text, time_text
 from nanogs.io import FileInfo, registry
 from nanogs.memory import LIBRARIES
+from nanogs.pipeline.memory import MemoryPlan, plan_memory
+from nanogs.pipeline.presets import Parameters, effective, renders
+from nanogs.pipeline.target import Goal
 from nanogs.report import StopReason
 from nanogs.scale.plan import can_do_without_renders, in_blocks
-from nanogs.simplify.memory import MemoryPlan, plan_memory
-from nanogs.simplify.presets import Parameters, effective, renders
-from nanogs.simplify.target import Goal
+from nanogs.scoring.protocol import Judged, Protocol
 
 if TYPE_CHECKING:
     from nanogs.scale.encoding import Encoding

@@ -13,21 +13,21 @@ from nanogs.cli.importing import uncollected
 from nanogs.cli.reading import Reading, inspect_parts, read_parts
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_wish
 from nanogs.cli.too_large import Blocks, refuse_whole_model_wishes
-from nanogs.compare.protocol import Judged
 from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
+from nanogs.pipeline.api import refuse_searches, target_of
+from nanogs.pipeline.api import simplify as library_simplify
+from nanogs.pipeline.cameras import requested_cameras
+from nanogs.pipeline.job import import_stages, usable_rows
+from nanogs.pipeline.presets import Parameters, renders
+from nanogs.pipeline.stages import measure_stage, simplify_stages, write_weight
+from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import StageClock
-from nanogs.simplify.api import refuse_searches, target_of
-from nanogs.simplify.api import simplify as library_simplify
-from nanogs.simplify.cameras import requested_cameras
-from nanogs.simplify.job import import_stages, usable_rows
-from nanogs.simplify.presets import Parameters, renders
-from nanogs.simplify.stages import measure_stage, simplify_stages, write_weight
-from nanogs.simplify.target import Goal
+from nanogs.scoring.protocol import Judged
 from nanogs.splats import Splats
 
 
@@ -209,7 +209,7 @@ def _judge(
     splats: Splats, pair: Pair, request: Request, progress: Tracker
 ) -> tuple[Judged | None, tuple[str, ...]]:
     """The numbers that `nanogs compare` gives the file, or why nothing can be measured."""
-    from nanogs.compare.held_out import judge_file
+    from nanogs.scoring.held_out import judge_file
 
     known = registry.find(pair.target)
     if known is not None and not known.readable:

@@ -10,10 +10,10 @@ from typing import Annotated
 import typer
 
 from nanogs.cli import options
-from nanogs.compare.protocol import PIXELS, VIEWS
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
+from nanogs.scoring.protocol import PIXELS, VIEWS
 
 
 def view(

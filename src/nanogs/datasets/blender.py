@@ -12,7 +12,7 @@ from nanogs.datasets import fields
 from nanogs.datasets.frame import Frame
 from nanogs.datasets.photos import find_photo, photo_size
 from nanogs.errors import FormatError, OptionError
-from nanogs.render.lens import Lens
+from nanogs.raster.lens import Lens
 
 # OpenGL cameras look along -z with y up, ours along +z with y down.
 _OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])

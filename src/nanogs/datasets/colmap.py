@@ -13,7 +13,7 @@ from nanogs.datasets.colmap_models import ColmapCamera, ColmapImage, intrinsics,
 from nanogs.datasets.colmap_text import read_cameras_text, read_images_text
 from nanogs.datasets.photos import is_file
 from nanogs.errors import FormatError
-from nanogs.render.camera import Camera
+from nanogs.raster.camera import Camera
 from nanogs.stored import rotations
 
 

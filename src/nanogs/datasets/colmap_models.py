@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from nanogs.datasets import fields
 from nanogs.errors import FormatError
-from nanogs.render.lens import Lens
+from nanogs.raster.lens import Lens
 
 
 @dataclass(frozen=True, slots=True)

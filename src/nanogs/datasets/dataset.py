@@ -14,7 +14,7 @@ from nanogs.datasets.inria import read_cameras_json
 from nanogs.datasets.photos import find_photo, is_file, is_transparent, photo_size, read_photo
 from nanogs.datasets.undistort import straightened, undistorted
 from nanogs.errors import FormatError, OptionError
-from nanogs.render.camera import Camera
+from nanogs.raster.camera import Camera
 
 Kind = Literal["blender", "colmap"]
 Split = Literal["test", "train"]

@@ -13,8 +13,8 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.files import TOLD_BY, refuse_stand_in
-from nanogs.render.camera import Camera
-from nanogs.render.lens import Lens
+from nanogs.raster.camera import Camera
+from nanogs.raster.lens import Lens
 
 RIGID_TOLERANCE = 1e-3  # largest entry of |RᵀR - I| taken for rounding
 MAX_SIDE = 65_536  # pixels; a larger side is damage, and would be allocated by a renderer

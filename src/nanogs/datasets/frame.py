@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from nanogs.render.camera import Camera
+from nanogs.raster.camera import Camera
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from nanogs.datasets import fields
-from nanogs.render.camera import Camera
+from nanogs.raster.camera import Camera
 
 
 def read_cameras_json(path: Path) -> list[Camera]:

@@ -8,8 +8,8 @@ import numpy as np
 
 from nanogs._types import F32, F64
 from nanogs.errors import FormatError
-from nanogs.render.camera import Camera
-from nanogs.render.lens import Lens
+from nanogs.raster.camera import Camera
+from nanogs.raster.lens import Lens
 
 _STEP, _STEPS = 1.01, 140  # how focal lengths are tried: up to four times as long
 _ROWS = 256  # of a picture at a time

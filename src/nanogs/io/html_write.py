@@ -32,9 +32,9 @@ def write(splats: Splats, file: BinaryIO) -> None:
         ModelError: The model is too large for a browser.
     """
     # Here and not above: a format is known by name before any page is made.
-    from nanogs.render.opening import opening_for
     from nanogs.view.pack import pack
     from nanogs.view.page import Shown, facts_of, render_page
+    from nanogs.views.opening import opening_for
 
     check()
     limits.refuse_unstorable(splats, SUFFIX)

@@ -19,15 +19,15 @@ from nanogs.lod.manifest import (
     describe_chunks,
     describe_level,
 )
+from nanogs.pipeline.job import NanPolicy
+from nanogs.pipeline.presets import ForestParameters
+from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress
 from nanogs.report import SimplifyReport, StageClock
 from nanogs.scale.api import block_memory, block_parameters, plan_job, refuse_full_disk
 from nanogs.scale.folder import job_folder
 from nanogs.scale.plan import ScalePlan
 from nanogs.scale.settings import Chunks, Settings
-from nanogs.simplify.job import NanPolicy
-from nanogs.simplify.presets import ForestParameters
-from nanogs.simplify.target import Goal
 
 if TYPE_CHECKING:
     from nanogs.scale.job import Where

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 from nanogs.bar import drawn
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
+from nanogs.pipeline.job import Deliver, Job, NanPolicy, prepare_job, refuse_misaligned_elements
+from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
+from nanogs.pipeline.stages import delivery_stages, level_stage, levels_stages
+from nanogs.pipeline.target import Goal, target_count
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport, StageClock
-from nanogs.simplify.job import Deliver, Job, NanPolicy, prepare_job, refuse_misaligned_elements
-from nanogs.simplify.presets import DEFAULT_PRESET, parameters
-from nanogs.simplify.stages import delivery_stages, level_stage, levels_stages
-from nanogs.simplify.target import Goal, target_count
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
-    from nanogs.render.camera import Camera
+    from nanogs.raster.camera import Camera
 
 
 def levels(

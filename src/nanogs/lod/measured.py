@@ -12,7 +12,7 @@ from nanogs.progress import Tracker
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
-    from nanogs.compare.held_out import HeldOut
+    from nanogs.scoring.held_out import HeldOut
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def level_judge(
     known = registry.find(Path(f"level{suffix}"))
     if known and not known.readable:
         return LevelJudge(notes=(f"Nothing was measured: nanogs does not read {suffix} files.",))
-    from nanogs.compare.held_out import held_out
+    from nanogs.scoring.held_out import held_out
     from nanogs.threads import use_threads
 
     progress.begin("measure")

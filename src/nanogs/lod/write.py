@@ -14,11 +14,11 @@ from nanogs.lod.layout import NAMES, Layout, LevelWriter, check_options, made_fi
 from nanogs.lod.levels import judged_levels
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, describe_chunks, describe_level
 from nanogs.lod.measured import LevelJudge, level_judge
+from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters
+from nanogs.pipeline.stages import levels_stages, measure_stage, write_weight
+from nanogs.pipeline.target import target_count
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport
-from nanogs.simplify.presets import DEFAULT_PRESET, Parameters, parameters
-from nanogs.simplify.stages import levels_stages, measure_stage, write_weight
-from nanogs.simplify.target import target_count
 from nanogs.splats import Splats
 
 _NO_PARAMETERS = ("preset", "cameras", "nan", "threads", "max_memory")

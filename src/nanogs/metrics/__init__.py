@@ -1,9 +1,9 @@
 """How far one image is from another: PSNR, SSIM, depth; FLIP and LPIPS with optional packages."""
 
+from nanogs.metrics._flip import flip
+from nanogs.metrics._lpips import lpips
+from nanogs.metrics._psnr import psnr
+from nanogs.metrics._ssim import ssim
 from nanogs.metrics.depth import depth_error
-from nanogs.metrics.flip import flip
-from nanogs.metrics.lpips import lpips
-from nanogs.metrics.psnr import psnr
-from nanogs.metrics.ssim import ssim
 
 __all__ = ["depth_error", "flip", "lpips", "psnr", "ssim"]

@@ -12,6 +12,9 @@ from nanogs.defaults import DEFAULT_MEMORY, PATIENCE
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.memory import allowed_memory, process_memory
+from nanogs.pipeline.job import NanPolicy
+from nanogs.pipeline.presets import DEFAULT_PRESET, ForestParameters, parameters
+from nanogs.pipeline.target import Goal, target_count
 from nanogs.progress import Progress
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport, StageClock
@@ -28,9 +31,6 @@ from nanogs.scale.scratch import is_url
 from nanogs.scale.settings import Chunks, Settings
 from nanogs.scale.source import look_at, segments_of
 from nanogs.scale.unpack import cost_of
-from nanogs.simplify.job import NanPolicy
-from nanogs.simplify.presets import DEFAULT_PRESET, ForestParameters, parameters
-from nanogs.simplify.target import Goal, target_count
 
 if TYPE_CHECKING:
     from distributed import Client

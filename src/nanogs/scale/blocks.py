@@ -6,12 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from nanogs._types import I64, U64, Array
+from nanogs.method.nodes import Nodes, activate_nodes, without_coverages
 from nanogs.scale.columns import CODES, read_rows
 from nanogs.scale.frame import Frame
 from nanogs.scale.partition import Partition
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Table
-from nanogs.simplify.nodes import Nodes, activate_nodes, without_coverages
 from nanogs.splats import Splats
 
 

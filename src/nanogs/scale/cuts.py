@@ -3,13 +3,13 @@
 import numpy as np
 
 from nanogs._types import F64, I32, Array
+from nanogs.method.cut import label_groups
+from nanogs.method.neighbours import nearest_neighbours
+from nanogs.method.nodes import Nodes
+from nanogs.method.reassign import NEIGHBOURS
 from nanogs.scale.forests import CHILDREN, SCORES
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Sorted, Table, write_table
-from nanogs.simplify.cut import label_groups
-from nanogs.simplify.neighbours import nearest_neighbours
-from nanogs.simplify.nodes import Nodes
-from nanogs.simplify.reassign import NEIGHBOURS
 
 LABELS, CENTRES, REACH = "labels", "centres", "reach"
 

@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 
 from nanogs._types import F32, I64, U32, Array
+from nanogs.method.cut import merge_scores
+from nanogs.method.forest import grow_forest
+from nanogs.method.nodes import Nodes
+from nanogs.pipeline.presets import ForestParameters
 from nanogs.progress import untold
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Sorted, write_table
-from nanogs.simplify.cut import merge_scores
-from nanogs.simplify.nodes import Nodes
-from nanogs.simplify.presets import ForestParameters
-from nanogs.simplify.tree import grow_forest
 
 CHILDREN, SCORES, HISTOGRAM = "children", "scores", "histogram"
 BINS = 1 << 16

@@ -8,13 +8,13 @@ import numpy as np
 
 from nanogs._types import F64, U64
 from nanogs.errors import ModelError
+from nanogs.method.extent import Dilation, dilation
+from nanogs.method.gaussians import scene_origin
+from nanogs.method.nodes import activate_nodes, thinnest_axis
+from nanogs.method.order import code_box, codes_in
 from nanogs.scale.settings import Settings
 from nanogs.scale.source import sample
 from nanogs.scale.unpack import Unpacked
-from nanogs.simplify.extent import Dilation, dilation
-from nanogs.simplify.gaussians import scene_origin
-from nanogs.simplify.nodes import activate_nodes, thinnest_axis
-from nanogs.simplify.order import code_box, codes_in
 from nanogs.splats import Splats
 
 

@@ -4,12 +4,12 @@ import time
 from dataclasses import asdict
 
 from nanogs.io.findings import join_findings, of_plain
+from nanogs.pipeline.presets import ForestParameters, renders
+from nanogs.pipeline.target import Goal
 from nanogs.report import BlocksReport, SimplifyReport, StageClock, StopReason
 from nanogs.scale.columns import count_of
 from nanogs.scale.run import Done
 from nanogs.scale.work import Task
-from nanogs.simplify.presets import ForestParameters, renders
-from nanogs.simplify.target import Goal
 
 _UNRENDERED = (
     "The model was simplified block by block, so nothing was rendered: splats were not weighed by"

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs._types import I64, U64, Array, F
+from nanogs.pipeline.api import simplify
 from nanogs.scale.columns import (
     CODES,
     count_of,
@@ -16,7 +17,6 @@ from nanogs.scale.columns import (
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import Settings
 from nanogs.scale.tables import Record, Table, write_table
-from nanogs.simplify.api import simplify
 from nanogs.splats import Splats, concatenate
 
 if TYPE_CHECKING:

@@ -9,12 +9,12 @@ from typing import TypeGuard
 from nanogs.errors import OptionError
 from nanogs.io.files import splat_bytes
 from nanogs.memory import LIBRARIES
+from nanogs.pipeline.memory import plan_memory
+from nanogs.pipeline.presets import PRESETS, ForestParameters, Parameters
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.encoding import encoding_of
 from nanogs.scale.settings import MOST_SEEN, Chunks, Layout
 from nanogs.scale.unpack import Cost
-from nanogs.simplify.memory import plan_memory
-from nanogs.simplify.presets import PRESETS, ForestParameters, Parameters
 
 _MANY = 1_000_000
 _KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the making

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64, I32, I64, Array
+from nanogs.method.nodes import Nodes
+from nanogs.method.reassign import reassign
 from nanogs.scale.cuts import LABELS
 from nanogs.scale.halo import Halo
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Sorted, write_table
-from nanogs.simplify.nodes import Nodes
-from nanogs.simplify.reassign import reassign
 
 GROUP = "group"
 GONE = -1  # the label of a splat that was handed over

@@ -15,8 +15,8 @@ import numpy as np
 
 from nanogs._types import I64, Array
 from nanogs.errors import FormatError
+from nanogs.method.slices import slices
 from nanogs.scale.scratch import Scratch, hash_file
-from nanogs.simplify.blocks import blocks
 
 ALIGN = 64
 _WINDOW = 1 << 15  # rows
@@ -150,8 +150,8 @@ def _blocks(column: Array | Sorted | Streamed) -> Iterable[Array]:
     if isinstance(column, Streamed):
         return column.pieces
     if isinstance(column, Sorted):
-        return (column.values[column.rows[block]] for block in blocks(len(column.rows)))
-    return (column[block] for block in blocks(len(column)))
+        return (column.values[column.rows[block]] for block in slices(len(column.rows)))
+    return (column[block] for block in slices(len(column)))
 
 
 def read_record(scratch: Scratch, name: str) -> Record | None:

@@ -11,6 +11,9 @@ import numpy as np
 
 from nanogs._types import I32, I64, Array
 from nanogs.errors import OutputError
+from nanogs.method.nodes import Nodes
+from nanogs.method.store import store_groups
+from nanogs.pipeline.target import target_count
 from nanogs.scale.blocks import leaves_of, morton_rows, read_block, with_codes
 from nanogs.scale.budget import budget
 from nanogs.scale.chunked import write_cells, write_chunks
@@ -27,9 +30,6 @@ from nanogs.scale.settle import GONE, GROUP, settled, view_of, write_settled
 from nanogs.scale.spill import spill
 from nanogs.scale.tables import Record, Table, read_record, write_table
 from nanogs.scale.unpack import Unpacked, unpack
-from nanogs.simplify.nodes import Nodes
-from nanogs.simplify.store import store_groups
-from nanogs.simplify.target import target_count
 from nanogs.splats import Splats
 from nanogs.threads import use_threads
 

@@ -17,8 +17,8 @@ from nanogs.errors import ModelError
 from nanogs.formatting import counted, undrawn
 from nanogs.io import spz_write
 from nanogs.io.spz import SCALE_LOW
-from nanogs.render.opening import Opening
 from nanogs.splats import RenderMode, Splats
+from nanogs.views.opening import Opening
 
 DISTANCE = 8.0  # from the first camera to its target, units of the page
 # Units of the page. What lies farther is drawn at this distance, as large as it looks from the

@@ -7,12 +7,12 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from nanogs._version import __version__
-from nanogs.compare.protocol import Background, Judged, hex_text
 from nanogs.errors import ModelError
 from nanogs.formatting import bytes_text, counted, number_text
-from nanogs.render.opening import Opening
+from nanogs.scoring.protocol import Background, Judged, hex_text
 from nanogs.view.bundle import licences, program
 from nanogs.view.pack import Packed, in_page
+from nanogs.views.opening import Opening
 
 if TYPE_CHECKING:
     from jinja2 import Environment

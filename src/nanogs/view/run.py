@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from nanogs.compare.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
@@ -16,14 +15,15 @@ from nanogs.io.registry import stem_of
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import compare_bytes, page_bytes
 from nanogs.progress import Parts, Progress, Stage, Tracker, each
-from nanogs.render.camera import Camera
-from nanogs.render.opening import opening_for
-from nanogs.render.source import AUTOMATIC, FOUND, cameras_for
+from nanogs.raster.camera import Camera
 from nanogs.report import StageClock
+from nanogs.scoring.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
 from nanogs.view.pack import Packed, pack
 from nanogs.view.page import Shown, facts_of, render_page
+from nanogs.views.cameras import AUTOMATIC, FOUND, cameras_for
+from nanogs.views.opening import opening_for
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +220,7 @@ def _measure(
     background: Background,
     progress: Tracker,
 ) -> Judged:
-    from nanogs.compare.comparison import NamedModel, compare_models
+    from nanogs.scoring.comparison import NamedModel, compare_models
 
     reference, other = (
         NamedModel(name, splats) for (name, _path), splats in zip(inputs, models, strict=True)

@@ -1,0 +1,138 @@
+"""`nanogs.refit`: a small model, fitted to renders of the original, and a report."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING
+
+from nanogs.bar import drawn
+from nanogs.errors import ModelError
+from nanogs.fit.parameters import RefitParameters
+from nanogs.fit.report import RefitReport
+from nanogs.fit.stages import refit_stages
+from nanogs.io.models import Model, as_splats
+from nanogs.progress import Parts, Progress, Tracker
+from nanogs.report import StageClock
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.fit.groups import Group
+    from nanogs.fit.targets import Fitting
+    from nanogs.raster.camera import Camera
+
+
+def refit(
+    original: Model,
+    small: Model,
+    *,
+    cameras: Sequence["Camera"] | None = None,
+    parameters: RefitParameters | None = None,
+    threads: int | None = None,
+    progress: Progress | bool | None = None,
+) -> tuple[Splats, RefitReport]:
+    """Fit a small model's centres, scales, rotations, opacities and colours to the original.
+
+    The original is rendered from a few cameras; some of these views are kept apart, in groups by
+    picture size and distance, and what does not bring them nearer is taken back. So the result is
+    never worse there than the input, in the mean of any group.
+
+    Args:
+        original: The model to look like, or a path.
+        small: The model to fit, from any tool, or a path; its count, degree and further columns
+            are kept.
+        cameras: Views of the scene, of any sizes and distances; by default they are chosen from the
+            original.
+        parameters: See `RefitParameters`.
+        threads: Threads to use; all by default. The result does not depend on it.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`, from "render" and "fit" to the last, whose
+            fraction is 1.
+
+    Returns:
+        The fitted model, its rows in the order of the input, and the report.
+
+    Raises:
+        FormatError: A path cannot be read as a model.
+        OptionError: An option is out of range, or there are fewer than two cameras.
+        ModelError: A model holds nothing that can be seen, or the two are not of one scene.
+    """
+    begin, clock = time.perf_counter(), StageClock()
+    chosen = parameters or RefitParameters()
+    chosen.check()
+    large, given = as_splats(original, "the original"), as_splats(small, "the small model")
+    _refuse_unusable(large, "original")
+    _refuse_unusable(given, "small")
+    # Here and not above: these bring Numba, which `--help` does without.
+    from nanogs.fit.views import view_targets
+    from nanogs.raster.lens import lens_notes
+    from nanogs.threads import use_threads
+
+    with use_threads(threads) as threads_used, drawn(progress) as tell:
+        tracker = Tracker(tell, refit_stages(chosen, len(large), len(given)))
+        tracker.begin("render")
+        with clock.time("targets"):
+            fitting, deciding = view_targets(large, given, cameras, chosen, tracker.part)
+        tracker.begin("fit")
+        fitted, report = fit_to_views(
+            given, fitting, deciding, chosen, len(large), threads_used, tracker.part
+        )
+        tracker.finish()
+    return fitted, replace(
+        report,
+        seconds=clock.seconds | report.seconds,
+        total_seconds=time.perf_counter() - begin,
+        notes=(*lens_notes(cameras or ()), *report.notes),
+    )
+
+
+def fit_to_views(
+    small: Splats,
+    fitting: "Fitting",
+    deciding: Sequence["Group"],
+    parameters: RefitParameters,
+    original_count: int,
+    threads: int,
+    tell: Parts,
+) -> tuple[Splats, RefitReport]:
+    """Fit a small model to given views.
+
+    Args:
+        small: The model.
+        fitting: Views of the original to fit to, at least one, kept or to be drawn.
+        deciding: Groups of others, which decide what is kept, at least one.
+        parameters: See `RefitParameters`.
+        original_count: Splats of the original, for the report.
+        threads: Threads in use, for the report.
+        tell: Told of the steps made.
+    """
+    from nanogs.fit.rounds import fit
+
+    clock = StageClock()
+    with clock.time("fit"):
+        fitted, outcome = fit(small, fitting, deciding, parameters, tell)
+    report = RefitReport(
+        parameters=asdict(parameters),
+        original_count=original_count,
+        count=len(fitted),
+        fit_views=fitting.names,
+        validation_views=tuple(name for group in outcome.groups for name in group.views),
+        groups=outcome.groups,
+        psnr_before=outcome.psnr_before,
+        psnr_after=outcome.psnr_after,
+        improved=outcome.improved,
+        rounds=outcome.rounds,
+        stop=outcome.stop,
+        seconds=clock.seconds,
+        total_seconds=sum(clock.seconds.values()),
+        threads=threads,
+        notes=outcome.notes,
+    )
+    return fitted, report
+
+
+def _refuse_unusable(splats: Splats, name: str) -> None:
+    if not splats.finite().any():
+        raise ModelError(
+            f"The {name} model holds no usable splat: it is empty, or each row has a NaN or an "
+            "infinite value; check the file it came from."
+        )

@@ -1,0 +1,171 @@
+"""Rounds of steps, of each of which as much is kept as brings the validation views nearer."""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs.fit.descent import FITTED, Descent
+from nanogs.fit.groups import Group
+from nanogs.fit.parameters import RefitParameters
+from nanogs.fit.report import GroupReport, RefitStop, RoundReport
+from nanogs.fit.state import MeanState, State, start, store
+from nanogs.fit.targets import Fitting
+from nanogs.progress import Parts
+from nanogs.raster.rendering import prepare
+from nanogs.splats import Splats
+
+SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # of a round's way that are tried
+AVERAGED = 0.2  # of all steps, the last ones: their states are averaged; at most the last round's
+SHORTER = 0.7  # of the rate, after a round of which only a part was kept
+SHORTEST = 0.25  # after one of which nothing was
+LEAST = 0.05  # of the first rate: below it, what does not help is at an optimum
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What `fit` came to; see `RefitReport` for the fields."""
+
+    groups: tuple[GroupReport, ...]
+    psnr_before: float
+    psnr_after: float
+    improved: bool
+    rounds: tuple[RoundReport, ...]
+    stop: RefitStop
+    notes: tuple[str, ...]
+
+
+class Guard:
+    """Judges states on the views that decide, as the models that would be handed out.
+
+    A state is better if the mean over the groups is higher and no group is below the input.
+
+    Args:
+        small: The input.
+        groups: The views that decide.
+    """
+
+    def __init__(self, small: Splats, groups: Sequence[Group]) -> None:
+        self.small = small
+        self.groups = groups
+        self.before = self._psnrs(small)
+        self.best = self.before
+
+    def accepts(self, state: State) -> bool:
+        """Whether the state is better than the best so far, which it then is."""
+        psnrs = self._psnrs(store(state, self.small))
+        better = _mean(psnrs) > _mean(self.best)
+        if better and all(new >= old for new, old in zip(psnrs, self.before, strict=True)):
+            self.best = psnrs
+            return True
+        return False
+
+    def reports(self) -> tuple[GroupReport, ...]:
+        """What was gained on each group."""
+        return tuple(
+            GroupReport(group.name, tuple(view.camera.name for view in group.targets), old, new)
+            for group, old, new in zip(self.groups, self.before, self.best, strict=True)
+        )
+
+    def _psnrs(self, splats: Splats) -> list[float]:
+        model = prepare(splats)
+        return [group.psnr(model) for group in self.groups]
+
+
+def fit(
+    small: Splats,
+    fitting: Fitting,
+    deciding: Sequence[Group],
+    parameters: RefitParameters,
+    tell: Parts,
+) -> tuple[Splats, Outcome]:
+    """Fit the model in rounds.
+
+    Args:
+        small: The model.
+        fitting: Views to fit to.
+        deciding: Views that decide what is kept.
+        parameters: See there.
+        tell: Told of the steps made, and of how many there may be.
+
+    Returns:
+        The fitted model, or the input itself where nothing helped, and what happened.
+    """
+    guard, descent = Guard(small, deciding), Descent(small, fitting, parameters)
+    best: State | None = None  # the input, which is its own state
+    rate = parameters.rate
+    reports: list[RoundReport] = []
+    stop = RefitStop.ROUNDS
+    for number in range(parameters.rounds):
+        begin, before = time.perf_counter(), _mean(guard.best)
+        reached, errors = _round(descent, rate, number, tell)
+        last = number == parameters.rounds - 1
+        if last:
+            descent.rest()
+        best, share = _furthest(guard, best, small, reached)
+        if best is not None and not last and share == 1:
+            best = best.copy()  # the descent moves its own on; the judged model is gone again
+        seconds = time.perf_counter() - begin
+        psnrs = _psnr(_mean(errors)), before, _mean(guard.best)
+        reports.append(RoundReport(FITTED, len(errors), rate, *psnrs, share, seconds))
+        if share < 1 and not last:
+            descent.begin(best or start(small))
+        if share < 1:
+            rate *= SHORTER if share else SHORTEST
+        if rate < LEAST * parameters.rate and not share:
+            stop = RefitStop.OPTIMUM
+            break
+    improved = any(report.share for report in reports)
+    notes = () if improved else ("nothing helped on the validation views: the model is unchanged",)
+    outcome = Outcome(
+        guard.reports(),
+        _mean(guard.before),
+        _mean(guard.best),
+        improved,
+        tuple(reports),
+        stop,
+        notes,
+    )
+    return store(best, small) if best else small, outcome
+
+
+def _furthest(
+    guard: Guard, best: State | None, small: Splats, state: State
+) -> tuple[State | None, float]:
+    """The state furthest on the way from the best to another that is better, and its share.
+
+    The best is that of the input where there is none yet.
+    """
+    for share in SHARES:
+        between = state if share == 1 else (best or start(small)).towards(state, share)
+        if guard.accepts(between):
+            return between, share
+    return best, 0.0
+
+
+def _round(descent: Descent, rate: float, number: int, tell: Parts) -> tuple[State, list[float]]:
+    """Where the steps of one round lead, and the errors that they met.
+
+    The schedule of their lengths spans all rounds; the last states of the last one are averaged.
+    """
+    steps = descent.parameters.steps
+    total = steps * descent.parameters.rounds
+    averaged = max((1 - AVERAGED) * total, total - steps)
+    errors, mean = [], None
+    for i in range(number * steps, (number + 1) * steps):
+        tell(i, total)
+        errors.append(descent.step(rate, i / total))
+        if i >= averaged:
+            mean = mean or MeanState()
+            mean.add(descent.state)
+    return mean.state() if mean else descent.state, errors
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values))
+
+
+def _psnr(error: float) -> float:
+    return math.inf if error == 0 else -10 * math.log10(error)

@@ -1,0 +1,177 @@
+"""What a refit aims at: renders of the original, and how far a model is from them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs import spread
+from nanogs._types import F32, U8
+from nanogs.kernels import backward, pulls
+from nanogs.kernels.blocks import ALL_BLOCKS
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import PreparedSplats, Projection, Rendering, blend, project, render
+
+# Viewers show a model over any background. Over black and white alike the mean squared error of
+# a pixel with errors dc in its colours and da in its alpha is, for each channel,
+# (dc² + (dc - da)²) / 2 = (dc - da / 2)² + (da / 2)².
+WHITE = 0.5  # share of white; colours are blended less this much
+ALPHA = math.sqrt(3 * WHITE * (1 - WHITE))  # the fourth channel: alpha times this
+
+ROWS = 32  # of an image that become bytes at once: they fit a processor's cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """One view of the original.
+
+    Attributes:
+        camera: The camera.
+        image: (H, W, 4) uint8, the colours as a screen shows them over black, and alpha; 255 for 1:
+            a quarter of the memory of float32.
+        footprint: Width of a pixel at the median depth of what is seen, scene units; infinite where
+            nothing is seen, or where it is of no use.
+    """
+
+    camera: Camera
+    image: U8
+    footprint: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitting:
+    """The views to fit to: some are kept, the others drawn whenever they are asked for.
+
+    Attributes:
+        kept: Views that are rendered already.
+        original: What the others show; None where there are none.
+        further: Their cameras.
+    """
+
+    kept: Sequence[Target]
+    original: PreparedSplats | None = None
+    further: Sequence[Camera] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all cameras, in their order."""
+        cameras = [*(target.camera for target in self.kept), *self.further]
+        return tuple(camera.name for camera in cameras)
+
+    def __len__(self) -> int:
+        return len(self.kept) + len(self.further)
+
+    def take(self, index: int) -> Target:
+        """One of the views, drawn now if it is not kept."""
+        if index < len(self.kept):
+            return self.kept[index]
+        assert self.original is not None  # noqa: S101 - whoever gives cameras gives what they show
+        camera = self.further[index - len(self.kept)]
+        return make_target(self.original, camera, depth=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pull:
+    """How a view's pixels pull at the splats.
+
+    Attributes:
+        view: The projection.
+        totals: (N, 25) float32, see `nanogs.kernels.backward.pull_tiles`; junk where not drawn.
+        error: Mean squared error, as `squared_error` gives it.
+    """
+
+    view: Projection
+    totals: F32
+    error: float
+
+
+def make_target(original: PreparedSplats, camera: Camera, *, depth: bool = True) -> Target:
+    """Render the original from a camera; without depth the footprint stays unknown."""
+    return as_target(render(original, camera, depth=depth), camera)
+
+
+def as_target(rendering: Rendering, camera: Camera) -> Target:
+    """A rendering of the original over black, with its depth or without."""
+    fixed = np.empty((*rendering.alpha.shape, 4), np.uint8)
+
+    def fill(rows: slice) -> None:
+        fixed[rows, :, :3] = _in_bytes(rendering.color[rows])
+        fixed[rows, :, 3] = _in_bytes(rendering.alpha[rows])
+
+    height = len(fixed)
+    spread.each((slice(row, row + ROWS) for row in range(0, height, ROWS)), fill)
+    if rendering.depth is None:
+        return Target(camera, fixed, math.inf)
+    seen = rendering.depth[rendering.alpha > 0.5 * rendering.alpha.max()]
+    depth = float(np.median(seen)) if seen.size else math.inf
+    return Target(camera, fixed, depth / max(camera.fx, camera.fy))
+
+
+def _in_bytes(values: F32) -> F32:
+    """Values in [0, 1], those outside held to it, as whole numbers up to 255."""
+    scaled = np.clip(values, 0, 1)
+    scaled *= np.float32(255)
+    np.rint(scaled, out=scaled)
+    return scaled
+
+
+def _blend(
+    model: PreparedSplats, camera: Camera, wanted: int = ALL_BLOCKS
+) -> tuple[Projection, F32, F32]:
+    """The projection, what is blended (N, 4), and the image (H, W, 4)."""
+    view = project(model, camera)
+    features = np.zeros_like(view.features)  # rows that are not drawn hold junk
+    features[view.order, :3] = view.features[view.order, :3] - np.float32(WHITE)
+    features[:, 3] = ALPHA
+    image, _, _ = blend(view, camera, features, np.zeros(4, np.float32), wanted=wanted)
+    return view, features, image
+
+
+def _weigh(target: Target, image: F32, wanted: int = ALL_BLOCKS) -> tuple[F32, F32, float]:
+    """(H, W, 4) wanted change of the image, (H, W) its alpha, and the mean squared error."""
+    residual = np.empty_like(image)
+    precision = np.empty(image.shape[:2], np.float32)
+    errors = np.empty((len(image), 2))
+    backward.weigh_pixels(image, target.image, WHITE, ALPHA, wanted, residual, precision, errors)
+    error, pixels = errors.sum(axis=0)
+    return residual, precision, float(error) / (3 * max(float(pixels), 1))
+
+
+def squared_error(model: PreparedSplats, target: Target) -> float:
+    """Mean squared error of one view over black and white alike, a channel."""
+    return _weigh(target, _blend(model, target.camera)[2])[2]
+
+
+def pull(model: PreparedSplats, target: Target, wanted: int = ALL_BLOCKS) -> Pull:
+    """Render a view and sum up how it pulls at each splat.
+
+    Args:
+        model: The splats.
+        target: The view.
+        wanted: Its set bits are the blocks of every tile whose pixels pull.
+    """
+    view, features, image = _blend(model, target.camera, wanted)
+    residual, precision, error = _weigh(target, image, wanted)
+    return Pull(view, sum_pulls(view, features, image, residual, precision, wanted), error)
+
+
+def sum_pulls(
+    view: Projection, features: F32, image: F32, residual: F32, precision: F32, wanted: int
+) -> F32:
+    """(N, 25) float32, see `nanogs.kernels.backward.pull_tiles`, whose arguments these are."""
+    partial = np.empty((len(view.entries), pulls.SUMS), np.float32)
+    backward.pull_tiles(
+        view.geometry,
+        features,
+        view.starts,
+        view.entries,
+        wanted,
+        image,
+        residual,
+        precision,
+        partial,
+    )
+    totals = np.empty((len(features), pulls.SUMS), np.float32)
+    backward.gather_entries(view.entries, partial, totals)
+    return totals

@@ -1,0 +1,83 @@
+"""The views of a refit: which cameras, which of them decide, and what the original shows there."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from nanogs.errors import ModelError, OptionError
+from nanogs.fit.groups import Group, split
+from nanogs.fit.parameters import RefitParameters
+from nanogs.fit.targets import Fitting, Target, make_target
+from nanogs.progress import Parts, each
+from nanogs.raster.camera import Camera, apart, spread
+from nanogs.raster.rendering import prepare, render
+from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
+
+OVERLAP = 0.02  # least share of the original's alpha that the small model must cover
+
+
+def view_targets(
+    original: Splats,
+    small: Splats,
+    cameras: Sequence[Camera] | None,
+    parameters: RefitParameters,
+    tell: Parts,
+) -> tuple[Fitting, tuple[Group, ...]]:
+    """Views to fit to, and views that decide, in groups by picture size and distance.
+
+    Raises:
+        OptionError: There are fewer than two cameras.
+        ModelError: No two views show the original, or the small model is elsewhere.
+    """
+    if cameras is not None and len(cameras) < 2:
+        raise OptionError(
+            f"A refit needs two cameras or more, one of which decides, not {len(cameras)}."
+        )
+    kept, more = parameters.kept + parameters.held, parameters.views - parameters.kept
+    chosen, further = choose_cameras(original, cameras, kept, more, parameters.size)
+    prepared = prepare(original)
+    targets = [make_target(prepared, camera) for camera in each(chosen, tell)]
+    targets = [target for target in targets if target.image[..., 3].any()]
+    if len(targets) < 2:
+        raise ModelError(
+            "The original is seen in fewer than two views; choose other cameras or let them be "
+            "found."
+        )
+    fitting, deciding = split(targets, parameters.validation)
+    _refuse_elsewhere(small, [target for group in deciding for target in group.targets])
+    return Fitting(fitting, prepared, further), deciding
+
+
+def choose_cameras(
+    splats: Splats, cameras: Sequence[Camera] | None, kept: int, further: int, size: int
+) -> tuple[list[Camera], list[Camera]]:
+    """Those whose views are kept, and more to fit to: the user's, evenly, or automatic ones.
+
+    Args:
+        splats: The original.
+        cameras: The user's; automatic ones are chosen where there are none.
+        kept: How many of the first kind at most.
+        further: How many of the second at most.
+        size: Pixels along the longer side of a view at most.
+    """
+    if cameras:
+        return apart([camera.reduced(size) for camera in spread(cameras, kept + further)], kept)
+    found = automatic_cameras(splats, kept + further, width=size, height=size, habit=False)
+    return found[:kept], found[kept:]
+
+
+def _refuse_elsewhere(small: Splats, targets: Sequence[Target]) -> None:
+    """The small model must be seen where the original is."""
+    prepared = prepare(small)
+    shared = total = 0.0
+    for target in targets:
+        alpha = render(prepared, target.camera).alpha
+        wanted = target.image[..., 3] / np.float32(255)
+        shared += float(np.minimum(alpha, wanted).sum(dtype=np.float64))
+        total += float(wanted.sum(dtype=np.float64))
+    if shared < OVERLAP * total:
+        raise ModelError(
+            "The small model is hardly seen where the original is; give two models of the same "
+            "scene, in the same coordinates."
+        )

@@ -1,0 +1,1 @@
+"""The methods: one stage a module, called by `nanogs.pipeline`; the paper's are in `paper`."""

@@ -1,0 +1,35 @@
+"""Activation: centres, sizes and turns of splats as their stored values stand for."""
+
+import numpy as np
+
+from nanogs import spread
+from nanogs._types import F32, F64, I32
+from nanogs.method.slices import slices
+from nanogs.splats import Splats, pick
+from nanogs.stored import unit
+
+
+def activated(splats: Splats, rows: I32, origin: F64) -> tuple[F64, F32, F32]:
+    """Means, scales and quaternions of splats.
+
+    Args:
+        splats: The input.
+        rows: (M,) rows of it, all finite.
+        origin: (3,) taken off the centres, scene units.
+
+    Returns:
+        (M, 3) float64 centres, scene units from the origin; (M, 3) float32 standard deviations,
+        scene units; (M, 4) float32, wxyz, unit.
+    """
+    means = np.empty((len(rows), 3))
+    scales = np.empty((len(rows), 3), np.float32)
+    quats = np.empty((len(rows), 4), np.float32)
+
+    def activate(part: slice) -> None:
+        some = rows[part]
+        means[part] = pick(splats.means, some) - origin
+        scales[part] = np.exp(pick(splats.log_scales, some))
+        quats[part] = unit(pick(splats.quats, some))
+
+    spread.each(slices(len(rows)), activate)
+    return means, scales, quats

@@ -1,0 +1,73 @@
+"""How far from each splat viewers are likely to stand, and what a pixel is there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.kernels.project import DILATION
+from nanogs.kernels.surroundings import reach
+from nanogs.splats import RenderMode
+from nanogs.views.occupancy import quantiles
+
+SHARE = 0.25  # of the alpha makes a splat's surroundings: all of it near by, with a copy far away
+ANCHORS = 64  # splats whose surroundings are measured; others have them from the nearest ones
+FARTHEST = 16.0  # times the usual radius; a stray's pixel must not outweigh all splats together
+_SAMPLE = 4096  # splats looked at; a stride thins larger models
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dilation:
+    """The size that rasterisers add to splats, in scene units where each splat is.
+
+    Attributes:
+        anchors: (A, 3) float64, some centres, scene units from the origin of the run.
+        radii: (A,) float64, scene units around them within which a quarter of the alpha lies.
+        per_radius: Standard deviation that is added, over the radius.
+    """
+
+    anchors: F64
+    radii: F64
+    per_radius: float
+
+    def at(self, means: F64) -> F64:
+        """(N,) float64: the standard deviation added at each of (N, 3) float64 centres."""
+        found = np.zeros(len(means))
+        if self.per_radius > 0:
+            reach(np.ascontiguousarray(means), self.anchors, self.radii, found)
+            np.minimum(found, FARTHEST * np.median(self.radii), out=found)
+            found *= self.per_radius
+        return found
+
+    @property
+    def least(self) -> float:
+        """The least of the anchors' above 0, scene units; 0 where there is none."""
+        some = self.per_radius * self.radii
+        return float(some[some > 0].min()) if (some > 0).any() else 0.0
+
+
+def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilation:
+    """Find what a rasteriser adds to splats where a model is looked at as a whole.
+
+    That is where a splat's surroundings, the ball about it that holds a quarter of the alpha, are
+    `pixels` across: about as far away as viewers stand, whatever else the model holds elsewhere.
+    A MIP model's rasteriser takes back from the opacity what it adds to the size: nothing.
+
+    Args:
+        means: (N, 3) float64, N >= 1, scene units.
+        alphas: (N,) float64 in [0, 1].
+        mode: The rasteriser the model was trained for.
+        pixels: Across the surroundings' diameter.
+    """
+    step = len(means) // _SAMPLE + 1
+    anchors = np.ascontiguousarray(means[:: (len(means) - 1) // ANCHORS + 1])
+    means, alphas = means[::step], alphas[::step]
+    weights = alphas if alphas.sum() > 0 else np.ones(len(means))
+    radii = np.array([_radius(anchor, means, weights) for anchor in anchors])
+    per_radius = 0.0 if mode is RenderMode.MIP else float(np.sqrt(DILATION)) * 2 / pixels
+    return Dilation(anchors, radii, per_radius)
+
+
+def _radius(point: F64, means: F64, weights: F64) -> float:
+    """Distance from a point within which the share of the weight lies."""
+    return quantiles(np.linalg.norm(means - point, axis=1), weights, SHARE)[0]

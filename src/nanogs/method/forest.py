@@ -1,0 +1,147 @@
+"""The merge forest: full matching passes down to one node, every merge kept.
+
+One forest answers every count: `cut` chooses which of its merges are done.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from nanogs._types import F32, F64, I32
+from nanogs.kernels.forest import log_determinants, merge_increments
+from nanogs.method.graph import neighbour_pairs
+from nanogs.method.match import MergePlan, match
+from nanogs.method.nodes import Nodes, gather, gather_pairs
+from nanogs.method.slices import SLICE_PAIRS, slices
+from nanogs.progress import Parts
+from nanogs.report import PassReport, StageClock, StopReason
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forest:
+    """Merges of N splats. Node r below N is splat r; node N + m is what merge m made.
+
+    Attributes:
+        splats: N.
+        children: (M, 2) int32, the two nodes of each merge; children come before parents.
+        levels: (M,) int32, the pass that made the merge, from 1.
+        increments: (M, 2) float32, what it added to the error of colour and of geometry.
+        passes: What each pass did.
+        stop: `TARGET` where one node is left, else why not.
+    """
+
+    splats: int
+    children: I32
+    levels: I32
+    increments: F32
+    passes: tuple[PassReport, ...]
+    stop: StopReason
+
+    @property
+    def fewest(self) -> int:
+        """Splats left when every merge is done."""
+        return self.splats - len(self.children)
+
+
+def grow_forest(leaves: Nodes, k: int, lambda_app: float, threads: int, tell: Parts) -> Forest:
+    """Match nearly all nodes with a neighbour, merge, and again until one is left.
+
+    Args:
+        leaves: N nodes, one a splat.
+        k: Neighbours of each node in the graph.
+        lambda_app: Weight of the colour's increment beside the geometry's.
+        threads: Threads for the nearest-neighbour query.
+        tell: Told of the merges done.
+    """
+    count = made = len(leaves)
+    nodes, ids = leaves, np.arange(count, dtype=np.int32)
+    del leaves  # where the caller keeps none either, they make room for the passes to come
+    parts: list[tuple[I32, I32, F32]] = []
+    passes: list[PassReport] = []
+    stop = StopReason.TARGET
+    while len(nodes) > 1:
+        told = partial(_tell_within, tell, count, len(nodes))
+        plan, increments, report = _one_pass(nodes, k, lambda_app, threads, told)
+        if len(plan) == 0:
+            none_left = report.candidates == report.without_cost
+            stop = StopReason.NO_CANDIDATES if none_left else StopReason.NO_PROGRESS
+            passes.append(report)
+            break
+        clock = StageClock()
+        with clock.time("merge"):
+            level = np.full(len(plan), len(passes) + 1, dtype=np.int32)
+            parts.append((ids[plan.pairs], level, increments))
+            first, second = plan.pairs.T
+            ids[first] = np.arange(made, made + len(plan))
+            made += len(plan)
+            stays = np.ones(len(nodes), dtype=bool)
+            stays[second] = False
+            ids = ids[stays]
+            labels = (np.cumsum(stays) - 1).astype(np.int32)
+            labels[second] = labels[first]
+            # The features of pairs of splats, half a model, are not stored but mixed when needed.
+            told(0.9)
+            nodes = (gather if passes else gather_pairs)(nodes, labels, len(ids))
+        passes.append(replace(report, seconds=report.seconds | clock.seconds))
+    children, levels, errors = _joined(parts)
+    return Forest(count, children, levels, errors, tuple(passes), stop)
+
+
+def _tell_within(tell: Parts, splats: int, nodes: int, share: float) -> None:
+    """Tell how many of a forest's merges are done within a pass that halves its nodes."""
+    tell(splats - nodes * (1 - share / 2), splats)
+
+
+def _one_pass(
+    nodes: Nodes, k: int, lambda_app: float, threads: int, told: Callable[[float], None]
+) -> tuple[MergePlan, F32, PassReport]:
+    """Graph, cost and match; the plan, the increments of its pairs, and what was done."""
+    count, clock = len(nodes), StageClock()
+    told(0)
+    with clock.time("graph"):
+        pairs = neighbour_pairs(nodes.means, k, threads)
+    told(0.5)
+    with clock.time("cost"):
+        dets = np.empty(count)
+        log_determinants(nodes.covariances, dets)
+        costs = _costs(pairs, nodes, dets, lambda_app)
+    told(0.65)
+    with clock.time("match"):
+        plan = match(pairs, costs, count, count // 2)
+        chosen = _increments(plan.pairs, nodes, dets)
+    highest = float(plan.costs[-1]) if len(plan) else None
+    left = count - len(plan)
+    report = PassReport(
+        count, len(pairs), plan.without_cost, len(plan), left, highest, clock.seconds
+    )
+    return plan, chosen, report
+
+
+def _costs(pairs: I32, nodes: Nodes, dets: F64, lambda_app: float) -> F32:
+    """(E,) float32: increments weighed, slice by slice, since both are twice as large."""
+    costs = np.empty(len(pairs), dtype=np.float32)
+    for part in slices(len(pairs), SLICE_PAIRS):
+        increments = _increments(np.ascontiguousarray(pairs[part]), nodes, dets)
+        with np.errstate(over="ignore"):  # a pair that costs too much to be said comes last
+            increments[:, 0] *= np.float32(lambda_app)
+            np.add(increments[:, 0], increments[:, 1], out=costs[part])
+    return costs
+
+
+def _increments(pairs: I32, nodes: Nodes, dets: F64) -> F32:
+    increments = np.empty((len(pairs), 2), dtype=np.float32)
+    merge_increments(
+        pairs, nodes.weights, nodes.means, nodes.covariances, dets,
+        nodes.features, nodes.rows, nodes.seconds, nodes.shares, increments,
+    )  # fmt: skip
+    return increments
+
+
+def _joined(parts: list[tuple[I32, I32, F32]]) -> tuple[I32, I32, F32]:
+    if not parts:
+        empty = np.empty((0, 2), dtype=np.int32)
+        return empty, empty[:, 0], empty.astype(np.float32)
+    children, levels, increments = zip(*parts, strict=True)
+    return np.concatenate(children), np.concatenate(levels), np.concatenate(increments)

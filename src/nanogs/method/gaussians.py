@@ -1,0 +1,148 @@
+"""The working set of a simplification: activated values, converted once at each edge."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nanogs._types import F32, F64, I32, I64, Bool, F
+from nanogs.kernels.mixed import mean_features
+from nanogs.method.activation import activated
+from nanogs.method.order import morton_order
+from nanogs.method.slices import slices
+from nanogs.splats import Splats, pick
+from nanogs.stored import alphas
+
+_SAMPLE = 40_000  # centres that tell where most are
+# What finite values can stand for, so that finite splats are stored as such.
+LEAST_SCALE = float(np.finfo(np.float32).tiny)
+LEAST_ALPHA = float(np.finfo(np.float32).tiny)
+MOST_ALPHA = 1 - float(np.finfo(np.float64).epsneg)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaussians:
+    """N splats in the form in which they are compared and merged.
+
+    Attributes:
+        means: (N, 3) float64, scene units, relative to the origin that `activate` chose.
+        scales: (N, 3) float32, standard deviations, scene units.
+        quats: (N, 4) float32, wxyz, unit.
+        opacities: (N,) float64, alpha in [0, 1].
+        features: (F, C) float32, all spherical-harmonic coefficients; those of splats are the
+            input's own, in its order, and are not copied.
+        rows: (N,) int32, which row of the features is each splat's.
+        sources: (N,) int32, row in the input of the splat itself or of its dominant member.
+        merged: (N,) bool, False for a splat of the input as it was.
+        seconds: (N,) int32, another row of each splat, whose features are then the mean of both;
+            none, (0,), where each has its own.
+        shares: (N, 2) float64, the weights of that mean, or (0, 2).
+    """
+
+    means: F64
+    scales: F32
+    quats: F32
+    opacities: F64
+    features: F32
+    rows: I32
+    sources: I32
+    merged: Bool
+    seconds: I32 = field(default_factory=lambda: np.empty(0, np.int32))
+    shares: F64 = field(default_factory=lambda: np.empty((0, 2)))
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def take(self, rows: I64 | I32 | Bool) -> "Gaussians":
+        """The given rows, by index or mask."""
+        return Gaussians(
+            pick(self.means, rows),
+            pick(self.scales, rows),
+            pick(self.quats, rows),
+            pick(self.opacities, rows),
+            self.features,
+            pick(self.rows, rows),
+            pick(self.sources, rows),
+            pick(self.merged, rows),
+            pick(self.seconds, rows) if len(self.seconds) else self.seconds,
+            pick(self.shares, rows) if len(self.shares) else self.shares,
+        )
+
+    def colours(self) -> F32:
+        """(N, C) float32: the features of every splat."""
+        every, alone = np.arange(len(self), dtype=np.int32), np.array((1.0, 0.0))
+        return self.mean_features(every, every, np.broadcast_to(alone, (len(self), 2)).copy())
+
+    def mean_features(self, firsts: I32, others: I32, weights: F64) -> F32:
+        """(M, C) float32: means of the features of two splats each.
+
+        Args:
+            firsts: (M,) one of the two.
+            others: (M,) the other one, which may be the same.
+            weights: (M, 2) of both, 1 together.
+        """
+        means = np.empty((len(firsts), self.features.shape[1]), np.float32)
+        mean_features(
+            self.features, self.rows, self.seconds, self.shares, firsts, others, weights, means
+        )
+        return means
+
+
+def scene_origin(means: F) -> F64:
+    """(3,) float64: the median of the centres along each axis, scene units.
+
+    Differences of centres far from zero keep their digits when this is taken off first. A few
+    splats that strayed far away do not move it.
+
+    Args:
+        means: (N, 3) finite, scene units; evenly spread rows of a large model.
+    """
+    origin: F64 = np.median(means[:: len(means) // _SAMPLE + 1], axis=0).astype(np.float64)
+    return origin
+
+
+def activate(splats: Splats, rows: I64 | I32, origin: F64) -> Gaussians:
+    """Activated values of the given rows, in Morton order of their centres.
+
+    Args:
+        splats: The input.
+        rows: (M,) rows of it, all finite.
+        origin: (3,) taken off the centres, scene units.
+    """
+    rows = rows[morton_order(pick(splats.means, rows) - origin)].astype(np.int32)
+    means, scales, quats = activated(splats, rows, origin)
+    return Gaussians(
+        means=means,
+        scales=scales,
+        quats=quats,
+        opacities=alphas(pick(splats.opacity_logits, rows)),
+        features=np.ascontiguousarray(splats.sh).reshape(len(splats), -1),
+        rows=rows,
+        sources=rows,
+        merged=np.zeros(len(rows), dtype=bool),
+    )
+
+
+def store(gaussians: Gaussians, splats: Splats, origin: F64) -> Splats:
+    """Stored values of a working set, in the order of the input's rows.
+
+    A splat that was not merged gets the input's bytes back. A merged one takes its extra columns
+    from its dominant member, since they have no meaning that could be averaged.
+
+    Args:
+        gaussians: The working set.
+        splats: The input it came from.
+        origin: (3,) what `activate` took off the centres, scene units.
+    """
+    order = np.argsort(gaussians.sources)
+    stored = splats.take(gaussians.sources[order])
+    new = np.flatnonzero(gaussians.merged[order])
+    for part in slices(len(new)):
+        at = new[part]
+        fresh = gaussians.take(order[at])
+        stored.means[at] = fresh.means + origin
+        stored.quats[at] = fresh.quats
+        stored.sh[at] = fresh.colours().reshape(len(fresh), *stored.sh.shape[1:])
+        stored.log_scales[at] = np.log(np.maximum(fresh.scales, np.float32(LEAST_SCALE)))
+        opacities = np.clip(fresh.opacities, LEAST_ALPHA, MOST_ALPHA)
+        stored.opacity_logits[at] = np.log(opacities) - np.log1p(-opacities)
+    return stored

@@ -1,0 +1,52 @@
+"""Stage 2, graph: the k nearest neighbours of every centre, and the pairs they make."""
+
+import numpy as np
+
+from nanogs._types import F64, I32, I64
+from nanogs.kernels.pairs import count_pairs, fill_firsts, fill_seconds
+from nanogs.method.neighbours import nearest_neighbours
+from nanogs.threads import use_threads
+
+
+def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
+    """Pairs of rows of which one is among the k nearest neighbours of the other.
+
+    Args:
+        means: (N, 3) finite, scene units; nearby rows should be near in space.
+        k: Neighbours of each row; the row itself is excluded by its index.
+        threads: Threads for the query.
+
+    Returns:
+        (E, 2) int32, i < j in every row, each pair once, ascending; one column after the other in
+        memory.
+    """
+    neighbours = nearest_neighbours(means, k, threads)
+    starts: I64 = np.empty(len(neighbours) + 1, dtype=np.int64)
+    with use_threads(threads):
+        count_pairs(neighbours, starts)
+        columns: I32 = np.empty((2, starts[-1]), dtype=np.int32)
+        fill_seconds(neighbours, starts, starts[:-1].copy(), columns[1])
+        del neighbours  # the other column takes no memory before it is written
+        fill_firsts(starts, columns[0])
+    return columns.T
+
+
+def random_pairs(n: int, k: int, seed: int) -> I32:
+    """Pairs of rows of which one drew the other: what the graph's nearness is measured against.
+
+    Args:
+        n: Number of rows.
+        k: Partners that each row draws among the others, with replacement.
+        seed: Seed of the draws.
+
+    Returns:
+        (E, 2) int32, i < j in every row, each pair once, ascending.
+    """
+    if n < 2:
+        return np.empty((0, 2), dtype=np.int32)
+    rows = np.repeat(np.arange(n), k)
+    partners = np.random.default_rng(seed).integers(0, n - 1, n * k)
+    partners += partners >= rows  # of the n - 1 others, the row itself left out
+    low, high = np.minimum(rows, partners), np.maximum(rows, partners)
+    packed = np.unique(low << 32 | high)
+    return np.stack([packed >> 32, packed & 0xFFFFFFFF], axis=1).astype(np.int32)

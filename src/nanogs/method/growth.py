@@ -1,0 +1,99 @@
+"""Growth: merged splats that block too little light although they are opaque become larger."""
+
+import numpy as np
+from scipy.special import exp1
+
+from nanogs._types import F32, F64, I32
+from nanogs.kernels.sheets import sheet_growths
+from nanogs.method.nodes import Nodes, member_lists
+from nanogs.method.slices import slices
+
+_FEW = 1e-5  # layers below which two terms of the series say it better than the difference
+SHEET_GROWTH = 1.8  # most that an axis of a group on a sheet may grow
+
+
+def blocked(coverages: F64, areas: F64) -> F64:
+    """(G,) float64: how much light each group blocks, as the area that blocks all, square units.
+
+    Less than its members cover together, since they hide each other. Of many splats with the
+    moments of a group, exp(-u g) of the light gets through where its Gaussian is g, for u their
+    coverage over its footprint; 1 - exp(-u g) over the whole plane is
+
+        footprint (E1(u) + ln u + 0.5772) = footprint (u - u²/4 + u³/18 - ...).
+
+    Args:
+        coverages: (G,) float64, of all members, 0 or more, square scene units.
+        areas: (G,) float64, footprints of the groups, above 0, square scene units.
+    """
+    layers = coverages / areas
+    few, many = np.minimum(layers, _FEW), np.maximum(layers, _FEW)
+    terms = few - few**2 / 4
+    shares = np.where(layers < _FEW, terms, exp1(many) + np.log(many) + np.euler_gamma)
+    return areas * shares
+
+
+def area_needs(
+    merged: Nodes, leaves: Nodes, labels: I32, areas: F64, *, sheets: bool
+) -> tuple[F64, F64]:
+    """How much larger each group has to be for an opaque splat to block enough light.
+
+    What has to be blocked is what members do (`blocked`) that count in proportion to how visible
+    they are, (sum w)² / (sum w²/a) for weights w and coverages a: all of them where all are seen
+    alike, and not those that hide behind others. Members that lie side by side on a sheet hide
+    none of each other: there it is what they cover. Groups of one are not to be asked for.
+
+    Args:
+        merged: G nodes from `gather`.
+        leaves: (M) their members.
+        labels: (M,) the group of each.
+        areas: (G,) float64, footprints of the groups, square scene units.
+        sheets: Those of groups on flat sheets grow whatever others may (`growth_on_sheets`).
+
+    Returns:
+        (G,) float64, how much larger to block enough, and (G,) float64, from 1, how much larger
+        for flat sheets.
+    """
+    squares = np.zeros(len(merged))
+    with np.errstate(divide="ignore", over="ignore"):
+        for part in slices(len(leaves)):
+            shares = leaves.weights[part] ** 2 / leaves.coverages[part]
+            np.add.at(squares, labels[part], shares)
+        wanted = merged.weights**2 / squares
+    least = np.ones(len(merged))
+    if sheets:
+        most = growth_on_sheets(merged, leaves, labels, 1.0)
+        least = np.clip(wanted / areas, 1.0, most**2)
+    return blocked(wanted, areas) / areas, least
+
+
+def widened(scales: F32, larger: F64) -> F32:
+    """(G, 3) float32 scales of which the two longer are longer: no surface becomes thicker.
+
+    Args:
+        scales: (G, 3) float32, scene units.
+        larger: (G,) float64, of their product.
+    """
+    factors = np.repeat(np.sqrt(larger)[:, None], 3, axis=1)
+    factors[np.arange(len(scales)), np.argmin(scales, axis=1)] = 1.0
+    return scales * factors.astype(np.float32)
+
+
+def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32, growth: float) -> F64:
+    """(G,) float64: most that the axes of each group may grow, more on flat sheets.
+
+    Nothing lies behind a sheet of splats, and between Gaussians of the moments of its pieces half
+    the light gets through. Pieces of a thicker surface have others behind them.
+
+    Args:
+        merged: G nodes from `gather`.
+        leaves: (M) their members.
+        labels: (M,) the group of each.
+        growth: Most that an axis may grow elsewhere.
+    """
+    starts, members = member_lists(labels, len(merged))
+    growths = np.empty(len(merged))
+    sheet_growths(
+        starts, members, leaves.weights, leaves.means,
+        merged.weights, merged.means, merged.covariances, growths,
+    )  # fmt: skip
+    return np.maximum(np.minimum(growths, SHEET_GROWTH), growth)

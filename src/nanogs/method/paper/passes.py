@@ -1,0 +1,94 @@
+"""The published method (arXiv 2603.16103), stage by stage, as it is written there."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from nanogs.method.gaussians import Gaussians
+from nanogs.method.graph import neighbour_pairs, random_pairs
+from nanogs.method.match import match
+from nanogs.method.paper.cost import log_masses, pair_costs
+from nanogs.method.paper.merge import merge
+from nanogs.pipeline.presets import PaperParameters
+from nanogs.progress import Parts
+from nanogs.report import PassReport, StageClock, StopReason
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PipelineResult:
+    """The splats that the passes left, what each of them did, and why they ended."""
+
+    gaussians: Gaussians
+    passes: tuple[PassReport, ...]
+    stop: StopReason
+
+
+def merge_to_count(
+    gaussians: Gaussians,
+    target: int,
+    parameters: PaperParameters,
+    threads: int,
+    tell: Parts,
+) -> PipelineResult:
+    """Merge the cheapest disjoint pairs of neighbours, pass after pass, down to the target.
+
+    Args:
+        gaussians: The splats that pruning left, in Morton order.
+        target: Splats to deliver, at least 1.
+        parameters: The method's parameters.
+        threads: Threads for the nearest-neighbour query.
+        tell: Told of the merges done, and of how many.
+    """
+    passes: list[PassReport] = []
+    wanted = len(gaussians) - target
+    while len(gaussians) > target:
+        left = len(gaussians) - target
+        limit = min(left, max(1, int(parameters.merge_cap * len(gaussians))))
+
+        def told(share: float, left: int = left, limit: int = limit) -> None:
+            tell(wanted - left + share * limit, wanted)
+
+        gaussians, report = _one_pass(gaussians, limit, parameters, threads, told)
+        passes.append(report)
+        if report.merged == 0:
+            none_left = report.candidates == report.without_cost
+            stop = StopReason.NO_CANDIDATES if none_left else StopReason.NO_PROGRESS
+            return PipelineResult(gaussians, tuple(passes), stop)
+    return PipelineResult(gaussians, tuple(passes), StopReason.TARGET)
+
+
+def _one_pass(
+    gaussians: Gaussians,
+    limit: int,
+    parameters: PaperParameters,
+    threads: int,
+    told: Callable[[float], None],
+) -> tuple[Gaussians, PassReport]:
+    """Build the graph, score its pairs, match the cheapest, merge them; tell the share done."""
+    count, clock = len(gaussians), StageClock()
+    told(0)
+    with clock.time("graph"):
+        if parameters.graph == "random":
+            pairs = random_pairs(count, parameters.k, parameters.seed)
+        else:
+            pairs = neighbour_pairs(gaussians.means, parameters.k, threads)
+    told(0.3)
+    with clock.time("cost"):
+        costs = pair_costs(gaussians, pairs, log_masses(gaussians), parameters)
+    told(0.75)
+    with clock.time("match"):
+        plan = match(pairs, costs, count, limit)
+    candidates = len(pairs)
+    del pairs, costs  # and the masses were not kept either: matching takes the most memory
+    told(0.9)
+    with clock.time("merge"):
+        merged = merge(gaussians, plan, log_masses(gaussians))
+    report = PassReport(
+        count_before=count,
+        candidates=candidates,
+        without_cost=plan.without_cost,
+        merged=len(plan),
+        count_after=len(merged),
+        highest_cost=float(plan.costs[-1]) if len(plan) else None,
+        seconds=clock.seconds,
+    )
+    return merged, report

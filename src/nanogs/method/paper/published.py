@@ -1,0 +1,57 @@
+"""The preset `paper`: prune, then merge pass by pass (arXiv 2603.16103), between two edges."""
+
+from nanogs._types import I32
+from nanogs.method.gaussians import activate, scene_origin, store
+from nanogs.method.paper.passes import merge_to_count
+from nanogs.method.paper.prune import prune
+from nanogs.pipeline.outcome import Outcome
+from nanogs.pipeline.presets import PaperParameters
+from nanogs.progress import Tracker
+from nanogs.report import StageClock
+from nanogs.splats import Splats
+
+
+def simplify_as_published(
+    splats: Splats,
+    rows: I32,
+    target: int,
+    parameters: PaperParameters,
+    threads: int,
+    clock: StageClock,
+    progress: Tracker,
+) -> Outcome:
+    """Prune, activate, merge to the count, store.
+
+    Args:
+        splats: The model.
+        rows: (M,) its usable rows, ascending.
+        target: Splats to deliver, from 1 to M.
+        parameters: Of the method.
+        threads: Threads for the nearest-neighbour query.
+        clock: Gets the seconds of each stage.
+        progress: Told of each stage.
+    """
+    progress.begin("prune")
+    with clock.time("prune"):
+        pruning = prune(splats.opacities()[rows], parameters.tau, target)
+        kept = rows[pruning.keep]
+    progress.begin("activate")
+    with clock.time("activate"):
+        origin = scene_origin(splats.means[kept])
+        # A list, so that no name here keeps the full set alive while the passes shrink it.
+        working = [activate(splats, kept, origin)]
+    progress.begin("merge")
+    result = merge_to_count(working.pop(), target, parameters, threads, progress.part)
+    for one_pass in result.passes:
+        clock.add(one_pass.seconds)
+    progress.begin("store")
+    with clock.time("store"):
+        small = store(result.gaussians, splats, origin)
+    return Outcome(
+        splats=small,
+        passes=result.passes,
+        stop=result.stop,
+        pruned=len(rows) - len(kept),
+        prune_threshold=pruning.threshold,
+        prune_limited=pruning.limited,
+    )

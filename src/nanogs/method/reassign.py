@@ -1,0 +1,79 @@
+"""Reassignment: move splats between neighbouring groups where they fit better (hard EM)."""
+
+import numpy as np
+
+from nanogs._types import F64, I32
+from nanogs.kernels.assign import assign_nearest, invert_covariances
+from nanogs.method.neighbours import nearest_neighbours
+from nanogs.method.nodes import Nodes, gather
+
+NEIGHBOURS = 12  # groups beside its own that a splat may move to
+LAMBDA_APP = 0.2  # weight of the squared distance of the colours beside the log likelihood
+
+
+def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int, threads: int) -> I32:
+    """Give each splat to the group it is likeliest under, match the moments again, and repeat.
+
+    A group that loses all its splats takes the worst fitting one of a group that has more: the
+    number of groups stays.
+
+    Args:
+        leaves: N nodes, one a splat.
+        labels: (N,) int32, the group of each in [0, groups), none empty.
+        groups: Their number.
+        rounds: How often; ends earlier when nothing moves.
+        threads: Threads for the nearest-neighbour query.
+
+    Returns:
+        (N,) int32, new labels; no group is empty.
+    """
+    for _ in range(rounds):
+        moved = _one_round(leaves, labels, groups, threads)
+        if np.array_equal(moved, labels):
+            break
+        labels = moved
+    return labels
+
+
+def _one_round(leaves: Nodes, labels: I32, groups: int, threads: int) -> I32:
+    merged = gather(leaves, labels, groups)
+    inverses, dets = np.empty((groups, 6)), np.empty(groups)
+    invert_covariances(merged.covariances, inverses, dets)
+    candidates = nearest_neighbours(merged.means, NEIGHBOURS, threads)
+    moved, distances = np.empty_like(labels), np.empty(len(labels))
+    assign_nearest(
+        labels,
+        candidates,
+        leaves.means,
+        leaves.covariances,
+        leaves.features,
+        leaves.rows,
+        merged.means,
+        inverses,
+        dets,
+        merged.features,
+        LAMBDA_APP,
+        moved,
+        distances,
+    )
+    distances *= leaves.weights
+    _refill(moved, distances, groups)
+    return moved
+
+
+def _refill(labels: I32, misfits: F64, groups: int) -> None:
+    """Give every empty group the worst fitting splat of a group that keeps others; in place.
+
+    The misfits are negated.
+    """
+    sizes = np.bincount(labels, minlength=groups)
+    empty = np.flatnonzero(sizes == 0)
+    if len(empty) == 0:
+        return
+    worst = iter(np.argsort(np.negative(misfits, out=misfits), kind="stable"))
+    for group in empty:
+        # There are at least as many splats as groups, so one is always left.
+        row = next(row for row in worst if sizes[labels[row]] > 1)
+        sizes[labels[row]] -= 1
+        sizes[group] += 1
+        labels[row] = group

@@ -1,0 +1,91 @@
+"""Groups of splats as stored splats."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nanogs._types import F32, F64, I32, Bool
+from nanogs.kernels.nodes import principal_axes
+from nanogs.method.extent import Dilation
+from nanogs.method.gaussians import LEAST_ALPHA, LEAST_SCALE
+from nanogs.method.growth import area_needs, blocked, widened
+from nanogs.method.nodes import Nodes, footprints, gather, stored_order
+from nanogs.method.slices import slices
+from nanogs.splats import Splats
+
+MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Groups:
+    """Groups of splats as stored splats, of which the opaque ones may still grow.
+
+    Attributes:
+        model: G splats as they are without growth.
+        new: (G,) bool, those of more than one member.
+        scales: (M, 3) float32 of the new ones without growth, scene units.
+        needed: (M,) float64, how much larger they have to be to block enough light.
+        least: (M,) float64, from 1, how much larger those on flat sheets become in any case.
+    """
+
+    model: Splats
+    new: Bool
+    scales: F32
+    needed: F64
+    least: F64
+
+    def grown(self, growth: float) -> Splats:
+        """The model, whose axes may grow by so much at most; its other columns are shared."""
+        larger = np.maximum(np.clip(self.needed, 1.0, growth**2), self.least)
+        log_scales = self.model.log_scales.copy()
+        scales = np.maximum(widened(self.scales, larger), np.float32(LEAST_SCALE))
+        log_scales[self.new] = np.log(scales)
+        return replace(self.model, log_scales=log_scales)
+
+
+def store_groups(
+    leaves: Nodes,
+    labels: I32,
+    splats: Splats,
+    origin: F64,
+    dilation: Dilation,
+    *,
+    sheets: bool,
+) -> Groups:
+    """Stored values of groups, in the order of their dominant members in the input.
+
+    alpha = min(1, blocked / footprint): as much light is stopped as was (`growth.blocked`). Where
+    that asks for more than an opaque splat, it may grow (`area_needs`). A group of one gets the
+    input's bytes back; a larger one takes its extra columns from its dominant member.
+
+    Args:
+        leaves: (M) nodes, one for each splat.
+        labels: (M,) the group of each; no group is empty.
+        splats: The input.
+        origin: (3,) what `activate_nodes` took off the centres, scene units.
+        dilation: As `activate_nodes` takes it.
+        sheets: Those of groups on flat sheets may grow more (`growth.growth_on_sheets`).
+    """
+    groups = int(labels.max()) + 1
+    sources, order, new = stored_order(leaves, labels, groups)
+    places = np.empty(groups, np.int32)
+    places[order] = np.arange(groups, dtype=np.int32)
+    # Gathered in the order in which they are stored, the features are the result's own.
+    labels = places[labels]
+    merged = gather(leaves, labels, groups)
+    scales = np.empty((np.count_nonzero(new), 3), np.float32)
+    quats = np.empty((len(scales), 4), np.float32)
+    areas = footprints(merged.covariances, dilation.at(merged.means))
+    principal_axes(merged.covariances[new], scales, quats)
+    needed, least = area_needs(merged, leaves, labels, areas, sheets=sheets)
+    alphas = blocked(merged.coverages[new], areas[new]) / areas[new]
+    alphas = np.clip(alphas, LEAST_ALPHA, MOST_OPAQUE)
+    stored = replace(splats, sh=splats.sh[:, :1]).take(sources)
+    stored.means[new] = merged.means[new] + origin
+    stored.quats[new] = quats
+    stored.opacity_logits[new] = np.log(alphas) - np.log1p(-alphas)
+    sh = merged.features.reshape(groups, *splats.sh.shape[1:])
+    alone = np.flatnonzero(~new)
+    for part in slices(len(alone)):
+        sh[alone[part]] = splats.sh[sources[alone[part]]]
+    return Groups(replace(stored, sh=sh), new, scales, needed[new], least[new])

@@ -1,0 +1,173 @@
+"""What views of the original show: how visible each splat is, and what a result is held against."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F64, Bool
+from nanogs.errors import ModelError
+from nanogs.fit.groups import Group, split
+from nanogs.fit.targets import Target, as_target
+from nanogs.fit.views import choose_cameras
+from nanogs.formatting import counted
+from nanogs.metrics import psnr, ssim
+from nanogs.progress import Parts, each, untold
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render
+from nanogs.splats import Splats
+from nanogs.views.roam import roaming_cameras
+
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; a third of the work
+SHOWN = 0.01  # of a splat that reaches the views, from which it counts as shown
+SMALL = 128  # pixels of a roaming view
+DECIDING = 6  # one view in so many also decides: what is chosen, and whether a fit is kept
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OriginalViews:
+    """The original as some views show it.
+
+    Attributes:
+        visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
+            which it lies; 1 for one that lies in none.
+        missed: (N,) bool, the splats that lie in no view.
+        deciding: Views to choose by and to judge a fit by, at least one, in groups.
+        fitting: Views to fit to; none of the others.
+        further: Cameras of more views to fit to, which are not rendered yet.
+        notes: What the user should know, one sentence each.
+    """
+
+    visible: F64
+    missed: Bool
+    deciding: tuple[Group, ...]
+    fitting: tuple[Target, ...]
+    further: tuple[Camera, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def look(
+    splats: Splats,
+    cameras: Sequence[Camera] | None = None,
+    count: int = 14,
+    size: int = 768,
+    further: int = 0,
+    roaming: int = 0,
+    tell: Parts = untold,
+) -> OriginalViews:
+    """Render the original once.
+
+    Args:
+        splats: N splats.
+        cameras: The views; by default automatic ones.
+        count: How many of them at most.
+        size: Pixels along the longer side of a view at most.
+        further: How many more cameras to choose, at most, for views to fit to.
+        roaming: Small views from anywhere in free space (see `roam`) that only say what is hidden;
+            none where cameras are given.
+        tell: Told of the views rendered.
+
+    Raises:
+        ModelError: No splat is visible.
+    """
+    looked, rest = choose_cameras(splats, cameras, count, further, size)
+    wandering = 0 if cameras else roaming
+    prepared = prepare(splats)
+    light = Light(len(splats))
+    views: list[Target] = []
+    total = len(looked) + wandering
+    for camera in each(looked, lambda done, _: tell(done, total)):
+        # Distances tell near views from far ones where the user gave both; automatic ones differ
+        # little in theirs.
+        view = render(prepared, camera, contributions=True, depth=bool(cameras))
+        light.add(view)
+        views.append(as_target(view, camera))
+    fitting, deciding = split(views, max(1, len(views) // DECIDING))
+    notes: tuple[str, ...] = ()
+    visible, missed = light.shares(), light.whole == 0
+    visible[missed] = 1.0
+    if wandering:
+        there, notes = _light_from_anywhere(
+            splats, prepared, wandering, lambda done, _: tell(len(looked) + done, total)
+        )
+        np.maximum(visible, there.shares(), out=visible)
+        missed &= there.whole == 0
+    return OriginalViews(visible, missed, deciding, fitting, tuple(rest), notes)
+
+
+class Light:
+    """How much of N splats reaches views."""
+
+    def __init__(self, count: int) -> None:
+        self.seen, self.whole = np.zeros(count), np.zeros(count)
+
+    def add(self, view: Rendering) -> None:
+        """Count a view, rendered with contributions."""
+        assert view.contributions is not None  # noqa: S101 - asked for
+        assert view.unhidden is not None  # noqa: S101 - asked for
+        self.seen += view.contributions
+        self.whole += view.unhidden
+
+    def shares(self) -> F64:
+        """(N,) float64 in [0, 1], of the alpha of each in the views that it lies in; 0 in none."""
+        shares = np.zeros(len(self.seen))
+        np.divide(self.seen, self.whole, out=shares, where=self.whole > 0)
+        return np.minimum(shares, 1.0, out=shares)
+
+
+def _light_from_anywhere(
+    splats: Splats, prepared: PreparedSplats, count: int, tell: Parts
+) -> tuple[Light, tuple[str, ...]]:
+    """What small roaming views show, and a note where fewer of them were found."""
+    found: list[Camera] = []
+    with suppress(ModelError):  # none was found, which the note says
+        found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", tell=tell)
+    light = Light(len(splats))
+    for camera in found:
+        light.add(render(prepared, camera, contributions=True, sh_degree=0))
+    lacking = f"Of {counted(count, 'roaming view')} to look from {len(found)} were found."
+    return light, (lacking,) if len(found) < count else ()
+
+
+def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
+    """(N,) float64: footprints, less where they are hidden.
+
+    Args:
+        coverages: (N,) alpha times footprint.
+        visible: (N,) in [0, 1].
+        hidden: Weight of what is not seen at all, over that of what is in full sight.
+    """
+    weights: F64 = coverages * (hidden + (1 - hidden) * visible)
+    return weights
+
+
+def shown_share(coverages: F64, visible: F64, missed: Bool) -> float:
+    """Share of all footprints, in [0, 1], that splats have which the views show.
+
+    Args:
+        coverages: (N,) alpha times footprint.
+        visible: (N,) in [0, 1].
+        missed: (N,) which lie in no view.
+    """
+    total = float(coverages.sum())
+    shown = float(coverages[(visible >= SHOWN) & ~missed].sum())
+    return shown / total if total > 0 else 0.0
+
+
+def judge(small: Splats, views: OriginalViews) -> tuple[float, float]:
+    """Mean PSNR (dB, at most 100) and mean SSIM of the luma of a result on the views that decide.
+
+    Args:
+        small: The result.
+        views: From `look`.
+    """
+    prepared = prepare(small)
+    scores = []
+    for view in (view for group in views.deciding for view in group.targets):
+        wanted = view.image[..., :3] / np.float32(255)
+        shown = render(prepared, view.camera).shown()
+        grey = ssim(wanted @ LUMA, shown @ LUMA)
+        scores.append((min(psnr(wanted, shown), 100.0), grey))
+    means = np.mean(scores, axis=0)
+    return float(means[0]), float(means[1])

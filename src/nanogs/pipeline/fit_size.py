@@ -1,0 +1,216 @@
+"""The most splats whose file is no larger than asked, where only writing it tells its size."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nanogs.errors import OptionError
+from nanogs.formatting import counted
+from nanogs.pipeline.outcome import Outcome
+from nanogs.pipeline.run import Build, deliver
+from nanogs.pipeline.stages import RESULTS, SIZES, delivery_stages, write_weight
+from nanogs.progress import Stage, Tracker
+from nanogs.report import SizeProbeReport, StageClock
+from nanogs.splats import Splats
+
+AIM = 0.993  # of the size: a probe is put there, so that it is seldom just above
+ENOUGH = 0.98  # of the size: a file that takes so much of it ends the search
+TOLERANCE = 0.01  # or counts one of which fits, and one so much larger does not
+MOST_PROBES = 12
+_SAMPLE = 8192  # splats of the input that are written for the first guess
+_STEP = 0.97  # of a count that is too large: the next is at most so much of it
+
+Encode = Callable[[Splats], int]
+"""Bytes of a model's file, by writing it."""
+Probe = SizeProbeReport | None
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """The largest count found to fit, its bytes, and what was tried in order."""
+
+    count: int
+    bytes: int
+    probes: tuple[SizeProbeReport, ...]
+
+    def leap(self, size: int, available: int) -> tuple[str, ...]:
+        """A sentence where much of the size is left, since a few splats more take far more."""
+        over = min((probe for probe in self.probes if probe.bytes > size), default=None, key=_count)
+        if over is None or self.count == available or self.bytes >= ENOUGH * size:
+            return ()
+        more = f"one of {over.count:,} splats takes {over.bytes:,} B"
+        return (f"The file takes {self.bytes / size:.0%} of the size asked for: {more}.",)
+
+
+def _count(probe: SizeProbeReport) -> int:
+    return probe.count
+
+
+def search_fit(
+    bytes_of: Callable[[int], int],
+    size: int,
+    guess: int,
+    fewest: int,
+    available: int,
+    enough: float | None = None,
+    leaps: Sequence[int] = (),
+) -> Fitted:
+    """Interpolate bytes over counts until a file fits and takes most of the size.
+
+    Bytes grow with the count but for small unevennesses, so that a slightly larger count than the
+    one found may fit too. They may leap, as those of a palette do. Where that is known, the counts
+    on both sides of a leap are tried, so that the larger of two that differ by one is shown not to
+    fit; where it is not, every other step halves, so that the search does not creep towards it.
+
+    Args:
+        bytes_of: Size of the file of a count, by writing it.
+        size: Bytes that it may have.
+        guess: Count to begin with.
+        fewest: Smallest count that can be delivered, at least 1.
+        available: Largest.
+        enough: Bytes that are near enough to the size; by default 98 % of it.
+        leaps: Counts of which a file takes far more than of one less.
+
+    Raises:
+        OptionError: Not even the fewest fit.
+    """
+    probes: list[SizeProbeReport] = []
+    fits: Probe = None
+    over: Probe = None
+    enough = ENOUGH * size if enough is None else enough
+    count = min(max(guess, fewest), available)
+    while True:
+        probe = SizeProbeReport(count, bytes_of(count))
+        probes.append(probe)
+        if probe.bytes <= size:
+            fits = probe
+        else:
+            over = probe
+        if fits is None:
+            if count == fewest:
+                raise OptionError(
+                    f"The size {size:,} B is too small: a file of {counted(count, 'splat')}, the"
+                    f" fewest that this model can be merged to, takes {probe.bytes:,} B."
+                )
+        elif fits.bytes >= enough or _final(fits, over, available, len(probes), leaps):
+            return Fitted(fits.count, fits.bytes, tuple(probes))
+        count = _beside_leap(fits, over, leaps) or _next(fits, over, size, len(probes))
+        count = min(max(count, fewest), available)
+
+
+def _final(
+    fits: SizeProbeReport, over: Probe, available: int, tried: int, leaps: Sequence[int]
+) -> bool:
+    """Whether no count is left that is worth a probe."""
+    close = over is not None and over.count <= max((1 + TOLERANCE) * fits.count, fits.count + 1)
+    close = close and _beside_leap(fits, over, leaps) is None
+    return fits.count == available or close or tried >= MOST_PROBES
+
+
+def _beside_leap(fits: Probe, over: Probe, leaps: Sequence[int]) -> int | None:
+    """The count just below the first leap between those tried, or the leap itself after it."""
+    if fits is None or over is None or over.count == fits.count + 1:
+        return None
+    first = next((leap for leap in leaps if fits.count < leap <= over.count), None)
+    if first is None:
+        return None
+    return first if fits.count == first - 1 else first - 1
+
+
+def _next(fits: Probe, over: Probe, size: int, tried: int) -> int:
+    """The count where the bytes should be just below the size."""
+    aim = AIM * size
+    if over is None:
+        assert fits is not None  # noqa: S101 - one has been tried
+        return max(int(fits.count * aim / fits.bytes), fits.count + 1)
+    if fits is None:
+        step = _STEP if tried < MOST_PROBES else 0.5  # and so it ends
+        return int(over.count * min(aim / over.bytes, step))
+    between = over.count - fits.count
+    share = 0.5 if tried % 2 else (aim - fits.bytes) / (over.bytes - fits.bytes)
+    return min(max(fits.count + int(share * between), fits.count + 1), over.count - 1)
+
+
+def guess_count(splats: Splats, size: int, encode: Encode) -> int:
+    """A count to begin with, from what some of the model's own splats take.
+
+    Args:
+        splats: The usable ones.
+        size: Bytes that the file may have.
+        encode: Bytes of a model's file.
+
+    Raises:
+        OptionError: Not even one splat fits.
+    """
+    least = encode(splats.take(np.arange(1)))
+    if size < least:
+        raise OptionError(
+            f"The size {size:,} B is too small: a file of one splat of this model takes"
+            f" {least:,} B."
+        )
+    rows = np.arange(0, len(splats), -(-len(splats) // _SAMPLE))
+    each = (encode(splats.take(rows)) - least) / max(len(rows) - 1, 1)
+    return 1 + int((AIM * size - least) / each) if each > 0 else len(splats)
+
+
+def fit_size(
+    build: Build,
+    size: int,
+    guess: int,
+    encode: Encode,
+    clock: StageClock,
+    progress: Tracker,
+    leaps: Sequence[int] = (),
+) -> Outcome:
+    """The largest result of a build that is found to fit, and takes most of the size.
+
+    The count is looked for among results as one cut has them; of what is delivered, chosen by
+    measurement or fitted, few are made.
+
+    Args:
+        build: The model and its forest.
+        size: Bytes that the file may have.
+        guess: Count to begin with.
+        encode: Bytes of a model's file.
+        clock: Gets the seconds of each stage.
+        progress: Told of each stage.
+        leaps: See `search_fit`.
+
+    Raises:
+        OptionError: Not even the fewest splats fit.
+    """
+    best: list[Outcome] = []  # the latest that fits, and so the largest; one at a time
+
+    def search(build: Build, expected: int, guess: int, enough: float | None = None) -> Fitted:
+        tried = 0
+
+        def bytes_of(count: int) -> int:
+            nonlocal tried
+            stages = delivery_stages(build.parameters, len(build.leaves), count)
+            encoding = Stage("encode", write_weight(".sog", count))
+            probe = progress.within(tried, expected, [*stages, encoding])
+            tried += 1
+            outcome = deliver(build, count, clock, probe)
+            probe.begin("encode")
+            with clock.time("encode"):
+                size_of = encode(outcome.splats)
+            if size_of <= size:
+                best[:] = [replace(outcome, achieved_size=size_of)]
+            return size_of
+
+        forest = build.forest
+        return search_fit(bytes_of, size, guess, forest.fewest, forest.splats, enough, leaps)
+
+    parameters = replace(build.parameters, steps=0)
+    progress.begin("search")
+    found = search(replace(build, views=None, parameters=parameters), SIZES, guess)
+    probes = found.probes
+    if build.views is not None:
+        best.clear()
+        progress.begin("deliver")
+        found = search(build, RESULTS, found.count, ENOUGH * min(size, found.bytes))
+        probes += found.probes
+    found = replace(found, probes=probes)
+    leap = found.leap(size, build.forest.splats)
+    return replace(best[0], size_probes=probes, notes=(*best[0].notes, *leap))

@@ -1,0 +1,215 @@
+"""A simplification that has been checked: what `simplify` and `levels` share."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from nanogs._types import I32
+from nanogs.errors import ModelError
+from nanogs.formatting import counted
+from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.pipeline.memory import plan_memory
+from nanogs.pipeline.outcome import Outcome
+from nanogs.pipeline.presets import ForestParameters, PaperParameters, Parameters, parameters
+from nanogs.pipeline.target import Goal
+from nanogs.progress import Tracker
+from nanogs.report import SimplifyReport, StageClock, StopReason
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.pipeline.run import Build
+    from nanogs.raster.camera import Camera
+
+NanPolicy = Literal["drop", "error"]
+Deliver = Callable[[int, StageClock, Tracker], Outcome]
+"""The result of a count, the seconds of its stages added to the clock, each told."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """A model, and how it is to be simplified.
+
+    Attributes:
+        splats: The model.
+        rows: (M,) int32, its usable rows, ascending.
+        preset: Name of the preset.
+        parameters: Of the method.
+        cameras: The user's views, or None for automatic ones.
+    """
+
+    splats: Splats
+    rows: I32
+    preset: str
+    parameters: Parameters
+    cameras: "Sequence[Camera] | None"
+
+    def refuse_too_large(
+        self, target: int | None, max_memory: int | None, *, judged: bool = False
+    ) -> None:
+        """Refuse what takes more memory than there is, the model being held already.
+
+        Args:
+            target: Splats of the largest result, or None where that is not known beforehand.
+            max_memory: Bytes that this process may take; None for what is free.
+            judged: Whether results are held against views of the original whatever the preset.
+
+        Raises:
+            NotEnoughMemoryError: It takes more.
+        """
+        splats = self.splats
+        extra = sum(column.itemsize for column in splats.extras.values())
+        most = len(splats) if target is None else target
+        plan = plan_memory(
+            len(splats), splats.sh_degree, extra, self.parameters, most, judged=judged
+        )
+        held = 0 if max_memory else plan.input_columns
+        refuse_too_large(
+            "Simplifying this model", plan.peak - held, allowed_memory(max_memory),
+            "free some, or use nanogs.simplify_blocks, which works on files block by block",
+        )  # fmt: skip
+
+    def build(self, threads: int, clock: StageClock, progress: Tracker) -> "Build":
+        """The forest that any count is cut from; for presets that grow one.
+
+        Args:
+            threads: Threads in use.
+            clock: Gets the seconds of each stage.
+            progress: Told of each stage.
+        """
+        from nanogs.pipeline.run import build_forest
+
+        assert isinstance(self.parameters, ForestParameters)  # noqa: S101 - the caller's choice
+        return build_forest(
+            self.splats, self.rows, self.parameters, self.cameras, threads, clock, progress
+        )
+
+    def deliverer(
+        self, smallest: int, threads: int, clock: StageClock, progress: Tracker
+    ) -> Deliver:
+        """Do once what every count needs, and return what delivers each of them.
+
+        Args:
+            smallest: Count that will be asked for; where it is that of the usable splats, nothing
+                is done.
+            threads: Threads in use.
+            clock: Gets the seconds of what is done once.
+            progress: Told of that.
+        """
+        chosen = self.parameters
+        if isinstance(chosen, PaperParameters):
+            from nanogs.method.paper.published import simplify_as_published
+
+            return lambda target, clock, progress: simplify_as_published(
+                self.splats, self.rows, target, chosen, threads, clock, progress
+            )
+        from nanogs.pipeline.run import deliver
+
+        if smallest == len(self.rows):
+            whole = Outcome(self.splats.take(self.rows), (), StopReason.TARGET)
+            return lambda _target, _clock, _progress: whole
+        build = self.build(threads, clock, progress)
+        return lambda target, clock, progress: deliver(build, target, clock, progress)
+
+    def report(
+        self,
+        goal: Goal,
+        asked_count: int,
+        outcome: Outcome,
+        threads: int,
+        clock: StageClock,
+        start: float,
+    ) -> SimplifyReport:
+        """Report what was asked, delivered and spent.
+
+        Args:
+            goal: What was asked.
+            asked_count: What it comes to.
+            outcome: What was delivered.
+            threads: Threads used.
+            clock: The seconds of the stages.
+            start: `time.perf_counter()` at the start.
+        """
+        return SimplifyReport(
+            preset=self.preset,
+            parameters=asdict(self.parameters),
+            input_count=len(self.splats),
+            asked_ratio=goal.ratio,
+            asked_count=asked_count,
+            asked_size=goal.size,
+            asked_psnr=goal.psnr,
+            judged=outcome.judged,
+            probes=outcome.probes,
+            achieved_size=outcome.achieved_size,
+            size_probes=outcome.size_probes,
+            dropped_nonfinite=len(self.splats) - len(self.rows),
+            pruned=outcome.pruned,
+            prune_threshold=outcome.prune_threshold,
+            prune_limited=outcome.prune_limited,
+            passes=outcome.passes,
+            achieved_count=len(outcome.splats),
+            stop=outcome.stop,
+            seconds=clock.seconds,
+            total_seconds=time.perf_counter() - start,
+            threads=threads,
+            shown=outcome.shown,
+            candidates=outcome.candidates,
+            refit=outcome.refit,
+            notes=(*self.splats.notes, *outcome.notes),
+        )
+
+
+def prepare_job(
+    splats: Splats,
+    preset: str,
+    overrides: dict[str, Any],
+    cameras: "Sequence[Camera] | None",
+    nan: NanPolicy,
+) -> Job:
+    """Check all that can be checked before anything is computed.
+
+    Raises:
+        OptionError: There is no such preset or parameter.
+        ModelError: No splat is usable, or `nan="error"` and one is not.
+    """
+    chosen = parameters(preset, overrides)
+    return Job(splats, usable_rows(splats, nan), preset, chosen, cameras)
+
+
+def import_stages(chosen: Parameters) -> None:
+    """Import now, and Numba with it, what a method is going to need."""
+    if isinstance(chosen, PaperParameters):
+        import nanogs.method.paper.published
+    else:
+        import nanogs.pipeline.run  # noqa: F401
+
+
+def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
+    """(M,) int32: rows that are finite, ascending.
+
+    Raises:
+        ModelError: None is, or one is not and the policy is "error".
+    """
+    finite = splats.finite()
+    rows = np.flatnonzero(finite).astype(np.int32)
+    if len(rows) == 0:
+        raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
+    if nan == "error" and len(rows) < len(splats):
+        first = int(np.flatnonzero(~finite)[0])
+        raise ModelError(
+            f"{counted(len(splats) - len(rows), 'splat holds', 'splats hold')} a NaN or an infinite"
+            f' value, the first in row {first}; leave them out with `nan="drop"`.'
+        )
+    return rows
+
+
+def refuse_misaligned_elements(splats: Splats, target: int) -> None:
+    """An element with one row a splat would no longer fit the splats; others are untouched."""
+    for element in splats.elements:
+        if element.is_per_splat(len(splats)) and target < len(splats):
+            raise ModelError(
+                f"The element {element.name!r} has one row for each splat and would not fit the "
+                "smaller model; remove it from the file first."
+            )

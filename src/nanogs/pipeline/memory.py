@@ -1,0 +1,82 @@
+"""How much memory a simplification takes, computed from what its stages allocate.
+
+No Numba here: `--dry-run` uses it without compiling anything.
+"""
+
+from dataclasses import dataclass
+
+from nanogs.method.slices import SLICE_PAIRS
+from nanogs.pipeline.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
+from nanogs.pipeline.presets import PaperParameters, Parameters
+
+_F4, _F8, _I4, _I8 = 4, 8, 4, 8
+_GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # Gaussians; their features are the model's
+_LEFT = 0.55  # share of the splats that a pass leaves at least; the method leaves half or more
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryPlan:
+    """Bytes that a simplification keeps, stage by stage; the libraries come on top.
+
+    Attributes:
+        input_columns: The model as loaded.
+        working_set: Activated values of the splats.
+        stages: All that each stage holds, the model with it.
+        peak: The most that any stage holds.
+    """
+
+    input_columns: int
+    working_set: int
+    stages: dict[str, int]
+    peak: int
+
+
+def plan_memory(
+    count: int,
+    sh_degree: int,
+    extra_bytes: int,
+    parameters: Parameters,
+    target: int,
+    *,
+    judged: bool = False,
+) -> MemoryPlan:
+    """Memory of `simplify` before anything is pruned or merged.
+
+    Args:
+        count: Splats in the input.
+        sh_degree: Degree of its spherical harmonics.
+        extra_bytes: Bytes of extra columns for each splat.
+        parameters: Of the method.
+        target: Splats in the largest result.
+        judged: Whether results are held against the original on views held out.
+    """
+    features = 3 * (sh_degree + 1) ** 2 * _F4
+    row = 11 * _F4 + features + extra_bytes
+    neighbours = min(parameters.k, max(count - 1, 0))
+    if isinstance(parameters, PaperParameters):
+        working_set = count * (_I4 + _GEOMETRY)
+        held = _paper_stages(count, row, features, neighbours, target)
+    else:
+        working_set, held = forest_stages(
+            count, row, features, neighbours, parameters, target, judged=judged
+        )
+    stages = {stage: count * row + more for stage, more in held.items()}
+    return MemoryPlan(count * row, working_set, stages, max(stages.values()))
+
+
+def _paper_stages(count: int, row: int, features: int, k: int, target: int) -> dict[str, int]:
+    pairs, masses = pairs_of(k), 6 * _F8  # logarithms of scales and opacity among them
+    # Splats; pairs of them, whose features are theirs; then splats with features of their own.
+    second = _LEFT * (_GEOMETRY + 2 * _I4 + 2 * _F8)
+    third = _LEFT**2 * (_GEOMETRY + _I4 + features)
+    lists = 3 * _I4 + _I8 + 1 + 2 * _F8
+    splats = {
+        "activate": max(_GEOMETRY, 9 * _F8),
+        "graph": _GEOMETRY + graph_bytes(k),
+        "cost": _GEOMETRY + 2 * _I4 * pairs + max(_F4 * pairs + _F8, masses),
+        "match": _GEOMETRY + match_bytes(k),
+        "merge": max(_GEOMETRY + masses + lists + second, second + _LEFT * lists + third),
+    }
+    held = {stage: int(count * (_I4 + bytes_each)) for stage, bytes_each in splats.items()}
+    held["cost"] += min(int(count * pairs), SLICE_PAIRS) * 2 * _I4
+    return held | {"store": count * _I4 + target * (_GEOMETRY + features + row + 2 * _I8)}

@@ -1,0 +1,87 @@
+"""Pinhole cameras."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from nanogs._types import F64
+from nanogs.raster.lens import Lens
+
+Item = TypeVar("Item")
+
+NEAR = 0.2  # the reference rasteriser culls what is nearer, in scene units
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A pinhole camera in the OpenCV convention: x right, y down, z forward.
+
+    A point p in the world lands at u = fx x/z + cx, v = fy y/z + cy with (x, y, z) = R p + t; the
+    centre of the pixel in column i and row j is at (i + 0.5, j + 0.5).
+
+    Attributes:
+        width: Image width in pixels.
+        height: Image height in pixels.
+        fx: Focal length in pixels, horizontally.
+        fy: Focal length in pixels, vertically.
+        cx: Principal point, pixels from the left edge of the image.
+        cy: Principal point, pixels from the top edge of the image.
+        world_to_camera: (4, 4) float64, rigid; its upper rows are [R | t], t in scene units.
+        name: What reports and files call this view.
+        near: Splats whose centre is not farther than this are culled, scene units.
+        lens: What bent the picture that the camera took; renderers leave it out.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_to_camera: F64
+    name: str = ""
+    near: float = NEAR
+    lens: Lens | None = None
+
+    @property
+    def position(self) -> F64:
+        """(3,) float64: the camera's centre in scene units."""
+        rotation = self.world_to_camera[:3, :3]
+        position: F64 = -rotation.T @ self.world_to_camera[:3, 3]
+        return position
+
+    def reduced(self, size: int) -> "Camera":
+        """Reduce the view to at most `size` pixels along the longer side."""
+        factor = size / max(self.width, self.height)
+        if factor >= 1:
+            return self
+        width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        return self.resized(width, height)
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """Give the view other numbers of pixels."""
+        along, down = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * along,
+            fy=self.fy * down,
+            cx=self.cx * along,
+            cy=self.cy * down,
+        )
+
+
+def apart(items: Sequence[Item], count: int) -> tuple[list[Item], list[Item]]:
+    """At most `count` of the items, spread evenly, and all the others."""
+    rows = set(spread(range(len(items)), count))
+    return (
+        [item for row, item in enumerate(items) if row in rows],
+        [item for row, item in enumerate(items) if row not in rows],
+    )
+
+
+def spread(items: Sequence[Item], count: int) -> list[Item]:
+    """Pick at most `count` of the items, evenly from the first part to the last."""
+    n, count = len(items), min(count, len(items))
+    return [items[(2 * place + 1) * n // (2 * count)] for place in range(count)]

@@ -1,0 +1,338 @@
+"""Render splats on the CPU: a tile rasteriser with the conventions of 3DGS.
+
+A splat takes part in a pixel exactly where its alpha there is at least 1/255, whatever tile the
+pixel lies in (the reference also stops at a square of three standard deviations, rounded up to
+its tiles: that cuts off at most alpha 0.011 of an opaque splat). Everything else follows it:
+Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F32, F64, I32, I64, Bool, F
+from nanogs.errors import OptionError
+from nanogs.kernels import listing, raster
+from nanogs.kernels import project as projection
+from nanogs.kernels.blocks import ALL_BLOCKS
+from nanogs.kernels.radix import radix_sort
+from nanogs.raster.camera import Camera
+from nanogs.splats import RenderMode, Splats, refuse_other
+from nanogs.stored import rotations
+
+SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedSplats:
+    """A model activated once, to be rendered from many cameras.
+
+    Attributes:
+        means: (N, 3) float32 or float64, scene units; as stored.
+        factors: (N, 3, 3) float32, R diag(s), scene units: the covariance is factor factorᵀ.
+        opacities: (N,) float32 in [0, 1].
+        reaches: (N,) float32, squared radii at which alpha falls to 1/255; see `reaches_of`.
+        sh: (N, K, 3) float32; as stored.
+        keep: (N,) bool, false where the alpha is below 1/255 or a value is not finite.
+        sh_degree: 0 to 4.
+        render_mode: The rasteriser the model was trained for.
+        skipped: Rows that hold NaN, or an infinity elsewhere than in the opacity's logit.
+    """
+
+    means: F
+    factors: F32
+    opacities: F32
+    reaches: F32
+    sh: F32
+    keep: Bool
+    sh_degree: int
+    render_mode: RenderMode
+    skipped: int
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Projection:
+    """A model as one camera sees it, sorted and listed by tile; colours may be swapped.
+
+    Attributes:
+        geometry: (N, 8) float64, see `nanogs.kernels.project`; junk where not in `order`.
+        boxes: (N,) int64, the tiles around each splat, packed; see `nanogs.kernels.project`.
+        features: (N, 4) float32: red, green, blue before the background, and depth.
+        order: (M,) int64, the splats that can reach a pixel, nearest first.
+        starts: (T + 1,) int64, where each tile of 16 x 16 pixels begins in `entries`, row by row.
+        entries: (E,) int32, splats of each tile, nearest first.
+    """
+
+    geometry: F64
+    boxes: I64
+    features: F32
+    order: I64
+    starts: I64
+    entries: I32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendering:
+    """A picture of a model, and what else was asked for.
+
+    Attributes:
+        color: (H, W, 3) float32, over the background; not clipped at 1.
+        alpha: (H, W) float32, 1 - transmittance.
+        depth: (H, W) float32, expected depth along the viewing axis in scene units, normalised by
+            alpha; +inf where nothing was hit. None unless asked for.
+        contributions: (N,) float64, sum over pixels of transmittance x alpha. None unless asked.
+        unhidden: (N,) float64, about what `contributions` would be if nothing stood before the
+            splat; 0 where its centre is outside the image. None unless asked.
+        drawn: Splats that can reach a pixel of this view.
+        skipped: Rows left out because they hold NaN or an infinity.
+        notes: Where the rendering departs from the model's own rasteriser, for the user.
+    """
+
+    color: F32
+    alpha: F32
+    depth: F32 | None
+    contributions: F64 | None
+    unhidden: F64 | None
+    drawn: int
+    skipped: int
+    notes: tuple[str, ...]
+
+    def shown(self) -> F32:
+        """(H, W, 3) float32: the colours as a screen shows them, held to [0, 1]."""
+        return np.clip(self.color, 0.0, 1.0)
+
+
+def prepare(splats: Splats) -> PreparedSplats:
+    """Activate a model once for many views.
+
+    Args:
+        splats: The model; infinite logits of the opacity are alpha 1 and 0.
+
+    Returns:
+        Arrays that `render` and `project` read; means and sh are shared, not copied.
+    """
+    refuse_other(splats)
+    finite = splats.finite()
+    opacities = splats.opacities().astype(np.float32)
+    keep = finite & (opacities >= projection.MIN_ALPHA)
+    with np.errstate(invalid="ignore", over="ignore"):
+        factors = rotations(splats.unit_quats()) * splats.scales()[:, None, :]
+    return PreparedSplats(
+        means=splats.means,
+        factors=np.ascontiguousarray(factors),
+        opacities=opacities,
+        reaches=projection.reaches_of(opacities),
+        sh=np.ascontiguousarray(splats.sh),
+        keep=keep,
+        sh_degree=splats.sh_degree,
+        render_mode=splats.render_mode,
+        skipped=int(len(splats) - np.count_nonzero(finite)),
+    )
+
+
+def render(
+    splats: Splats | PreparedSplats,
+    camera: Camera,
+    *,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    depth: bool = False,
+    contributions: bool = False,
+    sh_degree: int | None = None,
+) -> Rendering:
+    """Render a model from one camera; the same bytes for any number of threads.
+
+    Args:
+        splats: The model, or `prepare(model)` when several views of it are wanted.
+        camera: Where to look from.
+        background: RGB behind the splats.
+        depth: Also return the expected depth.
+        contributions: Also return each splat's share of the image.
+        sh_degree: Highest spherical-harmonic degree to evaluate; the model's own by default.
+
+    Returns:
+        The images; see `Rendering`.
+
+    Raises:
+        OptionError: The camera, the background or the degree makes no sense.
+    """
+    prepared = splats if isinstance(splats, PreparedSplats) else prepare(splats)
+    behind = _background(background)
+    view = project(prepared, camera, sh_degree=sh_degree)
+    probes = np.ones((1 if contributions else 0, camera.height, camera.width), np.float32)
+    behind = behind if depth else behind[:3]
+    image, left, totals = blend(view, camera, view.features, behind, probes)
+    alpha = 1 - left
+    return Rendering(
+        color=np.ascontiguousarray(image[..., :3]),
+        alpha=alpha,
+        depth=_expected_depth(image[..., 3], alpha) if depth else None,
+        contributions=totals[:, 0].copy() if contributions else None,
+        unhidden=_unhidden(view, camera) if contributions else None,
+        drawn=len(view.order),
+        skipped=prepared.skipped,
+        notes=(SURFEL_NOTE,) if prepared.render_mode is RenderMode.SURFEL else (),
+    )
+
+
+def project(
+    prepared: PreparedSplats, camera: Camera, *, sh_degree: int | None = None
+) -> Projection:
+    """Project, sort by depth and list by tile what one camera sees.
+
+    Splats are ordered by their depth along the viewing axis as float32, ties by index.
+
+    Args:
+        prepared: The model.
+        camera: Where to look from.
+        sh_degree: Highest degree to evaluate; the model's own by default.
+
+    Returns:
+        What the blending kernels read.
+
+    Raises:
+        OptionError: The camera or the degree makes no sense.
+    """
+    _check_camera(camera)
+    degree = _degree(prepared, sh_degree)
+    n = len(prepared)
+    geometry = _rows_of_a_line(n)
+    features = np.empty((n, 4), np.float32)
+    boxes = np.empty(n, np.int64)
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.near)
+    projection.project_splats(
+        prepared.means,
+        prepared.factors,
+        prepared.opacities,
+        prepared.reaches,
+        prepared.keep,
+        prepared.sh,
+        np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64),
+        camera.position,
+        np.array(lens, np.float64),
+        prepared.render_mode is RenderMode.MIP,
+        degree,
+        geometry,
+        features,
+        boxes,
+    )
+    order = _depth_order(features, boxes)
+    starts, entries = listing.list_tiles(geometry, boxes, order, camera.width, camera.height)
+    return Projection(geometry, boxes, features, order, starts, entries)
+
+
+def blend(
+    view: Projection,
+    camera: Camera,
+    features: F32,
+    background: F32,
+    probes: F32 | None = None,
+    wanted: int = ALL_BLOCKS,
+) -> tuple[F32, F32, F64]:
+    """Blend features of the splats front to back.
+
+    Args:
+        view: From `project`, of this camera.
+        camera: Where to look from.
+        features: (N, C or more) float32; rows that are not drawn may hold junk.
+        background: (C,) float32, seen through what is left.
+        probes: (P, H, W) float32, see there; none by default.
+        wanted: Its set bits are the blocks of every tile to blend; others show the background.
+
+    Returns:
+        The image (H, W, C), the transmittance (H, W), and for every splat (N, P) float64 the sums
+        over the pixels of its share T alpha times the probes, 0 for one that is not drawn.
+    """
+    if probes is None:
+        probes = np.empty((0, camera.height, camera.width), np.float32)
+    probes = np.ascontiguousarray(probes)  # another layout would be another kernel to compile
+    assert features.shape[1] >= len(background)  # noqa: S101 - kernels do not look
+    image = np.empty((camera.height, camera.width, len(background)), np.float32)
+    left = np.empty(image.shape[:2], np.float32)
+    partial = np.empty((len(view.entries), len(probes)), np.float32)
+    raster.blend_tiles(
+        view.geometry,
+        features,
+        view.starts,
+        view.entries,
+        wanted,
+        background,
+        image,
+        left,
+        probes,
+        partial,
+    )
+    totals = np.zeros((len(features), len(probes)))
+    if len(probes):
+        raster.sum_entries(view.entries, partial, totals)
+    return image, left, totals
+
+
+def probe(view: Projection, camera: Camera, probes: F32) -> F64:
+    """(N, P) float64: sums over the pixels of each splat's share T alpha times the probes.
+
+    Args:
+        view: From `project`, of this camera.
+        camera: Where to look from.
+        probes: (P, H, W) float32.
+    """
+    return blend(view, camera, view.features, np.empty(0, np.float32), probes)[2]
+
+
+def _rows_of_a_line(n: int) -> F64:
+    """(n, 8) float64, junk, each row in one line of the processor's cache."""
+    flat = np.empty(8 * n + 7, np.float64)
+    return flat[-flat.ctypes.data % 64 // 8 :][: 8 * n].reshape(n, 8)
+
+
+def _depth_order(features: F32, boxes: I64) -> I64:
+    """Indices of the drawn splats, nearest first, ties by index."""
+    keys = np.empty(len(boxes), np.uint64)
+    keys = keys[: listing.depth_keys(features, boxes, keys)]
+    other = np.empty_like(keys)
+    keys = other if radix_sort(keys, other) else keys
+    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
+
+
+def _unhidden(view: Projection, camera: Camera) -> F64:
+    totals = np.zeros(len(view.geometry))
+    raster.add_unhidden(view.geometry, view.boxes, camera.width, camera.height, totals)
+    return totals
+
+
+def _expected_depth(weighted: F32, alpha: F32) -> F32:
+    depth = np.full(alpha.shape, np.inf, np.float32)
+    np.divide(weighted, alpha, out=depth, where=alpha > 0)
+    return depth
+
+
+def _background(background: tuple[float, float, float]) -> F32:
+    values = np.array([*background, 0.0], np.float32)
+    if values.shape != (4,) or not np.isfinite(values).all():
+        raise OptionError(f"background must be three finite numbers, not {background}.")
+    return values
+
+
+def _degree(prepared: PreparedSplats, sh_degree: int | None) -> int:
+    if sh_degree is None:
+        return prepared.sh_degree
+    if sh_degree < 0:
+        raise OptionError(f"sh_degree must be 0 or more, not {sh_degree}.")
+    return min(sh_degree, prepared.sh_degree)
+
+
+def _check_camera(camera: Camera) -> None:
+    if not (1 <= camera.width <= projection.LARGEST and 1 <= camera.height <= projection.LARGEST):
+        raise OptionError(
+            f"a camera needs 1 to {projection.LARGEST:,} pixels along each side, not"
+            f" {camera.width} x {camera.height}."
+        )
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, camera.near)
+    if not (np.isfinite(numbers).all() and min(camera.fx, camera.fy) > 0 and camera.near > 0):
+        raise OptionError(
+            f"camera {camera.name!r} needs finite intrinsics, focal lengths and near above 0."
+        )
+    if camera.world_to_camera.shape != (4, 4) or not np.isfinite(camera.world_to_camera).all():
+        raise OptionError(f"camera {camera.name!r} needs a finite 4 x 4 world_to_camera.")

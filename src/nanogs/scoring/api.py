@@ -1,0 +1,158 @@
+"""`nanogs.compare`: how much models look like their original."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from nanogs.bar import drawn
+from nanogs.errors import OptionError
+from nanogs.io import inspect
+from nanogs.io.models import Model, as_splats
+from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.progress import Progress, Stage, Tracker
+from nanogs.raster.api import Cameras, given_cameras
+from nanogs.raster.camera import Camera
+from nanogs.scoring.needed import LESS, needed_bytes
+from nanogs.scoring.protocol import BLACK, PIXELS, Background
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.scoring.comparison import Comparison, NamedModel
+    from nanogs.scoring.view_sets import Size, ViewSet
+
+Pixels: TypeAlias = int | tuple[int, int] | list[int] | list[tuple[int, int]]
+
+
+def compare(
+    original: Model,
+    *models: Model,
+    names: Sequence[str] | None = None,
+    cameras: Cameras | Sequence[str] = "auto",
+    views: int | None = None,
+    pixels: Pixels = PIXELS,
+    up: Sequence[float] | None = None,
+    background: Background = BLACK,
+    metrics: Sequence[str] = (),
+    threads: int | None = None,
+    max_memory: int | None = None,
+    progress: Progress | bool | None = None,
+) -> "Comparison":
+    """Score models against their original, on views that no method learns from.
+
+    The numbers are those of the command `nanogs compare`.
+
+    Args:
+        original: What the others should look like: a model, or a path.
+        *models: At least one to score: models, or paths.
+        names: Of the models, in their order; by default their files' names, or "model 1" and so
+            on.
+        cameras: As `render` takes them, or several kinds, as in `["auto", "roam"]`; they are found
+            from the original.
+        views: Number of automatic views of each kind; 8 by default, 24 roaming ones.
+        pixels: Of an automatic view: width and height in one number, or both; a list of these for
+            several sizes, one after the other.
+        up: (3,) direction of automatic views, scene units; found from the original by default.
+        background: RGB in [0, 1] behind the splats.
+        metrics: Further ones: "flip", "lpips"; each needs its extra.
+        threads: Threads to use; all by default. The result does not depend on it.
+        max_memory: Bytes that this process may take; by default what is free.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`.
+
+    Returns:
+        Scores of each model, their means in `models`, and how they were measured in `protocol`; in
+        `further` the same for each further kind and size of views.
+
+    Raises:
+        FormatError: A model or the cameras cannot be read.
+        ModelError: The original is seen in none of the views.
+        NotEnoughMemoryError: It takes more memory than is free or allowed.
+        OptionError: An argument is out of range, or no model is given.
+    """
+    called, asked = _names(models, names), _asked(cameras, pixels)
+    largest, most = asked.pictures(views)
+    needed = needed_bytes((original, *models), largest, most, all_of_it=bool(max_memory))
+    refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), LESS)
+    first = _named(_file_name(original) or "original", original)
+    others = [_named(name, model) for name, model in zip(called, models, strict=True)]
+    # Here and not above: these bring Numba.
+    from nanogs.scoring.on_sets import compare_on_sets
+    from nanogs.threads import use_threads
+
+    with use_threads(threads), drawn(progress) as tell:
+        sets = asked.sets(first.splats, views, up)
+        stages = [Stage("render", 1.0), Stage("score", float(len(others)))]
+        tracker = Tracker(tell, stages * len(sets))
+        comparison, _ = compare_on_sets(
+            first, others, sets, background=background, extras=metrics, progress=tracker
+        )
+        tracker.finish()
+    return comparison
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The views that are asked for: cameras, or else where to find some and at which sizes."""
+
+    cameras: "list[Camera]"
+    sources: Sequence[str] = ()
+    sizes: "Sequence[Size]" = ()
+
+    def pictures(self, views: int | None) -> tuple[int, int]:
+        """Pixels of the largest view, and the most views at a time; 0 where a file has them."""
+        from nanogs.scoring.view_sets import found_views
+
+        if self.cameras:
+            return max(camera.width * camera.height for camera in self.cameras), len(self.cameras)
+        largest = max((width * height for width, height in self.sizes), default=0)
+        return largest, max(found_views(self.sources, views), default=0)
+
+    def sets(
+        self, splats: Splats, views: int | None, up: Sequence[float] | None
+    ) -> "list[ViewSet]":
+        """The views, which are found from the original where they are not given."""
+        from nanogs.scoring.view_sets import ViewSet, view_sets
+
+        if self.cameras:
+            return [ViewSet(self.cameras, "given")]
+        return view_sets(splats, self.sources, self.sizes, views=views, up=up)
+
+
+def _asked(cameras: Cameras | Sequence[str], pixels: Pixels) -> _Asked:
+    from nanogs.scoring.view_sets import parse_sources
+
+    if isinstance(cameras, Camera):
+        return _Asked([cameras])
+    names = [cameras] if isinstance(cameras, str | PathLike) else list(cameras)
+    sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
+    if not sources or len(sources) < len(names):
+        given = [camera for camera in names if isinstance(camera, Camera)]
+        return _Asked(given_cameras(given if len(given) == len(names) else []))
+    sources = parse_sources(sources[0]) if len(sources) == 1 else sources
+    several = pixels if isinstance(pixels, list) else [pixels]
+    sizes = [(size, size) if isinstance(size, int) else size for size in several]
+    return _Asked([], sources, sizes)
+
+
+def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:
+    if not models:
+        raise OptionError("Give at least one model to compare with the original.")
+    if names is None:
+        return [_file_name(model) or f"model {place}" for place, model in enumerate(models, 1)]
+    if isinstance(names, str) or len(names) != len(models):
+        raise OptionError(f"Give one name for each model, {len(models)} in all, not {names!r}.")
+    return list(names)
+
+
+def _file_name(model: Model) -> str | None:
+    return Path(model).name if isinstance(model, str | PathLike) else None
+
+
+def _named(name: str, model: Model) -> "NamedModel":
+    from nanogs.scoring.comparison import NamedModel
+
+    splats = as_splats(model, name)
+    file_bytes = inspect(model).file_bytes if isinstance(model, str | PathLike) else None
+    return NamedModel(name, splats, file_bytes)

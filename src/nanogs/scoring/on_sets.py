@@ -1,0 +1,53 @@
+"""A comparison on several sets of views, one after the other."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from nanogs.progress import Tracker
+from nanogs.scoring.comparison import Comparison, NamedModel, Sheet, compare_models
+from nanogs.scoring.protocol import BLACK, Background, Kind
+from nanogs.scoring.view_sets import ViewSet
+
+
+def compare_on_sets(
+    reference: NamedModel,
+    models: Sequence[NamedModel],
+    sets: Sequence[ViewSet],
+    *,
+    background: Background = BLACK,
+    extras: Sequence[str] = (),
+    pictures: bool = False,
+    progress: Tracker | None = None,
+) -> tuple[Comparison, list[Sheet]]:
+    """Score models against a reference model on several sets of views.
+
+    Args:
+        reference: The reference.
+        models: At least one.
+        sets: At least one; the result is that on the first, which holds the further ones.
+        background: RGB in [0, 1] behind the splats.
+        extras: Further metrics, names in `scoring.EXTRA_METRICS`.
+        pictures: Also make the pictures for a page, of each kind at its first size.
+        progress: Told of the stages "render" and "score" of each set.
+
+    Raises:
+        OptionError: No model is given.
+        ModelError: The reference is seen in none of the views of a set.
+    """
+    comparisons, sheets = [], []
+    pictured: set[Kind] = set()
+    for views in sets:
+        comparison, some = compare_models(
+            reference,
+            models,
+            views.cameras,
+            kind=views.kind,
+            background=background,
+            extras=extras,
+            pictures=pictures and views.kind not in pictured,
+            progress=progress,
+        )
+        pictured.add(views.kind)
+        comparisons.append(replace(comparison, notes=(*views.notes, *comparison.notes)))
+        sheets += some
+    return replace(comparisons[0], further=tuple(comparisons[1:])), sheets

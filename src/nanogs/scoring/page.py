@@ -1,0 +1,86 @@
+"""The comparison as one self-contained page: numbers, pictures, a rate-distortion plot."""
+
+import io
+import math
+from collections.abc import Sequence
+from importlib.resources import files
+
+from nanogs.formatting import bytes_text, counted, number_text
+from nanogs.scoring.comparison import Comparison, Sheet
+from nanogs.scoring.pictures import ERROR_FULL_SCALE
+from nanogs.scoring.scores import ModelScore
+from nanogs.view.page import POLICY
+
+# What the page does without the viewer: its pictures are in it.
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+
+
+def render_page(
+    comparison: Comparison, sheets: Sequence[Sheet], title: str, viewer: str | None = None
+) -> str:
+    """HTML that needs no other file and no network.
+
+    Args:
+        comparison: The numbers.
+        sheets: The pictures, from `compare_models(..., pictures=True)`.
+        title: Heading of the page.
+        viewer: From `nanogs.view.page.viewer_part`: the page then has an interactive part, which
+            starts when a button is pressed.
+    """
+    from jinja2 import Environment
+
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["number"] = number_text
+    environment.filters["size"] = bytes_text
+    environment.filters["counted"] = counted
+    template = environment.from_string(_text("page.html.j2"))
+    width, height = comparison.protocol.pixels
+    several = len({model.splats for model in comparison.models}) > 1
+    return template.render(
+        title=title,
+        comparison=comparison,
+        width=width,
+        height=height,
+        original="original" if comparison.reference_splats else "photograph",
+        named=comparison.protocol.kind in ("given", "photographs"),
+        css=_text("page.css"),
+        program=_text("page.js"),
+        policy=_POLICY,
+        sheets=sheets,
+        full_scale=ERROR_FULL_SCALE,
+        extras=sorted({name for model in comparison.models for name in model.extras}),
+        viewer=viewer,
+        viewer_policy=POLICY,
+        plot=rate_distortion_plot(comparison.models) if several else "",
+    )
+
+
+def _text(name: str) -> str:
+    return files("nanogs.scoring").joinpath(name).read_text(encoding="utf-8")
+
+
+def rate_distortion_plot(models: Sequence[ModelScore]) -> str:
+    """An SVG element: PSNR against the number of splats, a line for each name.
+
+    Models whose PSNR is infinite have no place on it and are left out.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.add_subplot()
+    lines: dict[str, list[tuple[int, float]]] = {}
+    for model in models:
+        if math.isfinite(model.psnr):
+            lines.setdefault(model.name, []).append((model.splats, model.psnr))
+    for name, points in lines.items():
+        axes.plot(*zip(*sorted(points), strict=True), marker="o", label=name)
+    axes.set_xscale("log")
+    axes.set_xlabel("splats")
+    axes.set_ylabel("PSNR (dB)")
+    axes.grid(alpha=0.3)
+    if lines:
+        axes.legend()
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    svg = buffer.getvalue()
+    return svg[svg.index("<svg") :]

@@ -1,0 +1,211 @@
+"""A comparison from file names: what `nanogs compare` does."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nanogs.errors import OptionError
+from nanogs.formatting import counted
+from nanogs.io import inspect, load
+from nanogs.io.atomic import atomic_write
+from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.needs import compare_bytes, photographs_bytes
+from nanogs.progress import Progress, Stage, Tracker, each
+from nanogs.scoring.comparison import (
+    Comparison,
+    NamedModel,
+    compare_with_photographs,
+)
+from nanogs.scoring.needed import LESS
+from nanogs.scoring.on_sets import compare_on_sets
+from nanogs.scoring.page import render_page
+from nanogs.scoring.protocol import BLACK, PIXELS, VIEWS, Background, Judged
+from nanogs.scoring.scores import ReferenceView
+from nanogs.scoring.view_sets import Size, found_views, parse_sources, view_sets
+from nanogs.view.bundle import check_built
+from nanogs.view.pack import pack
+from nanogs.view.page import Shown, facts_of, viewer_part
+from nanogs.views.cameras import AUTOMATIC, FOUND
+from nanogs.views.opening import Opening, opening_for
+
+if TYPE_CHECKING:
+    from nanogs.raster.camera import Camera
+    from nanogs.views.automatic import Kind
+
+
+def compare_files(
+    reference: tuple[str, Path],
+    tests: Sequence[tuple[str, Path]],
+    *,
+    cameras: str = "auto",
+    views: int | None = None,
+    sizes: Sequence[Size] = ((PIXELS, PIXELS),),
+    up: Sequence[float] | None = None,
+    background: Background | None = None,
+    extras: Sequence[str] = (),
+    photos: Path | None = None,
+    images: str | None = None,
+    split: str = "test",
+    report: Path | None = None,
+    interactive: bool = False,
+    max_memory: int | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Read, score, and write the page if one is asked for.
+
+    Args:
+        reference: Name and file of the original model.
+        tests: Names and files of the models to score.
+        cameras: See `cameras_for`; or several kinds of found ones, with commas between. Without
+            effect where photographs are given.
+        views: Number of automatic views of each kind; as many as usual by default.
+        sizes: Widths and heights of automatic views, pixels.
+        up: Up direction of automatic views.
+        background: RGB in [0, 1]; by default black, and for photographs the data set's own (see
+            `Dataset.background`).
+        extras: Further metrics.
+        photos: Data-set folder; the reference is then scored against its photographs too.
+        images: Folder of the photographs in a COLMAP data set.
+        split: Photographs to use, "test" or "train".
+        report: Page to write, or None.
+        interactive: Put the models into the page too, to be loaded and moved there.
+        max_memory: Bytes that this process may take; by default what is free.
+        overwrite: Replace the page if it exists.
+        progress: Called with each `nanogs.progress.Step`.
+
+    Raises:
+        NanogsError: A file or an option is not usable, or there is too little memory.
+    """
+    if report and interactive:
+        check_built()
+    page = interactive if report else None
+    paths = (reference, *tests)
+    infos = [inspect(path) for _name, path in paths]
+    sources = [] if photos else parse_sources(cameras)
+    counts = found_views(sources, views)
+    needed = compare_bytes(infos, _most_pixels(sizes), max(counts, default=0), paged=bool(page))
+    refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), LESS)
+    tracker = Tracker(progress, _stages(len(paths), counts, sizes, page))
+    tracker.begin("read")
+    models = []
+    for (name, path), info in each(list(zip(paths, infos, strict=True)), tracker.part):
+        models.append(NamedModel(name, load(path), info.file_bytes))
+    options: dict[str, Any] = {"extras": extras, "pictures": bool(report), "progress": tracker}
+    start: Kind | Camera
+    if photos is None:
+        behind = background or BLACK
+        sets = view_sets(models[0].splats, sources, sizes, views=views, up=up)
+        start = AUTOMATIC.get(sources[0], "auto") if sources[0] in FOUND else sets[0].cameras[0]
+        comparison, sheets = compare_on_sets(
+            models[0], models[1:], sets, background=behind, **options
+        )
+    else:
+        tracker.begin("photographs")
+        behind, frames = photographs(photos, images, split, background, max_memory)
+        comparison, sheets = compare_with_photographs(
+            str(photos), models, frames, split=split, background=behind, **options
+        )
+        start = frames[0].camera
+    if report:
+        viewer = None
+        if interactive:
+            tracker.begin("encode")
+            opening = opening_for(models[0].splats, start, up)
+            viewer = viewer_part(_shown(models, comparison, opening), opening, behind)
+        tracker.begin("write")
+        page_text = render_page(comparison, sheets, f"{reference[0]}: comparison", viewer)
+        with atomic_write(report, overwrite=overwrite) as file:
+            file.write(page_text.encode("utf-8"))
+    tracker.finish()
+    return comparison
+
+
+def _most_pixels(sizes: Sequence[Size]) -> int:
+    return max((width * height for width, height in sizes), default=0)
+
+
+def _stages(
+    models: int, counts: Sequence[int], sizes: Sequence[Size], page: bool | None
+) -> list[Stage]:
+    """The stages to come, for so many models; the page has a 3D part, none, or is not made.
+
+    Args:
+        models: With the original.
+        counts: Views of each kind; none of photographs.
+        sizes: Of the views.
+        page: Whether it has a 3D part, or None.
+    """
+    stages = [Stage("read", 2.0 * models)]
+    if not counts:
+        stages += [Stage("photographs", 8), Stage("score", 8.0 * models)]
+    for views in counts:
+        for width, height in sizes:
+            effort = (views or VIEWS) * max(1.0, width * height / PIXELS**2)
+            stages += [Stage("render", effort), Stage("score", models * effort)]
+    stages += [Stage("encode", 3.0 * models)] if page else []
+    return stages + ([] if page is None else [Stage("write", 1.0)])
+
+
+def _shown(models: Sequence[NamedModel], comparison: Comparison, start: Opening) -> list[Shown]:
+    """The models as the page's viewer has them, with their scores."""
+    judged: list[Judged | None] = [comparison.judged(i) for i in range(len(comparison.models))]
+    if len(judged) < len(models):  # the original is what the others are held against
+        judged = [None, *judged]
+    original = models[0].splats
+    return [
+        Shown(
+            model.name,
+            facts_of(
+                len(model.splats),
+                model.file_bytes,
+                reference=None if place == 0 else len(original),
+                judged=score,
+            ),
+            pack(model.splats, start),
+        )
+        for place, (model, score) in enumerate(zip(models, judged, strict=True))
+    ]
+
+
+def photographs(
+    folder: Path,
+    images: str | None,
+    split: str,
+    background: Background | None,
+    max_memory: int | None = None,
+) -> tuple[Background, list[ReferenceView]]:
+    """Cameras and photographs of a data set's split.
+
+    Args:
+        folder: NeRF-Synthetic or COLMAP data set.
+        images: Folder of the photographs in a COLMAP data set.
+        split: "test" or "train".
+        background: RGB in [0, 1] behind transparent parts; None for the data set's own.
+        max_memory: Bytes that this process may take; by default what is free.
+
+    Returns:
+        The background, and the photographs over it.
+
+    Raises:
+        NotEnoughMemoryError: They are too many, or too large.
+        NanogsError: The folder holds no such data set, split or photograph.
+    """
+    from nanogs.datasets.dataset import Split, open_dataset
+
+    splits: dict[str, Split] = {"test": "test", "train": "train"}
+    if split not in splits:
+        raise OptionError(f"The split must be test or train, not {split!r}.")
+    dataset = open_dataset(folder, images=images)
+    frames = dataset.split(splits[split])
+    pixels = [frame.camera.width * frame.camera.height for frame in frames]
+    refuse_too_large(
+        f"Comparing with {counted(len(frames), 'photograph')}",
+        photographs_bytes(pixels),
+        allowed_memory(max_memory),
+        'free some, or use smaller photographs, as with `images="images_4"`',
+    )
+    behind = background or dataset.background(frames)
+    return behind, [
+        ReferenceView(frame.camera, dataset.load_photo(frame, behind)) for frame in frames
+    ]

@@ -1,0 +1,219 @@
+"""Scores of models on views: every claim about quality rests on them."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F32
+from nanogs.errors import ModelError, OptionError
+from nanogs.formatting import undrawn
+from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
+from nanogs.progress import Parts, each, untold
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import PreparedSplats, Rendering, render
+from nanogs.scoring.protocol import Background
+
+HIGHEST = 100.0  # dB that a view counts at most, where not all are equal
+EXTRA_METRICS: Mapping[str, Callable[[F32, F32], float]] = {"flip": flip, "lpips": lpips}
+
+OnView = Callable[["ReferenceView", "Rendering", "ViewScore"], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceView:
+    """A view of the original, or a photograph: renderings are held against it.
+
+    Attributes:
+        camera: The camera.
+        image: (H, W, 3) float32 in [0, 1].
+        rendering: The reference model's rendering; None for a photograph.
+    """
+
+    camera: Camera
+    image: F32
+    rendering: Rendering | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ViewScore:
+    """A model's score on one view.
+
+    Attributes:
+        view: Name of the camera.
+        psnr: Peak signal-to-noise ratio, dB; infinite for equal images.
+        ssim: Structural similarity, 1 for equal images.
+        depth: Mean relative depth error against the reference model, or None for a photograph or
+            where no pixel is covered in both.
+        extras: Further metrics by name.
+    """
+
+    view: str
+    psnr: float
+    ssim: float
+    depth: float | None
+    extras: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ModelScore:
+    """A model's scores on all views, and their means.
+
+    Attributes:
+        name: What the user calls it.
+        splats: Number of splats.
+        file_bytes: Size of its file, or None.
+        psnr: Mean over the views, dB; see `mean_psnr`.
+        least_psnr: PSNR of the worst view, dB.
+        least_view: Name of that view.
+        ssim: Mean over the views.
+        depth: Mean over the views that have one, or None.
+        extras: Means of further metrics by name.
+        views: Scores view by view.
+        notes: What the reader of the numbers should know.
+    """
+
+    name: str
+    splats: int
+    file_bytes: int | None
+    psnr: float
+    least_psnr: float
+    least_view: str
+    ssim: float
+    depth: float | None
+    extras: dict[str, float]
+    views: tuple[ViewScore, ...]
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        return asdict(self)
+
+
+def reference_views(
+    reference: PreparedSplats,
+    cameras: Iterable[Camera],
+    background: Background,
+    tell: Parts = untold,
+    *,
+    depth: bool = True,
+) -> tuple[list[ReferenceView], list[str]]:
+    """Render the reference from each camera; views in which it is not seen are set aside.
+
+    Args:
+        reference: The model that others are held against.
+        cameras: The views.
+        background: RGB in [0, 1].
+        tell: Told of the views rendered.
+        depth: Keep what depth is measured against; otherwise the images alone, as of photographs.
+
+    Returns:
+        The views, and the names of those that show nothing.
+
+    Raises:
+        ModelError: No view shows anything.
+    """
+    views, empty = [], []
+    for camera in each(cameras, tell):
+        rendering = render(reference, camera, background=background, depth=depth)
+        if rendering.alpha.any():
+            kept = rendering if depth else None
+            views.append(ReferenceView(camera, rendering.shown(), kept))
+        else:
+            empty.append(camera.name)
+    if not views:
+        raise ModelError("The reference is seen in none of the views; choose other cameras.")
+    return views, empty
+
+
+def score(
+    name: str,
+    model: PreparedSplats,
+    views: Sequence[ReferenceView],
+    background: Background,
+    *,
+    file_bytes: int | None = None,
+    extras: Sequence[str] = (),
+    on_view: OnView | None = None,
+) -> ModelScore:
+    """Score a model on the views.
+
+    Args:
+        name: What the user calls the model.
+        model: The model.
+        views: From `reference_views`, or photographs.
+        background: RGB in [0, 1]; the views' own.
+        file_bytes: Size of the model's file.
+        extras: Names in `EXTRA_METRICS`.
+        on_view: Told of each view, its rendering and its score.
+
+    Raises:
+        OptionError: No such metric, or its package is not installed.
+    """
+    for extra in extras:
+        if extra not in EXTRA_METRICS:
+            raise OptionError(
+                f"There is no metric {extra!r}; choose from {', '.join(EXTRA_METRICS)}."
+            )
+    scores = []
+    notes: dict[str, None] = {}
+    for view in views:
+        with_depth = view.rendering is not None
+        rendering = render(model, view.camera, background=background, depth=with_depth)
+        scores.append(_score_view(view, rendering, extras))
+        notes.update(dict.fromkeys(rendering.notes))
+        if on_view:
+            on_view(view, rendering, scores[-1])
+    if model.skipped:
+        notes[undrawn(model.skipped)] = None
+    worst = min(scores, key=lambda entry: entry.psnr)
+    return ModelScore(
+        name=name,
+        splats=len(model),
+        file_bytes=file_bytes,
+        psnr=mean_psnr([entry.psnr for entry in scores]),
+        least_psnr=worst.psnr,
+        least_view=worst.view,
+        ssim=float(np.mean([entry.ssim for entry in scores])),
+        depth=_mean([entry.depth for entry in scores if entry.depth is not None]),
+        extras={
+            extra: float(np.mean([entry.extras[extra] for entry in scores])) for extra in extras
+        },
+        views=tuple(scores),
+        notes=tuple(notes),
+    )
+
+
+def mean_psnr(values: Sequence[float]) -> float:
+    """The mean over views, dB: infinite if all are equal, else an equal one counts as 100 dB.
+
+    One view that lacks nothing would otherwise hide what all others lack.
+    """
+    if all(map(math.isinf, values)):
+        return math.inf
+    return float(np.mean([min(value, HIGHEST) for value in values]))
+
+
+def _score_view(view: ReferenceView, rendering: Rendering, extras: Sequence[str]) -> ViewScore:
+    image = rendering.shown()
+    return ViewScore(
+        view=view.camera.name,
+        psnr=psnr(view.image, image),
+        ssim=ssim(view.image, image),
+        depth=_depth(view.rendering, rendering),
+        extras={extra: EXTRA_METRICS[extra](view.image, image) for extra in extras},
+    )
+
+
+def _depth(reference: Rendering | None, rendering: Rendering) -> float | None:
+    if reference is None or reference.depth is None or rendering.depth is None:
+        return None
+    if not ((reference.alpha > 0.5) & (rendering.alpha > 0.5)).any():
+        return None
+    return depth_error(rendering.depth, rendering.alpha, reference.depth, reference.alpha)
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None

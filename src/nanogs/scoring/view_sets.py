@@ -1,0 +1,108 @@
+"""Sets of views that models are compared on: kinds of cameras, each at several picture sizes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from nanogs.errors import OptionError
+from nanogs.formatting import counted
+from nanogs.raster.camera import Camera
+from nanogs.scoring.protocol import Kind, usual_views
+from nanogs.splats import Splats
+from nanogs.views.cameras import FOUND, cameras_for
+
+Size: TypeAlias = tuple[int, int]  # width and height, pixels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewSet:
+    """Views of one kind and one size.
+
+    Attributes:
+        cameras: The views.
+        kind: Where they are from.
+        notes: What the reader of the numbers should know.
+    """
+
+    cameras: Sequence[Camera]
+    kind: Kind
+    notes: tuple[str, ...] = ()
+
+
+def parse_sources(text: str) -> list[str]:
+    """Kinds of cameras with commas between, such as "auto,roam"; or else the path of a file."""
+    names = [name.strip() for name in text.split(",")]
+    return names if all(name in FOUND for name in names) else [text]
+
+
+def found_views(sources: Sequence[str], views: int | None) -> list[int]:
+    """How many views are asked for of each source; 0 of a file, which has its own."""
+    return [
+        0 if source not in FOUND else usual_views(source) if views is None else views
+        for source in sources
+    ]
+
+
+def view_sets(
+    splats: Splats,
+    sources: Sequence[str],
+    sizes: Sequence[Size],
+    *,
+    views: int | None = None,
+    up: Sequence[float] | None = None,
+) -> list[ViewSet]:
+    """Test views of each source at each size, in that order; a source looks the same way at all.
+
+    Args:
+        splats: The original.
+        sources: Names in `render.source.FOUND`, or one camera file.
+        sizes: Of the views that are found.
+        views: How many of each source; as many as usual by default.
+        up: (3,) direction of the views that are found; from the original by default.
+
+    Raises:
+        NanogsError: A source or a size comes twice, or several sizes of a camera file, or cameras
+            are neither found nor read.
+    """
+    for what, values in (("kind of cameras", sources), ("size", sizes)):
+        if len(set(values)) < len(values):
+            raise OptionError(f"A {what} is given twice; name each once.")
+    others = [source for source in sources if source not in FOUND]
+    if others and len(sizes) > 1:
+        raise OptionError(
+            f"Sizes are of views that are found; the cameras of {others[0]} have their own. Give"
+            " one size, or cameras that are found."
+        )
+    counts = found_views(sources, views)
+    return [
+        made
+        for source, count in zip(sources, counts, strict=True)
+        for made in _of_source(splats, source, sizes, count, up)
+    ]
+
+
+def _of_source(
+    splats: Splats, source: str, sizes: Sequence[Size], count: int, up: Sequence[float] | None
+) -> list[ViewSet]:
+    """The views of one source, at each size."""
+    made: list[ViewSet] = []
+    shapes: dict[float, list[Camera]] = {}
+    for width, height in sizes:
+        shape = width / height
+        if shape not in shapes:
+            shapes[shape] = cameras_for(
+                splats, source, count=count, width=width, height=height, up=up
+            )
+        cameras = shapes[shape]
+        notes: tuple[str, ...] = ()
+        if source in FOUND:
+            cameras = [camera.resized(width, height) for camera in cameras]
+            notes = _missing(source, len(cameras), count)
+        made.append(ViewSet(cameras, FOUND.get(source, "given"), notes))
+    return made
+
+
+def _missing(source: str, found: int, asked: int) -> tuple[str, ...]:
+    if found == asked:
+        return ()
+    return (f"{source}: {counted(found, 'view was', 'views were')} found of {asked} asked for",)

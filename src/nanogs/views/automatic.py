@@ -1,0 +1,166 @@
+"""Cameras for a model that came without any: around objects, inside rooms.
+
+Everything is measured in the model's own extent and in its own frame, so moving, scaling or turning
+a model does the same to its cameras, as long as which way is up turns too (see `stance`).
+Directions come from one low-discrepancy sequence, whose even members are for fitting and whose odd
+members are for testing: the two sets are disjoint, and the first n of a larger set are the smaller.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from nanogs._types import F64, I64
+from nanogs.errors import OptionError
+from nanogs.raster.camera import Camera
+from nanogs.splats import Splats, refuse_other
+from nanogs.views import inside, orbit
+from nanogs.views.heading import body_of, seen_from
+from nanogs.views.occupancy import Core, Matter, find_core, sample
+from nanogs.views.stance import UPRIGHT, own_stance, upright
+from nanogs.views.up import detect_up
+
+Kind = Literal["auto", "orbit", "inside"]
+Split = Literal["fit", "test"]
+
+UP = (0.0, 0.0, 1.0)  # in the model's own frame
+ORBIT_FOV = 50.0  # degrees, of the longer side
+INSIDE_FOV = 75.0
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """Findings about a model before cameras are placed.
+
+    Attributes:
+        matter: A sample of its visible splats, in the model's own frame.
+        core: The part of it that views are about, in that frame.
+        turn: (4, 4) float64, from scene coordinates to that frame, which has up along z.
+        kind: How to look at it: "orbit" or "inside".
+        band: Lowest and highest elevation of cameras around it, radians.
+    """
+
+    matter: Matter
+    core: Core
+    turn: F64
+    kind: Kind
+    band: tuple[float, float]
+
+
+def automatic_cameras(
+    splats: Splats,
+    count: int = 8,
+    *,
+    width: int = 512,
+    height: int = 512,
+    kind: Kind = "auto",
+    up: Sequence[float] | F64 | None = None,
+    habit: bool = True,
+    fov: float | None = None,
+    split: Split = "fit",
+) -> list[Camera]:
+    """Choose cameras from the model alone; the same arguments give the same cameras.
+
+    `auto` takes a model for a room, and looks from inside, where its area lies mostly in the six
+    outer slabs of a box (turned about `up` as fits best), in four of them or more and in none
+    alone, with some matter well inside; all else is looked at from around, from a range of
+    distances: some views cut it off, some show it whole with what surrounds it (see `orbit`). Skies
+    and splats that fly far away do not count (see `occupancy.find_core`). A view that something
+    near the camera blocks is moved nearer and higher.
+
+    Args:
+        splats: The model, N splats.
+        count: Number of cameras, 1 or more.
+        width: Of the images, in pixels.
+        height: Of the images, in pixels.
+        kind: `orbit` or `inside` to choose, `auto` to let the model decide.
+        up: (3,) direction in scene coordinates, of any length; by default away from the ground the
+            model stands on where one is clear, else (0, -1, 0) (see `up.detect_up`).
+        habit: Without `up`, whether to look for it along the axes and take (0, -1, 0) where nothing
+            is clear, as for pictures to look at. If not, the model alone decides, in whatever
+            direction, and where it shows nothing cameras stand all around it: turning any model
+            then turns its cameras (see `stance.own_stance`).
+        fov: Field of view along the longer side, in degrees; by default 50 around and 75 inside.
+        split: `fit` and `test` give disjoint sets that cover the same ground.
+
+    Returns:
+        `count` cameras named `fit_000` and so on; `near` is set to the scale of the scene.
+
+    Raises:
+        ModelError: No splat is visible, so that every view would be empty.
+        OptionError: An argument is out of range.
+    """
+    _check(count, width, height, fov, split)
+    scene = survey(splats, kind, up, habit=habit)
+    angle = np.radians(fov or (ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV))
+    focal = max(width, height) / 2 / np.tan(angle / 2)
+    lens = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
+    numbers = 2 * np.arange(count) + (split == "test")
+    return [
+        Camera(width, height, focal, focal, width / 2, height / 2, pose @ scene.turn, name, near)
+        for name, (pose, near) in zip(
+            (f"{split}_{i:03}" for i in range(count)), _poses(scene, lens, numbers), strict=True
+        )
+    ]
+
+
+def _poses(scene: Survey, lens: F64, numbers: I64) -> list[tuple[F64, float]]:
+    up = np.array(UP)
+    if scene.kind == "orbit":
+        return orbit.poses(scene.matter, scene.core, up, lens, numbers, scene.band)
+    return inside.poses(scene.matter, scene.core, up, lens, numbers)
+
+
+def survey(
+    splats: Splats,
+    kind: Kind = "auto",
+    up: Sequence[float] | F64 | None = None,
+    *,
+    habit: bool = True,
+) -> Survey:
+    """Find what `automatic_cameras` places its cameras by; the arguments are its own.
+
+    Raises:
+        ModelError: No splat is visible.
+        OptionError: An argument is out of range.
+    """
+    if kind not in ("auto", "orbit", "inside"):
+        raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
+    refuse_other(splats)
+    given = None if up is None else _unit(up)
+    matter = sample(splats)
+    if given is not None:
+        stance = upright(body_of(matter), given)
+    elif habit:
+        stance = upright(body_of(matter), detect_up(matter, find_core(matter)))
+    else:
+        stance = own_stance(matter, room=kind != "orbit")
+    turn = np.eye(4)
+    turn[:3, :3] = stance.frame
+    matter = seen_from(matter, stance.frame)
+    core = find_core(matter)
+    if kind == "auto":
+        room = stance.band == UPRIGHT and inside.is_room(matter, core, np.array(UP))
+        kind = "inside" if room else "orbit"
+    return Survey(matter, core, turn, kind, stance.band)
+
+
+def _check(count: int, width: int, height: int, fov: float | None, split: str) -> None:
+    if count < 1 or width < 1 or height < 1:
+        raise OptionError(
+            f"Cameras need a count and a size of 1 or more, not {count} of {width} x {height}."
+        )
+    if split not in ("fit", "test"):
+        raise OptionError(f"The split of views is fit or test, not {split!r}.")
+    if fov is not None and not 1 <= fov <= 170:
+        raise OptionError(f"The field of view must be 1 to 170 degrees, not {fov}.")
+
+
+def _unit(up: Sequence[float] | F64) -> F64:
+    given = np.array(up, dtype=np.float64)
+    if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
+        raise OptionError(f"Up must be three finite numbers, not all zero, not {up}.")
+    unit: F64 = given / np.linalg.norm(given)
+    return unit

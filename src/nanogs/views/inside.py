@@ -1,0 +1,127 @@
+"""Cameras inside a room: in free space, facing what is dense, at several distances."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F64, I64, Bool
+from nanogs.views.occupancy import Core, Grid, Matter, build_grid, capped, quantiles
+from nanogs.views.poses import level_frame, look_at, low_discrepancy, view_hits
+
+SLAB = 0.08  # thickness of a wall, as a share of the room
+WALL_SHARE = 0.55  # of a room's area, in its six walls; a sphere has 0.48
+FACE_SHARE = 0.06  # of a room's area, in a wall that counts
+FACES = 4  # that a room has at least: one may be open, the ceiling unseen
+GROUND_SHARE = 0.5  # of the walls' area: a face with more is the ground of an open scene
+CONTENT = 0.02  # of a room's area, well inside it; a closed box has none
+TURNS = 18  # tried within a quarter turn
+SAMPLE = 6_000  # splats that a box is fitted to; shares come out to a hundredth
+TRIES = 16  # places tried for one view
+ENOUGH = 0.7  # share of a view that should show something; more would narrow the choice
+KEEP_OFF = 0.12  # of the room, between a camera and a wall
+CLEARANCE = 0.12  # of the room's radius: nearer matter counts as blocking
+NEAR = 0.01  # near plane over the core's radius
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A box turned about the vertical that holds the core's area but for 1 % at each face.
+
+    Attributes:
+        frame: (3, 3) float64, its edges' directions in rows, the last one up.
+        low: (3,) float64, its lower corner in that frame, scene units.
+        high: (3,) float64, its upper corner in that frame, scene units.
+        faces: (6,) float64, share of the area in the slabs at its faces.
+        content: Share of the area that is in no slab of twice that thickness.
+    """
+
+    frame: F64
+    low: F64
+    high: F64
+    faces: F64
+    content: float
+
+
+def is_room(matter: Matter, core: Core, up: F64) -> bool:
+    """Whether four walls or more hold most of the area, and something stands inside."""
+    box = fit_box(matter, core, up)
+    area = box.faces.sum()
+    walled = area > WALL_SHARE and (box.faces > FACE_SHARE).sum() >= FACES
+    return bool(walled and box.faces.max() < GROUND_SHARE * area and box.content > CONTENT)
+
+
+def fit_box(matter: Matter, core: Core, up: F64) -> Box:
+    """The box whose slabs hold the most area, over a quarter turn about `up`."""
+    rows = core.rows[:: -(-len(core.rows) // SAMPLE)]
+    areas = capped(matter.areas[rows])
+    areas = areas if areas.any() else np.ones(len(areas))
+    frame = level_frame(up)
+    boxes = []
+    for angle in np.arange(TURNS) * (np.pi / 2 / TURNS):
+        turn = np.eye(3)
+        turn[:2, :2] = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+        boxes.append(_box(matter.points[rows], areas, turn @ frame))
+    return max(boxes, key=lambda box: float(box.faces.sum()))
+
+
+def _box(points: F64, areas: F64, frame: F64) -> Box:
+    local = points @ frame.T
+    low, high = np.array([quantiles(column, areas, 0.01, 0.99) for column in local.T]).T
+    size = np.where(high > low, high - low, 1)
+    place = (local - low) / size
+
+    def share(rows: Bool) -> float:
+        return float(areas[rows].sum() / areas.sum())
+
+    # A corner belongs to one wall only, or shares would add up to more than the area.
+    outward = np.abs(place - 0.5)
+    axis = outward.argmax(axis=1)
+    outermost = outward.max(axis=1)
+    in_slab, upper = outermost > 0.5 - SLAB, place[np.arange(len(place)), axis] > 0.5
+    faces = [share(in_slab & (axis == a) & (upper == s)) for a in range(3) for s in (False, True)]
+    return Box(frame, low, high, np.array(faces), share(outermost < 0.5 - 2 * SLAB))
+
+
+def poses(matter: Matter, core: Core, up: F64, lens: F64, numbers: I64) -> list[tuple[F64, float]]:
+    """(4, 4) world-to-camera and near plane of the views with these numbers.
+
+    Each is the best of its own block of places and headings in the sequence, so that sets of other
+    numbers share none.
+
+    Args:
+        matter: The model.
+        core: The room.
+        up: (3,) float64, unit.
+        lens: (2,) float64, tangents of half the fields of view.
+        numbers: (n,) int64, 0 or more.
+    """
+    grid = build_grid(matter, core.centre, 1.3 * core.radius)
+    box = fit_box(matter, core, up)
+    views = []
+    for number in numbers.tolist():
+        tries = low_discrepancy(number * TRIES + np.arange(TRIES), 5)
+        candidates = [_candidate(box, one) for one in tries]
+        scores = [_score(grid, pose, lens, core.radius) for pose in candidates]
+        views.append((candidates[int(np.argmax(scores))], NEAR * core.radius))
+    return views
+
+
+def _candidate(box: Box, draw: F64) -> F64:
+    """A pose from five numbers in [0, 1): place, heading, pitch."""
+    inner = KEEP_OFF + (1 - 2 * KEEP_OFF) * draw[:3]
+    inner[2] = 0.3 + 0.5 * draw[2]  # neither at the floor nor under the ceiling
+    position = (box.low + inner * (box.high - box.low)) @ box.frame
+    heading, pitch = 2 * np.pi * draw[3], np.radians(-25 + 35 * draw[4])
+    level = np.array([np.cos(heading), np.sin(heading)]) * np.cos(pitch)
+    direction = np.array([*level, np.sin(pitch)]) @ box.frame
+    return look_at(position, position + direction, box.frame[2])
+
+
+def _score(grid: Grid, pose: F64, lens: F64, radius: float) -> float:
+    """High where most rays hit something, none at once, and the view is deep."""
+    hits = view_hits(grid, pose, lens, 2.5 * radius)
+    seen = np.isfinite(hits)
+    blocked = float((hits < CLEARANCE * radius).mean())
+    cramped = float((hits < 3 * CLEARANCE * radius).mean())
+    depth = float(np.median(np.minimum(hits, radius))) / radius
+    return min(float(seen.mean()), ENOUGH) - 4 * blocked - cramped + 0.5 * depth

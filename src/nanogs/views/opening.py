@@ -1,0 +1,97 @@
+"""The first view of a viewer: all of an object, or a view in a room; what it turns about."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.raster.camera import Camera
+from nanogs.splats import Splats
+from nanogs.views import inside, orbit
+from nanogs.views.automatic import INSIDE_FOV, ORBIT_FOV, UP, Kind, Survey, survey
+from nanogs.views.occupancy import build_grid
+from nanogs.views.poses import view_hits
+
+SHORTEST = 0.1  # from the camera to what it turns about, over the core's radius
+GRID_HALF = 1.3  # core radii
+REACH = 2.5  # core radii along which rays are followed in a room
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Opening:
+    """A camera without an image size, and a point for it to turn about.
+
+    Attributes:
+        position: (3,) float64, scene units.
+        target: (3,) float64, scene units: what it turns about and has in its centre.
+        up: (3,) float64, unit.
+        lens: Tangent of half the field of view along the shorter side of the image.
+        near: Distance up to which splats are culled, over that to the target.
+    """
+
+    position: F64
+    target: F64
+    up: F64
+    lens: float
+    near: float
+
+    @property
+    def distance(self) -> float:
+        """Distance of the camera from the target, scene units, more than 0."""
+        return float(np.linalg.norm(self.target - self.position))
+
+
+def opening_for(
+    splats: Splats, place: Kind | Camera = "auto", up: Sequence[float] | F64 | None = None
+) -> Opening:
+    """Choose where to begin.
+
+    Args:
+        splats: The model.
+        place: A camera to begin at, or how to look at the model, as for
+            `views.automatic_cameras`.
+        up: (3,) direction in scene coordinates; found from the model by default.
+
+    Raises:
+        ModelError: No splat is visible.
+        OptionError: An argument is out of range.
+    """
+    if isinstance(place, Camera):
+        scene = survey(splats, "orbit", up)
+        pose = place.world_to_camera @ scene.turn.T  # of the model's own frame, as below
+        lens = min(place.width / place.fx, place.height / place.fy) / 2
+        return _opening(scene, pose, lens, place.near, _ahead(pose, scene.core.centre))
+    scene = survey(splats, place, up)
+    angle = ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV
+    lens = float(np.tan(np.radians(angle / 2)))
+    square = np.full(2, lens)
+    if scene.kind == "orbit":
+        pose, near, centre = orbit.overview(scene.matter, scene.core, np.array(UP), square)
+        return _opening(scene, pose, lens, near, _ahead(pose, centre))
+    first = np.zeros(1, np.int64)
+    [(pose, near)] = inside.poses(scene.matter, scene.core, np.array(UP), square, first)
+    return _opening(scene, pose, lens, near, _depth(scene, pose, square))
+
+
+def _opening(scene: Survey, pose: F64, lens: float, near: float, distance: float) -> Opening:
+    """The opening in scene coordinates, from a pose (4, 4) in the model's own frame."""
+    distance = max(distance, SHORTEST * scene.core.radius)
+    pose = pose @ scene.turn
+    position: F64 = -pose[:3, :3].T @ pose[:3, 3]
+    target: F64 = position + distance * pose[2, :3]
+    return Opening(position, target, scene.turn[2, :3], lens, near / distance)
+
+
+def _ahead(pose: F64, point: F64) -> float:
+    """How far ahead of a camera a point (3,) is, scene units; negative behind it."""
+    return float(pose[2, :3] @ point + pose[2, 3])
+
+
+def _depth(scene: Survey, pose: F64, lens: F64) -> float:
+    """How far away most of what a view inside a room shows is, scene units."""
+    core = scene.core
+    grid = build_grid(scene.matter, core.centre, GRID_HALF * core.radius)
+    hits = view_hits(grid, pose, lens, REACH * core.radius)
+    seen = hits[np.isfinite(hits)]
+    return float(np.median(seen)) if len(seen) else core.radius
