@@ -23,10 +23,10 @@ from nanogs.method import cut, gaussians, graph, match, neighbours, nodes, order
 from nanogs.method.extent import dilation
 from nanogs.method.forest import grow_forest
 from nanogs.method.paper import cost, merge
+from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import store_groups
 from nanogs.metrics import ssim
-from nanogs.pipeline.presets import PaperParameters
 from nanogs.raster import rendering
 from nanogs.views.automatic import automatic_cameras
 

@@ -17,9 +17,9 @@ from nanogs.bench.baselines import BASELINES
 from nanogs.bench.worker import Job, run_job
 from nanogs.io import inspect, load
 from nanogs.pipeline.target import target_count
+from nanogs.protocol import BLACK, Background
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare
-from nanogs.scoring.protocol import BLACK, Background
 from nanogs.scoring.run import photographs
 from nanogs.scoring.scores import ReferenceView, reference_views, score
 from nanogs.scoring.view_sets import view_sets

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 import nanogs
+from nanogs.clock import StageClock
 from nanogs.method.neighbours import nearest_neighbours
 from nanogs.metrics import psnr, ssim
 from nanogs.pipeline.target import Goal
 from nanogs.raster.rendering import prepare, render
-from nanogs.report import StageClock
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.frame import survey
 from nanogs.scale.result import write_result

@@ -22,7 +22,12 @@ from nanogs.spread import Spread
 
 # What runs need of these and of libraries is imported with them, or by the run itself.
 PACKAGES = (nanogs.cli, nanogs.io)
-OTHERS = ("nanogs.scoring.run", "nanogs.scoring.held_out", "nanogs.view.run", "typer._adapters")
+OTHERS = (
+    "nanogs.scoring.run",
+    "nanogs.scoring.held_out",
+    "nanogs.scoring.viewing",
+    "typer._adapters",
+)
 
 
 def serve(line):

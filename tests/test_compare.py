@@ -14,15 +14,16 @@ from builders import random_splats
 from launch import run
 from nanogs.cli.options import parse_background, parse_direction, parse_pixels
 from nanogs.errors import ModelError, OptionError
+from nanogs.protocol import Protocol
 from nanogs.raster.camera import Camera
-from nanogs.raster.images import color_image, file_names
+from nanogs.raster.images import color_image
 from nanogs.raster.rendering import render
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.scoring.page import rate_distortion_plot
 from nanogs.scoring.pictures import error_map
-from nanogs.scoring.protocol import Protocol
 from nanogs.scoring.run import compare_files
 from nanogs.scoring.scores import mean_psnr
+from nanogs.views.png import file_names
 from test_cli import assert_refused
 
 

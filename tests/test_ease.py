@@ -12,7 +12,7 @@ from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
 from nanogs.io import check_writable, level_counts
-from nanogs.view.run import view_files
+from nanogs.scoring.viewing import view_files
 from test_cli import assert_refused
 from test_comfort import run
 from viewer_bundle import require_bundle
@@ -140,11 +140,11 @@ def test_view_shows_a_level_that_suits_a_page(folder, tmp_path, monkeypatch):
     assert shown().input_bytes == bytes_of(stream, *stream.parent.glob("0_0/*"))
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert f'"{bytes_text(shown().input_bytes)}"' in text
-    monkeypatch.setattr("nanogs.view.run.PAGE_SPLATS", 150)
+    monkeypatch.setattr("nanogs.scoring.viewing.PAGE_SPLATS", 150)
     assert shown().splats == 100
     assert any("`level=0`" in note for note in shown().notes)
     assert not any("`level" in note for note in shown(1).notes)
-    monkeypatch.setattr("nanogs.view.run.PAGE_SPLATS", 1)
+    monkeypatch.setattr("nanogs.scoring.viewing.PAGE_SPLATS", 1)
     assert shown().splats == 4
     assert_refused(run("view", folder / "a.ply", "--level", "1", "-o", tmp_path / "x.html"),
                    "--level")  # fmt: skip

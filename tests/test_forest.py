@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import nanogs
 import twins
 from builders import model_bytes, random_splats, same_pixel
-from nanogs.datasets.harmonics import basis
+from nanogs.clock import StageClock
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.method import choose, reassign
 from nanogs.method import forest as growth
@@ -32,7 +32,8 @@ from nanogs.method.store import MOST_OPAQUE, store_groups
 from nanogs.pipeline import run as pipeline_run
 from nanogs.pipeline.presets import PRESETS
 from nanogs.progress import Tracker, untold
-from nanogs.report import PassReport, StageClock, StopReason
+from nanogs.report import PassReport, StopReason
+from nanogs.sh import basis
 
 pytestmark = pytest.mark.usefixtures("small_views")
 SOME = settings(max_examples=20)

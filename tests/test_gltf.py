@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from builders import random_splats
 from damage import outcome
 from nanogs import io
-from nanogs.datasets.harmonics import basis
 from nanogs.errors import FormatError, OutputError
 from nanogs.io import gltf_write
+from nanogs.sh import basis
 from nanogs.splats import ExtraElement, RenderMode
 from npm_packages import node, package
 from strategies import splats

@@ -10,9 +10,9 @@ import pytest
 
 from builders import random_splats
 from nanogs import io
-from nanogs.datasets.harmonics import basis
 from nanogs.errors import FormatError
 from nanogs.io import gltf_spz
+from nanogs.sh import basis
 from nanogs.splats import RenderMode
 from strategies import assert_same
 from test_gltf import PREFIX, columns, document, glb

@@ -41,7 +41,7 @@ from nanogs.method.neighbours import coincident_groups, nearest_neighbours
 from nanogs.method.order import morton_codes
 from nanogs.method.paper.cost import JITTER, log_masses, pair_costs
 from nanogs.method.paper.merge import merge
-from nanogs.pipeline.presets import PaperParameters
+from nanogs.method.paper.parameters import PaperParameters
 from nanogs.threads import use_threads
 
 

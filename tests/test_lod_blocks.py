@@ -15,16 +15,15 @@ from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io.sog_levels import read as read_level
-from nanogs.lod import blocks_folder
 from nanogs.lod.cells import divide
-from nanogs.lod.in_blocks import write_levels_in_blocks
 from nanogs.lod.layout import Layout, made_files
-from nanogs.pipeline.presets import ForestParameters
+from nanogs.method.parameters import ForestParameters
+from nanogs.scale import levels_folder, work
 from nanogs.scale import run as scale_run
-from nanogs.scale import work
 from nanogs.scale.chunked import cut_of
 from nanogs.scale.folder import MANIFEST
 from nanogs.scale.job import Where
+from nanogs.scale.levels import write_levels_in_blocks
 from nanogs.scale.plan import plan_blocks
 from nanogs.scale.scratch import FolderScratch
 from nanogs.scale.settings import SOG, TILES, Chunks
@@ -240,7 +239,7 @@ def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
     scene, tmp_path, made, layout, monkeypatch
 ):
     folder, done = tmp_path / "levels", []
-    move = blocks_folder.move_folder
+    move = levels_folder.move_folder
 
     def crash_at(function, *places):
         """The function, which fails at its calls of these numbers."""
@@ -261,8 +260,8 @@ def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
             raise CrashError  # the folder has its name, and the job is not taken away
 
     monkeypatch.setattr(scale_run, "do", crash_at(work.do, 1, 5, 20, 31, 46, 57))
-    monkeypatch.setattr(blocks_folder, "_copy", crash_at(blocks_folder._copy, 1, 5))
-    monkeypatch.setattr(blocks_folder, "move_folder", named)
+    monkeypatch.setattr(levels_folder, "_copy", crash_at(levels_folder._copy, 1, 5))
+    monkeypatch.setattr(levels_folder, "move_folder", named)
     for _ in range(20):
         try:
             write(scene, folder, layout, resume=True)
@@ -321,7 +320,7 @@ def test_names_of_files_lead_out_of_no_folder(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     (tmp_path / "levels").mkdir()
     with pytest.raises(FormatError, match="mine"):
-        blocks_folder._copy(SimpleNamespace(scratch=scratch), record, tmp_path / "levels")
+        levels_folder._copy(SimpleNamespace(scratch=scratch), record, tmp_path / "levels")
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 

@@ -11,9 +11,9 @@ from nanogs.fit.parameters import RefitParameters
 from nanogs.lod.layout import Layout
 from nanogs.lod.write import write_levels
 from nanogs.progress import Stage, Step, Tracker, each
-from nanogs.raster.images import render_images
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.views.automatic import automatic_cameras
+from nanogs.views.png import render_images
 
 pytestmark = pytest.mark.usefixtures("small_views")
 PLAN = [Stage("first", 1.0), Stage("second", 3.0)]
@@ -160,8 +160,8 @@ def test_refit():
 
 @pytest.mark.parametrize("levels", [1, 2])
 def test_blocks(tmp_path, levels):
-    from nanogs.lod.in_blocks import write_levels_in_blocks
     from nanogs.scale.job import Where
+    from nanogs.scale.levels import write_levels_in_blocks
 
     told = []
     nanogs.save(random_splats(600), tmp_path / "scene.ply")

@@ -14,8 +14,8 @@ from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import ModelError
 from nanogs.io.collect import Pair
 from nanogs.method.visibility import look
+from nanogs.protocol import Protocol
 from nanogs.scoring.held_out import held_out
-from nanogs.scoring.protocol import Protocol
 from nanogs.views.automatic import automatic_cameras
 from viewer_bundle import require_bundle
 

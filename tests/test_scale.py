@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import FormatError, ModelError, NanogsError, OptionError, OutputError
-from nanogs.pipeline.presets import ForestParameters
+from nanogs.method.parameters import ForestParameters
 from nanogs.scale import run, work
 from nanogs.scale.budget import budget
 from nanogs.scale.columns import CODES

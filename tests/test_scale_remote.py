@@ -19,9 +19,10 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from nanogs.clock import StageClock
 from nanogs.errors import FormatError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
-from nanogs.pipeline.presets import ForestParameters
+from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.scale import cluster
@@ -239,7 +240,7 @@ def test_a_worker_says_what_it_does_not_see(tmp_path):
         do_task(str(tmp_path / "scratch"), text, "segment", 0, 0, 1, "0.0.1")
     scratch = FolderScratch(tmp_path / "scratch")
     scratch.prepare()
-    run_tasks(scratch, settings, Here(), 1, nanogs.report.StageClock(), Tracker(None, []),
+    run_tasks(scratch, settings, Here(), 1, StageClock(), Tracker(None, []),
               resumed=False)  # fmt: skip
     source.unlink()
     with pytest.raises(FormatError, match=r"in\.ply is not there; the caller and all workers"):

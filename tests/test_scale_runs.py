@@ -15,11 +15,11 @@ from scipy.spatial import cKDTree
 import launch
 import nanogs
 from builders import random_splats
+from nanogs.clock import StageClock
 from nanogs.memory import LIBRARIES
-from nanogs.pipeline.presets import ForestParameters
+from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
-from nanogs.report import StageClock
 from nanogs.scale import cluster
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.frame import survey

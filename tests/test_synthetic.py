@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from nanogs.datasets.harmonics import basis, lobe
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import OptionError
+from nanogs.sh import basis, lobe
 
 COLUMNS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 

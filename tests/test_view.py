@@ -22,15 +22,15 @@ from launch import run
 from nanogs.cli.app import app
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import spz
+from nanogs.protocol import Judged, Protocol
 from nanogs.raster.camera import Camera
-from nanogs.scoring.protocol import Judged, Protocol
 from nanogs.scoring.run import compare_files
+from nanogs.scoring.viewing import page_path, view_files
 from nanogs.splats import RenderMode
 from nanogs.view import bundle
 from nanogs.view import page as view_page
 from nanogs.view.pack import DISTANCE, FARTHEST, in_page, pack
 from nanogs.view.page import Shown, facts_of, render_page
-from nanogs.view.run import page_path, view_files
 from nanogs.views.opening import Opening, opening_for
 from nanogs.views.poses import look_at
 from test_cli import assert_refused

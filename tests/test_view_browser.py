@@ -16,8 +16,8 @@ from nanogs.metrics import psnr
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import render
 from nanogs.scoring.run import compare_files
+from nanogs.scoring.viewing import view_files
 from nanogs.splats import RenderMode
-from nanogs.view.run import view_files
 from nanogs.views.opening import opening_for
 from nanogs.views.poses import look_at
 from viewer_bundle import require_bundle

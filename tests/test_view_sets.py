@@ -13,7 +13,7 @@ from nanogs.bench.tables import scene_table
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import OptionError
 from nanogs.formatting import number_text
-from nanogs.scoring.protocol import usual_views
+from nanogs.protocol import usual_views
 from nanogs.scoring.run import compare_files
 from nanogs.scoring.view_sets import parse_sources, view_sets
 from test_cli import run

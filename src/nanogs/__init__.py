@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from nanogs.model_info import info
     from nanogs.pipeline.api import simplify
     from nanogs.pipeline.presets import PRESETS as presets  # noqa: N811 - read like a module
-    from nanogs.raster.api import render
     from nanogs.raster.camera import Camera
     from nanogs.report import SimplifyReport
     from nanogs.scale.api import simplify_blocks
     from nanogs.scoring.api import compare
     from nanogs.splats import RenderMode, Splats
+    from nanogs.views.api import render
 
 __all__ = [
     "Camera",
@@ -61,7 +61,7 @@ _HOMES = {
     "load": "io",
     "presets": "pipeline.presets",
     "refit": "fit.api",
-    "render": "raster.api",
+    "render": "views.api",
     "save": "io",
     "simplify": "pipeline.api",
     "simplify_blocks": "scale.api",

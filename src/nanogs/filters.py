@@ -13,8 +13,7 @@ import numpy as np
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import counted
-from nanogs.pipeline.job import refuse_misaligned_elements
-from nanogs.splats import Splats, refuse_other
+from nanogs.splats import Splats, refuse_misaligned_elements, refuse_other
 
 NEIGHBOURS = 8  # clusters of up to so many splats can be floaters
 DEVIATIONS = 5.0  # of the logarithm of distances

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nanogs._types import F32, F64, Array
-from nanogs.datasets.harmonics import basis
 from nanogs.errors import OptionError
+from nanogs.sh import basis
 from nanogs.splats import Splats, refuse_other
 
 TRAINED, Y_UP = "rdf", "rub"

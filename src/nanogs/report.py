@@ -1,14 +1,11 @@
 """The report of a simplification: frozen dataclasses that become JSON as they stand."""
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
 from nanogs.fit.report import RefitReport
-from nanogs.scoring.protocol import Judged
+from nanogs.protocol import Judged
 
 
 class StopReason(StrEnum):
@@ -194,25 +191,3 @@ class SimplifyReport:
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""
         return asdict(self)
-
-
-@dataclass(slots=True)
-class StageClock:
-    """Adds up the seconds spent in named stages."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def time(self, stage: str) -> Iterator[None]:
-        """Add the time spent in the `with` block to the stage."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            elapsed = time.perf_counter() - start
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + elapsed
-
-    def add(self, seconds: dict[str, float]) -> None:
-        """Add another clock's readings."""
-        for stage, value in seconds.items():
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + value

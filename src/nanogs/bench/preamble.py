@@ -5,7 +5,7 @@ import platform
 
 from nanogs._version import __version__
 from nanogs.bench.settings import BenchSettings
-from nanogs.scoring.protocol import usual_views
+from nanogs.protocol import usual_views
 
 _COLUMNS = """\
 Every method runs in a process of its own. *seconds*: the method alone on warm kernels, without

@@ -12,8 +12,8 @@ from nanogs.errors import FormatError, OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect
 from nanogs.io.collect import WHOLE_FOLDERS, collect
+from nanogs.protocol import BLACK, Background, background_text
 from nanogs.raster.camera import Camera
-from nanogs.scoring.protocol import BLACK, Background, background_text
 from nanogs.splats import Splats
 from nanogs.views.cameras import AUTOMATIC
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from nanogs.bench.methods import all_methods, find_method
 from nanogs.bench.rows import ORIGINAL
 from nanogs.errors import OptionError
-from nanogs.scoring.protocol import Background
+from nanogs.protocol import Background
 from nanogs.views.cameras import FOUND
 
 RATIOS = (0.1, 0.01, 0.001)

@@ -7,7 +7,7 @@ import typer
 
 from nanogs.cli import options
 from nanogs.formatting import bytes_text, number_text
-from nanogs.scoring.protocol import PIXELS
+from nanogs.protocol import PIXELS
 from nanogs.view.bundle import is_built
 
 if TYPE_CHECKING:

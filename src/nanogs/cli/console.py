@@ -16,7 +16,7 @@ from rich.text import Text
 from nanogs.formatting import plain
 
 if TYPE_CHECKING:
-    from nanogs.report import StageClock
+    from nanogs.clock import StageClock
 
 _WIDE = 1000  # columns in a pipe, where nothing needs to be broken
 

@@ -10,6 +10,7 @@ from nanogs import memory, needs
 from nanogs.cli.console import arrow, say, warn, with_file_seconds
 from nanogs.cli.filtering import report_filters
 from nanogs.cli.framing import Frames
+from nanogs.clock import StageClock
 from nanogs.filters import Filter, apply
 from nanogs.formatting import counted, sizes_text, time_text
 from nanogs.frames import change_frame
@@ -17,7 +18,6 @@ from nanogs.io import bytes_on_disk, inspect, load, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.pipeline.stages import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.report import StageClock
 from nanogs.splats import RenderMode, Splats
 
 

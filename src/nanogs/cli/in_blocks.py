@@ -14,12 +14,12 @@ from nanogs.formatting import bytes_text
 from nanogs.io import FileInfo, bytes_on_disk
 from nanogs.io.collect import Pair
 from nanogs.io.files import splat_bytes
-from nanogs.lod.in_blocks import chunks_of, plan_levels, write_levels_in_blocks
 from nanogs.lod.layout import Output
 from nanogs.progress import Progress
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.api import simplify_blocks as library_simplify_blocks
 from nanogs.scale.encoding import Encoding, encoding_of
+from nanogs.scale.levels import chunks_of, plan_levels, write_levels_in_blocks
 from nanogs.scale.plan import ScalePlan
 
 

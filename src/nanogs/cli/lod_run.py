@@ -23,6 +23,7 @@ from nanogs.cli.simplify_report import (
     show_plan,
     warn_of_input,
 )
+from nanogs.clock import StageClock
 from nanogs.formatting import bytes_text, counted, number_text, time_text
 from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.layout import Layout, Output
@@ -32,8 +33,7 @@ from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.target import target_count
 from nanogs.progress import Tracker
-from nanogs.report import StageClock
-from nanogs.scoring.protocol import Protocol
+from nanogs.protocol import Protocol
 
 if TYPE_CHECKING:
     from nanogs.scale.plan import ScalePlan

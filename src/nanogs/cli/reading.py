@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from nanogs.cli.filtering import parse_filters
+from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.filters import Filter, FilterReport, apply
 from nanogs.io import FileInfo, inspect, load
 from nanogs.pipeline.stages import read_weight
 from nanogs.progress import Stage, Tracker
-from nanogs.report import StageClock
 from nanogs.splats import MAX_SH_DEGREE, Splats
 
 

@@ -93,11 +93,11 @@ def _refit_files(
     """Read, fit and write; the report with the files' names and the seconds of I/O."""
     from nanogs.cli.console import with_file_seconds
     from nanogs.cli.progress import shown
+    from nanogs.clock import StageClock
     from nanogs.fit.api import refit as library_refit
     from nanogs.io import load, losses, save
     from nanogs.pipeline.cameras import fit_cameras
     from nanogs.progress import Tracker
-    from nanogs.report import StageClock
 
     start, clock = time.perf_counter(), StageClock()
     with shown(quiet=quiet) as watch:

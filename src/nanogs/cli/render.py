@@ -60,9 +60,9 @@ def render(
     color = options.parse_background("black" if transparent else background)
     direction = options.parse_direction(up)
     from nanogs.progress import Stage, Tracker
-    from nanogs.raster.images import render_images
     from nanogs.threads import use_threads
     from nanogs.views.cameras import cameras_for
+    from nanogs.views.png import render_images
 
     refuse_too_large(
         f"Rendering {source}",

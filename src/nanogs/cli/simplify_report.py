@@ -15,9 +15,9 @@ from nanogs.memory import LIBRARIES
 from nanogs.pipeline.memory import MemoryPlan, plan_memory
 from nanogs.pipeline.presets import Parameters, effective, renders
 from nanogs.pipeline.target import Goal
+from nanogs.protocol import Judged, Protocol
 from nanogs.report import StopReason
 from nanogs.scale.plan import can_do_without_renders, in_blocks
-from nanogs.scoring.protocol import Judged, Protocol
 
 if TYPE_CHECKING:
     from nanogs.scale.encoding import Encoding

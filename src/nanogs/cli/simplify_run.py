@@ -13,6 +13,7 @@ from nanogs.cli.importing import uncollected
 from nanogs.cli.reading import Reading, inspect_parts, read_parts
 from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_wish
 from nanogs.cli.too_large import Blocks, refuse_whole_model_wishes
+from nanogs.clock import StageClock
 from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
@@ -26,8 +27,7 @@ from nanogs.pipeline.presets import Parameters, renders
 from nanogs.pipeline.stages import measure_stage, simplify_stages, write_weight
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.report import StageClock
-from nanogs.scoring.protocol import Judged
+from nanogs.protocol import Judged
 from nanogs.splats import Splats
 
 

@@ -13,7 +13,7 @@ from nanogs.cli import options
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
-from nanogs.scoring.protocol import PIXELS, VIEWS
+from nanogs.protocol import PIXELS, VIEWS
 
 
 def view(
@@ -65,8 +65,8 @@ def view(
     from nanogs.cli.progress import shown
     from nanogs.cli.wording import with_options
     from nanogs.io.atomic import check_writable
+    from nanogs.scoring.viewing import page_path, view_files
     from nanogs.view.bundle import check_built
-    from nanogs.view.run import page_path, view_files
 
     width, height = options.parse_pixels(pixels)
     color = options.parse_background(background)

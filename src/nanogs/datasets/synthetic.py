@@ -8,9 +8,9 @@ step turns it to the y-down habit of trained models.
 import numpy as np
 
 from nanogs._types import F32, F64
-from nanogs.datasets.harmonics import lobe
 from nanogs.datasets.still_life import PARTS, SKYLIGHT, SUN, SUNLIGHT, UP, Builder, Part, Rng
 from nanogs.errors import OptionError
+from nanogs.sh import lobe
 from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
 from nanogs.stored import SH_C0
 

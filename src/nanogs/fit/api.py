@@ -6,13 +6,13 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from nanogs.bar import drawn
+from nanogs.clock import StageClock
 from nanogs.errors import ModelError
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import RefitReport
 from nanogs.fit.stages import refit_stages
 from nanogs.io.models import Model, as_splats
 from nanogs.progress import Parts, Progress, Tracker
-from nanogs.report import StageClock
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nanogs._types import F32, F64
-from nanogs.datasets.harmonics import basis
+from nanogs.sh import basis
 
 LINEAR = "lin_rec709_display"
 _SIDES = 8  # directions for each coefficient

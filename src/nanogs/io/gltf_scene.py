@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F32, F64
-from nanogs.datasets.harmonics import basis
 from nanogs.errors import FormatError
 from nanogs.io.gltf_document import Document, Part
+from nanogs.sh import basis
 
 EXTENSION = "KHR_gaussian_splatting"
 # glTF is y-up, a 3DGS file y-down by habit: half a turn about z leads from one to the other.

@@ -6,15 +6,16 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
+from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
-from nanogs.pipeline.job import Deliver, Job, NanPolicy, prepare_job, refuse_misaligned_elements
+from nanogs.pipeline.job import Deliver, Job, NanPolicy, prepare_job
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
 from nanogs.pipeline.stages import delivery_stages, level_stage, levels_stages
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.report import SimplifyReport, StageClock
-from nanogs.splats import Splats
+from nanogs.report import SimplifyReport
+from nanogs.splats import Splats, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.raster.camera import Camera

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from nanogs.protocol import Judged, Protocol
 from nanogs.report import SimplifyReport, StopReason
-from nanogs.scoring.protocol import Judged, Protocol
 
 NAME = "levels.json"
 FORMAT = "nanogs-levels"

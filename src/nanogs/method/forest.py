@@ -10,13 +10,14 @@ from functools import partial
 import numpy as np
 
 from nanogs._types import F32, F64, I32
+from nanogs.clock import StageClock
 from nanogs.kernels.forest import log_determinants, merge_increments
 from nanogs.method.graph import neighbour_pairs
 from nanogs.method.match import MergePlan, match
 from nanogs.method.nodes import Nodes, gather, gather_pairs
 from nanogs.method.slices import SLICE_PAIRS, slices
 from nanogs.progress import Parts
-from nanogs.report import PassReport, StageClock, StopReason
+from nanogs.report import PassReport, StopReason
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,17 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
+from nanogs.clock import StageClock
 from nanogs.io import as_stored, encoded_bytes, registry
 from nanogs.io.models import Model, as_splats
-from nanogs.pipeline.job import Job, NanPolicy, prepare_job, refuse_misaligned_elements
+from nanogs.pipeline.job import Job, NanPolicy, prepare_job
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search
 from nanogs.pipeline.stages import simplify_stages
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
-from nanogs.report import SimplifyReport, StageClock
-from nanogs.splats import Splats
+from nanogs.report import SimplifyReport
+from nanogs.splats import Splats, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.raster.camera import Camera

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from nanogs.errors import OptionError
-from nanogs.pipeline.presets import ForestParameters, Parameters, renders
+from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.presets import Parameters, renders
 
 if TYPE_CHECKING:
     from nanogs.raster.camera import Camera

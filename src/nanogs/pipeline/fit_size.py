@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import Build, deliver
 from nanogs.pipeline.stages import RESULTS, SIZES, delivery_stages, write_weight
 from nanogs.progress import Stage, Tracker
-from nanogs.report import SizeProbeReport, StageClock
+from nanogs.report import SizeProbeReport
 from nanogs.splats import Splats
 
 AIM = 0.993  # of the size: a probe is put there, so that it is seldom just above

@@ -8,15 +8,18 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from nanogs._types import I32
+from nanogs.clock import StageClock
 from nanogs.errors import ModelError
 from nanogs.formatting import counted
 from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.method.paper.parameters import PaperParameters
+from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.memory import plan_memory
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.presets import ForestParameters, PaperParameters, Parameters, parameters
+from nanogs.pipeline.presets import Parameters, parameters
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
-from nanogs.report import SimplifyReport, StageClock, StopReason
+from nanogs.report import SimplifyReport, StopReason
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -100,7 +103,7 @@ class Job:
         """
         chosen = self.parameters
         if isinstance(chosen, PaperParameters):
-            from nanogs.method.paper.published import simplify_as_published
+            from nanogs.pipeline.published import simplify_as_published
 
             return lambda target, clock, progress: simplify_as_published(
                 self.splats, self.rows, target, chosen, threads, clock, progress
@@ -181,7 +184,7 @@ def prepare_job(
 def import_stages(chosen: Parameters) -> None:
     """Import now, and Numba with it, what a method is going to need."""
     if isinstance(chosen, PaperParameters):
-        import nanogs.method.paper.published
+        import nanogs.pipeline.published
     else:
         import nanogs.pipeline.run  # noqa: F401
 
@@ -203,13 +206,3 @@ def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
             f' value, the first in row {first}; leave them out with `nan="drop"`.'
         )
     return rows
-
-
-def refuse_misaligned_elements(splats: Splats, target: int) -> None:
-    """An element with one row a splat would no longer fit the splats; others are untouched."""
-    for element in splats.elements:
-        if element.is_per_splat(len(splats)) and target < len(splats):
-            raise ModelError(
-                f"The element {element.name!r} has one row for each splat and would not fit the "
-                "smaller model; remove it from the file first."
-            )

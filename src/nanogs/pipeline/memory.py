@@ -5,9 +5,10 @@ No Numba here: `--dry-run` uses it without compiling anything.
 
 from dataclasses import dataclass
 
+from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.slices import SLICE_PAIRS
 from nanogs.pipeline.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
-from nanogs.pipeline.presets import PaperParameters, Parameters
+from nanogs.pipeline.presets import Parameters
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # Gaussians; their features are the model's

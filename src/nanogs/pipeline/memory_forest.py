@@ -1,9 +1,10 @@
 """Memory of the presets that grow a forest: bytes a splat, stage by stage."""
 
+from nanogs.method.parameters import ForestParameters
 from nanogs.method.slices import SLICE_PAIRS
-from nanogs.pipeline.presets import ForestParameters, renders
+from nanogs.pipeline.presets import renders
 from nanogs.pipeline.stages import fit_parameters
-from nanogs.scoring.protocol import PIXELS, VIEWS
+from nanogs.protocol import PIXELS, VIEWS
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _BARE = _F8 + 3 * _F8 + 6 * _F8 + _I4  # weights, means, covariances, row: what growing needs

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from nanogs.fit.report import RefitReport
+from nanogs.protocol import Judged
 from nanogs.report import (
     CandidateReport,
     PassReport,
@@ -10,7 +11,6 @@ from nanogs.report import (
     SizeProbeReport,
     StopReason,
 )
-from nanogs.scoring.protocol import Judged
 from nanogs.splats import Splats
 
 

@@ -8,13 +8,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from nanogs.clock import StageClock
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import Build, deliver
 from nanogs.pipeline.stages import COUNTS, delivery_stages
 from nanogs.progress import Stage, Tracker
-from nanogs.report import ProbeReport, StageClock, StopReason
+from nanogs.protocol import VIEWS
+from nanogs.report import ProbeReport, StopReason
 from nanogs.scoring.held_out import HeldOut
-from nanogs.scoring.protocol import VIEWS
 from nanogs.splats import Splats
 
 SPAN = 0.3  # dB above what is asked within which a result is near enough

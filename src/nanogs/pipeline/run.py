@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nanogs._types import F64, I32
+from nanogs.clock import StageClock
 from nanogs.errors import ModelError
 from nanogs.fit.api import fit_to_views
 from nanogs.fit.report import RefitReport
@@ -25,17 +26,18 @@ from nanogs.method.nodes import (
     without_coverages,
 )
 from nanogs.method.order import morton_order
+from nanogs.method.parameters import USUAL_BALANCE, ForestParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import OriginalViews, judge, look, shown_share, visible_weights
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.presets import USUAL_BALANCE, ForestParameters, renders
+from nanogs.pipeline.presets import renders
 from nanogs.pipeline.stages import fit_parameters
 from nanogs.progress import Tracker
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import lens_notes
 from nanogs.raster.rendering import prepare
-from nanogs.report import CandidateReport, StageClock, StopReason
+from nanogs.report import CandidateReport, StopReason
 from nanogs.splats import Splats, pick
 
 

@@ -8,10 +8,12 @@ from collections.abc import Sequence
 
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.stages import refit_stages
-from nanogs.pipeline.presets import ForestParameters, PaperParameters, Parameters, renders
+from nanogs.method.paper.parameters import PaperParameters
+from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.presets import Parameters, renders
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Stage
-from nanogs.scoring.protocol import VIEWS
+from nanogs.protocol import VIEWS
 
 ROUND = 32  # steps of the fit, about: what each of its rounds makes
 SIZES, RESULTS = 4, 2  # files that a search for a size writes: of plain cuts, and of results

@@ -8,16 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
+from nanogs.clock import StageClock
 from nanogs.defaults import DEFAULT_MEMORY, PATIENCE
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.memory import allowed_memory, process_memory
+from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.job import NanPolicy
-from nanogs.pipeline.presets import DEFAULT_PRESET, ForestParameters, parameters
+from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.progress import Progress
 from nanogs.quantities import as_bytes
-from nanogs.report import SimplifyReport, StageClock
+from nanogs.report import SimplifyReport
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.folder import job_folder, read_manifest
 from nanogs.scale.plan import (

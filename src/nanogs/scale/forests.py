@@ -8,7 +8,7 @@ from nanogs._types import F32, I64, U32, Array
 from nanogs.method.cut import merge_scores
 from nanogs.method.forest import grow_forest
 from nanogs.method.nodes import Nodes
-from nanogs.pipeline.presets import ForestParameters
+from nanogs.method.parameters import ForestParameters
 from nanogs.progress import untold
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Sorted, write_table

@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.errors import NanogsError, OutputError
 from nanogs.progress import WAITING, Progress, Tracker
-from nanogs.report import StageClock
 from nanogs.scale.cluster import connected, starting, threads_each
 from nanogs.scale.ending import Ending
 from nanogs.scale.folder import (

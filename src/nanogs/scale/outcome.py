@@ -3,10 +3,12 @@
 import time
 from dataclasses import asdict
 
+from nanogs.clock import StageClock
 from nanogs.io.findings import join_findings, of_plain
-from nanogs.pipeline.presets import ForestParameters, renders
+from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.presets import renders
 from nanogs.pipeline.target import Goal
-from nanogs.report import BlocksReport, SimplifyReport, StageClock, StopReason
+from nanogs.report import BlocksReport, SimplifyReport, StopReason
 from nanogs.scale.columns import count_of
 from nanogs.scale.run import Done
 from nanogs.scale.work import Task

@@ -9,8 +9,9 @@ from typing import TypeGuard
 from nanogs.errors import OptionError
 from nanogs.io.files import splat_bytes
 from nanogs.memory import LIBRARIES
+from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.memory import plan_memory
-from nanogs.pipeline.presets import PRESETS, ForestParameters, Parameters
+from nanogs.pipeline.presets import PRESETS, Parameters
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.encoding import encoding_of
 from nanogs.scale.settings import MOST_SEEN, Chunks, Layout

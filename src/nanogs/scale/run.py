@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from nanogs.clock import StageClock
 from nanogs.progress import Stage, Tracker
-from nanogs.report import StageClock
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import SOG, Settings
 from nanogs.scale.tables import verified, write_table

@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Any
 
 from nanogs.errors import FormatError
-from nanogs.pipeline.presets import ForestParameters
+from nanogs.method.parameters import ForestParameters
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1

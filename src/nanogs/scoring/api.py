@@ -12,11 +12,11 @@ from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.raster.api import Cameras, given_cameras
+from nanogs.protocol import BLACK, PIXELS, Background
 from nanogs.raster.camera import Camera
 from nanogs.scoring.needed import LESS, needed_bytes
-from nanogs.scoring.protocol import BLACK, PIXELS, Background
 from nanogs.splats import Splats
+from nanogs.views.cameras import Cameras, given_cameras
 
 if TYPE_CHECKING:
     from nanogs.scoring.comparison import Comparison, NamedModel

@@ -8,11 +8,11 @@ from typing import Any
 from nanogs.errors import OptionError
 from nanogs.formatting import counted, number_text, undrawn
 from nanogs.progress import Tracker
+from nanogs.protocol import BLACK, Background, Judged, Kind, Protocol
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import lens_notes
 from nanogs.raster.rendering import Rendering, prepare
 from nanogs.scoring.pictures import data_uri, error_map
-from nanogs.scoring.protocol import BLACK, Background, Judged, Kind, Protocol
 from nanogs.scoring.scores import (
     ModelScore,
     ReferenceView,

@@ -12,8 +12,8 @@ from nanogs.errors import ModelError
 from nanogs.io import load
 from nanogs.metrics import psnr
 from nanogs.progress import Parts, untold
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Judged, Protocol
 from nanogs.raster.rendering import prepare, render
-from nanogs.scoring.protocol import BLACK, PIXELS, VIEWS, Judged, Protocol
 from nanogs.scoring.scores import ReferenceView, mean_psnr, reference_views, score
 from nanogs.splats import Splats
 from nanogs.threads import use_threads

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from nanogs.progress import Tracker
+from nanogs.protocol import BLACK, Background, Kind
 from nanogs.scoring.comparison import Comparison, NamedModel, Sheet, compare_models
-from nanogs.scoring.protocol import BLACK, Background, Kind
 from nanogs.scoring.view_sets import ViewSet
 
 

@@ -11,6 +11,7 @@ from nanogs.io.atomic import atomic_write
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import compare_bytes, photographs_bytes
 from nanogs.progress import Progress, Stage, Tracker, each
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged
 from nanogs.scoring.comparison import (
     Comparison,
     NamedModel,
@@ -19,7 +20,6 @@ from nanogs.scoring.comparison import (
 from nanogs.scoring.needed import LESS
 from nanogs.scoring.on_sets import compare_on_sets
 from nanogs.scoring.page import render_page
-from nanogs.scoring.protocol import BLACK, PIXELS, VIEWS, Background, Judged
 from nanogs.scoring.scores import ReferenceView
 from nanogs.scoring.view_sets import Size, found_views, parse_sources, view_sets
 from nanogs.view.bundle import check_built

@@ -12,9 +12,9 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import undrawn
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
 from nanogs.progress import Parts, each, untold
+from nanogs.protocol import Background
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, render
-from nanogs.scoring.protocol import Background
 
 HIGHEST = 100.0  # dB that a view counts at most, where not all are equal
 EXTRA_METRICS: Mapping[str, Callable[[F32, F32], float]] = {"flip": flip, "lpips": lpips}

@@ -6,8 +6,8 @@ from typing import TypeAlias
 
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
+from nanogs.protocol import Kind, usual_views
 from nanogs.raster.camera import Camera
-from nanogs.scoring.protocol import Kind, usual_views
 from nanogs.splats import Splats
 from nanogs.views.cameras import FOUND, cameras_for
 

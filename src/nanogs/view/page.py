@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs._version import __version__
 from nanogs.errors import ModelError
 from nanogs.formatting import bytes_text, counted, number_text
-from nanogs.scoring.protocol import Background, Judged, hex_text
+from nanogs.protocol import Background, Judged, hex_text
 from nanogs.view.bundle import licences, program
 from nanogs.view.pack import Packed, in_page
 from nanogs.views.opening import Opening

@@ -1,13 +1,19 @@
 """Cameras by source: found from the model, or read from a file."""
 
+import os
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
+from typing import TypeAlias
 
 from nanogs.errors import OptionError
+from nanogs.protocol import Kind as Origin
 from nanogs.raster.camera import Camera
-from nanogs.scoring.protocol import Kind as Origin
 from nanogs.splats import Splats
 from nanogs.views.automatic import Kind, Split, automatic_cameras
+
+Cameras: TypeAlias = str | PathLike[str] | Camera | Sequence[Camera]
+"""Where to look from: "auto", "orbit", "inside", "roam", a file or folder of them, or cameras."""
 
 AUTOMATIC: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "inside"}
 FOUND: dict[str, Origin] = {**AUTOMATIC, "roam": "roam"}  # all that are found from the model
@@ -55,3 +61,39 @@ def cameras_for(
     from nanogs.datasets.dataset import cameras_from_file
 
     return cameras_from_file(Path(source))
+
+
+def chosen_cameras(
+    splats: Splats,
+    cameras: Cameras,
+    views: int,
+    pixels: int | tuple[int, int],
+    up: Sequence[float] | None,
+) -> tuple[list[Camera], Origin]:
+    """The views that `render` and `compare` are asked for, and where they are from.
+
+    The arguments are those of `render`.
+
+    Raises:
+        NanogsError: As for `render`.
+    """
+    if not isinstance(cameras, str | PathLike):
+        return given_cameras(cameras), "given"
+    source = os.fspath(cameras)
+    width, height = (pixels, pixels) if isinstance(pixels, int) else pixels
+    found = cameras_for(splats, source, count=views, width=width, height=height, up=up)
+    return found, FOUND.get(source, "given")
+
+
+def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
+    """One camera or several.
+
+    Raises:
+        OptionError: They are no cameras, or none.
+    """
+    given = [cameras] if isinstance(cameras, Camera) else list(cameras)
+    if not given or not all(isinstance(camera, Camera) for camera in given):
+        raise OptionError(
+            'Cameras are "auto", "orbit", "inside", "roam", a path, or at least one nanogs.Camera.'
+        )
+    return given

@@ -5,8 +5,8 @@ import numpy as np
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.cost import published_costs
 from nanogs.method.gaussians import Gaussians
+from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.slices import SLICE_PAIRS, slices
-from nanogs.pipeline.presets import PaperParameters
 
 # The published variance jitter, squared scene units: keeps flat splats' densities finite.
 JITTER = 1e-8

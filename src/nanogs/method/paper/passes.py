@@ -3,14 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from nanogs.clock import StageClock
 from nanogs.method.gaussians import Gaussians
 from nanogs.method.graph import neighbour_pairs, random_pairs
 from nanogs.method.match import match
 from nanogs.method.paper.cost import log_masses, pair_costs
 from nanogs.method.paper.merge import merge
-from nanogs.pipeline.presets import PaperParameters
+from nanogs.method.paper.parameters import PaperParameters
 from nanogs.progress import Parts
-from nanogs.report import PassReport, StageClock, StopReason
+from nanogs.report import PassReport, StopReason
 
 
 @dataclass(frozen=True, slots=True, eq=False)

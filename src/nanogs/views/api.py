@@ -1,21 +1,13 @@
 """`nanogs.render`: pictures of a model, as arrays."""
 
-import os
 from collections.abc import Sequence
-from os import PathLike
-from typing import TypeAlias
 
 from nanogs._types import F32
 from nanogs.bar import drawn
-from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
 from nanogs.progress import Progress, Stage, Tracker, each
-from nanogs.raster.camera import Camera
-from nanogs.scoring.protocol import BLACK, PIXELS, VIEWS, Background, Kind
-from nanogs.splats import Splats
-
-Cameras: TypeAlias = str | PathLike[str] | Camera | Sequence[Camera]
-"""Where to look from: "auto", "orbit", "inside", "roam", a file or folder of them, or cameras."""
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background
+from nanogs.views.cameras import Cameras, chosen_cameras
 
 
 def render(
@@ -74,41 +66,3 @@ def render(
             images.append(straight(rendering) if transparent else rendering.shown())
         tracker.finish()
     return images
-
-
-def chosen_cameras(
-    splats: Splats,
-    cameras: Cameras,
-    views: int,
-    pixels: int | tuple[int, int],
-    up: Sequence[float] | None,
-) -> tuple[list[Camera], Kind]:
-    """The views that `render` and `compare` are asked for, and where they are from.
-
-    The arguments are those of `render`.
-
-    Raises:
-        NanogsError: As for `render`.
-    """
-    if not isinstance(cameras, str | PathLike):
-        return given_cameras(cameras), "given"
-    from nanogs.views.cameras import FOUND, cameras_for
-
-    source = os.fspath(cameras)
-    width, height = (pixels, pixels) if isinstance(pixels, int) else pixels
-    found = cameras_for(splats, source, count=views, width=width, height=height, up=up)
-    return found, FOUND.get(source, "given")
-
-
-def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
-    """One camera or several.
-
-    Raises:
-        OptionError: They are no cameras, or none.
-    """
-    given = [cameras] if isinstance(cameras, Camera) else list(cameras)
-    if not given or not all(isinstance(camera, Camera) for camera in given):
-        raise OptionError(
-            'Cameras are "auto", "orbit", "inside", "roam", a path, or at least one nanogs.Camera.'
-        )
-    return given

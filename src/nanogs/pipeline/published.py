@@ -1,13 +1,13 @@
 """The preset `paper`: prune, then merge pass by pass (arXiv 2603.16103), between two edges."""
 
 from nanogs._types import I32
+from nanogs.clock import StageClock
 from nanogs.method.gaussians import activate, scene_origin, store
+from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.paper.passes import merge_to_count
 from nanogs.method.paper.prune import prune
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.presets import PaperParameters
 from nanogs.progress import Tracker
-from nanogs.report import StageClock
 from nanogs.splats import Splats
 
 

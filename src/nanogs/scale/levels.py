@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs._version import __version__
+from nanogs.clock import StageClock
 from nanogs.defaults import CHUNK
 from nanogs.io.findings import join_findings
 from nanogs.lod.file_levels import FileLevels, level_name
@@ -19,11 +20,11 @@ from nanogs.lod.manifest import (
     describe_chunks,
     describe_level,
 )
+from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.job import NanPolicy
-from nanogs.pipeline.presets import ForestParameters
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress
-from nanogs.report import SimplifyReport, StageClock
+from nanogs.report import SimplifyReport
 from nanogs.scale.api import block_memory, block_parameters, plan_job, refuse_full_disk
 from nanogs.scale.folder import job_folder
 from nanogs.scale.plan import ScalePlan
@@ -128,8 +129,8 @@ def write_levels_in_blocks(
     Raises:
         NanogsError: As for `simplify_blocks`, or the folder may not be replaced.
     """
-    from nanogs.lod.blocks_folder import LevelsFolder
     from nanogs.scale.job import BlockJob
+    from nanogs.scale.levels_folder import LevelsFolder
 
     kept = job_folder(folder, job)
     max_memory, block = block_memory(

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from nanogs.clock import StageClock
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
@@ -15,9 +16,8 @@ from nanogs.io.registry import stem_of
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import compare_bytes, page_bytes
 from nanogs.progress import Parts, Progress, Stage, Tracker, each
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.raster.camera import Camera
-from nanogs.report import StageClock
-from nanogs.scoring.protocol import BLACK, PIXELS, VIEWS, Background, Judged, Kind
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
 from nanogs.view.pack import Packed, pack
