@@ -1,8 +1,11 @@
 """What splats cover and block from near and from far, and how far away that is."""
 
+from decimal import Decimal, localcontext
+
 import numba
 import numpy as np
 import pytest
+from scipy.special import exp1
 
 import nanogs
 import twins
@@ -10,6 +13,7 @@ from builders import random_splats, same_pixel
 from nanogs.datasets.synthetic import make_scene
 from nanogs.method.extent import ANCHORS, FARTHEST, Dilation, dilation
 from nanogs.method.growth import area_needs, blocked, widened
+from nanogs.method.integrals import exponential_integral
 from nanogs.method.nodes import NEARER, activate_nodes, footprints, gather
 from nanogs.method.store import store_groups
 from nanogs.metrics import psnr
@@ -127,9 +131,37 @@ def test_what_is_blocked_is_one_less_what_gets_through_everywhere(layers):
     assert found[0] == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
-def test_what_is_blocked_does_not_jump_between_its_two_forms():
-    sides = blocked(np.array([1 - 1e-6, 1 + 1e-6]) * 1e-5, np.ones(2))
-    assert sides[1] / sides[0] == pytest.approx(1 + 2e-6, rel=1e-8)
+def test_the_integral_is_exact_to_a_few_units_in_the_last_place():
+    """Against its alternating series in as many digits as that takes."""
+    rng = np.random.default_rng(0)
+    u = np.concatenate([10 ** rng.uniform(-12, 1.6, 60), rng.uniform(3.9, 4.1, 60), [4.0]])
+    expected = [integral_of(Decimal(value)) for value in u.tolist()]
+    found = exponential_integral(u)
+    errors = [float(abs(Decimal(f) / e - 1)) for f, e in zip(found.tolist(), expected, strict=True)]
+    assert max(errors) < 6e-16
+    assert np.allclose(found[u > 0.1], (exp1(u) + np.log(u) + np.euler_gamma)[u > 0.1], rtol=1e-14)
+
+
+def integral_of(u: Decimal) -> Decimal:
+    """The sum of -(-u)^k / (k k!), k from 1."""
+    with localcontext(prec=80):
+        term = total = u
+        for k in range(2, 300):
+            term *= -u / k
+            total += term / k
+        return +total
+
+
+def test_the_integral_holds_at_its_ends():
+    u = np.array([0.0, 5e-324, 1e-300, 1e300, np.inf])
+    assert exponential_integral(u).tolist() == [
+        0.0,
+        5e-324,
+        1e-300,
+        np.log(1e300) + np.euler_gamma,
+        np.inf,
+    ]
+    assert np.isnan(exponential_integral(np.array([np.nan]))).all()
 
 
 def test_spheres_at_one_place_become_one_that_blocks_as_much():

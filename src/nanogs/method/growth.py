@@ -1,14 +1,13 @@
 """Growth: merged splats that block too little light although they are opaque become larger."""
 
 import numpy as np
-from scipy.special import exp1
 
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.sheets import sheet_growths
+from nanogs.method.integrals import exponential_integral
 from nanogs.method.nodes import Nodes, member_lists
 from nanogs.method.slices import slices
 
-_FEW = 1e-5  # layers below which two terms of the series say it better than the difference
 SHEET_GROWTH = 1.8  # most that an axis of a group on a sheet may grow
 
 
@@ -19,17 +18,13 @@ def blocked(coverages: F64, areas: F64) -> F64:
     moments of a group, exp(-u g) of the light gets through where its Gaussian is g, for u their
     coverage over its footprint; 1 - exp(-u g) over the whole plane is
 
-        footprint (E1(u) + ln u + 0.5772) = footprint (u - u²/4 + u³/18 - ...).
+        footprint (E1(u) + ln u + 0.5772) = footprint (u - u²/4 + u³/18 - ...) = footprint Ein(u).
 
     Args:
         coverages: (G,) float64, of all members, 0 or more, square scene units.
         areas: (G,) float64, footprints of the groups, above 0, square scene units.
     """
-    layers = coverages / areas
-    few, many = np.minimum(layers, _FEW), np.maximum(layers, _FEW)
-    terms = few - few**2 / 4
-    shares = np.where(layers < _FEW, terms, exp1(many) + np.log(many) + np.euler_gamma)
-    return areas * shares
+    return areas * exponential_integral(coverages / areas)
 
 
 def area_needs(
