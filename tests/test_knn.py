@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 import twins
 from nanogs.kernels import lanes
-from nanogs.method.neighbours import nearest_neighbours
+from nanogs.method.neighbours import nearest_neighbours, nearest_to
 
 
 def outliers(rng, n):
@@ -51,6 +51,33 @@ def test_distances_are_those_of_another_tree():
     distances = np.linalg.norm(means[found] - means[:, None], axis=2)
     expected, _ = cKDTree(means).query(means, 17)
     assert np.allclose(distances, expected[:, 1:], rtol=1e-12)
+
+
+@given(
+    st.sampled_from(sorted(PLACES.keys() - {"huge"})),
+    st.integers(1, 150),
+    st.integers(0, 40),
+    st.integers(0, 2**32 - 1),
+)
+def test_the_nearest_to_other_places_is_the_first_by_distance_and_row(places, n, others, seed):
+    rng = np.random.default_rng(seed)
+    means, other = PLACES[places](rng, n), PLACES[places](rng, others)
+    x, y, z = np.moveaxis(other[:, None] - means, 2, 0)
+    squares = x * x + y * y + z * z
+    distances, nearest = nearest_to(other, means, threads=1)
+    assert np.array_equal(distances, np.sqrt(squares.min(axis=1)))
+    assert np.array_equal(nearest, squares.argmin(axis=1))
+
+
+def test_distances_to_other_places_are_those_of_another_tree():
+    rng = np.random.default_rng(6)
+    means = rng.normal(size=(20_000, 3)) * np.exp(2 * rng.normal(size=(20_000, 1)))
+    places = rng.normal(size=(5_000, 3)) * np.exp(2 * rng.normal(size=(5_000, 1)))
+    expected = cKDTree(means).query(places)
+    for threads in range(1, min(2, numba.config.NUMBA_NUM_THREADS) + 1):
+        found = nearest_to(places, means, threads)
+        assert np.array_equal(found[0], expected[0])
+        assert np.array_equal(found[1], expected[1])
 
 
 @pytest.mark.parametrize("places", ["uneven", "grid", "coincident"])

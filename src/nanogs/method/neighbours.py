@@ -6,6 +6,7 @@ from nanogs._types import F64, I32, I64, Bool
 from nanogs.kernels.knn import search_tree
 from nanogs.kernels.knn_tree import build_tree
 from nanogs.kernels.lanes import LANES
+from nanogs.kernels.nearest import find_nearest
 from nanogs.threads import use_threads
 
 _EXPONENT = 500  # coordinates are scaled to 2^500: their squares fit, and so do those of 2^-1000
@@ -38,6 +39,25 @@ def nearest_neighbours(means: F64, k: int, threads: int) -> I32:
     return neighbours
 
 
+def nearest_to(places: F64, means: F64, threads: int) -> tuple[F64, I32]:
+    """The nearest of some centres to other places: the first by (squared distance, row).
+
+    Args:
+        places: (Q, 3) finite, scene units.
+        means: (N, 3) finite, N at least 1, coordinates below 1e150.
+        threads: Threads for the search.
+
+    Returns:
+        (Q,) float64 distances, scene units, and (Q,) int32 rows of `means`.
+    """
+    distances, nearest = np.empty(len(places)), np.empty(len(places), np.int32)
+    points = np.ascontiguousarray(means.T).reshape(-1)
+    with use_threads(threads):
+        rows, boxes = _tree(points, threads)
+        find_nearest(np.ascontiguousarray(places), points, rows, boxes, distances, nearest)
+    return distances, nearest
+
+
 def coincident_groups(means: F64) -> tuple[I64, I64]:
     """Rows sorted by centre.
 
@@ -61,13 +81,19 @@ def _scaled(means: F64) -> F64:
 
 def _search(scaled: F64, threads: int, neighbours: I32, crowded: Bool) -> None:
     """Fill the neighbours; the scaled centres are reordered."""
-    rows = np.arange(len(neighbours), dtype=np.int32)
-    leaves = -(-len(rows) // LANES)
-    boxes = np.empty((2 << (leaves - 1).bit_length(), 6))
     points = scaled.reshape(-1)
     with use_threads(threads):
-        build_tree(points, rows, boxes, (threads - 1).bit_length())
+        rows, boxes = _tree(points, threads)
         search_tree(points, rows, boxes, neighbours, crowded)
+
+
+def _tree(points: F64, threads: int) -> tuple[I32, F64]:
+    """Sort (3 N,) points into the leaves of a tree, in place: their rows, and the nodes' boxes."""
+    rows = np.arange(len(points) // 3, dtype=np.int32)
+    leaves = -(-len(rows) // LANES)
+    boxes = np.empty((2 << (leaves - 1).bit_length(), 6))
+    build_tree(points, rows, boxes, (threads - 1).bit_length())
+    return rows, boxes
 
 
 def _uncrowd(scaled: F64, rows: I64, neighbours: I32) -> None:

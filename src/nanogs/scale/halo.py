@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from nanogs._types import F64, I32, I64
+from nanogs.method.neighbours import nearest_to
 from nanogs.scale.cuts import CENTRES, LABELS, REACH
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import MOST_SEEN
@@ -58,7 +58,6 @@ def find_halo(
     """
     with Table(scratch, cuts[block]) as table:
         centres, reach = table.read(CENTRES), table.read(REACH)
-    tree = cKDTree(centres)
     around = REACHES * float(cuts[block].facts["reach"])
     low, high = centres.min(axis=0) - around, centres.max(axis=0) + around
     found = []
@@ -68,7 +67,7 @@ def find_halo(
         with Table(scratch, record) as table:
             theirs = table.read(CENTRES)
             inside = np.flatnonzero(((theirs >= low) & (theirs <= high)).all(axis=1))
-            distances, nearest = tree.query(theirs[inside], workers=threads)
+            distances, nearest = nearest_to(theirs[inside], centres, threads)
             near = distances < REACHES * reach[nearest]
             if near.any():
                 sizes = np.bincount(table.read(LABELS), minlength=len(theirs))
