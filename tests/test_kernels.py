@@ -738,25 +738,6 @@ for module in pkgutil.iter_modules(nanogs.kernels.__path__, "nanogs.kernels."):
     assert run.stdout == ""
 
 
-SPARED = """
-import sys
-import numba, numpy as np
-import nanogs
-
-rng = np.random.default_rng(1)
-columns = [rng.normal(size=(300, *shape)).astype("f4") for shape in ((3,), (3,), (4,), (), (1, 3))]
-nanogs.simplify(nanogs.Splats(*columns), ratio=0.1, preset="fast")
-print("scipy.linalg" in sys.modules)
-print(numba.njit(lambda a: a @ a)(2 * np.eye(2)).tolist())
-"""
-
-
-@compiled_only
-def test_scipys_linear_algebra_is_loaded_by_those_who_use_it_alone():
-    run = subprocess.run([sys.executable, "-c", SPARED], capture_output=True, text=True, check=True)
-    assert run.stdout.split("\n")[:2] == ["False", "[[4.0, 0.0], [0.0, 4.0]]"]
-
-
 LOADED = """
 import sys
 import numba, numpy as np

@@ -6,8 +6,6 @@ that they also run with `NUMBA_DISABLE_JIT=1`.
 """
 
 from collections.abc import Callable
-from contextlib import suppress
-from functools import cache
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from numba.core import event
@@ -82,30 +80,12 @@ def exact_inline(function: Kernel) -> Kernel:
     return cached(function, **INLINE)
 
 
-@cache
-def _spare_linear_algebra() -> None:
-    """Load Numba's array functions without SciPy's linear algebra, which takes as long as they do.
-
-    They ask for it as they are imported, only to know that it is there, as it is wherever nanogs
-    is. What uses it asks again.
-    """
-    with suppress(ImportError, AttributeError):  # another version of Numba: slower, but no harm
-        from numba.np import linalg
-
-        ask, linalg.ensure_blas = linalg.ensure_blas, lambda: None
-        try:
-            import numba.np.arraymath  # noqa: F401
-        finally:
-            linalg.ensure_blas = ask
-
-
 class _Listener(event.Listener):
     """Passes on when something is compiled; what the cache holds makes no such event."""
 
     def on_start(self, event: event.Event) -> None:
         del event
         compiling.begin()
-        _spare_linear_algebra()
 
     def on_end(self, event: event.Event) -> None:
         del event
