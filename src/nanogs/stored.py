@@ -67,3 +67,24 @@ def rotations(quats: Floats) -> Floats:
     matrix[:, 2, 1] = 2 * (y * z + w * x)
     matrix[:, 2, 2] = 1 - 2 * (x * x + y * y)
     return matrix
+
+
+def quaternions(matrices: F64) -> F64:
+    """(N, 4) unit quaternions, wxyz, of (N, 3, 3) rotation matrices.
+
+    By the largest of the four parts, which is then positive, so that none is divided by near zero
+    (Shepperd 1978).
+    """
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = matrices.reshape(-1, 9).T
+    table = np.empty((len(matrices), 4, 4))
+    for row, column, value in (
+        (0, 1, zy - yz), (0, 2, xz - zx), (0, 3, yx - xy),
+        (1, 2, xy + yx), (1, 3, xz + zx), (2, 3, yz + zy),
+    ):  # fmt: skip
+        table[:, row, column] = table[:, column, row] = value
+    for part, value in enumerate((xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy)):
+        table[:, part, part] = 1 + value
+    rows = np.arange(len(matrices))
+    quats: F64 = table[rows, np.argmax(np.einsum("nii->ni", table), axis=1)]
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    return quats

@@ -14,6 +14,7 @@ import numpy as np
 from nanogs._types import F64, I64, F
 from nanogs.method.gaussians import Gaussians, activate, scene_origin, store
 from nanogs.splats import Splats
+from nanogs.stored import quaternions, rotations
 
 _BISECTIONS = 40
 _FEWEST_CELLS, _MOST_CELLS = 0.5, 2.0**20  # along the widest axis; three of 20 bits make a key
@@ -174,19 +175,15 @@ def _dominant(shares: F64, starts: I64, sizes: I64) -> I64:
 
 def _covariances(gaussians: Gaussians, offsets: F64) -> F64:
     """(N, 3, 3) float64: R diag(s²) Rᵀ + d dᵀ."""
-    from scipy.spatial.transform import Rotation
-
-    rotations = Rotation.from_quat(gaussians.quats.astype(np.float64)[:, [1, 2, 3, 0]]).as_matrix()
-    factors = rotations * gaussians.scales.astype(np.float64)[:, None, :]
+    quats = gaussians.quats.astype(np.float64)
+    axes = rotations(quats / np.linalg.norm(quats, axis=1, keepdims=True))
+    factors = axes * gaussians.scales.astype(np.float64)[:, None, :]
     own: F64 = factors @ factors.transpose(0, 2, 1)
     return own + offsets[:, :, None] * offsets[:, None, :]
 
 
 def _axes(covariances: F64) -> tuple[F64, F64]:
     """Standard deviations (G, 3) and unit quaternions (G, 4), wxyz, of covariances (G, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    variances, rotations = np.linalg.eigh(covariances)
-    rotations[np.linalg.det(rotations) < 0, :, 0] *= -1
-    quats = Rotation.from_matrix(rotations).as_quat()[:, [3, 0, 1, 2]]
-    return np.sqrt(np.maximum(variances, 0.0)), quats
+    variances, axes = np.linalg.eigh(covariances)
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    return np.sqrt(np.maximum(variances, 0.0)), quaternions(axes)

@@ -12,7 +12,7 @@ from nanogs.datasets.still_life import PARTS, SKYLIGHT, SUN, SUNLIGHT, UP, Build
 from nanogs.errors import OptionError
 from nanogs.sh import lobe
 from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
-from nanogs.stored import SH_C0
+from nanogs.stored import SH_C0, quaternions
 
 TO_Y_DOWN = np.array([1.0, -1.0, -1.0])
 
@@ -65,18 +65,10 @@ def _splats(part: Part, sh_degree: int, rng: Rng) -> Splats:
     return Splats(
         means=(samples.points * TO_Y_DOWN).astype(np.float32),
         log_scales=np.log(samples.sizes).astype(np.float32),
-        quats=_quaternions(axes),
+        quats=quaternions(axes).astype(np.float32),
         opacity_logits=np.log(alphas / (1 - alphas)).astype(np.float32),
         sh=_harmonics(part, normals, sh_degree, rng),
     )
-
-
-def _quaternions(matrices: F64) -> F32:
-    """(n, 4) wxyz of rotation matrices (n, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    xyzw: F64 = Rotation.from_matrix(matrices).as_quat()
-    return np.roll(xyzw, 1, axis=1).astype(np.float32)
 
 
 def _harmonics(part: Part, normals: F64, degree: int, rng: Rng) -> F32:

@@ -13,6 +13,7 @@ from nanogs._types import F32, F64
 from nanogs.errors import FormatError
 from nanogs.io.gltf_document import Document, Part
 from nanogs.sh import basis
+from nanogs.stored import quaternions
 
 EXTENSION = "KHR_gaussian_splatting"
 # glTF is y-up, a 3DGS file y-down by habit: half a turn about z leads from one to the other.
@@ -48,7 +49,7 @@ class Pose:
 
     def quats(self, quats: F64) -> F64:
         """(R, 4) float64 wxyz: rotations, followed by this one."""
-        w, *v = _quaternion(self.rotation)
+        w, *v = quaternions(self.rotation[None])[0]
         axis = np.array(v)
         real, imaginary = quats[:, :1], quats[:, 1:]
         return np.concatenate(
@@ -181,19 +182,3 @@ def pose_of(matrix: F64, error: Callable[[str], FormatError]) -> Pose:
         rotation = whole
     scale = 1.0 if abs(scale - 1) < 1e-12 else scale
     return Pose(rotation, scale, matrix[:3, 3])
-
-
-def _quaternion(rotation: F64) -> F64:
-    """(4,) wxyz of a rotation matrix, by its largest part."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
-    table = np.array(
-        [
-            [1 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
-            [zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx],
-            [xz - zx, xy + yx, 1 - xx + yy - zz, yz + zy],
-            [yx - xy, xz + zx, yz + zy, 1 - xx - yy + zz],
-        ]
-    )
-    row: F64 = table[np.argmax(np.diag(table))]
-    unit: F64 = row / np.linalg.norm(row)
-    return unit
