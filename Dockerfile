@@ -11,7 +11,7 @@ RUN pip install --no-cache-dir /wheels/*.whl && rm -r /wheels
 
 # Whoever runs it may add to what is compiled; the part made here holds on processors like this one.
 # A container forgets what it compiles, so that this is what all presets and .sog files need.
-ENV NUMBA_CACHE_DIR=/var/cache/nanogs MPLCONFIGDIR=/tmp/matplotlib
+ENV NUMBA_CACHE_DIR=/var/cache/nanogs
 RUN nanogs demo /tmp/scene.ply --count 2000 \
     && nanogs simplify /tmp/scene.ply /tmp/small.ply --ratio 0.1 --preset best \
     && nanogs simplify /tmp/scene.ply /tmp/paper.ply --ratio 0.5 --preset paper \

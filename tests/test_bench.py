@@ -140,7 +140,7 @@ def test_results_are_not_replaced_unasked(tmp_path):
     folder.finish(rows)
     lines = (tmp_path / "results.jsonl").read_text().splitlines()
     assert [json.loads(line)["scene"] for line in lines] == ["b", "c"]
-    assert {path.name for path in tmp_path.iterdir()} == {"results.md", "results.jsonl", "plot.png"}
+    assert {path.name for path in tmp_path.iterdir()} == {"results.md", "results.jsonl", "plot.svg"}
 
 
 def test_an_unfinished_run_goes_on_where_it_ended(tmp_path):
@@ -461,7 +461,7 @@ def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
     assert lines[1]["seconds"] > 0
     assert lines[1]["peak_memory"] > 50e6
     assert lines[1]["fps"] > 0
-    assert (out / "plot.png").stat().st_size > 5000
+    assert (out / "plot.svg").stat().st_size > 5000
     again = run("bench", model, *options, "--out", out)
     assert (again.returncode, again.stdout) == (2, "")
     assert "add -w to replace it" in again.stderr

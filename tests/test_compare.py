@@ -131,6 +131,7 @@ def test_plot_has_a_line_for_each_name_and_leaves_infinity_out():
     svg = rate_distortion_plot(comparison.models)
     assert svg.startswith("<svg")
     assert "ours" in svg
+    assert svg.count("<polyline") == 1
 
 
 @pytest.mark.parametrize(("text", "size"), [("512", (512, 512)), ("1280x720", (1280, 720))])

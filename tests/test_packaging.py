@@ -1,6 +1,8 @@
 """What the project says of itself: its extras, its Pythons, its files."""
 
+import ast
 import re
+import sys
 import tomllib
 from pathlib import Path
 
@@ -35,6 +37,28 @@ def test_what_tests_skip_without_is_installed_by_a_target_of_make():
     assert len(modules) > 8
     if (ROOT / "Makefile").exists():
         assert "TORCH ?= torch==" in (ROOT / "Makefile").read_text()
+
+
+def test_what_is_imported_is_among_the_dependencies_and_extras():
+    """And not only there because something else, such as a test, needs it."""
+    extras = PROJECT["optional-dependencies"]
+    optional = [
+        line for name in extras.keys() - {"dev", "docs", "oracles"} for line in extras[name]
+    ]
+    allowed = named([*PROJECT["dependencies"], *optional]) | {
+        "llvmlite",
+        "markupsafe",
+    }  # Numba's, Jinja2's
+    modules = set()
+    for path in (ROOT / "src/nanogs").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                modules.add(node.module.partition(".")[0])
+    modules -= sys.stdlib_module_names | {"nanogs"}
+    assert {"numpy", "numba", "distributed"} <= modules
+    assert {DISTRIBUTIONS.get(name, name) for name in modules} <= allowed
 
 
 @pytest.mark.skipif(not (ROOT / "Makefile").exists(), reason="only in the repository")

@@ -9,6 +9,7 @@ import numpy as np
 
 import nanogs
 from nanogs._types import F32, U8
+from nanogs.charts import Chart, svg
 from nanogs.datasets.plant import load_plant
 from nanogs.raster.camera import Camera
 from nanogs.raster.images import to_bytes
@@ -22,7 +23,7 @@ RATIOS = (0.25, 0.1, 0.03)
 WIDTH, HEIGHT, VIEWS = 480, 480, 4
 SHOWN = 1  # of the views
 
-NAMES = ("original.png", "tenth.png", "random.png", "difference.png", "curve.png")
+NAMES = ("original.png", "tenth.png", "random.png", "difference.png", "curve.svg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,7 @@ class Tutorial:
     """What the tutorial shows.
 
     Attributes:
-        pictures: PNG files by name.
+        pictures: Files by name.
         scores: A table in Markdown.
     """
 
@@ -58,7 +59,7 @@ def make() -> Tutorial:
     }
     pictures = {f"{name}.png": _png(to_bytes(view)) for name, view in views.items()}
     pictures["difference.png"] = _png(to_bytes(error_map(views["original"], views["tenth"])))
-    pictures["curve.png"] = _curve(comparison)
+    pictures["curve.svg"] = _curve(comparison)
     return Tutorial(pictures, _table(comparison))
 
 
@@ -81,22 +82,12 @@ def _png(image: U8) -> bytes:
 
 def _curve(comparison: Comparison) -> bytes:
     """PSNR over the share of splats kept."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axes = figure.add_subplot()
-    levels = comparison.models[: len(RATIOS)]
-    axes.plot([100 * ratio for ratio in RATIOS], [level.psnr for level in levels], "o-")
-    chance = (10, comparison.models[-1].psnr)
-    axes.plot(*chance, "x", color="tab:red")
-    axes.annotate("at random", chance, (8, -4), textcoords="offset points")
-    axes.set(xscale="log", xlabel="splats kept, %", ylabel="PSNR, dB")
-    axes.set_xticks([3, 10, 25], ["3", "10", "25"])
-    axes.minorticks_off()
-    axes.grid(alpha=0.3)
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=80, metadata={"Software": None})
-    return buffer.getvalue()
+    shown = [model.psnr for model in comparison.models]
+    lines = {
+        "simplified": [(100 * ratio, psnr) for ratio, psnr in zip(RATIOS, shown, strict=False)],
+        "at random": [(10.0, shown[-1])],
+    }
+    return svg([Chart("", "splats kept, %", lines)]).encode()
 
 
 def _table(comparison: Comparison) -> str:

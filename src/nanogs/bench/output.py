@@ -7,14 +7,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 from nanogs._version import __version__
-from nanogs.bench.plot import save_plot
+from nanogs.bench.plot import plot
 from nanogs.bench.rows import BenchRow, Status
 from nanogs.bench.scenes import BenchScene
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.tables import json_line, markdown
 from nanogs.errors import ExistsError, OutputError
 
-TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.png"
+TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
 UNFINISHED = "unfinished.jsonl"  # what the run is, and its rows so far
 
 
@@ -84,12 +84,14 @@ class ResultFolder:
         Raises:
             OutputError: They cannot be written.
         """
-        texts = {LINES: "".join(map(json_line, rows)), TABLE: preamble + markdown(rows)}
+        texts = {
+            LINES: "".join(map(json_line, rows)),
+            TABLE: preamble + markdown(rows),
+            PLOT: plot(rows),
+        }
         for name, text in texts.items():
             with _writing(self.path / name):
                 (self.path / name).write_text(text, encoding="utf-8")
-        with _writing(self.path / PLOT):
-            save_plot(rows, self.path / PLOT)
         with _writing(self.path / UNFINISHED):
             (self.path / UNFINISHED).unlink(missing_ok=True)
 

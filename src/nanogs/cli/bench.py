@@ -72,7 +72,7 @@ Out = Annotated[
     typer.Option(
         "--out",
         "-o",
-        help="Folder for results.md, results.jsonl and plot.png; an unfinished run in it goes on.",
+        help="Folder for results.md, results.jsonl and plot.svg; an unfinished run in it goes on.",
     ),
 ]
 

@@ -1,10 +1,10 @@
 """The comparison as one self-contained page: numbers, pictures, a rate-distortion plot."""
 
-import io
 import math
 from collections.abc import Sequence
 from importlib.resources import files
 
+from nanogs.charts import Chart, svg
 from nanogs.formatting import bytes_text, counted, number_text
 from nanogs.scoring.comparison import Comparison, Sheet
 from nanogs.scoring.pictures import ERROR_FULL_SCALE
@@ -64,23 +64,8 @@ def rate_distortion_plot(models: Sequence[ModelScore]) -> str:
 
     Models whose PSNR is infinite have no place on it and are left out.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    axes = figure.add_subplot()
-    lines: dict[str, list[tuple[int, float]]] = {}
+    lines: dict[str, list[tuple[float, float]]] = {}
     for model in models:
         if math.isfinite(model.psnr):
             lines.setdefault(model.name, []).append((model.splats, model.psnr))
-    for name, points in lines.items():
-        axes.plot(*zip(*sorted(points), strict=True), marker="o", label=name)
-    axes.set_xscale("log")
-    axes.set_xlabel("splats")
-    axes.set_ylabel("PSNR (dB)")
-    axes.grid(alpha=0.3)
-    if lines:
-        axes.legend()
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    svg = buffer.getvalue()
-    return svg[svg.index("<svg") :]
+    return svg([Chart("", "splats", lines)])

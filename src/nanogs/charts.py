@@ -1,0 +1,127 @@
+"""Line charts as SVG, for pages and files that any browser opens."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+Points = Sequence[tuple[float, float]]
+
+_WIDTH, _HEIGHT = 440, 300  # of the axes, pixels
+_LEFT, _TOP, _BOTTOM, _LEGEND = 70, 40, 60, 190  # around them
+_COLOURS = (
+    "#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f",
+    "#bcbd22", "#17becf",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """PSNR, in dB, against something on a logarithmic axis.
+
+    Attributes:
+        title: Above it.
+        across: Below the horizontal axis.
+        lines: By name, points (x, PSNR); x above 0, both finite.
+    """
+
+    title: str
+    across: str
+    lines: Mapping[str, Points]
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """An axis from one value to another, over so many pixels; of logarithms, or not."""
+
+    low: float
+    high: float
+    pixels: int
+
+    def place(self, value: float) -> float:
+        return self.pixels * (value - self.low) / (self.high - self.low)
+
+
+def svg(charts: Sequence[Chart]) -> str:
+    """An SVG element with charts beside each other."""
+    each, height = _LEFT + _WIDTH + _LEGEND, _TOP + _HEIGHT + _BOTTOM
+    drawn = "".join(
+        f'<g transform="translate({place * each + _LEFT} {_TOP})">{_drawn(chart)}</g>'
+        for place, chart in enumerate(charts)
+    )
+    width = each * max(len(charts), 1)
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}"'
+        f' height="{height}" font-family="sans-serif" font-size="13" fill="#222">'
+        f'<rect width="100%" height="100%" fill="#fff"/>{drawn}</svg>\n'
+    )
+
+
+def _drawn(chart: Chart) -> str:
+    x = [math.log10(point[0]) for line in chart.lines.values() for point in line]
+    y = [point[1] for line in chart.lines.values() for point in line]
+    across, up = _axis(x, _WIDTH), _axis(y, _HEIGHT)
+    parts = [
+        _text(_WIDTH / 2, -14, chart.title, size=14),
+        _text(_WIDTH / 2, _HEIGHT + 44, chart.across),
+        f'<g transform="translate(-50 {_HEIGHT / 2}) rotate(-90)">{_text(0, 0, "PSNR (dB)")}</g>',
+        f'<path d="M0 0V{_HEIGHT}H{_WIDTH}" fill="none" stroke="#222"/>',
+    ]
+    if x:
+        parts += [_mark(across.place(math.log10(value)), value) for value in _decades(across)]
+        parts += [_rule(_HEIGHT - up.place(value), value) for value in _steps(up)]
+    for number, (name, line) in enumerate(chart.lines.items()):
+        places = [(across.place(math.log10(a)), _HEIGHT - up.place(b)) for a, b in sorted(line)]
+        parts.append(_line(places, name, number))
+    return "".join(parts)
+
+
+def _axis(values: Sequence[float], pixels: int) -> _Axis:
+    """Around values, with some room at both ends."""
+    low, high = min(values, default=0.0), max(values, default=1.0)
+    room = 0.05 * (high - low) or 0.5
+    return _Axis(low - room, high + room, pixels)
+
+
+def _decades(axis: _Axis) -> list[float]:
+    """Powers of ten on an axis of logarithms, and twice and five times those where they are few."""
+    exponents = range(math.floor(axis.low), math.ceil(axis.high) + 1)
+    leads = (1, 2, 5) if axis.high - axis.low < 2.5 else (1,)
+    values = [lead * 10.0**exponent for exponent in exponents for lead in leads]
+    return [value for value in values if axis.low <= math.log10(value) <= axis.high]
+
+
+def _steps(axis: _Axis) -> list[float]:
+    """From three to seven round values on an axis."""
+    least = (axis.high - axis.low) / 7
+    power = 10.0 ** math.floor(math.log10(least))
+    step = next(lead * power for lead in (1, 2, 5, 10) if lead * power >= least)
+    return [n * step for n in range(math.ceil(axis.low / step), math.floor(axis.high / step) + 1)]
+
+
+def _mark(x: float, value: float) -> str:
+    line = f'<path d="M{x:.1f} 0V{_HEIGHT + 5}" stroke="#0002"/>'
+    return line + _text(x, _HEIGHT + 22, f"{value:,.10g}")
+
+
+def _rule(y: float, value: float) -> str:
+    line = f'<path d="M-5 {y:.1f}H{_WIDTH}" stroke="#0002"/>'
+    return line + _text(-9, y + 4, f"{value:.10g}", anchor="end")
+
+
+def _line(places: Points, name: str, number: int) -> str:
+    """A line with dots, and its entry in the legend."""
+    colour = _COLOURS[number % len(_COLOURS)]
+    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+    dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4"/>' for x, y in places)
+    height = 8 + 20 * number
+    return (
+        f'<g fill="{colour}"><polyline points="{points}" fill="none" stroke="{colour}"'
+        f' stroke-width="1.8"/>{dots}<circle cx="{_WIDTH + 16}" cy="{height}" r="4"/></g>'
+        + _text(_WIDTH + 26, height + 4, name, anchor="start")
+    )
+
+
+def _text(x: float, y: float, text: str, *, anchor: str = "middle", size: int = 13) -> str:
+    placed = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"'
+    return f"<text {placed}>{escape(text)}</text>"

@@ -1,0 +1,70 @@
+"""Line charts as SVG."""
+
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from nanogs.charts import Chart, svg
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def drawn(*charts):
+    return ET.fromstring(svg(charts))
+
+
+def texts(element):
+    return [found.text for found in element.iter(f"{SVG}text")]
+
+
+def points(element):
+    """Of each line, in pixels from the axes' upper left corner."""
+    return [
+        [tuple(map(float, pair.split(","))) for pair in line.get("points").split()]
+        for line in element.iter(f"{SVG}polyline")
+    ]
+
+
+def test_places_follow_logarithm_and_psnr_whatever_the_order():
+    line = [(100.0, 30.0), (1.0, 10.0), (10.0, 25.0)]
+    [places] = points(drawn(Chart("", "splats", {"x": line})))
+    across, down = zip(*places, strict=True)
+    assert across[1] - across[0] == pytest.approx(across[2] - across[1], abs=0.2)
+    assert (down[0] - down[1]) / (down[1] - down[2]) == pytest.approx(15 / 5, rel=0.01)
+    assert 0 < across[0] < across[2] < 440
+    assert 300 > down[0] > down[2] > 0
+
+
+def test_marks_stand_at_their_values():
+    drawing = drawn(Chart("", "splats", {"x": [(1000.0, 20.0), (100_000.0, 40.0)]}))
+    [[(left, low), (right, high)]] = points(drawing)
+    marks = {found.text: found for found in drawing.iter(f"{SVG}text")}
+    assert float(marks["1,000"].get("x")) == pytest.approx(left, abs=0.1)
+    assert float(marks["100,000"].get("x")) == pytest.approx(right, abs=0.1)
+    assert float(marks["20"].get("y")) == pytest.approx(low + 4, abs=0.1)
+    assert float(marks["40"].get("y")) == pytest.approx(high + 4, abs=0.1)
+
+
+@pytest.mark.parametrize("line", [
+    [(0.001, 13.27), (0.1, 13.28)], [(5.0, 30.0)], [(1.0, -5.0), (1e7, 1e5)],
+])  # fmt: skip
+def test_there_are_a_few_round_marks_on_each_axis(line):
+    drawing = drawn(Chart("", "splats", {"x": line}))
+    rules = [found.get("d") for found in drawing.iter(f"{SVG}path")][1:]
+    upright = sum("V" in rule for rule in rules)
+    assert 2 <= upright <= 9
+    assert 3 <= len(rules) - upright <= 7
+    numbers = texts(drawing)[3 : 3 + len(rules)]
+    assert max(len(number.strip("0-").replace(",", "")) for number in numbers) <= 8
+
+
+def test_names_are_in_the_legend_and_are_no_markup():
+    drawing = drawn(
+        Chart("<b>", "splats", {"a & b": [(1.0, 2.0)], "c": []}), Chart("d", "ratio", {})
+    )
+    assert {"<b>", "a & b", "c", "d", "ratio"} <= set(texts(drawing))
+    assert len(list(drawing.iter(f"{SVG}g"))) >= 2
+
+
+def test_nothing_is_a_drawing_too():
+    assert points(drawn()) == []
