@@ -1,0 +1,17 @@
+"""Formulas between stored values and those that are drawn."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from nanogs.stored import quaternions, rotations
+
+
+def test_quaternions_give_their_rotations_back_whatever_their_largest_part():
+    rng = np.random.default_rng(0)
+    quats = np.concatenate([rng.normal(size=(500, 4)), np.eye(4), np.full((1, 4), 0.5)])
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    expected = Rotation.from_quat(quats[:, [1, 2, 3, 0]]).as_matrix()
+    found = quaternions(expected)
+    assert np.allclose(np.abs((found * quats).sum(axis=1)), 1, atol=1e-14)
+    assert np.allclose(rotations(found), expected, atol=1e-14)
+    assert quaternions(np.empty((0, 3, 3))).shape == (0, 4)
