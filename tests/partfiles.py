@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from nanogs import io
-from nanogs.io import registry
+from nanogs.io.parts import Packed, Whole
 from nanogs.scale.scratch import FolderScratch
 from nanogs.scale.tables import write_table
 from nanogs.scale.unpack import NOTES, Unpacked, streamed
@@ -15,18 +15,16 @@ from nanogs.scale.unpack import NOTES, Unpacked, streamed
 @contextmanager
 def in_parts(path):
     """What reads rows of a file; its columns are unpacked first, where they must be."""
-    known = registry.find(path)
-    rows = known.rows(path)
-    if rows is not None:
-        yield rows.read
-        return
-    packed = known.packed(path)
-    assert packed is not None, f"{path} is not read in parts"
-    with TemporaryDirectory() as folder:
-        scratch, notes = FolderScratch(Path(folder)), []
-        record = write_table(scratch, "u", streamed(packed, notes), {NOTES: notes})
-        with Unpacked(scratch, {0: record}).opened(0, packed) as read:
-            yield read
+    with io.open(path) as source:
+        assert not isinstance(source, Whole), f"{path} is not read in parts"
+        if not isinstance(source, Packed):
+            yield lambda start, stop: replace(source.read(start, stop), elements=())
+            return
+        with TemporaryDirectory() as folder:
+            scratch, notes = FolderScratch(Path(folder)), []
+            record = write_table(scratch, "u", streamed(source, notes), {NOTES: notes})
+            with Unpacked(scratch, {0: record}).opened(0, source) as rows:
+                yield lambda start, stop: replace(rows.read(start, stop), elements=())
 
 
 def whole(path):

@@ -11,7 +11,7 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
-from nanogs.io import check_writable, level_counts
+from nanogs.io import check_writable
 from nanogs.scoring.viewing import view_files
 from test_cli import assert_refused
 from test_comfort import run
@@ -128,7 +128,7 @@ def test_a_converted_level_has_the_bytes_of_its_own_files(folder, tmp_path):
 def test_view_shows_a_level_that_suits_a_page(folder, tmp_path, monkeypatch):
     require_bundle()
     stream = folder / "stream" / "lod-meta.json"
-    assert level_counts(stream) == (200, 100, 40, 4)
+    assert nanogs.io.open(stream).levels == (200, 100, 40, 4)
 
     def shown(level=None):
         page = tmp_path / "page.html"

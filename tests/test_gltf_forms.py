@@ -12,6 +12,7 @@ from builders import random_splats
 from nanogs import io
 from nanogs.errors import FormatError
 from nanogs.io import gltf_spz
+from nanogs.io.parts import Whole
 from nanogs.sh import basis
 from nanogs.splats import RenderMode
 from strategies import assert_same
@@ -62,9 +63,8 @@ def test_text_with_a_buffer_beside_it(made, expected, tmp_path, uri):
     assert io.inspect(tmp_path / "a.gltf").file_bytes == sum(
         (tmp_path / each).stat().st_size for each in ("a.gltf", name)
     )
-    (known,) = (each for each in io.registry.formats() if each.suffix == ".gltf")
-    assert known.files(tmp_path / "a.gltf") == (tmp_path / "a.gltf", tmp_path / name)
-    part = known.rows(tmp_path / "a.gltf").read(7, 200)
+    assert io.open(tmp_path / "a.gltf").files == (tmp_path / "a.gltf", tmp_path / name)
+    part = io.open(tmp_path / "a.gltf").read(7, 200)
     assert np.array_equal(part.sh, expected.sh[7:200])
 
 
@@ -119,9 +119,8 @@ def test_what_was_packed_is_what_spz_holds(tmp_path, degree):
     assert (info.splats, info.sh_degree, info.format) == (500, degree, "glb")
     assert (info.encoding, info.render_mode) == ("gzip", RenderMode.MIP)
     assert dict(info.properties)["positions"] == "int24"
-    (known,) = (each for each in io.registry.formats() if each.suffix == ".glb")
-    assert known.rows(path) is None  # a stream that is unpacked as a whole
-    assert sum(map(len, io.stream(path))) == 500
+    assert isinstance(io.open(path), Whole)  # a stream that is unpacked as a whole
+    assert sum(map(len, io.open(path).blocks())) == 500
 
 
 def test_packed_splats_are_placed_by_their_nodes(tmp_path):

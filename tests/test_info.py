@@ -14,8 +14,8 @@ import nanogs
 from builders import random_splats
 from conftest import scene_path
 from nanogs import io
+from nanogs.findings import Finding, join_findings
 from nanogs.io import registry
-from nanogs.io.findings import Finding, join_findings
 from nanogs.model_info import info as describe
 from nanogs.splats import RenderMode
 from strategies import splats
@@ -33,7 +33,7 @@ def described(tmp_path, model, name="a.ply"):
 @pytest.fixture
 def small_blocks(monkeypatch):
     """Blocks of three rows, so that a few splats make several."""
-    monkeypatch.setattr("nanogs.io.BLOCK_ROWS", 3)
+    monkeypatch.setattr("nanogs.source.BLOCK_ROWS", 3)
     monkeypatch.setattr("nanogs.io.ply_rows.BLOCK_ROWS", 3)
 
 
@@ -41,7 +41,7 @@ def small_blocks(monkeypatch):
 @given(model=splats())
 def test_a_stream_is_the_model_in_parts(tmp_path, small_blocks, model):
     io.save(model, tmp_path / "a.ply", overwrite=True)
-    blocks = list(io.stream(tmp_path / "a.ply"))
+    blocks = list(io.open(tmp_path / "a.ply").blocks())
     assert max(map(len, blocks)) <= 3
     for name in ("means", "log_scales", "quats", "opacity_logits", "sh"):
         parts = np.concatenate([getattr(block, name) for block in blocks])

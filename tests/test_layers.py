@@ -15,11 +15,12 @@ ROOT = Path(nanogs.__file__).parent
 # From the bottom up, and in a line from left to right: each may import what is before it. A folder
 # stands for all modules in it.
 ORDER = """
-_version _types errors formatting quantities defaults stored protocol sh charts
+_version _types errors formatting findings quantities defaults stored protocol sh charts
 progress clock cleanup threads spread
 kernels
 bar
 _arrays splats frames gsplat_arrays metrics
+filters source
 raster
 io
 datasets views
@@ -29,7 +30,6 @@ method
 memory needs summary
 view scoring
 pipeline
-filters
 lod
 scale model_info
 ahead bench cli __main__
@@ -37,6 +37,7 @@ ahead bench cli __main__
 
 # Imports that go up, each when something is called and not before; why.
 UP = {
+    ("filters", "method"): "floaters are told by their neighbours, found as those of a merge are",
     ("splats", "gsplat_arrays"): "`from_gsplat` and `to_gsplat` are methods; what they do is apart",
     ("splats", "summary"): "a notebook shows a model, with its picture, through `_repr_html_`",
     ("io.html_write", "view"): "a page in which a model moves is a format to write",

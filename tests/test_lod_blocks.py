@@ -14,7 +14,6 @@ from builders import random_splats
 from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
-from nanogs.io.sog_levels import read as read_level
 from nanogs.lod.cells import divide
 from nanogs.lod.layout import Layout, made_files
 from nanogs.method.parameters import ForestParameters
@@ -27,8 +26,8 @@ from nanogs.scale.levels import write_levels_in_blocks
 from nanogs.scale.plan import plan_blocks
 from nanogs.scale.scratch import FolderScratch
 from nanogs.scale.settings import SOG, TILES, Chunks
-from nanogs.scale.settings import Layout as Columns
 from nanogs.scale.tables import write_files
+from nanogs.source import Layout as Columns
 from nanogs.splats import concatenate
 from test_lod_stream import assert_binary, files, leaves, seen_by_the_viewer
 from test_scale_runs import wall
@@ -118,7 +117,7 @@ def test_all_models_of_a_streamed_level_are_the_level(made, plain):
     path = made[Layout.SOG][0] / "lod-meta.json"
     assert json.loads(path.read_text())["counts"] == [600, 120, 24]
     for level, expected in enumerate(plain):
-        back = read_level(path, level)
+        back = nanogs.load(path, level=level)
         assert len(back) == len(expected)
         for axis in range(3):  # quantised, and so in another order by coordinates
             found, wanted = np.sort(back.means[:, axis]), np.sort(expected.means[:, axis])
@@ -188,7 +187,7 @@ def test_few_splats_and_all_of_them(scene, tmp_path, layout, ratios):
     wanted = [int(np.ceil(1200 * ratio)) for ratio in ratios]
     assert [level.count for level in manifest.levels] == wanted
     if layout is Layout.SOG:
-        found = [len(read_level(folder / "lod-meta.json", n)) for n in range(len(ratios))]
+        found = [len(nanogs.load(folder / "lod-meta.json", level=n)) for n in range(len(ratios))]
     else:
         path = folder / "tileset.json"
         for tile, _ in tiles(path):

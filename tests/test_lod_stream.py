@@ -23,7 +23,6 @@ from launch import run
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.folder import atomic_folder
-from nanogs.io.sog_levels import read as read_level
 from nanogs.lod.boxes import box_around
 from nanogs.lod.cells import LEAF, divide
 from nanogs.lod.layout import Layout, made_files, output_of
@@ -172,7 +171,7 @@ def test_every_level_is_what_the_library_makes(splats, path):
     assert meta["counts"] == [len(small) for small, _ in made] == [450, 90, 18]
     assert (meta["count"], meta["lodLevels"], meta["version"]) == (558, 3, 1)
     for level, (small, _) in enumerate(made):
-        back = in_order_of(small, read_level(path, level))
+        back = in_order_of(small, nanogs.load(path, level=level))
         logarithms = [np.log1p(np.abs(m.means)) for m in (small, back)]
         assert np.abs(logarithms[0] - logarithms[1]).max() < 1e-4
         assert angle(small, back).max() < 0.02
@@ -383,7 +382,7 @@ def test_real_scene(tmp_path):
     manifest, _ = write(model, tmp_path / "biker", chunk=10_000, ratios=[0.5, 0.1, 0.01])
     path = tmp_path / "biker" / "lod-meta.json"
     meta = json.loads(path.read_text())
-    assert meta["counts"] == [len(read_level(path, level)) for level in range(3)]
+    assert meta["counts"] == [len(nanogs.load(path, level=level)) for level in range(3)]
     assert meta["counts"] == [76_373, 15_275, 1_528]
     assert len(leaves(meta["tree"])) == 8
     assert manifest.levels[0].bytes < 76_373 * 16

@@ -30,14 +30,15 @@ from nanogs.scale.settings import (
     VERSION,
     Access,
     InputFile,
-    Layout,
     Segment,
     Settings,
+    Sieve,
     settings_of,
 )
 from nanogs.scale.settle import keep_every_group
 from nanogs.scale.spill import DIGEST
 from nanogs.scale.tables import Place, Table, read_record, verified, write_table
+from nanogs.source import Layout
 from torchfiles import File
 
 FAST = {"preset": "fast", "block": 400, "threads": 1}
@@ -73,7 +74,7 @@ def settings(block, segments, **changes):
     given = {
         "inputs": (InputFile("scene.ply", 1, 1, rows, Access.ROWS),),
         "layout": Layout(0, False, (), "default", (), ()),
-        "segments": tuple(Segment(0, int(a), int(b)) for a, b in pairwise(bounds)),
+        "segments": tuple(Segment(int(a), int(b)) for a, b in pairwise(bounds)),
         "ratios": (0.3,),
         "counts": (),
         "nan": "drop",
@@ -186,8 +187,10 @@ def test_every_group_keeps_one_of_its_own(groups, more, seed):
 
 
 def test_settings_survive_json():
-    job = settings(50, [30, 40], counts=(7,), ratios=())
+    sieve = Sieve((("box", (0.1, 1 / 3)), ("opacity", (0.5,))), (60, 40), (30, 10))
+    job = settings(50, [30, 40], counts=(7,), ratios=(), sieve=sieve, frame=("rub", "rdf"))
     assert settings_of(json.loads(json.dumps(job.to_dict()))) == job
+    assert (job.splats, job.read) == (40, 70)
     with pytest.raises(FormatError, match="version"):
         settings_of(job.to_dict() | {"version": 0})
     with pytest.raises(FormatError, match="damaged"):

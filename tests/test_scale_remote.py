@@ -30,7 +30,7 @@ from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.plan import held_bytes
 from nanogs.scale.run import Here, run_tasks
 from nanogs.scale.scratch import FolderScratch, open_scratch
-from nanogs.scale.settings import Layout
+from nanogs.source import Layout
 
 COUNT, BLOCK = 48_000, 18_000
 MEMORY = int((LIBRARIES + BLOCK * held_bytes(Layout(0, False, (), "default", (), ()),

@@ -27,7 +27,7 @@ from nanogs.scale.plan import held_bytes
 from nanogs.scale.result import write_result
 from nanogs.scale.run import Here, run_tasks
 from nanogs.scale.scratch import FolderScratch
-from nanogs.scale.settings import Layout
+from nanogs.source import Layout
 
 COUNT = 40_000
 BLOCK = {"preset": "fast", "rounds": 1, "block": 14_000, "threads": 1}

@@ -21,7 +21,6 @@ from builders import random_splats
 from launch import run
 from nanogs.cli.app import app
 from nanogs.errors import ModelError, OptionError
-from nanogs.io import spz
 from nanogs.protocol import Judged, Protocol
 from nanogs.raster.camera import Camera
 from nanogs.scoring.run import compare_files
@@ -49,7 +48,7 @@ def unpacked(packed, folder):
     """The model of a page, in its units."""
     path = folder / "model.spz"
     path.write_bytes(packed.data)
-    return spz.read(path)
+    return nanogs.load(path)
 
 
 def moved(splats, scale, shift):

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import nanogs
+from nanogs.findings import Finding, join_findings, negative_scales, of_plain, to_plain
 from nanogs.formatting import counted, undrawn
-from nanogs.io.findings import Finding, join_findings, negative_scales, of_plain, to_plain
 
 SOURCES = sorted(Path(nanogs.__file__).parent.rglob("*.py"))
 # A number in a sentence before a plural that a single thing would make wrong.

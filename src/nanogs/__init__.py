@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from nanogs.fit.api import refit
     from nanogs.fit.parameters import RefitParameters
     from nanogs.fit.report import RefitReport
-    from nanogs.io import load, save
+    from nanogs.io import load, open, save  # noqa: A004 - what it is called everywhere
     from nanogs.lod.levels import levels
     from nanogs.model_info import info
     from nanogs.pipeline.api import simplify
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from nanogs.report import SimplifyReport
     from nanogs.scale.api import simplify_blocks
     from nanogs.scoring.api import compare
+    from nanogs.source import Source
     from nanogs.splats import RenderMode, Splats
     from nanogs.views.api import render
 
@@ -30,6 +31,7 @@ __all__ = [
     "RefitReport",
     "RenderMode",
     "SimplifyReport",
+    "Source",
     "Splats",
     "__version__",
     "compare",
@@ -37,6 +39,7 @@ __all__ = [
     "info",
     "levels",
     "load",
+    "open",
     "presets",
     "refit",
     "render",
@@ -54,11 +57,13 @@ _HOMES = {
     "RefitReport": "fit.report",
     "RenderMode": "splats",
     "SimplifyReport": "report",
+    "Source": "source",
     "Splats": "splats",
     "compare": "scoring.api",
     "info": "model_info",
     "levels": "lod.levels",
     "load": "io",
+    "open": "io",
     "presets": "pipeline.presets",
     "refit": "fit.api",
     "render": "views.api",
@@ -69,7 +74,7 @@ _HOMES = {
 _ATTRIBUTES = {"presets": "PRESETS"}  # what they are called there, if not the same
 _MODULES = (
     "datasets", "errors", "filters", "formatting", "frames", "io", "lod", "progress", "report",
-    "scale", "splats",
+    "scale", "source", "splats",
 )  # fmt: skip
 
 

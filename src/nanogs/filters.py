@@ -21,6 +21,10 @@ _LEAST_SPREAD = 0.3  # of that logarithm: evenly spaced splats have none
 _REACH = 3.0  # standard deviations that a splat is taken to extend
 
 
+Plain = tuple[str, tuple[float, ...]]
+"""The kind of a filter and its numbers, as a job records it."""
+
+
 @dataclass(frozen=True, slots=True)
 class Filter:
     """A rule that tells which splats stay, and its name.
@@ -29,11 +33,16 @@ class Filter:
         name: As in `--crop`, without the dashes.
         argument: What it was given, as text; empty where it takes nothing.
         keep: (N,) bool of a model: the rows that stay.
+        whole: Whether it has to see all splats to tell.
+        plain: Its kind and numbers, from which `filter_of` makes it again; None of one that is not
+            of this module.
     """
 
     name: str
     argument: str
     keep: Callable[[Splats], Bool]
+    whole: bool = False
+    plain: Plain | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,16 +73,54 @@ def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[Filt
     for each in filters:
         keep = each.keep(splats)
         left = int(keep.sum())
-        if not left:
-            what = f"{each.name} {each.argument}".strip()
-            raise ModelError(
-                f"The filter {what} leaves none of {counted(len(splats), 'splat')}; relax it."
-            )
+        refuse_empty(each, len(splats), left)
         reports.append(FilterReport(each.name, each.argument, len(splats) - left, left))
         if left < len(splats):
             refuse_misaligned_elements(splats, left)
             splats = splats.take(keep)
     return splats, tuple(reports)
+
+
+def refuse_empty(given: Filter, before: int, left: int) -> None:
+    """Refuse a filter that leaves nothing of so many splats.
+
+    Raises:
+        ModelError: It does.
+    """
+    if not left:
+        what = f"{given.name} {given.argument}".strip()
+        raise ModelError(f"The filter {what} leaves none of {counted(before, 'splat')}; relax it.")
+
+
+def refuse_whole(filters: Sequence[Filter]) -> None:
+    """Refuse filters that have to see all splats where a model is read in parts.
+
+    Raises:
+        OptionError: There is one.
+    """
+    for each in filters:
+        if each.whole:
+            raise OptionError(
+                f"{each.name} needs the whole model in memory, and this one is read in parts; leave"
+                f" it out, or run `nanogs convert --{each.name}` first where there is more memory."
+            )
+
+
+def filter_of(kind: str, values: Sequence[float]) -> Filter:
+    """The filter that is `Filter.plain` of another, on another machine perhaps.
+
+    Raises:
+        OptionError: There is no such kind, or it makes no sense.
+    """
+    if kind == "box":
+        return box(values[:3], values[3:])
+    if kind == "sphere":
+        return sphere(values[:3], values[3])
+    if kind == "opacity":
+        return opaque_enough(values[0])
+    if kind == "company":
+        return in_company(int(values[0]), values[1])
+    raise OptionError(f"There is no filter {kind!r}.")
 
 
 def crop_box(splats: Splats, low: Sequence[float], high: Sequence[float]) -> Splats:
@@ -157,7 +204,7 @@ def box(low: Sequence[float], high: Sequence[float]) -> Filter:
         return inside
 
     text = "box:" + ",".join(f"{value:g}" for value in (*bottom, *top))
-    return Filter("crop", text, keep)
+    return Filter("crop", text, keep, plain=("box", (*bottom.tolist(), *top.tolist())))
 
 
 def sphere(centre: Sequence[float], radius: float) -> Filter:
@@ -173,14 +220,20 @@ def sphere(centre: Sequence[float], radius: float) -> Filter:
         return inside
 
     text = "sphere:" + ",".join(f"{value:g}" for value in (*middle, radius))
-    return Filter("crop", text, keep)
+    plain = ("sphere", (*middle.tolist(), float(radius)))
+    return Filter("crop", text, keep, plain=plain)
 
 
 def opaque_enough(alpha: float) -> Filter:
     """The filter of `min_opacity`."""
     if not 0 <= alpha <= 1:
         raise OptionError(f"The lowest opacity must be from 0 to 1, not {alpha:g}.")
-    return Filter("min-opacity", f"{alpha:g}", lambda splats: ~(splats.opacities() < alpha))
+    return Filter(
+        "min-opacity",
+        f"{alpha:g}",
+        lambda splats: ~(splats.opacities() < alpha),
+        plain=("opacity", (float(alpha),)),
+    )
 
 
 def in_company(neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS) -> Filter:
@@ -189,7 +242,13 @@ def in_company(neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS) -> 
         raise OptionError(f"The number of neighbours must be at least 1, not {neighbours}.")
     if not 0 < deviations < math.inf:
         raise OptionError(f"The deviations must be above 0 and finite, not {deviations:g}.")
-    return Filter("drop-floaters", "", lambda splats: ~_floaters(splats, neighbours, deviations))
+    return Filter(
+        "drop-floaters",
+        "",
+        lambda splats: ~_floaters(splats, neighbours, deviations),
+        whole=True,
+        plain=("company", (float(neighbours), float(deviations))),
+    )
 
 
 def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:

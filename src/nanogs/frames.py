@@ -130,13 +130,15 @@ def _band_matrix(degree: int, change: Change) -> F64:
 
 
 def _turned_normals(splats: Splats, axes: list[int], signs: Array) -> dict[str, Array]:
-    """The normals by name where there are any that say something."""
+    """The normals by name, if there are any; zeros, which most files have there, keep their sign.
+
+    So rows are turned alike whatever others are read with them.
+    """
     stored = [splats.extras.get(name) for name in _NORMALS]
     if any(column is None or column.dtype.kind != "f" for column in stored):
         return {}
-    if not any(splats.extras[name].any() for name in _NORMALS):
-        return {}  # most files have zeros there
-    return {
-        name: splats.extras[_NORMALS[axis]] * splats.extras[_NORMALS[axis]].dtype.type(sign)
-        for name, axis, sign in zip(_NORMALS, axes, signs, strict=True)
-    }
+    turned = {}
+    for name, axis, sign in zip(_NORMALS, axes, signs, strict=True):
+        column = splats.extras[_NORMALS[axis]]
+        turned[name] = np.where(column == 0, column, column * column.dtype.type(sign))
+    return turned

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, F64
-from nanogs.io import FileInfo, inspect, level_counts, registry, stream
+from nanogs.findings import join_findings
+from nanogs.io import FileInfo, registry
+from nanogs.io import open as open_model
 from nanogs.io.collect import model_in
-from nanogs.io.findings import join_findings
 from nanogs.lod import manifest
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import info_bytes
@@ -73,7 +74,7 @@ class ModelInfo:
 
 
 def info(path: str | PathLike[str]) -> ModelInfo:
-    """Read a model once, block by block where its format can, and describe it.
+    """Read a model once, block by block, and describe it.
 
     Of each splat 16 bytes are held, for the percentiles.
 
@@ -85,13 +86,17 @@ def info(path: str | PathLike[str]) -> ModelInfo:
             is free.
     """
     path, given = model_in(Path(path)), Path(path)
-    file = inspect(path)
-    refuse_too_large(
-        f"Describing {path}", info_bytes(file), allowed_memory(None, compiled=False), "free some"
-    )
-    census = _Census(np.empty(file.splats, np.float32), np.empty((file.splats, 3), np.float32))
-    for block in stream(path):
-        census.add(block)
+    with open_model(path) as source:
+        file, levels = source.info, source.levels
+        refuse_too_large(
+            f"Describing {path}",
+            info_bytes(source),
+            allowed_memory(None, compiled=False),
+            "free some",
+        )
+        census = _Census(np.empty(file.splats, np.float32), np.empty((file.splats, 3), np.float32))
+        for block in source.blocks():
+            census.add(block)
     return ModelInfo(
         file=file,
         frame=registry.reader(path).frame,
@@ -102,7 +107,7 @@ def info(path: str | PathLike[str]) -> ModelInfo:
         alpha=_spread(census.alphas[: census.usable]),
         scale=_spread(census.scales[: census.usable].reshape(-1)),
         notes=join_findings(census.notes),
-        levels=level_counts(path) or manifest.level_counts(given),
+        levels=levels or manifest.level_counts(given),
         losses={suffix: join_findings(parts) for suffix, parts in census.losses.items()},
     )
 

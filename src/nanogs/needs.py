@@ -8,6 +8,7 @@ from pathlib import Path
 
 from nanogs.io import FileInfo, registry
 from nanogs.io.files import splat_bytes
+from nanogs.io.parts import FileSource, Packed, Whole
 
 _PREPARED, _DRAWN = 45, 136  # a splat: as the rasteriser reads it, and as one view lists it
 _PICTURE, _KEPT = 90, 32  # a pixel: of the view at hand, and of each that is kept to compare with
@@ -100,10 +101,13 @@ def convert_bytes(info: FileInfo, target: Path) -> int:
     return max(_read(info), int(model_bytes(info) * (1 + more)))
 
 
-def info_bytes(info: FileInfo) -> int:
-    """Describing a model, which is held whole where its format is not read block by block."""
-    held = 0 if info.format == "ply" else _read(info)
-    return held + info.splats * _COUNTED
+def info_bytes(source: FileSource) -> int:
+    """Describing a model, which is held whole where its format can only be read so."""
+    if isinstance(source, Whole):
+        held = _read(source.info)
+    else:
+        held = source.memory if isinstance(source, Packed) else 0
+    return held + source.count * _COUNTED
 
 
 def _read(info: FileInfo) -> int:

@@ -6,7 +6,7 @@ alpha, unit quaternion) come from the methods, named after what they return.
 """
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -273,24 +273,6 @@ def pick(column: Array, rows: I64 | I32 | Bool | slice) -> Array:
     return column.take(rows, axis=0)  # in a fifth of the time that an index takes
 
 
-def refuse_misaligned_elements(splats: Splats, target: int) -> None:
-    """Refuse to take splats from a model of which an element has one row for each.
-
-    Args:
-        splats: The model.
-        target: How many are left.
-
-    Raises:
-        ModelError: It has such an element, which would no longer fit.
-    """
-    for element in splats.elements:
-        if element.is_per_splat(len(splats)) and target < len(splats):
-            raise ModelError(
-                f"The element {element.name!r} has one row for each splat and would not fit the "
-                "smaller model; remove it from the file first."
-            )
-
-
 def refuse_other(model: object) -> None:
     """Refuse what is no model where no path can stand for one.
 
@@ -302,6 +284,31 @@ def refuse_other(model: object) -> None:
         raise ModelError(f"A model is needed, not the path {path!r}; nanogs.load({path!r}) is one.")
     if not isinstance(model, Splats):
         raise ModelError(f"A model is needed, Splats, not {type(model).__name__}.")
+
+
+def refuse_misaligned(elements: Iterable[tuple[str, int]], count: int, target: int) -> None:
+    """Refuse to leave out splats of a model with an element that has one row for each of them.
+
+    Args:
+        elements: Name and rows of each.
+        count: Splats of the model.
+        target: Splats to be left.
+
+    Raises:
+        ModelError: There is such an element, and splats would be left out.
+    """
+    for name, rows in elements:
+        if rows == count > max(target, 1):
+            raise ModelError(
+                f"The element {name!r} has one row for each splat and would not fit the "
+                "smaller model; remove it from the file first."
+            )
+
+
+def refuse_misaligned_elements(splats: Splats, target: int) -> None:
+    """Do so for a model in memory, see `refuse_misaligned`."""
+    elements = ((element.name, len(element.rows)) for element in splats.elements)
+    refuse_misaligned(elements, len(splats), target)
 
 
 def concatenate(parts: Sequence[Splats]) -> Splats:

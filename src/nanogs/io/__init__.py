@@ -1,6 +1,5 @@
 """Reading and writing scene files; the format follows from the suffix of the name."""
 
-from collections.abc import Iterator
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -10,10 +9,10 @@ from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError
 from nanogs.io import atomic, registry
 from nanogs.io.file_objects import as_named, read_file, write_file
-from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format
 from nanogs.io.info import FileInfo
+from nanogs.io.parts import FileSource
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.splats import Splats, refuse_other
 
@@ -24,11 +23,10 @@ __all__ = [
     "check_writable",
     "encoded_bytes",
     "inspect",
-    "level_counts",
     "load",
     "losses",
+    "open",
     "save",
-    "stream",
 ]
 
 
@@ -57,38 +55,45 @@ def load(
         if level != 0:
             raise OptionError("An open file has no levels of detail; leave the level out.")
         return read_file(path, format)
+    with open(path, level=level, format=format) as source:
+        return source.load()
+
+
+def open(  # noqa: A001 - what it is called everywhere
+    path: str | PathLike[str],
+    *,
+    level: int = 0,
+    format: str | None = None,  # noqa: A002 - as `load` has it
+) -> FileSource:
+    """Open a model of which some rows are read at a time, and which is never held whole.
+
+    Rows of .ply, .compressed.ply, .splat, .ksplat and glTF files are read where they are. Files
+    that are packed as a whole, .spz, .sog, .npz and those of text, are unpacked into a temporary
+    file when rows are first asked for; close the source, or use `with`, to remove it. Other formats
+    are read whole then.
+
+    Args:
+        path: The file.
+        level: Of a streamed model, which level of detail; 0 is the finest.
+        format: Suffix of the format; by default that of the name.
+
+    Returns:
+        The source: its `count`, `columns` and `info`, `read(start, stop)` and `take(rows)`.
+
+    Raises:
+        FormatError: The suffix is unknown, or the file cannot be read or is damaged; some of it
+            only shows when rows are read.
+        OptionError: There is no such level.
+    """
     path = Path(path)
     known = registry.reader(as_named(path, format))
-    if known.read_level is not None:
-        return known.read_level(path, level)
-    _refuse_level(path, level)
-    return known.read(path)
-
-
-def _refuse_level(path: Path, level: int) -> None:
+    if known.open_level is not None:
+        return known.open_level(path, level)
     if level != 0:
         raise OptionError(
             f"{path} has no levels of detail, so there is no level {level}; leave it out."
         )
-
-
-def stream(path: str | PathLike[str]) -> Iterator[Splats]:
-    """The model of a file in blocks of rows, in its order; a `.ply` file is never held whole.
-
-    Every block has the tags and comments of the whole, and its notes about those rows; further PLY
-    elements come without their rows.
-
-    Raises:
-        FormatError: As for `load`, some of it only after blocks have been yielded.
-    """
-    path = Path(path)
-    known = registry.reader(path)
-    if known.stream:
-        yield from known.stream(path)
-        return
-    splats = known.read(path)
-    for start in range(0, len(splats), BLOCK_ROWS):
-        yield splats.span(start, start + BLOCK_ROWS)
+    return known.open(path)
 
 
 def save(
@@ -199,23 +204,8 @@ def inspect(path: str | PathLike[str], *, level: int = 0) -> FileInfo:
         FormatError: As for `load`, except for what only the rows show.
         OptionError: There is no such level.
     """
-    path = Path(path)
-    known = registry.reader(path)
-    if known.inspect_level is not None:
-        return known.inspect_level(path, level)
-    _refuse_level(path, level)
-    return known.inspect(path)
-
-
-def level_counts(path: str | PathLike[str]) -> tuple[int, ...]:
-    """Splats of each level of detail of a streamed model, the finest first; none for other files.
-
-    Raises:
-        FormatError: As for `inspect`.
-    """
-    path = Path(path)
-    known = registry.reader(path)
-    return () if known.level_counts is None else known.level_counts(path)
+    with open(path, level=level) as source:
+        return source.info
 
 
 def bytes_on_disk(path: str | PathLike[str]) -> int:
@@ -227,7 +217,7 @@ def bytes_on_disk(path: str | PathLike[str]) -> int:
     path = Path(path)
     known = registry.find(path)
     if known is not None and known.ours:
-        return known.inspect(path).file_bytes
+        return known.open(path).info.file_bytes
     return path.stat().st_size
 
 

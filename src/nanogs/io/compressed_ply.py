@@ -15,6 +15,7 @@ from nanogs.formatting import counted
 from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
+from nanogs.io.parts import FileSource, Whole
 from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes
 from nanogs.io.ply_rows import iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats, empty_arrays
@@ -35,35 +36,66 @@ def is_compressed(header: Header) -> bool:
     return packed and header.element("chunk") is not None
 
 
-def read(header: Header) -> Splats:
-    """Decode a file whose header and size have been checked.
+def open_compressed(header: Header) -> FileSource:
+    """A file whose header and size have been checked.
 
     Raises:
         FormatError: An element does not have the properties or rows of this layout.
     """
-    degree = _check(header)
-    rows = {e.name: np.empty(e.count, e.dtype()) for e in _kept(header)}
-    for block in iter_blocks(header):
-        rows[block.element.name][block.rows] = block.values
-    return _splats(header, rows, degree)
+    source = _Chunks(header)
+    if header.encoding != "ascii":
+        return source
+    return Whole(header.path, lambda _path: source.info, lambda _path: source.load())
 
 
-class Chunks:
-    """A binary file to be read in parts, its header and size checked.
-
-    Raises:
-        FormatError: As for `read`.
-    """
+class _Chunks(FileSource):
+    """The rows of a file in chunks."""
 
     def __init__(self, header: Header) -> None:
+        super().__init__(header.path)
         self._header, self._degree = header, _check(header)
 
+    @property
+    def info(self) -> FileInfo:
+        """The description, from the header."""
+        header, vertex = self._header, _element(self._header, "vertex")
+        return FileInfo(
+            path=header.path,
+            format="compressed.ply",
+            encoding=header.encoding,
+            file_bytes=header.file_bytes,
+            splats=vertex.count,
+            sh_degree=self._degree,
+            double_means=False,
+            properties=tuple((p.name, TYPE_NAMES[str(p.code)]) for p in vertex.properties),
+            extras=tuple(name for name in vertex.names if name not in PACKED),
+            elements=tuple((e.name, e.count) for e in header.elements if e.name not in _OWN),
+            render_mode=render_tag.render_mode(header.comments),
+            comments=header.printable_comments(),
+        )
+
+    @property
+    def elements(self) -> tuple[tuple[str, int], ...]:
+        """The further elements; see `Source`."""
+        return tuple((e.name, e.count) for e in _kept(self._header) if e.name not in _OWN)
+
+    def read_elements(self) -> tuple[ExtraElement, ...]:
+        """The further elements; see `Source`."""
+        return tuple(self.load().elements) if self.elements else ()
+
+    def load(self) -> Splats:
+        """The whole model, from one pass over the file."""
+        rows = {e.name: np.empty(e.count, e.dtype()) for e in _kept(self._header)}
+        for block in iter_blocks(self._header):
+            rows[block.element.name][block.rows] = block.values
+        return _splats(self._header, rows, self._degree)
+
     def read(self, start: int, stop: int) -> Splats:
-        """Some rows, from the chunks that they are in; see `Rows`."""
+        """Some rows, from the chunks that they are in; see `Source`."""
         first = start // CHUNK_ROWS
         spans = dict.fromkeys(("vertex", "sh") if self._degree else ("vertex",), (start, stop))
         spans["chunk"] = first, -(-stop // CHUNK_ROWS)
-        rows = {}
+        rows = {e.name: np.empty(0, e.dtype()) for e in _kept(self._header)}
         for name, (low, high) in spans.items():
             element = _element(self._header, name)
             rows[name] = np.empty(high - low, element.dtype())
@@ -87,30 +119,6 @@ def _splats(header: Header, rows: dict[str, Array], degree: int, skipped: int = 
         comments=comments,
         elements=[ExtraElement(name, r) for name, r in rows.items() if name not in _OWN],
         notes=header_notes(header),
-    )
-
-
-def inspect(header: Header) -> FileInfo:
-    """Describe a file whose header and size have been checked.
-
-    Raises:
-        FormatError: As for `read`.
-    """
-    degree = _check(header)
-    vertex = _element(header, "vertex")
-    return FileInfo(
-        path=header.path,
-        format="compressed.ply",
-        encoding=header.encoding,
-        file_bytes=header.file_bytes,
-        splats=vertex.count,
-        sh_degree=degree,
-        double_means=False,
-        properties=tuple((p.name, TYPE_NAMES[str(p.code)]) for p in vertex.properties),
-        extras=tuple(name for name in vertex.names if name not in PACKED),
-        elements=tuple((e.name, e.count) for e in header.elements if e.name not in _OWN),
-        render_mode=render_tag.render_mode(header.comments),
-        comments=header.printable_comments(),
     )
 
 

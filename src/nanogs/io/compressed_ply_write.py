@@ -11,10 +11,10 @@ from typing import BinaryIO
 import numpy as np
 
 from nanogs._types import F32, F64, I64, U32, Array
+from nanogs.findings import Finding
 from nanogs.io import columns, limits, render_tag
 from nanogs.io.compressed_ply import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED
 from nanogs.io.files import BLOCK_ROWS
-from nanogs.io.findings import Finding
 from nanogs.io.ply_write import header
 from nanogs.splats import Splats
 from nanogs.stored import SH_C0

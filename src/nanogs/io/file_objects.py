@@ -56,7 +56,7 @@ def read_file(file: BinaryIO, format: str | None) -> Splats:  # noqa: A002 - as 
             )
         named = copy.rename(copy.with_name(f"stream{suffix}"))
         try:
-            return registry.reader(named).read(named)
+            return registry.reader(named).open(named).load()
         except NanogsError as error:  # which names a folder that the user has never seen
             inside = f"{folder}{os.sep}"
             error.args = tuple(str(part).replace(inside, "") for part in error.args)

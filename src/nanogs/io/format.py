@@ -1,6 +1,6 @@
 """A format's entry in the registry."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn, Protocol
@@ -8,8 +8,7 @@ from typing import Any, NoReturn, Protocol
 from nanogs.errors import FormatError
 from nanogs.frames import TRAINED
 from nanogs.io.folder import Ours
-from nanogs.io.info import FileInfo
-from nanogs.io.parts import Packed, Rows
+from nanogs.io.parts import FileSource
 from nanogs.splats import Splats
 
 UNSTATED = "not stated in the file; y down (rdf) by habit"
@@ -37,14 +36,6 @@ def unread(path: Path) -> NoReturn:
     raise FormatError(f"{path}: nanogs writes this format but does not read it; name another file.")
 
 
-def _none(_path: Path) -> None:
-    return None
-
-
-def _alone(path: Path) -> Sequence[Path]:
-    return (path,)
-
-
 def _nothing(_splats: Splats) -> tuple[str, ...]:
     return ()
 
@@ -69,12 +60,9 @@ class WriteOption:
 class Format:
     """One format: what its files are called, and how they are read and written.
 
-    `file_bytes` tells the size of a file before it is written; never smaller for more splats.
-    `stream` yields the model in blocks of rows. `rows` opens a file whose rows can be read in
-    parts, or gives None; `packed` opens one whose columns can be unpacked, or gives None. `files`
-    are all files of a model, given the one that is named. Of a format with levels of detail,
-    `read_level` reads one, `inspect_level` describes one, and `level_counts` tells the splats of
-    each, the finest first. `frame` says which way is up, and `axes` is the name of the frame of a
+    `open` gives a file as a source, and `open_level`, of a format with levels of detail, one of
+    these; 0 is the finest. `file_bytes` tells the size of a file before it is written; never
+    smaller for more splats. `frame` says which way is up, and `axes` is the name of the frame of a
     model that was read, or None where files differ; with `turns`, files are in the format's own
     frame, to and from which reading and writing turn. `leaps` are counts, in ascending order, of
     which a file takes far more than of one splat less. `options` are what `save` takes for this
@@ -85,18 +73,11 @@ class Format:
     """
 
     suffix: str
-    read: Callable[[Path], Splats]
-    inspect: Callable[[Path], FileInfo]
+    open: Callable[[Path], FileSource]
     write: Writer | None = None
     file_bytes: Sizer | None = None
     losses: Losses = _nothing
-    stream: Callable[[Path], Iterator[Splats]] | None = None
-    rows: Callable[[Path], Rows | None] = _none
-    packed: Callable[[Path], Packed | None] = _none
-    files: Callable[[Path], Sequence[Path]] = _alone
-    read_level: Callable[[Path, int], Splats] | None = None
-    inspect_level: Callable[[Path, int], FileInfo] | None = None
-    level_counts: Callable[[Path], tuple[int, ...]] | None = None
+    open_level: Callable[[Path, int], FileSource] | None = None
     frame: str = UNSTATED
     axes: str | None = TRAINED
     turns: bool = False
@@ -110,7 +91,7 @@ class Format:
     @property
     def readable(self) -> bool:
         """Whether nanogs reads it."""
-        return self.read is not unread
+        return self.open is not unread
 
     @property
     def writable(self) -> bool:

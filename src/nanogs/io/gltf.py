@@ -8,19 +8,20 @@ applied. The render mode and the comments of a PLY file, for which the extension
 travel in the primitive's `extras`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import FormatError
+from nanogs.findings import Finding
 from nanogs.formatting import counted
 from nanogs.io import gltf_rows
 from nanogs.io.files import check_expansion, splat_bytes
-from nanogs.io.findings import Finding
 from nanogs.io.glb import read_document
 from nanogs.io.gltf_colours import LINEAR
 from nanogs.io.gltf_document import Document, Part
@@ -36,7 +37,7 @@ from nanogs.io.gltf_primitives import (
 )
 from nanogs.io.gltf_scene import EXTENSION, placed_splats
 from nanogs.io.info import FileInfo
-from nanogs.io.parts import Rows as RowsOfFile
+from nanogs.io.parts import FileSource, Whole
 from nanogs.splats import RenderMode, Splats, empty_arrays
 
 COLOUR_SPACE = "srgb_rec709_display"
@@ -78,16 +79,6 @@ class _Scene:
         return any(isinstance(primitive, Packed) for primitive in self.primitives)
 
 
-def read(path: Path) -> Splats:
-    """Read the splats of a `.glb` or `.gltf` file, one primitive after the other.
-
-    Raises:
-        FormatError: The file cannot be read, is damaged, holds no splats or only such as are
-            packed in an unknown way, or refers to files elsewhere.
-    """
-    return read_placed(path, np.eye(4))
-
-
 def read_placed(path: Path, above: F64) -> Splats:
     """Read the splats of a file in a scene that places it.
 
@@ -96,30 +87,62 @@ def read_placed(path: Path, above: F64) -> Splats:
         above: (4, 4) float64: from the file's frame to that of the scene, both y up.
 
     Raises:
-        FormatError: As for `read`, or the place mirrors or shears the splats.
+        FormatError: As for `open_gltf`, or the place mirrors or shears the splats.
     """
-    scene = _scene(path, above)
-    return _Rows(scene).read(0, scene.count)
+    return _Rows(_scene(path, above)).load()
 
 
-def rows(path: Path) -> RowsOfFile | None:
-    """The file to be read in parts; None where its splats are packed.
+def open_gltf(path: Path) -> FileSource:
+    """The splats of a `.glb` or `.gltf` file, one primitive after the other.
 
     Raises:
-        FormatError: As for `read`.
+        FormatError: The file cannot be read, is damaged, holds no splats or only such as are
+            packed in an unknown way, or refers to files elsewhere.
     """
-    scene = _scene(path, np.eye(4))
-    return None if scene.packed else _Rows(scene)
+    rows = _Rows(_scene(path, np.eye(4)))
+    if not rows.packed:
+        return rows
+    return Whole(path, lambda _path: rows.info, lambda _path: rows.load())
 
 
-class _Rows:
+class _Rows(FileSource):
     """The splats of all primitives, one after the other."""
 
     def __init__(self, scene: _Scene) -> None:
-        self._scene = scene
+        super().__init__(scene.document.path)
+        self._scene, self.packed = scene, scene.packed
+
+    @cached_property
+    def _logarithms(self) -> bool:
         with self._body() as body, np.errstate(invalid="ignore"):
-            plain = [each for each in scene.primitives if isinstance(each, Rows)]
-            self._logarithms = any(each.holds_logarithms(body) for each in plain)
+            plain = [each for each in self._scene.primitives if isinstance(each, Rows)]
+            return any(each.holds_logarithms(body) for each in plain)
+
+    @cached_property
+    def info(self) -> FileInfo:
+        """The description, from the JSON and the headers of what is packed."""
+        scene = self._scene
+        first = scene.primitives[0]
+        return FileInfo(
+            path=self.path,
+            format=self.path.suffix.lower().lstrip("."),
+            encoding=first.encoding,
+            file_bytes=scene.document.file_bytes,
+            splats=scene.count,
+            sh_degree=scene.degree,
+            double_means=False,
+            properties=first.properties(),
+            extras=(),
+            elements=(),
+            render_mode=scene.mode,
+            comments=tuple(scene.comments),
+        )
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """The file, and those beside it that it refers to; see `FileSource`."""
+        path = self.path
+        return (path, *(p for p in self._scene.document.paths() if p != path))
 
     @contextmanager
     def _body(self) -> Iterator[gltf_rows.Body]:
@@ -128,7 +151,7 @@ class _Rows:
             yield body
 
     def read(self, start: int, stop: int) -> Splats:
-        """Some rows, or, of a file that holds packed ones, all; see `Rows` in `parts`."""
+        """Some rows, or, of a file that holds packed ones, all; see `Source`."""
         scene, n = self._scene, stop - start
         out = empty_arrays(n, scene.degree)
         out["sh"][:] = 0
@@ -153,39 +176,6 @@ class _Rows:
         return Splats(
             **out, render_mode=scene.mode, comments=scene.comments, notes=list(dict.fromkeys(notes))
         )
-
-
-def inspect(path: Path) -> FileInfo:
-    """Describe a `.glb` or `.gltf` file from its JSON, and the headers of what is packed.
-
-    Raises:
-        FormatError: As for `read`.
-    """
-    scene = _scene(path, np.eye(4))
-    first = scene.primitives[0]
-    return FileInfo(
-        path=path,
-        format=path.suffix.lower().lstrip("."),
-        encoding=first.encoding,
-        file_bytes=scene.document.file_bytes,
-        splats=scene.count,
-        sh_degree=scene.degree,
-        double_means=False,
-        properties=first.properties(),
-        extras=(),
-        elements=(),
-        render_mode=scene.mode,
-        comments=tuple(scene.comments),
-    )
-
-
-def files(path: Path) -> tuple[Path, ...]:
-    """All files of a model: the one that is named, and those beside it that it refers to.
-
-    Raises:
-        FormatError: As for `read`.
-    """
-    return (path, *(p for p in _scene(path, np.eye(4)).document.paths() if p != path))
 
 
 def _scene(path: Path, above: F64) -> _Scene:

@@ -136,7 +136,7 @@ class Packed:
 
     def decode_all(self, out: dict[str, Any]) -> tuple[str, ...]:
         """Fill arrays with all rows; what is to be said of them."""
-        splats = spz.decode(self.header)
+        splats = spz.SpzSource(self.header.path, self.header).load()
         out["sh"][:, : splats.sh.shape[1]] = splats.sh
         out["opacity_logits"][:] = splats.opacity_logits
         stored = (splats.means, splats.quats, splats.log_scales)

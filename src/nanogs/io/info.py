@@ -5,18 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from nanogs.source import Layout
 from nanogs.splats import RenderMode
 
-_SIZES = {
-    "char": 1,
-    "uchar": 1,
-    "short": 2,
-    "ushort": 2,
-    "int": 4,
-    "uint": 4,
-    "float": 4,
-    "double": 8,
-}
+_TYPES = {
+    "char": "|i1", "uchar": "|u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4",
+    "float": "<f4", "double": "<f8",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +49,19 @@ class FileInfo:
     render_mode: RenderMode
     comments: tuple[str, ...]
 
+    @property
+    def layout(self) -> Layout:
+        """The columns that the model has when it is read."""
+        types = dict(self.properties)
+        kinds = {name: _TYPES.get(types[name]) or np.dtype(types[name]).str for name in self.extras}
+        return Layout(
+            sh_degree=self.sh_degree,
+            double_means=self.double_means,
+            extras=tuple(kinds.items()),
+            render_mode=self.render_mode.value,
+            comments=self.comments,
+        )
+
     def extra_bytes(self) -> int:
         """Bytes that the extra columns take for each splat."""
-        types = dict(self.properties)
-        return sum(
-            _SIZES.get(types[name]) or np.dtype(types[name]).itemsize for name in self.extras
-        )
+        return sum(np.dtype(kind).itemsize for _, kind in self.layout.extras)

@@ -9,7 +9,6 @@ that of `.ply`.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,11 +17,11 @@ import numpy as np
 
 from nanogs._types import F64, I64, Array
 from nanogs.errors import FormatError
+from nanogs.findings import negative_scales
 from nanogs.formatting import counted
-from nanogs.io.findings import negative_scales
 from nanogs.io.info import FileInfo
 from nanogs.io.ksplat_header import AGAIN, TYPE_NAMES, Headers, Section, columns, read_headers
-from nanogs.io.parts import Rows, row_blocks
+from nanogs.io.parts import FileSource, row_blocks
 from nanogs.splats import RenderMode, Splats, empty_arrays
 from nanogs.stored import base_colour, logit
 
@@ -30,56 +29,41 @@ _CENTRE = np.dtype([("centre", "<f4", 3)])
 _SCALE_RANGE = 32767  # steps of a centre on either side of the bucket's, where none are given
 
 
-def read(path: Path) -> Splats:
-    """Read a `.ksplat` file; a scale of zero becomes -inf, alpha 0 and 255 become ∓inf.
+class KsplatFile(FileSource):
+    """A `.ksplat` file; a scale of zero becomes -inf, alpha 0 and 255 become ∓inf.
 
     Raises:
-        FormatError: The file cannot be read, is cut short, or its counts contradict each other.
+        FormatError: It cannot be read, is cut short, or its counts contradict each other.
     """
-    file = read_headers(path)
-    return _Sections(file).read(0, file.splats)
 
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._headers = read_headers(path)
 
-def rows(path: Path) -> Rows:
-    """The file to be read in parts.
-
-    Raises:
-        FormatError: As for `read`, except for the lengths of the buckets.
-    """
-    return _Sections(read_headers(path))
-
-
-def inspect(path: Path) -> FileInfo:
-    """Describe a `.ksplat` file from its headers.
-
-    Raises:
-        FormatError: As for `read`, except for the lengths of the buckets.
-    """
-    file = read_headers(path)
-    return FileInfo(
-        path=path,
-        format="ksplat",
-        encoding="binary_little_endian",
-        file_bytes=file.file_bytes,
-        splats=file.splats,
-        sh_degree=file.degree,
-        double_means=False,
-        properties=tuple(
-            (name, TYPE_NAMES[kind]) for name, kind in columns(file.mode, file.degree)
-        ),
-        extras=(),
-        elements=(),
-        render_mode=RenderMode.DEFAULT,
-        comments=(),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Sections:
-    headers: Headers
+    @property
+    def info(self) -> FileInfo:
+        """The description, from the headers."""
+        file = self._headers
+        return FileInfo(
+            path=self.path,
+            format="ksplat",
+            encoding="binary_little_endian",
+            file_bytes=file.file_bytes,
+            splats=file.splats,
+            sh_degree=file.degree,
+            double_means=False,
+            properties=tuple(
+                (name, TYPE_NAMES[kind]) for name, kind in columns(file.mode, file.degree)
+            ),
+            extras=(),
+            elements=(),
+            render_mode=RenderMode.DEFAULT,
+            comments=(),
+        )
 
     def read(self, start: int, stop: int) -> Splats:
-        file, n = self.headers, stop - start
+        """Some rows; see `Source`."""
+        file, n = self._headers, stop - start
         out = empty_arrays(n, file.degree)
         at = negative = first = 0
         with np.errstate(all="ignore"):  # whatever bits there are: NaN, infinity, zero scales

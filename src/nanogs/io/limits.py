@@ -7,10 +7,10 @@ import numpy as np
 
 from nanogs._types import Bool
 from nanogs.errors import OutputError
+from nanogs.findings import Finding, Names
 from nanogs.formatting import counted
 from nanogs.io import render_tag
 from nanogs.io.columns import NORMALS
-from nanogs.io.findings import Finding, Names
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 
 

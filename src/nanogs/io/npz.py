@@ -70,7 +70,7 @@ class Member:
 
 
 def read(path: Path) -> Splats:
-    """Read a model that nanogs saved, or arrays of the same names, shapes and types.
+    """Read arrays that do not lie row after row, see `npz_packed`.
 
     Raises:
         FormatError: The file cannot be read, is damaged, or its arrays are no model.

@@ -1,23 +1,35 @@
 """`.npz` to be unpacked: its arrays as they are, deflated or not; their checksums are looked at."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from nanogs._types import Array
-from nanogs.io.npz import MODE, Member, load_array, members_of, model_of, opened, ours
-from nanogs.io.parts import Column, ColumnReader, Packed
+from nanogs.io.info import FileInfo
+from nanogs.io.npz import (
+    MODE,
+    Member,
+    inspect,
+    load_array,
+    members_of,
+    model_of,
+    opened,
+    ours,
+    read,
+)
+from nanogs.io.parts import Column, ColumnReader, FileSource, Packed, Whole
 from nanogs.splats import Splats
 
 _PIECE = 1 << 20  # bytes, or a row
 
 
-def packed(path: Path) -> Packed | None:
-    """The file to be unpacked; None where its arrays do not lie row after row, as many in each.
+def open_npz(path: Path) -> FileSource:
+    """A model that nanogs saved, or arrays of the same names, shapes and types.
 
     Raises:
-        FormatError: As for `npz.inspect`, or the arrays make no model.
+        FormatError: The file cannot be read, is damaged, or its arrays are no model.
     """
     with opened(path) as archive:
         members = members_of(path, archive)
@@ -25,7 +37,7 @@ def packed(path: Path) -> Packed | None:
     arrays = {name: member for name, member in members.items() if ours(name) and name != MODE}
     counts = {member.shape[:1] for member in arrays.values()}
     if not all(map(_is_rowwise, arrays.values())) or len(counts) > 1:
-        return None
+        return Whole(path, inspect, read)
     found = _Arrays(path, arrays, mode, (*members,))
     found.model({name: np.empty((0, *m.shape[1:]), m.dtype) for name, m in arrays.items()})
     return found
@@ -35,20 +47,33 @@ def _is_rowwise(member: Member) -> bool:
     return bool(member.dtype.itemsize) and (len(member.shape) == 1 or not member.fortran)
 
 
-class _Arrays:
-    """The arrays of a model."""
-
-    memory = 8 << 20  # pieces and buffers
+class _Arrays(Packed):
+    """The arrays of a model, which lie row after row, as many in each."""
 
     def __init__(
         self, path: Path, arrays: dict[str, Member], mode: Array | None, names: tuple[str, ...]
     ) -> None:
-        self._path, self._arrays, self._mode, self._names = path, arrays, mode, names
-        self.columns = {name: Column(m.dtype.str, m.shape) for name, m in arrays.items()}
+        super().__init__(path)
+        self._arrays, self._mode, self._names = arrays, mode, names
+
+    @cached_property
+    def info(self) -> FileInfo:
+        """The description, from the headers of the arrays."""
+        return inspect(self.path)
+
+    @cached_property
+    def stored(self) -> Mapping[str, Column]:
+        """The arrays; see `Packed`."""
+        return {name: Column(m.dtype.str, m.shape) for name, m in self._arrays.items()}
+
+    @property
+    def memory(self) -> int:
+        """Pieces and buffers."""
+        return 8 << 20
 
     def unpack(self, _notes: list[str]) -> Iterator[Array]:
         """All arrays; see `Packed`."""
-        with opened(self._path) as archive:
+        with opened(self.path) as archive:
             for member in self._arrays.values():
                 row = np.dtype((member.dtype, member.shape[1:])).itemsize
                 step = max(_PIECE // row, 1)
@@ -62,7 +87,7 @@ class _Arrays:
                         yield np.frombuffer(data, member.dtype).reshape(rows, *member.shape[1:])
                     file.read(1)  # at the end, where the checksum is looked at
 
-    def read(self, columns: ColumnReader, start: int, stop: int) -> Splats:
+    def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
         """Some rows; see `Packed`."""
         return self.model({name: columns(name, start, stop) for name in self._arrays})
 
@@ -70,7 +95,7 @@ class _Arrays:
         """The model of some rows of the arrays, which are turned into native order in place."""
         mode = {} if self._mode is None else {MODE: self._mode}
         own = {name: _native(array) for name, array in arrays.items()}
-        return model_of(self._path, own | mode, self._names)
+        return model_of(self.path, own | mode, self._names)
 
 
 def _native(array: Array) -> Array:

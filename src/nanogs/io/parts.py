@@ -1,36 +1,71 @@
-"""Files that are read in parts: what a format offers of it, and the rows of a file in blocks.
+"""Files as sources: how the formats' readers give rows, which are read in three ways.
 
-Some files hold their rows one after the other, and any of them can be read. Others are packed as a
-whole; those are unpacked once, column by column, to where columns can be read in parts.
+Some files hold their rows one after the other, and any of them can be read: `FileSource` itself.
+Others are packed as a whole; those are unpacked once, column by column, to where columns can be
+read in parts: `Packed`. The rest is read whole: `Whole`.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from tempfile import TemporaryFile
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 
 from nanogs._types import Array
-from nanogs.errors import FormatError
+from nanogs.errors import FormatError, OutputError
 from nanogs.io.files import BLOCK_ROWS, unreadable
+from nanogs.io.info import FileInfo
+from nanogs.source import Layout, Source
 from nanogs.splats import Splats
 
 
-class Rows(Protocol):
-    """A file that is read in parts; what is held of it does not grow with its size."""
+class FileSource(Source):
+    """A model in a file; what is held of it does not grow with its size.
 
-    def read(self, start: int, stop: int) -> Splats:
-        """Some rows, bit for bit as the whole file has them; further elements without theirs.
+    Attributes:
+        path: The file.
+    """
 
-        Args:
-            start: The first row.
-            stop: The row after the last, at most the file's count.
+    def __init__(self, path: Path) -> None:
+        self.path, self.name = path, str(path)
+
+    @property
+    @abstractmethod
+    def info(self) -> FileInfo:
+        """The file's description of itself."""
+
+    @property
+    def count(self) -> int:
+        """Number of splats."""
+        return self.info.splats
+
+    @cached_property
+    def columns(self) -> Layout:
+        """The columns, from the description."""
+        return self.info.layout
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """All files of the model.
 
         Raises:
-            FormatError: They cannot be read, or are damaged.
+            FormatError: One of those that name others cannot be read.
         """
+        return (self.path,)
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Splats of each level of detail, the finest first; none of a model without.
+
+        Raises:
+            FormatError: One of its files cannot be read.
+        """
+        return ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +85,26 @@ ColumnReader = Callable[[str, int, int], Array]
 """Rows of an unpacked column by its name, the first and the one after the last: a new array."""
 
 
-class Packed(Protocol):
-    """A file whose rows can only be read once its columns are unpacked."""
+class Packed(FileSource):
+    """A file whose rows can only be read once its columns are unpacked.
+
+    The first time that some rows and not all are read, they are unpacked into a temporary file, but
+    for those who call `unpack` and `decode` themselves.
+    """
+
+    _unpacked: "_Unpacked | None" = None
 
     @property
-    def columns(self) -> Mapping[str, Column]:
+    @abstractmethod
+    def stored(self) -> Mapping[str, Column]:
         """The columns that are unpacked, by name, in the order they come."""
 
     @property
+    @abstractmethod
     def memory(self) -> int:
         """Bytes that unpacking takes at most, the libraries aside."""
 
+    @abstractmethod
     def unpack(self, notes: list[str]) -> Iterator[Array]:
         """All columns one after the other, in pieces of rows; no piece has rows of two.
 
@@ -71,7 +115,8 @@ class Packed(Protocol):
             FormatError: The file cannot be read, is damaged, or holds more or less than it states.
         """
 
-    def read(self, columns: ColumnReader, start: int, stop: int) -> Splats:
+    @abstractmethod
+    def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
         """Some rows of the model, bit for bit as the whole file has them.
 
         Args:
@@ -82,6 +127,118 @@ class Packed(Protocol):
         Raises:
             FormatError: What belongs to the columns cannot be read.
         """
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`.
+
+        Raises:
+            FormatError: They cannot be read, or are damaged.
+            OutputError: The columns cannot be written to a temporary file.
+        """
+        if self._unpacked is None:
+            if (start, stop) == (0, self.count):
+                return self.load()
+            self._unpacked = _Unpacked(self)
+        return self._unpacked.read(start, stop)
+
+    def load(self) -> Splats:
+        """The whole model, its columns unpacked in memory."""
+        notes: list[str] = []
+        pieces, held = self.unpack(notes), {}
+        for name, column in self.stored.items():
+            held[name] = np.empty(column.shape, column.kind)
+            fill_rows(held[name], pieces)
+        for _ in pieces:  # what follows the columns is looked at
+            pass
+        splats = self.decode(lambda name, start, stop: held[name][start:stop], 0, self.count)
+        return replace(splats, notes=[*splats.notes, *notes])
+
+    def close(self) -> None:
+        """Remove the temporary file."""
+        if self._unpacked is not None:
+            self._unpacked.file.close()
+            self._unpacked = None
+
+
+def fill_rows(out: Array, pieces: Iterator[Array]) -> None:
+    """Fill an array with the next pieces of rows."""
+    at = 0
+    while at < len(out):
+        piece = next(pieces)
+        out[at : at + len(piece)] = piece
+        at += len(piece)
+
+
+class _Unpacked:
+    """The columns of a packed file, one after the other in a temporary file without a name."""
+
+    def __init__(self, packed: Packed) -> None:
+        self._packed, self._notes = packed, list[str]()
+        self._places: dict[str, int] = {}
+        at = 0
+        for name, column in packed.stored.items():
+            self._places[name], at = at, at + column.bytes
+        try:
+            self.file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed by `Packed`
+            for piece in packed.unpack(self._notes):
+                self.file.write(np.ascontiguousarray(piece).data)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise OutputError(
+                f"{packed.path} cannot be unpacked into a temporary file ({reason}); free some"
+                " space, or name another place in TMPDIR."
+            ) from error
+
+    def read(self, start: int, stop: int) -> Splats:
+        splats = self._packed.decode(self._column, start, stop)
+        return replace(splats, notes=[*splats.notes, *self._notes])
+
+    def _column(self, name: str, start: int, stop: int) -> Array:
+        column = self._packed.stored[name]
+        out = np.empty((stop - start, *column.shape[1:]), column.kind)
+        row = out.itemsize * prod(column.shape[1:])
+        self.file.seek(self._places[name] + start * row)
+        fill(self._packed.path, self.file, out)  # type: ignore[arg-type]
+        return out
+
+
+class Whole(FileSource):
+    """A file that is only read whole; the first time that some rows are, it is held.
+
+    Args:
+        path: The file.
+        inspect: Describes it.
+        read: Reads it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        inspect: Callable[[Path], FileInfo],
+        read: Callable[[Path], Splats],
+    ) -> None:
+        super().__init__(path)
+        self._inspect, self._read = inspect, read
+        self._held: Splats | None = None
+
+    @cached_property
+    def info(self) -> FileInfo:
+        """The file's description of itself."""
+        return self._inspect(self.path)
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        if self._held is None:
+            self._held = self._read(self.path)
+        return self._held.span(start, stop)
+
+    def load(self) -> Splats:
+        """The whole model."""
+        return self._read(self.path)
+
+    def close(self) -> None:
+        """Let go of the model."""
+        self._held = None
 
 
 def row_blocks(

@@ -1,19 +1,20 @@
 """Reading 3DGS `.ply` files: any encoding, any column order, by name."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import FormatError
+from nanogs.findings import Finding
 from nanogs.formatting import counted
 from nanogs.io import columns, compressed_ply, render_tag
 from nanogs.io.files import BLOCK_ROWS
-from nanogs.io.findings import Finding
 from nanogs.io.info import FileInfo
-from nanogs.io.parts import Column, ColumnReader, Packed, Rows
+from nanogs.io.parts import Column, ColumnReader, FileSource, Packed
 from nanogs.io.ply_header import TYPE_NAMES, Element, Header, header_notes, printable, read_header
 from nanogs.io.ply_rows import Block, check_body, iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats
@@ -22,88 +23,116 @@ _WIDE = ("f8", "i4", "u4")  # types of a centre that float32 does not hold exact
 _TOKEN = 120  # bytes that a number of text takes while it is read: as text, number and value
 
 
-def read(path: Path) -> Splats:
-    """Read a `.ply` file, or a compressed one under either name.
+def open_ply(path: Path) -> FileSource:
+    """A `.ply` file, or a compressed one under either name.
 
     Raises:
         FormatError: The file cannot be read, is damaged, or holds something that cannot be kept.
     """
     header = _checked(path)
     if compressed_ply.is_compressed(header):
-        return compressed_ply.read(header)
-    vertex = _Vertex(header)
-    elements = {
-        element.name: np.empty(element.count, element.dtype())
-        for element in header.elements
-        if element is not vertex.element and element.properties and not element.lists()
-    }
-    for block in iter_blocks(header):
-        if block.element is vertex.element:
-            vertex.put(block)
-        else:
-            elements[block.element.name][block.rows] = block.values
-    return vertex.splats([ExtraElement(name, rows) for name, rows in elements.items()])
+        return compressed_ply.open_compressed(header)
+    return (_Text if header.encoding == "ascii" else _Binary)(header)
 
 
-def stream(path: Path) -> Iterator[Splats]:
-    """The model block by block, so that no more than a block is held; a compressed one whole.
-
-    Every block has the file's tags and comments, and its further elements without their rows.
-
-    Raises:
-        FormatError: As for `read`.
-    """
-    header = _checked(path)
-    if compressed_ply.is_compressed(header):
-        yield compressed_ply.read(header)
-        return
-    own = header.element("vertex")
-    elements = [
-        ExtraElement(element.name, np.empty(0, element.dtype()))
-        for element in header.elements
-        if element is not own and element.properties and not element.lists()
-    ]
-    for block in iter_blocks(header):
-        if block.element is own:
-            rows = len(block.values)
-            vertex = _Vertex(header, rows=rows)
-            vertex.put(Block(own, slice(0, rows), block.values))
-            yield vertex.splats(elements)
-
-
-def rows(path: Path) -> Rows | None:
-    """The file to be read in parts, unless it is one of text.
-
-    Raises:
-        FormatError: As for `inspect`.
-    """
-    header = _checked(path)
-    if header.encoding == "ascii":
-        return None
-    return compressed_ply.Chunks(header) if compressed_ply.is_compressed(header) else _Body(header)
-
-
-def packed(path: Path) -> Packed | None:
-    """A file of text to be unpacked: its rows in binary; None for others.
-
-    Raises:
-        FormatError: As for `inspect`.
-    """
-    header = _checked(path)
-    text = header.encoding == "ascii" and not compressed_ply.is_compressed(header)
-    return _Text(header) if text else None
-
-
-class _Text:
-    """The rows of a file of text."""
+class _Ply(FileSource):
+    """The rows of a file, and its further elements."""
 
     def __init__(self, header: Header) -> None:
+        super().__init__(header.path)
         self._header, self._vertex = header, _Vertex(header, rows=0)
-        element = self._vertex.element
-        self._row = element.dtype()
-        self.columns = {"vertex": Column("|u1", (element.count, self._row.itemsize))}
-        widest = max(len(each.properties) for each in header.elements)
-        self.memory = BLOCK_ROWS * widest * _TOKEN
+
+    @property
+    def info(self) -> FileInfo:
+        """The description, from the header."""
+        header, vertex = self._header, self._vertex
+        return FileInfo(
+            path=self.path,
+            format="ply",
+            encoding=header.encoding,
+            file_bytes=header.file_bytes,
+            splats=vertex.element.count,
+            sh_degree=vertex.degree,
+            double_means=vertex.means_dtype == np.float64,
+            properties=described(vertex.element),
+            extras=tuple(name for name in vertex.element.names if not columns.is_known(name)),
+            elements=tuple((e.name, e.count) for e in header.elements if e is not vertex.element),
+            render_mode=render_tag.render_mode(header.comments),
+            comments=header.printable_comments(),
+        )
+
+    @property
+    def count(self) -> int:
+        """Number of splats."""
+        return self._vertex.element.count
+
+    @property
+    def elements(self) -> tuple[tuple[str, int], ...]:
+        """The further elements; see `Source`."""
+        return tuple((element.name, element.count) for element in self._kept())
+
+    def _kept(self) -> list[Element]:
+        return [
+            element
+            for element in self._header.elements
+            if element is not self._vertex.element and element.properties and not element.lists()
+        ]
+
+    def _rows(self, blocks: Iterable[Block], count: int) -> Splats:
+        """The splats of blocks with so many rows in all; elements come without theirs."""
+        vertex = _Vertex(self._header, rows=count)
+        for block in blocks:
+            vertex.put(block)
+        return vertex.splats([ExtraElement(e.name, np.empty(0, e.dtype())) for e in self._kept()])
+
+    def _filled(self, elements: dict[str, Array]) -> Iterator[Block]:
+        """The rows of all splats; those of elements go to arrays."""
+        for block in iter_blocks(self._header):
+            if block.element is self._vertex.element:
+                yield block
+            else:
+                elements[block.element.name][block.rows] = block.values
+
+    def load(self) -> Splats:
+        """The whole model, from one pass over the file."""
+        found = {e.name: np.empty(e.count, e.dtype()) for e in self._kept()}
+        splats = self._rows(self._filled(found), self.count)
+        return replace(splats, elements=[ExtraElement(n, rows) for n, rows in found.items()])
+
+    def read_elements(self) -> tuple[ExtraElement, ...]:
+        """The further elements; see `Source`."""
+        found = {e.name: np.empty(e.count, e.dtype()) for e in self._kept()}
+        for _ in self._filled(found) if found else ():
+            pass
+        return tuple(ExtraElement(name, rows) for name, rows in found.items())
+
+
+class _Binary(_Ply):
+    """The rows of a binary file."""
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        blocks = iter_span(self._header, self._vertex.element, start, stop)
+        return self._rows(blocks, stop - start)
+
+
+class _Text(_Ply, Packed):
+    """The rows of a file of text, which are unpacked to binary ones."""
+
+    def __init__(self, header: Header) -> None:
+        super().__init__(header)
+        self._row = self._vertex.element.dtype()
+
+    @cached_property
+    def stored(self) -> Mapping[str, Column]:
+        """The one column; see `Packed`."""
+        return {"vertex": Column("|u1", (self.count, self._row.itemsize))}
+
+    @property
+    def memory(self) -> int:
+        """What the numbers of a block take as text."""
+        widest = max(len(each.properties) for each in self._header.elements)
+        return BLOCK_ROWS * widest * _TOKEN
 
     def unpack(self, _notes: list[str]) -> Iterator[Array]:
         """The one column; see `Packed`."""
@@ -111,53 +140,15 @@ class _Text:
             if block.element is self._vertex.element:
                 yield block.values.view(np.uint8).reshape(-1, self._row.itemsize)
 
-    def read(self, columns: ColumnReader, start: int, stop: int) -> Splats:
+    def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
         """Some rows; see `Packed`."""
-        vertex = _Vertex(self._header, rows=stop - start)
+        return self._rows(self._blocks(columns, start, stop), stop - start)
+
+    def _blocks(self, columns: ColumnReader, start: int, stop: int) -> Iterator[Block]:
         for at in range(start, stop, BLOCK_ROWS):
             rows = columns("vertex", at, min(at + BLOCK_ROWS, stop)).view(self._row)[:, 0]
             span = slice(at - start, at - start + len(rows))
-            vertex.put(Block(vertex.element, span, rows))
-        return vertex.splats([])
-
-
-@dataclass(frozen=True, slots=True)
-class _Body:
-    """The rows of a binary file."""
-
-    header: Header
-
-    def read(self, start: int, stop: int) -> Splats:
-        vertex = _Vertex(self.header, rows=stop - start)
-        for block in iter_span(self.header, vertex.element, start, stop):
-            vertex.put(block)
-        return vertex.splats([])
-
-
-def inspect(path: Path) -> FileInfo:
-    """Describe a `.ply` file from its header.
-
-    Raises:
-        FormatError: As for `read`, except for what only the rows show.
-    """
-    header = _checked(path)
-    if compressed_ply.is_compressed(header):
-        return compressed_ply.inspect(header)
-    vertex = _Vertex(header, rows=0)
-    return FileInfo(
-        path=path,
-        format="ply",
-        encoding=header.encoding,
-        file_bytes=header.file_bytes,
-        splats=vertex.element.count,
-        sh_degree=vertex.degree,
-        double_means=vertex.means_dtype == np.float64,
-        properties=described(vertex.element),
-        extras=tuple(name for name in vertex.element.names if not columns.is_known(name)),
-        elements=tuple((e.name, e.count) for e in header.elements if e is not vertex.element),
-        render_mode=render_tag.render_mode(header.comments),
-        comments=header.printable_comments(),
-    )
+            yield Block(self._vertex.element, span, rows)
 
 
 def described(element: Element) -> tuple[tuple[str, str], ...]:

@@ -38,21 +38,11 @@ _PALETTE_PROPERTY = (("shN_labels", "ushort"),)
 _DEGREE_OF_WIDTH = {PALETTE_COLUMNS * ((d + 1) ** 2 - 1): d for d in (1, 2, 3)}
 
 
-def read(path: Path) -> Splats:
-    """Read a `.sog` file or the folder that a `meta.json` describes.
-
-    Raises:
-        FormatError: A file is missing or damaged, or has another size than it should.
-    """
-    with opened(path) as (container, name):
-        return read_model(container, name)
-
-
 def inspect(path: Path) -> FileInfo:
     """Describe a model from its `meta.json` and the sizes of its files.
 
     Raises:
-        FormatError: As for `read`, except for what only the textures show.
+        FormatError: A file is missing or damaged, or has another size than it should.
     """
     with opened(path) as (container, name):
         meta = load_meta(container, name)
@@ -83,7 +73,7 @@ def load_meta(container: Container, name: str) -> Meta:
     """Read and check a `meta.json`.
 
     Raises:
-        FormatError: As for `read`, except for what only the textures show.
+        FormatError: As for `inspect`.
     """
     where = container.where(name)
     if container.size(name) > MAX_META_BYTES:
@@ -129,21 +119,6 @@ def describe(path: Path, meta: Meta, degree: int, file_bytes: int) -> FileInfo:
         render_mode=meta.render_mode,
         comments=(),
     )
-
-
-def read_model(container: Container, name: str) -> Splats:
-    """Read the model that a `meta.json` describes.
-
-    Raises:
-        FormatError: As for `read`.
-    """
-    model = Model(container, name)
-
-    def texture(texture: str) -> U8:
-        rows, channels = model.shape(texture)
-        return texels_of(container, model.meta, texture)[:rows, :channels]
-
-    return model.decoded(texture)
 
 
 class Model:

@@ -7,21 +7,17 @@ Each level is the whole scene: levels are read one at a time and never put toget
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from nanogs.errors import FormatError, OptionError
 from nanogs.formatting import counted
-from nanogs.io import sog
 from nanogs.io.container import Folder
 from nanogs.io.files import input_size
-from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import integer, is_plain, parse, refused, rows, table
 from nanogs.io.sog_meta import MAX_COUNT
-from nanogs.splats import RenderMode, Splats, concatenate
+from nanogs.splats import RenderMode
 
 # Python takes up to 25 times a JSON text's size; a leaf has some 500 bytes for 10 K splats or more.
 MAX_MANIFEST_BYTES = 8 << 20
@@ -65,57 +61,20 @@ class Levels:
     levels: tuple[tuple[Piece, ...], ...]
     notes: tuple[str, ...]
 
+    def pieces(self, path: Path, level: int) -> tuple[Piece, ...]:
+        """The pieces of one level of that file.
 
-def read(path: Path, level: int = 0) -> Splats:
-    """Read one level of a `lod-meta.json`; 0 is the finest.
-
-    Raises:
-        OptionError: There is no such level.
-        FormatError: A file is missing or damaged, or the manifest contradicts it.
-    """
-    manifest = read_manifest(path)
-    models = [_rows(piece) for piece in _level(path, manifest, level)]
-    return _joined(models, manifest.notes)
-
-
-def level_counts(path: Path) -> tuple[int, ...]:
-    """Splats of each level, the finest first, as the manifest has them.
-
-    Raises:
-        FormatError: It is missing or damaged.
-    """
-    return tuple(sum(piece.count for piece in level) for level in read_manifest(path).levels)
-
-
-def inspect(path: Path, level: int = 0) -> FileInfo:
-    """Describe one level, from the manifest and the models' own descriptions; 0 is the finest.
-
-    Raises:
-        OptionError: There is no such level.
-        FormatError: As for `read`, except for what only the textures show.
-    """
-    infos = []
-    for piece in _level(path, read_manifest(path), level):
-        info = sog.inspect(piece.path)
-        check_rows(piece, info.splats)
-        infos.append(replace(info, splats=piece.count))
-    widest = max(infos, key=lambda info: info.sh_degree)
-    return replace(
-        widest,
-        path=path,
-        format="streamed sog",
-        file_bytes=input_size(path) + sum(info.file_bytes for info in infos),
-        splats=sum(info.splats for info in infos),
-        render_mode=common_mode({info.render_mode for info in infos}),
-    )
-
-
-def _level(path: Path, manifest: Levels, level: int) -> tuple[Piece, ...]:
-    if not 0 <= level < len(manifest.levels):
-        raise OptionError(
-            f"{path} has levels 0 to {len(manifest.levels) - 1}; level {level} is not among them."
-        )
-    return manifest.levels[level]
+        Raises:
+            OptionError: There is no such level.
+            FormatError: It holds nothing.
+        """
+        if not 0 <= level < len(self.levels):
+            raise OptionError(
+                f"{path} has levels 0 to {len(self.levels) - 1}; level {level} is not among them."
+            )
+        if not self.levels[level]:
+            raise refused(f"{path}, tree", f"holds nothing of level {level}")
+        return self.levels[level]
 
 
 def read_manifest(path: Path) -> Levels:
@@ -196,27 +155,6 @@ def check_rows(piece: Piece, available: int) -> None:
             f"{piece.path} has {counted(available, 'splat')}, fewer than its lod-meta.json says;"
             " export or download the model again."
         )
-
-
-def _rows(piece: Piece) -> Splats:
-    splats = sog.read(piece.path)
-    check_rows(piece, len(splats))
-    if piece.count == len(splats):
-        return splats
-    spans = [np.arange(offset, offset + count) for offset, count in piece.spans]
-    return splats.take(np.concatenate(spans) if spans else np.empty(0, np.int64))
-
-
-def _joined(models: list[Splats], notes: tuple[str, ...]) -> Splats:
-    """The models one after the other, with zeros for coefficients that one lacks."""
-    said = joined_notes([model.notes for model in models], notes)
-    if len(models) == 1:
-        return replace(models[0], notes=said)
-    return replace(
-        concatenate(models),
-        render_mode=common_mode({model.render_mode for model in models}),
-        notes=said,
-    )
 
 
 def joined_notes(models: Sequence[Sequence[str]], notes: Sequence[str]) -> list[str]:

@@ -4,7 +4,6 @@ Layout: https://github.com/antimatter15/splat - position and scale 3 x float32 e
 alpha 4 x uint8, rotation wxyz as 4 x uint8 with 128 for zero.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -12,12 +11,12 @@ import numpy as np
 
 from nanogs._types import F32, F64, Array
 from nanogs.errors import FormatError
+from nanogs.findings import negative_scales
 from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.files import BLOCK_ROWS, input_size
-from nanogs.io.findings import negative_scales
 from nanogs.io.info import FileInfo
-from nanogs.io.parts import Rows, row_blocks
+from nanogs.io.parts import FileSource, row_blocks
 from nanogs.splats import RenderMode, Splats, empty_arrays
 from nanogs.stored import SH_C0, alphas, base_colour, logit, rounded_bytes
 
@@ -27,30 +26,38 @@ _BYTE_SLACK = 1 / 64  # how far from unit length four rounded or truncated bytes
 _PROPERTIES = (("position", "float"), ("scale", "float"), ("rgba", "uchar"), ("rotation", "uchar"))
 
 
-def read(path: Path) -> Splats:
-    """Read a `.splat` file; a scale of zero becomes -inf, alpha 0 and 255 become ∓inf.
+class SplatFile(FileSource):
+    """A `.splat` file; a scale of zero becomes -inf, alpha 0 and 255 become ∓inf.
 
     Raises:
-        FormatError: The file cannot be read, or is not a whole number of rows.
+        FormatError: It cannot be read, or is not a whole number of rows.
     """
-    return _File(path).read(0, _count(path))
 
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        n = _count(path)
+        self._info = FileInfo(
+            path=path,
+            format="splat",
+            encoding="binary_little_endian",
+            file_bytes=n * _ROW.itemsize,
+            splats=n,
+            sh_degree=0,
+            double_means=False,
+            properties=_PROPERTIES,
+            extras=(),
+            elements=(),
+            render_mode=RenderMode.DEFAULT,
+            comments=(),
+        )
 
-def rows(path: Path) -> Rows:
-    """The file to be read in parts.
-
-    Raises:
-        FormatError: As for `read`.
-    """
-    _count(path)
-    return _File(path)
-
-
-@dataclass(frozen=True, slots=True)
-class _File:
-    path: Path
+    @property
+    def info(self) -> FileInfo:
+        """The description, from the size of the file."""
+        return self._info
 
     def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
         n = stop - start
         out = empty_arrays(n, 0)
         negative = 0
@@ -69,29 +76,6 @@ def _decode(rows: Array, out: dict[str, Any], span: slice) -> int:
     out["opacity_logits"][span] = logit(rgba[:, 3])
     out["quats"][span] = (rows["quat"].astype(np.float32) - 128) / 128
     return int((rows["scale"] < 0).any(axis=1).sum())
-
-
-def inspect(path: Path) -> FileInfo:
-    """Describe a `.splat` file from its size.
-
-    Raises:
-        FormatError: As for `read`.
-    """
-    n = _count(path)
-    return FileInfo(
-        path=path,
-        format="splat",
-        encoding="binary_little_endian",
-        file_bytes=n * _ROW.itemsize,
-        splats=n,
-        sh_degree=0,
-        double_means=False,
-        properties=_PROPERTIES,
-        extras=(),
-        elements=(),
-        render_mode=RenderMode.DEFAULT,
-        comments=(),
-    )
 
 
 def _count(path: Path) -> int:

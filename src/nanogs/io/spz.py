@@ -10,7 +10,8 @@ The specification has y up and z backwards, but files do not say so and most con
 do, axes as they are. Alpha 0 and 255 become -inf and +inf, as in every 8-bit format here.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.section import whole_file
-from nanogs.io.spz_body import body_pieces, read_body, window_bytes
+from nanogs.io.spz_body import body_pieces, window_bytes
 from nanogs.io.spz_header import ANTIALIASED, LAST_GZIP, Header, read_header
 from nanogs.splats import RenderMode, Splats, empty_arrays
 from nanogs.stored import logit
@@ -38,45 +39,54 @@ _SCALES = (_BYTES / SCALE_STEPS + SCALE_LOW).astype(np.float32)
 _SH = ((_BYTES - 128) / SH_STEPS).astype(np.float32)
 
 
-def read(path: Path) -> Splats:
-    """Read an `.spz` file of version 1 to 4, axes as stored.
+def open_spz(path: Path) -> "SpzSource":
+    """An `.spz` file of version 1 to 4, axes as stored.
 
     Raises:
         FormatError: The file cannot be read, is damaged, or is no model of splats.
     """
-    return decode(read_header(whole_file(path)))
+    return SpzSource(path, read_header(whole_file(path)))
 
 
-def decode(header: Header) -> Splats:
-    """The splats of a file, or of SPZ data in another one, whose header has been read.
+class SpzSource(Packed):
+    """The columns of a file, or of SPZ data in another one, as they are stored, inflated.
 
-    Raises:
-        FormatError: As for `read`.
+    Args:
+        path: The file.
+        header: Of the data.
     """
-    columns, notes = read_body(header)
-    return _decoded(header, columns, notes)
 
-
-def packed(path: Path) -> Packed:
-    """The file to be unpacked.
-
-    Raises:
-        FormatError: As for `inspect`.
-    """
-    return _Body(read_header(whole_file(path)))
-
-
-class _Body:
-    """The columns of a file as they are stored, inflated."""
-
-    def __init__(self, header: Header) -> None:
+    def __init__(self, path: Path, header: Header) -> None:
+        super().__init__(path)
         self._header = header
         self._widths = header.columns()
-        self.columns = {
-            name: Column("|u1", (header.count, width)) for name, width in self._widths.items()
-        }
 
-    @property
+    @cached_property
+    def info(self) -> FileInfo:
+        """The description, from the header."""
+        header = self._header
+        return FileInfo(
+            path=self.path,
+            format="spz",
+            encoding=encoding(header),
+            file_bytes=header.file_bytes,
+            splats=header.count,
+            sh_degree=header.degree,
+            double_means=False,
+            properties=properties(header),
+            extras=(),
+            elements=(),
+            render_mode=render_mode(header),
+            comments=(),
+        )
+
+    @cached_property
+    def stored(self) -> Mapping[str, Column]:
+        """The columns; see `Packed`."""
+        count = self._header.count
+        return {name: Column("|u1", (count, width)) for name, width in self._widths.items()}
+
+    @cached_property
     def memory(self) -> int:
         """The decoder's window, and some pieces."""
         return window_bytes(self._header) + _PIECES
@@ -92,13 +102,13 @@ class _Body:
                 yield piece
         next(pieces, None)  # what follows the columns is looked at
 
-    def read(self, columns: ColumnReader, start: int, stop: int) -> Splats:
+    def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
         """Some rows; see `Packed`."""
         stored = {name: columns(name, start, stop) for name in self._widths}
-        return _decoded(self._header, stored, [])
+        return _decoded(self._header, stored)
 
 
-def _decoded(header: Header, columns: Mapping[str, U8], notes: Sequence[str]) -> Splats:
+def _decoded(header: Header, columns: Mapping[str, U8]) -> Splats:
     n, coefficients = len(columns["alphas"]), (header.degree + 1) ** 2
     out = empty_arrays(n, header.degree)
     out["opacity_logits"] = _ALPHAS[columns["alphas"][:, 0]]
@@ -111,30 +121,7 @@ def _decoded(header: Header, columns: Mapping[str, U8], notes: Sequence[str]) ->
         out["sh"][span, 0] = _COLOURS[block["colours"]]
         if header.degree:
             out["sh"][span, 1:] = _SH[block["sh"]].reshape(-1, coefficients - 1, 3)
-    return Splats(**out, render_mode=render_mode(header), notes=notes)
-
-
-def inspect(path: Path) -> FileInfo:
-    """Describe an `.spz` file from its header.
-
-    Raises:
-        FormatError: As for `read`, except for what only the columns show.
-    """
-    header = read_header(whole_file(path))
-    return FileInfo(
-        path=path,
-        format="spz",
-        encoding=encoding(header),
-        file_bytes=header.file_bytes,
-        splats=header.count,
-        sh_degree=header.degree,
-        double_means=False,
-        properties=properties(header),
-        extras=(),
-        elements=(),
-        render_mode=render_mode(header),
-        comments=(),
-    )
+    return Splats(**out, render_mode=render_mode(header))
 
 
 def properties(header: Header) -> tuple[tuple[str, str], ...]:

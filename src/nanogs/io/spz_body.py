@@ -8,9 +8,6 @@ from collections.abc import Callable, Iterator
 from itertools import accumulate
 from typing import TYPE_CHECKING, BinaryIO, cast
 
-import numpy as np
-
-from nanogs._types import U8
 from nanogs.formatting import counted
 from nanogs.io.spz_header import (
     EXTENSIONS,
@@ -35,26 +32,6 @@ _FRAME_HEADER = 18  # bytes of the largest of zstd
 _KNOWN_RECORDS = {0xADBE0002: "limits of the camera", 0xADBE0003: "coordinate system"}
 
 
-def read_body(header: Header) -> tuple[dict[str, U8], list[str]]:
-    """The columns, and notes on what beside them was left out.
-
-    Returns:
-        (N, width) uint8 of each column by name, and the notes.
-
-    Raises:
-        FormatError: The file cannot be read, or holds more or less than its header counts.
-    """
-    body, notes = bytearray(), list[str]()
-    for piece in body_pieces(header, notes):  # memory grows with what there is, not was promised
-        body += piece
-    columns, at = {}, 0
-    for name, width in header.columns().items():
-        end = at + width * header.count
-        columns[name] = np.frombuffer(body, np.uint8, end - at, at).reshape(-1, width)
-        at = end
-    return columns, notes
-
-
 def body_pieces(header: Header, notes: list[str]) -> Iterator[bytes]:
     """The columns one after the other, in pieces of whole rows, a megabyte at most.
 
@@ -63,7 +40,7 @@ def body_pieces(header: Header, notes: list[str]) -> Iterator[bytes]:
         notes: Gets what beside the columns was left out.
 
     Raises:
-        FormatError: As for `read_body`.
+        FormatError: The file cannot be read, or holds more or less than its header counts.
     """
     with opened(header.section) as file:
         yield from (_plain if header.version <= LAST_GZIP else _streams)(header, file, notes)

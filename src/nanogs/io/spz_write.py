@@ -14,9 +14,9 @@ import numpy as np
 
 from nanogs._types import F32, F64, U8
 from nanogs.errors import OutputError
+from nanogs.findings import Finding
 from nanogs.io import limits
 from nanogs.io.files import BLOCK_ROWS
-from nanogs.io.findings import Finding
 from nanogs.io.spz import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
 from nanogs.io.spz_header import (
     ANTIALIASED,

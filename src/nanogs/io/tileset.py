@@ -24,6 +24,7 @@ from nanogs.io.container import Folder
 from nanogs.io.files import input_size
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import numbers, parse, refused, rows, table
+from nanogs.io.parts import Whole
 from nanogs.io.sog_levels import common_mode, joined_notes
 from nanogs.io.uris import local_path
 from nanogs.splats import Splats, concatenate
@@ -84,64 +85,62 @@ class _Tileset:
         return list(_drawn(self.root, deepest - number))
 
 
-def read(path: Path, level: int = 0) -> Splats:
-    """Read one level of a `tileset.json`; 0 is the finest.
+def open_level(path: Path, level: int = 0) -> "TilesLevel":
+    """A level of a `tileset.json`; 0 is the finest.
 
     Raises:
         OptionError: There is no such level.
         FormatError: A file is missing or damaged, holds no splats, or lies outside of the folder.
     """
     tileset = _read(path)
-    tiles = tileset.level(level)
-    models = [gltf.read_placed(file, tile.above) for tile in tiles for file in tile.contents]
-    which = f"Level {level} was read, of {tileset.levels()} from 0, the finest, on."
-    notes = joined_notes([model.notes for model in models], [which, *tileset.notes])
-    mode = common_mode({model.render_mode for model in models})
-    comments = dict.fromkeys(line for model in models for line in model.comments)
-    return replace(concatenate(models), render_mode=mode, comments=list(comments), notes=notes)
+    return TilesLevel(tileset, level, tileset.level(level))
 
 
-def level_counts(path: Path) -> tuple[int, ...]:
-    """Splats of each level, the finest first, by what the contents say of themselves.
+class TilesLevel(Whole):
+    """The tiles of a level, one after the other."""
 
-    Raises:
-        FormatError: As for `read`.
-    """
-    tileset = _read(path)
-    every = {file for tile in _all(tileset.root) for file in tile.contents}
-    counts = {file: gltf.inspect(file).splats for file in every}
-    drawn = (tileset.level(number) for number in range(tileset.levels()))
-    return tuple(sum(counts[file] for tile in level for file in tile.contents) for level in drawn)
+    def __init__(self, tileset: _Tileset, level: int, tiles: list[_Tile]) -> None:
+        super().__init__(tileset.path, self._describe, self._joined)
+        self._tileset, self._level, self._tiles = tileset, level, tiles
 
+    @property
+    def files(self) -> Sequence[Path]:
+        """The tileset and the contents of the level; see `FileSource`."""
+        contents = [file for tile in self._tiles for file in tile.contents]
+        return [self.path, *(each for file in contents for each in gltf.open_gltf(file).files)]
 
-def inspect(path: Path, level: int = 0) -> FileInfo:
-    """Describe one level, from the descriptions of its contents; 0 is the finest.
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Splats of each level, by what the contents say of themselves; see `FileSource`."""
+        tileset = self._tileset
+        every = {file for tile in _all(tileset.root) for file in tile.contents}
+        counts = {file: gltf.open_gltf(file).count for file in every}
+        drawn = (tileset.level(number) for number in range(tileset.levels()))
+        return tuple(sum(counts[f] for tile in level for f in tile.contents) for level in drawn)
 
-    Raises:
-        OptionError: There is no such level.
-        FormatError: As for `read`.
-    """
-    infos = [gltf.inspect(file) for tile in _read(path).level(level) for file in tile.contents]
-    widest = max(infos, key=lambda info: info.sh_degree)
-    return replace(
-        widest,
-        path=path,
-        format="3d tiles",
-        file_bytes=input_size(path) + sum(info.file_bytes for info in infos),
-        splats=sum(info.splats for info in infos),
-        render_mode=common_mode({info.render_mode for info in infos}),
-        comments=tuple(dict.fromkeys(line for info in infos for line in info.comments)),
-    )
+    def _describe(self, path: Path) -> FileInfo:
+        """The description, from those of the contents."""
+        infos = [gltf.open_gltf(file).info for tile in self._tiles for file in tile.contents]
+        widest = max(infos, key=lambda info: info.sh_degree)
+        return replace(
+            widest,
+            path=path,
+            format="3d tiles",
+            file_bytes=input_size(path) + sum(info.file_bytes for info in infos),
+            splats=sum(info.splats for info in infos),
+            render_mode=common_mode({info.render_mode for info in infos}),
+            comments=tuple(dict.fromkeys(line for info in infos for line in info.comments)),
+        )
 
-
-def files(path: Path) -> Sequence[Path]:
-    """All files of the finest level: the tileset and its contents.
-
-    Raises:
-        FormatError: As for `read`.
-    """
-    contents = [file for tile in _read(path).level(0) for file in tile.contents]
-    return [path, *(each for file in contents for each in gltf.files(file))]
+    def _joined(self, _path: Path) -> Splats:
+        tileset = self._tileset
+        models = [gltf.read_placed(f, tile.above) for tile in self._tiles for f in tile.contents]
+        which = f"Level {self._level} was read, of {tileset.levels()} from 0, the finest, on."
+        notes = joined_notes([model.notes for model in models], [which, *tileset.notes])
+        mode = common_mode({model.render_mode for model in models})
+        comments = dict.fromkeys(line for model in models for line in model.comments)
+        joined = concatenate(models)
+        return replace(joined, render_mode=mode, comments=list(comments), notes=notes)
 
 
 def _all(root: _Tile) -> Iterator[_Tile]:

@@ -14,9 +14,9 @@ import numpy as np
 
 from nanogs._types import F64, Array
 from nanogs.errors import FormatError
+from nanogs.findings import negative_scales
 from nanogs.formatting import counted
 from nanogs.io.files import BLOCK_ROWS, input_size, unreadable
-from nanogs.io.findings import negative_scales
 from nanogs.io.gltf_scene import pose_of
 from nanogs.io.info import FileInfo
 from nanogs.io.usda_text import Layer, Prim, read_layer

@@ -205,20 +205,21 @@ def plan_job(
     Raises:
         NanogsError: An input cannot be read, or the memory is too little.
     """
-    inputs, layout = look_at(paths)
-    splats = sum(each.splats for each in inputs)
+    inputs, layout, sieve = look_at(paths)
+    splats = sieve.left[-1] if sieve else sum(each.splats for each in inputs)
     shares = tuple(target_count(splats, g.ratio, g.count) / splats for g in goals)
     plan = plan_blocks(splats, layout, chosen, shares, max_memory, block, chunks)
     settings = Settings(
         inputs=inputs,
         layout=layout,
-        segments=segments_of(inputs, plan.segment),
+        segments=segments_of(inputs, splats, plan.segment),
         ratios=tuple(goal.ratio for goal in goals if goal.ratio is not None),
         counts=tuple(goal.count for goal in goals if goal.count is not None),
         nan=nan,
         block=plan.block,
         parameters=in_blocks(chosen),
         chunks=chunks,
+        sieve=sieve,
     )
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import I64, Array
-from nanogs.scale.settings import Layout
 from nanogs.scale.tables import Record, Sorted, Table
+from nanogs.source import Layout
 from nanogs.splats import RenderMode, Splats
 
 _OWN = ("means", "log_scales", "quats", "opacity_logits", "sh")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs._version import __version__
 from nanogs.clock import StageClock
 from nanogs.defaults import CHUNK
-from nanogs.io.findings import join_findings
+from nanogs.findings import join_findings
 from nanogs.lod.file_levels import FileLevels, level_name
 from nanogs.lod.layout import Layout, check_options
 from nanogs.lod.levels import check_ratios

@@ -4,7 +4,7 @@ import time
 from dataclasses import asdict
 
 from nanogs.clock import StageClock
-from nanogs.io.findings import join_findings, of_plain
+from nanogs.findings import join_findings, of_plain
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.target import Goal

@@ -14,8 +14,9 @@ from nanogs.pipeline.memory import plan_memory
 from nanogs.pipeline.presets import PRESETS, Parameters
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.encoding import encoding_of
-from nanogs.scale.settings import MOST_SEEN, Chunks, Layout
+from nanogs.scale.settings import MOST_SEEN, Chunks
 from nanogs.scale.unpack import Cost
+from nanogs.source import Layout
 
 _MANY = 1_000_000
 _KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the making

@@ -1,25 +1,26 @@
 """A job as plain data: all that decides the bytes of its result."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from typing import Any
 
 from nanogs.errors import FormatError
+from nanogs.filters import Plain
 from nanogs.method.parameters import ForestParameters
+from nanogs.source import Layout
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
 SOG, TILES = "streamed sog", "3d tiles"  # levels in chunks, as `lod.layout` names them
-VERSION = 2  # of the job folder; one of another version is not continued
+VERSION = 3  # of the job folder; one of another version is not continued
 
 
 class Access(StrEnum):
     """How the rows of a file are come by."""
 
     ROWS = "rows"  # any of them without the others
-    PACKED = "packed"  # once the columns are unpacked, which a file of one segment is not
+    PACKED = "packed"  # once the columns are unpacked, which a file of few rows is not
     WHOLE = "whole"  # all of them at once
 
 
@@ -44,32 +45,25 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Consecutive rows of one input file: what is sorted at a time."""
+    """Consecutive rows of what filters leave of all inputs: what is sorted at a time."""
 
-    file: int
     start: int
     stop: int
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
-    """The columns that all inputs are brought to.
+class Sieve:
+    """What filters leave of the inputs.
 
     Attributes:
-        sh_degree: The highest of them; lower ones get coefficients of 0.
-        double_means: Whether any has centres in double precision.
-        extras: Name and dtype of the extra columns that all have.
-        render_mode: Of all of them.
-        comments: Of the first.
-        notes: What is left out, one sentence each.
+        filters: Kind and numbers of each, as `filters.Filter.plain` has them.
+        left: Splats after each.
+        kept: Splats of each page of `source.PAGE_ROWS` rows after all.
     """
 
-    sh_degree: int
-    double_means: bool
-    extras: tuple[tuple[str, str], ...]
-    render_mode: str
-    comments: tuple[str, ...]
-    notes: tuple[str, ...]
+    filters: tuple[Plain, ...]
+    left: tuple[int, ...]
+    kept: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +95,8 @@ class Settings:
         block: Most splats of a block.
         parameters: Of the forest.
         chunks: Of the results, or None where each is one file.
+        sieve: What filters leave of the files; None without any.
+        frame: From and to which results are turned, or None.
     """
 
     inputs: tuple[InputFile, ...]
@@ -112,9 +108,16 @@ class Settings:
     block: int
     parameters: ForestParameters
     chunks: Chunks | None = None
+    sieve: Sieve | None = None
+    frame: tuple[str, str] | None = None
 
     @property
     def splats(self) -> int:
+        """Rows that filters leave of all inputs."""
+        return self.sieve.left[-1] if self.sieve else self.read
+
+    @property
+    def read(self) -> int:
         """Rows of all inputs."""
         return sum(file.splats for file in self.inputs)
 
@@ -128,12 +131,12 @@ class Settings:
 
     @property
     def unpacked(self) -> tuple[int, ...]:
-        """Numbers of the files that are unpacked: packed ones that are more than a segment."""
-        segments = Counter(segment.file for segment in self.segments)
+        """Numbers of the files that are unpacked: packed ones of more rows than a segment."""
+        longest = max(segment.stop - segment.start for segment in self.segments)
         return tuple(
             number
             for number, file in enumerate(self.inputs)
-            if file.access is Access.PACKED and segments[number] > 1
+            if file.access is Access.PACKED and file.splats > longest
         )
 
     @property
@@ -177,11 +180,18 @@ def settings_of(data: Mapping[str, Any]) -> Settings:
             block=int(data["block"]),
             parameters=ForestParameters(**data["parameters"]),
             chunks=Chunks(**data["chunks"]) if data.get("chunks") else None,
+            sieve=_sieve_of(data["sieve"]) if data.get("sieve") else None,
+            frame=(*data["frame"],) if data.get("frame") else None,
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FormatError(
             f"The job's manifest is damaged ({error}); remove its folder and begin anew."
         ) from None
+
+
+def _sieve_of(data: Mapping[str, Any]) -> Sieve:
+    filters = tuple((str(kind), tuple(map(float, values))) for kind, values in data["filters"])
+    return Sieve(filters, tuple(map(int, data["left"])), tuple(map(int, data["kept"])))
 
 
 def differences(before: Settings, now: Settings) -> list[str]:

@@ -1,98 +1,104 @@
-"""Input files as parts of one scene, read a segment of rows at a time."""
+"""The model of a job: its input files as parts of one scene, filtered, and read by segments."""
 
-from collections.abc import Callable, Iterator, Sequence
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from nanogs.errors import ModelError, OptionError
-from nanogs.io import FileInfo, inspect, load
-from nanogs.scale.inputs import check_unchanged, input_file, open_packed, open_rows
-from nanogs.scale.settings import Access, InputFile, Layout, Segment, Settings
+from nanogs.filters import Filter, filter_of
+from nanogs.io import open as open_model
+from nanogs.scale.inputs import Inputs, input_file
+from nanogs.scale.settings import Access, InputFile, Segment, Settings, Sieve
 from nanogs.scale.unpack import Unpacked
-from nanogs.splats import RenderMode, Splats, concatenate, padded
+from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
+from nanogs.splats import Splats, concatenate
 
 _SPAN_ROWS, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # of the rows that stand for all
 
 
-def look_at(paths: Sequence[Path]) -> tuple[tuple[InputFile, ...], Layout]:
-    """The files and the columns that their splats are brought to; no row is read.
+def look_at(
+    paths: Sequence[Path], filters: Sequence[Filter] = (), sh_degree: int | None = None
+) -> tuple[tuple[InputFile, ...], Layout, Sieve | None]:
+    """The files, the columns of their splats, and what filters leave of them.
+
+    No row is read but for filters, which look at all.
+
+    Args:
+        paths: Of the files.
+        filters: What leaves out splats first.
+        sh_degree: The highest that stays, or None for all.
 
     Raises:
         FormatError: One of them cannot be read.
-        ModelError: They do not make one scene.
+        ModelError: They do not make one scene, or filters leave nothing.
+        OptionError: A filter has to see the whole model, or is of a kind that no job records.
     """
-    if not paths:
-        raise OptionError("Give at least one file.")
-    infos = [inspect(path) for path in paths]
-    return tuple(input_file(info) for info in infos), _layout(infos)
+    sources = [open_model(path) for path in paths]
+    layout = joined_layout(sources)
+    if sh_degree is not None and sh_degree < layout.sh_degree:
+        layout = replace(layout, sh_degree=sh_degree)
+    files = tuple(map(input_file, sources))
+    if not filters:
+        return files, layout, None
+    with Filtered(Joined(sources, layout), filters) as left:
+        return files, layout, _sieve(filters, left)
 
 
-def _layout(infos: Sequence[FileInfo]) -> Layout:
-    modes = {info.render_mode for info in infos}
-    if len(modes) > 1:
-        raise ModelError(
-            "The inputs are for different renderers "
-            f"({', '.join(sorted(map(str, modes)))}) and make no one scene; simplify them apart."
+def _sieve(filters: Sequence[Filter], left: Filtered) -> Sieve:
+    plain = tuple(each.plain for each in filters if each.plain is not None)
+    if len(plain) < len(filters):
+        raise OptionError(
+            "A job takes the filters of nanogs.filters alone; apply others to the model first."
         )
-    columns = [{name: _dtype(info, name) for name in info.extras} for info in infos]
-    shared = {
-        name: kind
-        for name, kind in columns[0].items()
-        if all(each.get(name) == kind for each in columns)
-    }
-    left = sorted({name for each in columns for name in each} - set(shared))
-    notes = [f"Extra columns that not all inputs have are left out: {', '.join(left)}."] * any(left)
-    if len({info.sh_degree for info in infos}) > 1:
-        notes.append("The inputs' SH degrees differ: coefficients that one lacks are 0.")
-    if any(rows for info in infos for _, rows in info.elements):
-        notes.append("Further elements of the inputs are left out: blocks hold splats alone.")
-    return Layout(
-        sh_degree=max(info.sh_degree for info in infos),
-        double_means=any(info.double_means for info in infos),
-        extras=tuple(shared.items()),
-        render_mode=str(infos[0].render_mode),
-        comments=tuple(infos[0].comments),
-        notes=tuple(notes),
-    )
+    return Sieve(plain, tuple(report.left for report in left.reports), left.kept)
 
 
-_TYPES = {
-    "char": "|i1", "uchar": "|u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4",
-    "float": "<f4", "double": "<f8",
-}  # fmt: skip
-
-
-def _dtype(info: FileInfo, name: str) -> str:
-    kind = dict(info.properties)[name]
-    return _TYPES.get(kind) or np.dtype(kind).str
-
-
-def segments_of(inputs: Sequence[InputFile], rows: int) -> tuple[Segment, ...]:
+def segments_of(inputs: Sequence[InputFile], count: int, rows: int) -> tuple[Segment, ...]:
     """All rows in segments of about equal size.
 
     Args:
         inputs: The files.
+        count: Rows that filters leave of them.
         rows: Most of a segment.
 
     Raises:
         OptionError: A file that cannot be read in parts has more.
     """
-    segments = []
-    for number, file in enumerate(inputs):
+    for file in inputs:
         if file.splats > rows and file.access is Access.WHOLE:
             raise OptionError(
                 f"{file.path}: files of this kind are not read in parts, and this one is too large"
                 " to be read whole within the memory given; convert it to .ply, or raise"
                 " `max_memory`."
             )
-        parts = -(-file.splats // rows)
-        bounds = [file.splats * part // parts for part in range(parts + 1)]
-        segments += [Segment(number, *pair) for pair in pairwise(bounds)]
-    return tuple(segments)
+    parts = -(-count // rows)
+    bounds = [count * part // parts for part in range(parts + 1)]
+    return tuple(Segment(*pair) for pair in pairwise(bounds))
+
+
+@contextmanager
+def opened(settings: Settings, unpacked: Unpacked | None = None) -> Iterator[Source]:
+    """The model of a job; its files must be the same before and after.
+
+    Args:
+        settings: The job.
+        unpacked: The files that have been unpacked, if any.
+
+    Raises:
+        FormatError: A file cannot be read, or has changed since the job began.
+    """
+    with Inputs(settings.inputs, unpacked) as inputs:
+        source: Source = Joined(inputs.parts, settings.layout)
+        if settings.sieve is not None:
+            filters = [filter_of(*plain) for plain in settings.sieve.filters]
+            source = Filtered(source, filters, settings.sieve.kept)
+        yield source
+        inputs.check()
 
 
 def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None = None) -> Splats:
@@ -107,19 +113,26 @@ def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None
         FormatError: The file cannot be read, or has changed since the job began.
         ModelError: A splat holds a NaN or an infinite value, and that is to be an error.
     """
-    file = settings.inputs[segment.file]
-    with _opened(settings, segment.file, unpacked) as read:
-        splats = read(segment.start, segment.stop)
+    with opened(settings, unpacked) as source:
+        splats = source.read(segment.start, segment.stop)
     finite = splats.finite()
-    if not finite.all():
-        if settings.nan == "error":
-            first = segment.start + int(np.argmin(finite))
-            raise ModelError(
-                f"{file.path}: row {first} holds a NaN or an infinite value; leave such"
-                ' splats out with `nan="drop"`.'
-            )
-        splats = splats.take(finite)
-    return _with_layout(splats, settings.layout)
+    if finite.all():
+        return splats
+    if settings.nan == "error":
+        where = _place(settings, segment.start + int(np.argmin(finite)))
+        raise ModelError(
+            f'{where} holds a NaN or an infinite value; leave such splats out with `nan="drop"`.'
+        )
+    return splats.take(finite)
+
+
+def _place(settings: Settings, row: int) -> str:
+    """A row of the model, to begin a sentence."""
+    if settings.sieve is not None:
+        return f"Row {row} of those that filters leave"
+    ends = [0, *accumulate(file.splats for file in settings.inputs)]
+    number = bisect_right(ends, row) - 1
+    return f"{settings.inputs[number].path}: row {row - ends[number]}"
 
 
 def sample(settings: Settings, unpacked: Unpacked | None = None) -> Splats:
@@ -138,29 +151,11 @@ def sample(settings: Settings, unpacked: Unpacked | None = None) -> Splats:
     bare = replace(settings.layout, sh_degree=0, extras=())
     spans = min(max(settings.block // _SPAN_ROWS, _LEAST_SPANS), _MOST_SPANS)
     every = -(-settings.splats // (spans * _SPAN_ROWS))
-    for number, file in enumerate(settings.inputs):
-        with _opened(settings, number, unpacked) as read:
-            for start in range(0, file.splats, _SPAN_ROWS * every):
-                part = read(start, min(start + _SPAN_ROWS, file.splats)).with_sh_degree(0)
-                parts.append(_with_layout(part.take(part.finite()), bare))
+    with opened(settings, unpacked) as source:
+        for start in range(0, source.count, _SPAN_ROWS * every):
+            part = source.read(start, min(start + _SPAN_ROWS, source.count))
+            parts.append(fitted(part.take(part.finite()), bare))
     return concatenate(parts)
-
-
-@contextmanager
-def _opened(
-    settings: Settings, number: int, unpacked: Unpacked | None
-) -> Iterator[Callable[[int, int], Splats]]:
-    """Open a file to read rows of it; it must be the same before and after."""
-    file = settings.inputs[number]
-    check_unchanged(file)
-    if unpacked is not None and number in unpacked.records:
-        with unpacked.opened(number, open_packed(file)) as read:
-            yield read
-    elif file.access is Access.ROWS:
-        yield open_rows(file).read
-    else:
-        yield load(file.path).span
-    check_unchanged(file)
 
 
 def load_joined(paths: Sequence[Path]) -> Splats:
@@ -169,22 +164,5 @@ def load_joined(paths: Sequence[Path]) -> Splats:
     Raises:
         NanogsError: One of them cannot be read, or they do not make one scene.
     """
-    _, layout = look_at(paths)
-    parts = [_with_layout(load(path), layout) for path in paths]
-    notes = dict.fromkeys([*layout.notes, *(note for part in parts for note in part.notes)])
-    return replace(concatenate(parts), comments=layout.comments, notes=tuple(notes))
-
-
-def _with_layout(splats: Splats, layout: Layout) -> Splats:
-    coefficients = (layout.sh_degree + 1) ** 2
-    means = splats.means.astype(np.float64) if layout.double_means else splats.means
-    return Splats(
-        means=means,
-        log_scales=splats.log_scales,
-        quats=splats.quats,
-        opacity_logits=splats.opacity_logits,
-        sh=padded(splats.sh, coefficients),
-        extras={name: splats.extras[name].astype(kind) for name, kind in layout.extras},
-        render_mode=RenderMode(layout.render_mode),
-        notes=splats.notes,
-    )
+    with Joined([open_model(path) for path in paths]) as source:
+        return source.load()

@@ -5,7 +5,7 @@ A sorted segment holds the rows of any block in one piece, whatever blocks are c
 
 import numpy as np
 
-from nanogs.io.findings import to_plain
+from nanogs.findings import to_plain
 from nanogs.scale.columns import CODES, sorted_columns
 from nanogs.scale.frame import Frame
 from nanogs.scale.scratch import Scratch

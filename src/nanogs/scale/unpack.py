@@ -5,17 +5,17 @@ without all before it. What is written is what they hold, not what it stands for
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nanogs._types import Array
 from nanogs.io.parts import Packed
-from nanogs.scale.inputs import check_unchanged, open_packed
+from nanogs.scale.inputs import check_unchanged, open_unchanged
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import InputFile, Settings
 from nanogs.scale.tables import Record, Streamed, Table, write_table
+from nanogs.source import Layout, Source
 from nanogs.splats import Splats
 
 NOTES = "notes"
@@ -33,22 +33,41 @@ class Unpacked:
     scratch: Scratch
     records: Mapping[int, Record]
 
-    @contextmanager
-    def opened(self, number: int, packed: Packed) -> Iterator[Callable[[int, int], Splats]]:
-        """Open the columns of a file to read rows of it.
+    def opened(self, number: int, packed: Packed) -> "UnpackedSource":
+        """The columns of a file, opened to read rows of it.
 
         Args:
             number: Of the file.
             packed: What it is.
         """
-        record = self.records[number]
-        with Table(self.scratch, record) as table:
+        return UnpackedSource(packed, Table(self.scratch, self.records[number]))
 
-            def read(start: int, stop: int) -> Splats:
-                splats = packed.read(table.read, start, stop)
-                return replace(splats, notes=[*splats.notes, *record.facts[NOTES]])
 
-            yield read
+class UnpackedSource(Source):
+    """A packed file whose columns are in a table."""
+
+    def __init__(self, packed: Packed, table: Table) -> None:
+        self._packed, self._table = packed, table
+        self.name = packed.name
+
+    @property
+    def count(self) -> int:
+        """Number of splats."""
+        return self._packed.count
+
+    @property
+    def columns(self) -> Layout:
+        """The columns; see `Source`."""
+        return self._packed.columns
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        splats = self._packed.decode(self._table.read, start, stop)
+        return replace(splats, notes=[*splats.notes, *self._table.record.facts[NOTES]])
+
+    def close(self) -> None:
+        """Close the table."""
+        self._table.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +94,8 @@ def cost_of(settings: Settings) -> Cost:
     cost = Cost()
     for number in settings.unpacked:
         file = settings.inputs[number]
-        packed = open_packed(file)
-        scratch = cost.scratch + sum(column.bytes for column in packed.columns.values())
+        packed = _packed(file)
+        scratch = cost.scratch + sum(column.bytes for column in packed.stored.values())
         most = max((cost.memory, cost.path), (packed.memory, file.path))
         cost = Cost(scratch, *most)
     return cost
@@ -95,9 +114,14 @@ def unpack(scratch: Scratch, name: str, file: InputFile) -> Record:
         OutputError: The table cannot be written.
     """
     notes: list[str] = []
-    check_unchanged(file)
-    columns = streamed(open_packed(file), notes, lambda: check_unchanged(file))
+    columns = streamed(_packed(file), notes, lambda: check_unchanged(file))
     return write_table(scratch, name, columns, {NOTES: notes})
+
+
+def _packed(file: InputFile) -> Packed:
+    source = open_unchanged(file)
+    assert isinstance(source, Packed), "only those are unpacked"  # noqa: S101
+    return source
 
 
 def streamed(
@@ -111,14 +135,14 @@ def streamed(
         at_end: Called when all has been read.
     """
     pieces = _then(packed.unpack(notes), at_end)
-    last = [*packed.columns][-1]
+    last = [*packed.stored][-1]
     return {
         name: Streamed(
             np.dtype(column.kind),
             column.shape,
             pieces if name == last else _first(pieces, column.shape[0]),
         )
-        for name, column in packed.columns.items()
+        for name, column in packed.stored.items()
     }
 
 

@@ -25,11 +25,12 @@ from nanogs.scale.halo import find_halo
 from nanogs.scale.partition import Partition, partition, partition_of
 from nanogs.scale.parts import write_rest
 from nanogs.scale.scratch import Scratch
-from nanogs.scale.settings import Layout, Settings
+from nanogs.scale.settings import Settings
 from nanogs.scale.settle import GONE, GROUP, settled, view_of, write_settled
 from nanogs.scale.spill import spill
 from nanogs.scale.tables import Record, Table, read_record, write_table
 from nanogs.scale.unpack import Unpacked, unpack
+from nanogs.source import Layout
 from nanogs.splats import Splats
 from nanogs.threads import use_threads
 

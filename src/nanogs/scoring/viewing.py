@@ -9,7 +9,8 @@ from nanogs.clock import StageClock
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
-from nanogs.io import FileInfo, inspect, level_counts, load
+from nanogs.io import FileInfo, inspect, load
+from nanogs.io import open as open_model
 from nanogs.io.atomic import atomic_write
 from nanogs.io.collect import model_in
 from nanogs.io.registry import stem_of
@@ -157,7 +158,7 @@ def view_files(
 
 def _read(inputs: Sequence[tuple[str, Path]], level: int | None, tell: Parts) -> list[Splats]:
     """The models; of streamed ones the level, which a note tells where it was not asked for."""
-    counts = [level_counts(path) for _name, path in inputs]
+    counts = [open_model(path).levels for _name, path in inputs]
     if level is not None and not any(counts):
         raise OptionError(
             "`level` is for levels of detail (lod-meta.json, tileset.json); leave it out."
@@ -175,7 +176,7 @@ def _read(inputs: Sequence[tuple[str, Path]], level: int | None, tell: Parts) ->
 
 def _shown_info(path: Path, level: int | None) -> FileInfo:
     """A model's facts; of a streamed one, those of the level that is shown."""
-    levels = level_counts(path)
+    levels = open_model(path).levels
     if not levels:
         return inspect(path)
     return inspect(path, level=_affordable(levels) if level is None else level)

@@ -1,0 +1,180 @@
+"""Models of which some rows are read: the rows of the whole, however they are come by."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs import filters
+from nanogs import source as sources
+from nanogs.errors import FormatError, ModelError, OptionError
+from nanogs.frames import change_frame
+from nanogs.source import Filtered, InMemory, Joined, Reduced, Turned
+from nanogs.splats import ExtraElement
+from strategies import assert_same
+
+SUFFIXES = [".ply", ".compressed.ply", ".splat", ".npz", ".spz", ".sog", ".glb", ".usda"]
+SPANS = [(0, 700), (0, 1), (699, 700), (13, 499), (0, 0), (700, 700)]
+KEPT = [filters.box((-1, -1, -0.5), (1, 1, 0.5)), filters.opaque_enough(0.3)]
+
+
+@pytest.fixture
+def small_pages(monkeypatch):
+    """Pages of so few rows that a filtered model has several, some of them empty."""
+    monkeypatch.setattr(sources, "PAGE_ROWS", 32)
+    monkeypatch.setattr(sources, "BLOCK_ROWS", 100)
+
+
+def model_of(count=700, **given):
+    extras = {name: np.zeros(count, np.float32) for name in ("nx", "nz")}
+    extras |= {"ny": np.arange(count, dtype=np.float32), "label": np.arange(count, dtype=np.int32)}
+    return random_splats(count, degree=2, extras=extras, **given)
+
+
+def assert_is(source, whole):
+    """Rows and runs of a source are those of the whole, and so is all of it."""
+    assert source.count == len(source) == len(whole)
+    assert source.columns.sh_degree == whole.sh_degree
+    assert dict(source.columns.extras) == {n: c.dtype.str for n, c in whole.extras.items()}
+    count = len(whole)
+    for start, stop in [(0, count), (0, 1), (count - 1, count), (count // 3, count // 2)]:
+        assert_same(bare(source.read(start, stop)), bare(whole.span(start, stop)))
+    blocks = list(source.blocks())
+    assert_same(bare(sources.joined_rows(blocks)), bare(whole))
+    rows = np.random.default_rng(3).permutation(count)[: count // 2 + 1]
+    assert_same(bare(source.take(rows)), bare(whole.take(rows)))
+    assert len(source.take(rows[:0])) == 0
+    assert_same(bare(source.load()), bare(whole))
+
+
+def bare(splats):
+    return replace(splats, elements=(), comments=(), notes=())
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_file_that_is_opened_is_the_one_that_is_loaded(tmp_path, suffix, small_pages):
+    path = tmp_path / f"a{suffix}"
+    nanogs.save(model_of(), path)
+    with nanogs.open(path) as source:
+        whole = nanogs.load(path)
+        assert_is(source, whole)
+        assert source.info == nanogs.io.inspect(path)
+        assert source.load().notes == whole.notes
+        assert source.load().comments == whole.comments
+
+
+def test_elements_are_read_apart(tmp_path):
+    rows = np.zeros(5, [("a", "<f4"), ("b", "<i2")])
+    rows["a"] = range(5)
+    model = replace(model_of(), elements=[ExtraElement("camera", rows)])
+    nanogs.save(model, tmp_path / "a.ply")
+    with nanogs.open(tmp_path / "a.ply") as source:
+        assert source.elements == InMemory(model).elements == (("camera", 5),)
+        assert [len(each.rows) for each in source.read(3, 9).elements] == [0]
+        for found in (source.read_elements(), source.load().elements):
+            assert found[0].rows.tobytes() == rows.tobytes()
+        assert source.columns == InMemory(nanogs.load(tmp_path / "a.ply")).columns
+
+
+def test_what_a_packed_file_is_unpacked_to_goes_with_the_source(tmp_path):
+    nanogs.save(model_of(), tmp_path / "a.spz")
+    source = nanogs.open(tmp_path / "a.spz")
+    source.read(1, 2)
+    held = source._unpacked.file
+    source.close()
+    assert held.closed
+    assert len(source.read(1, 3)) == 2  # it is unpacked anew
+    source.close()
+
+
+def test_open_refuses_what_load_refuses(tmp_path):
+    nanogs.save(model_of(), tmp_path / "a.ply")
+    with pytest.raises(FormatError, match="unknown suffix"):
+        nanogs.open(tmp_path / "a.xyz")
+    with pytest.raises(FormatError, match="no such file"):
+        nanogs.open(tmp_path / "b.ply")
+    with pytest.raises(OptionError, match="no levels of detail"):
+        nanogs.open(tmp_path / "a.ply", level=1)
+    with nanogs.open((tmp_path / "a.ply").rename(tmp_path / "a.dat"), format="ply") as source:
+        assert source.count == 700
+
+
+def test_filters_leave_what_they_leave_in_memory(small_pages):
+    model = model_of()
+    left, reports = filters.apply(model, KEPT)
+    source = Filtered(InMemory(model), KEPT)
+    assert 20 < len(left) < 400
+    assert source.reports == reports
+    assert_is(source, left)
+    assert_is(Filtered(InMemory(model), KEPT, source.kept), left)
+    assert sum(source.kept) == len(left)
+    assert len(source.kept) == 22
+    far = Filtered(InMemory(model), [filters.sphere(model.means[650], 1e-3)])
+    assert_is(far, model.take(slice(650, 651)))  # most pages keep nothing
+
+
+def test_filters_in_parts_refuse_what_they_refuse_in_memory(small_pages):
+    model = model_of()
+    with pytest.raises(ModelError, match="leaves none of 700 splats"):
+        _ = Filtered(InMemory(model), [filters.sphere((1e6, 0, 0), 1)]).count
+    with pytest.raises(OptionError, match="drop-floaters needs the whole model"):
+        Filtered(InMemory(model), [filters.in_company()])
+    rows = np.zeros(700, [("a", "<f4")])
+    with_rows = replace(model, elements=[ExtraElement("each", rows)])
+    with pytest.raises(ModelError, match="'each' has one row for each splat"):
+        _ = Filtered(InMemory(with_rows), KEPT).count
+
+
+def test_filters_are_made_again_of_what_is_recorded():
+    model = model_of()
+    for each in [*KEPT, filters.sphere((0.1, 0.2, 1 / 3), 2 / 3), filters.in_company(5, 1 / 3)]:
+        again = filters.filter_of(*each.plain)
+        assert (again.name, again.argument, again.whole) == (each.name, each.argument, each.whole)
+        assert np.array_equal(again.keep(model), each.keep(model))
+
+
+@pytest.mark.parametrize("target", ["rub", "fru", "rdf"])
+def test_turning_in_parts_is_turning_the_whole(target, small_pages):
+    model = model_of()
+    assert_is(Turned(InMemory(model), "rdf", target), change_frame(model, "rdf", target))
+    with pytest.raises(OptionError, match="A frame says"):
+        Turned(InMemory(model), "rdf", "up")
+
+
+def test_parts_are_joined_by_the_columns_that_all_have(tmp_path, small_pages):
+    second = replace(random_splats(300, degree=1, seed=5), comments=("second",))
+    nanogs.save(model_of(), tmp_path / "a.ply")
+    nanogs.save(second, tmp_path / "b.spz")
+    parts = [tmp_path / "a.ply", tmp_path / "b.spz"]
+    with Joined([nanogs.open(path) for path in parts]) as source:
+        one, two = map(nanogs.load, parts)
+        assert source.columns.extras == ()
+        whole = source.load()
+        assert_is(source, whole)
+        assert np.array_equal(whole.means, np.concatenate([one.means, two.means]))
+        assert np.array_equal(whole.sh[:700], one.sh)
+        assert np.array_equal(whole.sh[700:, :4], two.sh)
+        assert not whole.sh[700:, 4:].any()
+        assert [note.split(":")[0] for note in whole.notes][:2] == [
+            "Extra columns that not all inputs have are left out",
+            "The inputs' SH degrees differ",
+        ]
+    with pytest.raises(ModelError, match="different renderers"):
+        Joined([InMemory(one), InMemory(replace(one, render_mode="mip"))])
+
+
+def test_bands_above_a_degree_are_left_out(small_pages):
+    model = model_of()
+    assert_is(Reduced(InMemory(model), 1), model.with_sh_degree(1))
+    assert_is(Reduced(InMemory(model), 3), model)
+
+
+def test_changes_of_changes_are_those_in_memory(tmp_path, small_pages):
+    model = model_of()
+    nanogs.save(model.span(0, 301), tmp_path / "a.ply")
+    nanogs.save(model.span(301, 700), tmp_path / "b.ply")
+    files = [nanogs.open(tmp_path / name) for name in ("a.ply", "b.ply")]
+    with Turned(Filtered(Joined(files), KEPT), "rdf", "luf") as source:
+        assert_is(source, change_frame(filters.apply(model, KEPT)[0], "rdf", "luf"))
