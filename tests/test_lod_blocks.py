@@ -26,7 +26,7 @@ from nanogs.scale.levels import write_levels_in_blocks
 from nanogs.scale.plan import plan_blocks
 from nanogs.scale.scratch import FolderScratch
 from nanogs.scale.settings import SOG, TILES, Chunks
-from nanogs.scale.tables import write_files
+from nanogs.scale.tables import write_table
 from nanogs.source import Layout as Columns
 from nanogs.splats import concatenate
 from test_lod_stream import assert_binary, files, leaves, seen_by_the_viewer
@@ -315,7 +315,7 @@ def test_the_job_may_lie_on_another_file_system(scene, tmp_path, made):
 def test_names_of_files_lead_out_of_no_folder(tmp_path):
     scratch = FolderScratch(tmp_path / "scratch")
     scratch.prepare()
-    record = write_files(scratch, "chunk", [("../mine.txt", b"theirs")], {})
+    record = write_table(scratch, "chunk", {"../mine.txt": np.frombuffer(b"theirs", np.uint8)}, {})
     (tmp_path / "mine.txt").write_text("mine")
     (tmp_path / "levels").mkdir()
     with pytest.raises(FormatError, match="mine"):

@@ -1,6 +1,7 @@
 """Models in blocks: exact counts, one threshold, the same bytes however they were made."""
 
 import errno
+import hashlib
 import json
 import os
 import shutil
@@ -37,7 +38,7 @@ from nanogs.scale.settings import (
 )
 from nanogs.scale.settle import keep_every_group
 from nanogs.scale.spill import DIGEST
-from nanogs.scale.tables import Place, Table, read_record, verified, write_table
+from nanogs.scale.tables import Table, read_record, verified, write_table
 from nanogs.source import Layout
 from torchfiles import File
 
@@ -98,17 +99,35 @@ def test_rows_of_a_table_come_back_and_a_changed_byte_is_found(tmp_path):
         table.take_into("wide", rows, out)
         assert (out == wide[rows]).all()
         assert (table.read("n", 2, 4) == [2, 3]).all()
-    data = bytearray((tmp_path / "t.bin").read_bytes())
+    data = bytearray((tmp_path / "t.1.npy").read_bytes())
     data[-1000] ^= 1
-    (tmp_path / "t.bin").write_bytes(data)
+    (tmp_path / "t.1.npy").write_bytes(data)
     assert verified(scratch, "t") is None
+    assert (np.load(tmp_path / "t.0.npy") == np.arange(7)).all()
     (tmp_path / "t.json").write_text('{"name": "t"')
     assert read_record(scratch, "t") is None
 
 
-def test_records_hold_no_objects():
-    with pytest.raises(FormatError, match="objects"):
-        Place("|O", (3,), 0).row()
+def test_a_record_of_objects_is_as_one_that_is_damaged(tmp_path, monkeypatch):
+    scratch = FolderScratch(tmp_path)
+    monkeypatch.setattr(scratch, "write", objects_written(scratch.write))
+    write_table(scratch, "t", {"n": np.arange(7)}, {})
+    assert "|O" in (tmp_path / "t.json").read_text()
+    assert read_record(scratch, "t") is None
+
+
+def objects_written(write):
+    """`write` of a scratch, that calls a column in a record one of objects."""
+
+    def changed(name, parts):
+        if name.endswith(".json"):
+            whole = json.loads(next(iter(parts)).tobytes())
+            text = whole["record"].replace("<i8", "|O")
+            whole = {"record": text, "sha256": hashlib.sha256(text.encode()).hexdigest()}
+            parts = [np.frombuffer(json.dumps(whole).encode(), np.uint8)]
+        return write(name, parts)
+
+    return changed
 
 
 @given(st.lists(st.floats(width=32, allow_nan=False), min_size=1))
@@ -361,7 +380,7 @@ def test_damage_to_what_was_done_is_mended(scene, tmp_path, expected, monkeypatc
     with pytest.raises(CrashError):
         nanogs.simplify_blocks(scene, out, ratio=0.3, **SETTLED)
     monkeypatch.undo()
-    tables = sorted((folder / "scratch").glob("*.bin"))
+    tables = sorted((folder / "scratch").glob("*.npy"))
     for number, path in enumerate(tables):
         data = path.read_bytes()
         path.write_bytes(data[: len(data) // 2] if number % 2 else data[:-1] + b"\xff")

@@ -305,13 +305,13 @@ def test_a_killed_run_with_a_store_is_resumed_and_the_store_emptied(
 ):
     out, given = tmp_path / "small.ply", ["--scratch", "s3://bucket/prefix", "-q"]
     child = started(scene, out, *given)
-    until(lambda: sum(key.endswith(".bin") for key in keys(keyed)) >= 3, child, every=0.05)
+    until(lambda: sum(key.endswith(".npy") for key in keys(keyed)) >= 3, child, every=0.05)
     child.kill()
     child.communicate()
-    damaged = next(key for key in keys(keyed) if key.endswith(".bin"))
+    damaged = next(key for key in keys(keyed) if key.endswith(".npy"))
     owner = import_module("boto3").client("s3")
     owner.put_object(Bucket="bucket", Key=damaged, Body=b"damaged")
-    lost = f"{damaged.rpartition('/')[0]}/part-0-00000.bin"  # an upload, as a kill leaves it
+    lost = f"{damaged.rpartition('/')[0]}/part-0-00000.0.npy"  # an upload, as a kill leaves it
     owner.create_multipart_upload(Bucket="bucket", Key=lost)
     owner.close()
     assert lost in keys(keyed)

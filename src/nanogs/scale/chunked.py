@@ -23,7 +23,7 @@ from nanogs.lod.tileset import Tile
 from nanogs.scale.parts import means_of_block, part_of_block
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import SOG, Chunks
-from nanogs.scale.tables import Record, Table, write_files, write_table
+from nanogs.scale.tables import Record, Table, write_table
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def read_cells(scratch: Scratch, record: Record) -> tuple[Cells, I64] | None:
 
 
 def write_chunks(work: "Work", name: str, block: int, level: int) -> Record:
-    """Write the files of a block at a level into one table, a file a column.
+    """Write the files of a block at a level into a table, each as a column of bytes.
 
     Args:
         work: The job, all cells done.
@@ -85,7 +85,8 @@ def write_chunks(work: "Work", name: str, block: int, level: int) -> Record:
     else:
         nodes = cut_of(cells, counts, chunks.most, level)
         files = _tiles(sorted_level, cells, nodes, chunks, prefix, described)
-    return write_files(work.scratch, name, files, facts)
+    columns = ((file, np.frombuffer(data, np.uint8)) for file, data in files)
+    return write_table(work.scratch, name, columns, facts)
 
 
 def cut_of(cells: Cells, counts: I64, most: int, level: int) -> list[int]:

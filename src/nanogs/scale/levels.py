@@ -205,7 +205,7 @@ def _entry(
     # A model in a folder of its own is named by what describes it.
     files = [name for record in records for name in record.columns]
     named = [name for name in files if "/" not in name or name.endswith("/meta.json")]
-    size = sum(record.bytes for record in records)
+    size = sum(file.nbytes for record in records for file in record.columns.values())
     return describe_chunks(tuple(named), size, ratio, report)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from nanogs._types import Array
 from nanogs.io.atomic import output_error
 
-SUFFIXES = (".bin", ".json", ".tmp")
+SUFFIXES = (".npy", ".json", ".tmp")
 _CHUNK = 1 << 22
 
 

@@ -1,45 +1,55 @@
-"""Columns of numbers in a file, with a record of what they are; rows are read without the rest.
+"""Columns of numbers in `.npy` files, with a record of what they are; rows are read by ranges.
 
-A table is `NAME.bin`, the columns one after the other, and `NAME.json`, its record, which is
-written last: where it stands, the task that made it is done. Records are data and hold no code.
+A table is `NAME.0.npy` and so on, a file a column, and `NAME.json`, its record, which is written
+last: where it stands, the task that made it is done. Records are data and hold no code.
 """
 
 import hashlib
+import io
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
+from numpy.lib import format as npy
 
 from nanogs._types import I64, Array
 from nanogs.errors import FormatError
 from nanogs.method.slices import slices
 from nanogs.scale.scratch import Scratch, hash_file
 
-ALIGN = 64
 _WINDOW = 1 << 15  # rows
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """The place of a column in the file, and what it holds."""
+class Column:
+    """A column's file, and what it holds.
 
+    Attributes:
+        file: Its name.
+        dtype: As NumPy writes it.
+        shape: Rows, and the shape of each.
+        bytes: Of the file.
+        sha256: Of the file.
+    """
+
+    file: str
     dtype: str
     shape: tuple[int, ...]
-    offset: int
+    bytes: int
+    sha256: str
 
-    def row(self) -> "np.dtype[Any]":
-        """The type of one row.
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of a row."""
+        return int(np.dtype((np.dtype(self.dtype), self.shape[1:])).itemsize)
 
-        Raises:
-            FormatError: It is of no kind that a model has.
-        """
-        kind = np.dtype(self.dtype)
-        if kind.hasobject:
-            raise FormatError("A record names a column of objects; remove the job folder.")
-        return np.dtype((kind, self.shape[1:]))
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all rows, which are the last of the file."""
+        return self.shape[0] * self.row_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,16 +58,12 @@ class Record:
 
     Attributes:
         name: Of the table.
-        bytes: Of its file; 0 where there is none.
-        sha256: Of the file.
         columns: By name.
         facts: What else the task found; plain data.
     """
 
     name: str
-    bytes: int = 0
-    sha256: str = ""
-    columns: Mapping[str, Place] = field(default_factory=dict)
+    columns: Mapping[str, Column] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -77,81 +83,53 @@ class Streamed:
     shape: tuple[int, ...]
     pieces: Iterable[Array]
 
-    def __len__(self) -> int:
-        return self.shape[0]
-
 
 def write_table(
     scratch: Scratch,
     name: str,
-    columns: Mapping[str, Array | Sorted | Streamed],
+    columns: Mapping[str, Array | Sorted | Streamed] | Iterable[tuple[str, Array]],
     facts: Mapping[str, Any],
 ) -> Record:
     """Write columns and facts; the record comes last, and has the facts as they then are.
 
-    Raises:
-        OutputError: They cannot be written.
-    """
-    places, offset = {}, 0
-    for key, column in columns.items():
-        values = column.values if isinstance(column, Sorted) else column
-        rows = len(column.rows) if isinstance(column, Sorted) else len(column)
-        places[key] = Place(values.dtype.str, (rows, *values.shape[1:]), offset)
-        size = rows * places[key].row().itemsize
-        offset += size + -size % ALIGN
-    written = scratch.write(f"{name}.bin", _parts(columns)) if columns else (0, "")
-    return _write_record(scratch, Record(name, *written, places, facts))
-
-
-def write_files(
-    scratch: Scratch, name: str, files: Iterable[tuple[str, bytes]], facts: Mapping[str, Any]
-) -> Record:
-    """Write files as the columns of a table, one at a time as they come.
-
     Args:
         scratch: Where to.
         name: Of the table.
-        files: Name and contents of each.
-        facts: What else was found; looked at when all files have come.
+        columns: By name; or one at a time, as they come.
+        facts: What else was found; looked at when all columns are written.
 
     Raises:
         OutputError: They cannot be written.
     """
-    places: dict[str, Place] = {}
-
-    def parts() -> Iterator[Array]:
-        offset = 0
-        for file, data in files:
-            places[file] = Place("|u1", (len(data),), offset)
-            offset += len(data)
-            yield np.frombuffer(data, np.uint8)
-
-    written = scratch.write(f"{name}.bin", parts())
-    return _write_record(scratch, Record(name, *written, places, facts))
-
-
-def _write_record(scratch: Scratch, record: Record) -> Record:
+    written: dict[str, Column] = {}
+    for key, column in columns.items() if isinstance(columns, Mapping) else columns:
+        values = column.values if isinstance(column, Sorted) else column
+        rows = column.rows.shape if isinstance(column, Sorted) else column.shape[:1]
+        file, shape = f"{name}.{len(written)}.npy", (*rows, *values.shape[1:])
+        parts = _parts(column, values.dtype, shape)
+        written[key] = Column(file, values.dtype.str, shape, *scratch.write(file, parts))
+    record = Record(name, written, facts)
     text = json.dumps(asdict(record))
     whole = json.dumps({"record": text, "sha256": _sha256(text)}).encode()
-    scratch.write(f"{record.name}.json", [np.frombuffer(whole, np.uint8)])
+    scratch.write(f"{name}.json", [np.frombuffer(whole, np.uint8)])
     return record
 
 
-def _parts(columns: Mapping[str, Array | Sorted | Streamed]) -> Iterator[Array]:
-    for column in columns.values():
-        size = 0
-        for part in _blocks(column):
-            size += part.nbytes
-            yield np.ascontiguousarray(part).reshape(-1).view(np.uint8)
-        yield np.zeros(-size % ALIGN, np.uint8)
-
-
-def _blocks(column: Array | Sorted | Streamed) -> Iterable[Array]:
+def _parts(
+    column: Array | Sorted | Streamed, dtype: "np.dtype[Any]", shape: tuple[int, ...]
+) -> Iterator[Array]:
+    """A `.npy` file: its header, and rows."""
+    header = io.BytesIO()
+    about = {"descr": npy.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    npy.write_array_header_1_0(header, about)
+    yield np.frombuffer(header.getvalue(), np.uint8)
     if isinstance(column, Streamed):
-        return column.pieces
-    if isinstance(column, Sorted):
-        return (column.values[column.rows[block]] for block in slices(len(column.rows)))
-    return (column[block] for block in slices(len(column)))
+        rows = iter(column.pieces)
+    elif isinstance(column, Sorted):
+        rows = (column.values[column.rows[block]] for block in slices(shape[0]))
+    else:
+        rows = (column[block] for block in slices(shape[0]))
+    yield from map(np.ascontiguousarray, rows)
 
 
 def read_record(scratch: Scratch, name: str) -> Record | None:
@@ -162,13 +140,16 @@ def read_record(scratch: Scratch, name: str) -> Record | None:
         if _sha256(whole["record"]) != whole["sha256"]:
             return None
         data = json.loads(whole["record"])
-        places = {
-            str(key): Place(str(p["dtype"]), tuple(map(int, p["shape"])), int(p["offset"]))
-            for key, p in data["columns"].items()
-        }
-        return Record(name, int(data["bytes"]), str(data["sha256"]), places, dict(data["facts"]))
+        columns = {str(key): _column(**given) for key, given in data["columns"].items()}
+        return Record(name, columns, dict(data["facts"]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
+
+
+def _column(file: str, dtype: str, shape: list[int], bytes: int, sha256: str) -> Column:  # noqa: A002
+    if np.dtype(dtype).hasobject:
+        raise ValueError("a column of objects")
+    return Column(str(file), str(dtype), tuple(map(int, shape)), int(bytes), str(sha256))
 
 
 def _sha256(text: str) -> str:
@@ -176,16 +157,18 @@ def _sha256(text: str) -> str:
 
 
 def verified(scratch: Scratch, name: str) -> Record | None:
-    """The record of a table whose file is as it was written; None where it is not."""
+    """The record of a table whose files are as they were written; None where they are not."""
     record = read_record(scratch, name)
-    if record is None or not record.columns:
-        return record
+    if record is None:
+        return None
     try:
-        with scratch.open(f"{name}.bin") as file:
-            found = hash_file(file)
+        for column in record.columns.values():
+            with scratch.open(column.file) as file:
+                if hash_file(file) != (column.bytes, column.sha256):
+                    return None
     except OSError:
         return None
-    return record if found == (record.bytes, record.sha256) else None
+    return record
 
 
 class Table:
@@ -193,7 +176,8 @@ class Table:
 
     def __init__(self, scratch: Scratch, record: Record) -> None:
         self.record = record
-        self._file = scratch.open(f"{record.name}.bin", record.bytes)
+        self._scratch = scratch
+        self._files: dict[str, BinaryIO] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -202,17 +186,18 @@ class Table:
         self.close()
 
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Close the files."""
+        for file in self._files.values():
+            file.close()
 
     def __len__(self) -> int:
         return next(iter(self.record.columns.values())).shape[0]
 
     def read(self, column: str, start: int = 0, stop: int | None = None) -> Array:
         """Rows of a column; all by default."""
-        place = self.record.columns[column]
-        stop = place.shape[0] if stop is None else stop
-        out = np.empty((stop - start, *place.shape[1:]), place.dtype)
+        about = self.record.columns[column]
+        stop = about.shape[0] if stop is None else stop
+        out = np.empty((stop - start, *about.shape[1:]), about.dtype)
         self.read_into(column, start, out)
         return out
 
@@ -222,15 +207,16 @@ class Table:
         Raises:
             FormatError: The file is shorter than its record says.
         """
-        place = self.record.columns[column]
-        self._file.seek(place.offset + start * place.row().itemsize)
+        about = self.record.columns[column]
+        if column not in self._files:
+            self._files[column] = self._scratch.open(about.file, about.bytes)
+        file = self._files[column]
+        file.seek(about.bytes - about.nbytes + start * about.row_bytes)
         left = out.reshape(-1).view(np.uint8).data
         while left:
-            count = self._file.readinto(left)  # type: ignore[attr-defined]
+            count = file.readinto(left)  # type: ignore[attr-defined]
             if not count:
-                raise FormatError(
-                    f"{self.record.name}.bin of the job was cut short; `resume=True` mends it."
-                )
+                raise FormatError(f"{about.file} of the job was cut short; `resume=True` mends it.")
             left = left[count:]
 
     def take_into(self, column: str, rows: I64, out: Array) -> None:
