@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 import nanogs
-from nanogs.io import ply_write
+from nanogs.source import Joined
 from nanogs.splats import Splats
 
 NANOGS = [sys.executable, "-m", "nanogs"]
@@ -65,9 +65,13 @@ def copies(scenes: list[Splats], count: int, degree: int) -> Iterator[Splats]:
 def make(args: argparse.Namespace) -> None:
     """Write a model of many copies, one copy at a time."""
     scenes = [replace(nanogs.load(path), elements=()) for path in args.scenes]
-    first = next(copies(scenes, 1, args.degree))
-    with args.out.open("wb") as file:
-        ply_write.write_parts(first, copies(scenes, args.splats, args.degree), args.splats, file)
+    with tempfile.TemporaryDirectory(dir=args.out.parent) as folder:
+        paths = []
+        for number, part in enumerate(copies(scenes, args.splats, args.degree)):
+            paths.append(Path(folder, f"{number}.ply"))
+            nanogs.save(part, paths[-1])
+        with Joined([nanogs.open(path) for path in paths]) as whole:
+            nanogs.save(whole, args.out, overwrite=True)
     print(f"{args.out}: {args.splats:,} splats, {args.out.stat().st_size:,} bytes")
 
 

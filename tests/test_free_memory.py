@@ -511,8 +511,10 @@ def two_models(tmp_path_factory):
             ["compare", "large.ply", "small.ply"],
             "compare_bytes([large, small], 512**2, 8, paged=0)",
         ),
-        (["convert", "large.ply", "a.sog", "-w"], "convert_bytes(large, Path('a.sog'))"),
-        (["convert", "large.ply", "a.ply", "-w"], "convert_bytes(large, Path('a.ply'))"),
+        (["convert", "large.ply", "a.sog", "-w"], "convert_bytes(file, Path('a.sog'), whole=0)"),
+        (["convert", "large.ply", "a.ply", "-w"], "convert_bytes(file, Path('a.ply'), whole=0)"),
+        (["convert", "large.ply", "a.spz", "-w"], "convert_bytes(file, Path('a.spz'), whole=0)"),
+        (["convert", "large.ply", "a.glb", "-w"], "convert_bytes(file, Path('a.glb'), whole=0)"),
     ],
 )
 def test_the_need_is_about_what_is_taken(two_models, given, need):
@@ -522,11 +524,13 @@ def test_the_need_is_about_what_is_taken(two_models, given, need):
     from nanogs.io import inspect
 
     names = {name: inspect(two_models / f"{name}.ply") for name in ("large", "small")}
+    names["file"] = nanogs.open(two_models / "large.ply")
     planned = eval(f"needs.{need}", {"needs": needs, "Path": Path, **names})
     run = [sys.executable, "-c", PEAK, "small.ply", *given]
     found = subprocess.run(run, cwd=two_models, capture_output=True, text=True, check=True)
     # The first run may leave the heap some of what the second takes.
-    assert 0.4 < int(found.stdout.split()[-1]) / planned < 1.1
+    streamed = "Path('a.ply')" in need or "Path('a.spz')" in need  # a few blocks at most
+    assert (0 if streamed else 0.4) < int(found.stdout.split()[-1]) / planned < 1.1
 
 
 # ---- what is said of blocks, and of what does not need them --------------------------------------

@@ -102,7 +102,7 @@ def test_the_format_must_be_one_that_is_written(splats):
 
 def test_without_a_formula_the_same_count_is_found_by_writing(splats, monkeypatch):
     """A .ply whose size is taken as unknown: every count that fits better is among the tried."""
-    written_only = [registry.Format(".ply", *[None] * 2, ply_write.write)]
+    written_only = [registry.Format(".ply", None, ply_write.write)]
     monkeypatch.setattr(registry, "formats", lambda: written_only)
     with pytest.raises(OptionError, match="only known once it is written"):
         registry.sizer(Path("a.ply"))

@@ -18,7 +18,9 @@ _FITTED, _FITTING = 450, 1_900  # a splat of the original, and of the model that
 _FIT_KEPT = 8  # a pixel of each view that is fitted to
 _READ = 1.4  # the model and what a reader of a packed file holds beside it, over the model
 # What writing holds beside the model, over the model; palettes take most.
-_WRITE = {".sog": 5.0, ".compressed.ply": 1.0, ".spz": 0.5}
+_WRITE = {".sog": 5.0, ".compressed.ply": 1.0}
+_ROWS = 25_000_000  # blocks of rows on their way from file to file, filtered and turned
+_COLUMN = {".spz": 90}  # a splat: of version 4 a column is packed whole
 _DOUBLE = 12  # more bytes for a centre in double precision
 _COUNTED = 20  # a splat: what the percentiles of `info` are from
 
@@ -94,20 +96,31 @@ def refit_bytes(original: FileInfo, small: FileInfo, pixels: int, views: int) ->
     return held + working + pixels * (_PICTURE + _FIT_KEPT * views)
 
 
-def convert_bytes(info: FileInfo, target: Path) -> int:
-    """Writing a model in another format."""
-    known = registry.find(target)
+def convert_bytes(source: FileSource, target: Path, *, whole: bool) -> int:
+    """Writing a model in another format.
+
+    Args:
+        source: The model.
+        target: What is written.
+        whole: Whether something has to see the whole model, in whatever format.
+    """
+    info, known = source.info, registry.find(target)
+    if known is not None and known.streams and not whole:
+        return _held(source) + _ROWS + _COLUMN.get(known.suffix, 0) * info.splats
     more = _WRITE.get(known.suffix, 0.4) if known else 0.4
     return max(_read(info), int(model_bytes(info) * (1 + more)))
 
 
 def info_bytes(source: FileSource) -> int:
-    """Describing a model, which is held whole where its format can only be read so."""
+    """Describing a model."""
+    return _held(source) + source.count * _COUNTED
+
+
+def _held(source: FileSource) -> int:
+    """What reading in parts holds: the whole, of formats that can only be read so."""
     if isinstance(source, Whole):
-        held = _read(source.info)
-    else:
-        held = source.memory if isinstance(source, Packed) else 0
-    return held + source.count * _COUNTED
+        return _read(source.info)
+    return source.memory if isinstance(source, Packed) else 0
 
 
 def _read(info: FileInfo) -> int:

@@ -28,7 +28,7 @@ from nanogs.splats import (
 )
 
 BLOCK_ROWS = 8192  # of a block, unless told otherwise
-PAGE_ROWS = 1 << 15  # rows in and out of which a filter's are counted
+PAGE_ROWS = 1 << 14  # rows in and out of which a filter's are counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,12 +177,12 @@ class InMemory(Source):
         )
 
     def read(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
-        return self._splats.span(start, stop)
+        """Some rows; see `Source`. What is said of the whole is in `columns`."""
+        return replace(self._splats.span(start, stop), notes=())
 
     def take(self, rows: I64) -> Splats:
         """Rows by number; see `Source`."""
-        return self._splats.take(rows)
+        return replace(self._splats.take(rows), notes=())
 
     @property
     def elements(self) -> tuple[tuple[str, int], ...]:
@@ -196,6 +196,11 @@ class InMemory(Source):
     def load(self) -> Splats:
         """The model itself."""
         return self._splats
+
+
+def source_of(model: Splats | Source) -> Source:
+    """A model in memory as a source; sources as they are."""
+    return InMemory(model) if isinstance(model, Splats) else model
 
 
 class Joined(Source):
@@ -241,7 +246,7 @@ class Joined(Source):
         """The whole model, with the notes of all parts."""
         splats = joined_rows([fitted(part.load(), self._layout) for part in self._parts])
         notes = dict.fromkeys([*self._layout.notes, *splats.notes])
-        return replace(splats, comments=self._layout.comments, notes=tuple(notes))
+        return replace(splats, notes=tuple(notes))
 
     def close(self) -> None:
         """Close all parts."""
@@ -288,7 +293,7 @@ def joined_layout(parts: Sequence[Source]) -> Layout:
 
 
 def fitted(splats: Splats, layout: Layout) -> Splats:
-    """The splats with the columns of a layout, without comments and elements."""
+    """The splats with the columns and comments of a layout, without elements."""
     means = splats.means.astype(np.float64) if layout.double_means else splats.means
     cut = splats.with_sh_degree(layout.sh_degree)
     return Splats(
@@ -299,6 +304,7 @@ def fitted(splats: Splats, layout: Layout) -> Splats:
         sh=padded(cut.sh, (layout.sh_degree + 1) ** 2),
         extras={name: splats.extras[name].astype(kind) for name, kind in layout.extras},
         render_mode=RenderMode(layout.render_mode),
+        comments=layout.comments,
         notes=splats.notes,
     )
 
@@ -415,6 +421,7 @@ class Filtered(_Changed):
         super().__init__(source)
         refuse_whole(filters)
         self._filters, self._given = filters, kept
+        self._last: tuple[int, Splats] | None = None
 
     @cached_property
     def _passed(self) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
@@ -477,11 +484,18 @@ class Filtered(_Changed):
         return rows.take(slice(start - skipped, stop - skipped))
 
     def _page(self, number: int) -> Splats:
-        at = number * PAGE_ROWS
-        rows = self._source.read(at, min(at + PAGE_ROWS, self._source.count))
-        for each in self._filters:
-            rows = rows.take(each.keep(rows))
-        return rows
+        if self._last is None or self._last[0] != number:
+            at = number * PAGE_ROWS
+            rows = self._source.read(at, min(at + PAGE_ROWS, self._source.count))
+            for each in self._filters:
+                rows = rows.take(each.keep(rows))
+            self._last = number, rows
+        return self._last[1]
+
+    def close(self) -> None:
+        """Let go of the last page, and close the source."""
+        self._last = None
+        super().close()
 
     def load(self) -> Splats:
         """The whole model that is left."""

@@ -57,7 +57,8 @@ def convert(
     def run_one(pair: "Pair", progress: "Progress") -> dict[str, Any]:
         frames = (Y_UP, TRAINED) if turn else framing.frames_of(pair, asked)
         check_writable(pair.target, **saving)
-        refuse_too_large(pair, level, options.parse_memory(max_memory) if max_memory else None)
+        allowed = options.parse_memory(max_memory) if max_memory else None
+        refuse_too_large(pair, level, filters, allowed)
         return convert_file(
             pair, filters, sh_degree, frames, level=level, saving=saving, told=progress
         )

@@ -11,14 +11,16 @@ from nanogs.cli.console import arrow, say, warn, with_file_seconds
 from nanogs.cli.filtering import report_filters
 from nanogs.cli.framing import Frames
 from nanogs.clock import StageClock
-from nanogs.filters import Filter, apply
+from nanogs.filters import Filter, FilterReport, apply
+from nanogs.findings import join_findings
 from nanogs.formatting import counted, sizes_text, time_text
-from nanogs.frames import change_frame
-from nanogs.io import bytes_on_disk, inspect, load, losses, registry, save
+from nanogs.io import bytes_on_disk, inspect, registry, save
+from nanogs.io import open as open_model
 from nanogs.io.collect import Pair
 from nanogs.pipeline.stages import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.splats import RenderMode, Splats
+from nanogs.source import Filtered, InMemory, Reduced, Source, Turned
+from nanogs.splats import RenderMode
 
 
 def print_report(run: dict[str, Any]) -> None:
@@ -31,26 +33,35 @@ def print_report(run: dict[str, Any]) -> None:
     say(f"{what}, {sizes}, {time_text(run['total_seconds'])}")
 
 
-def refuse_too_large(pair: Pair, level: int, max_memory: int | None) -> None:
+def refuse_too_large(
+    pair: Pair, level: int, filters: Sequence[Filter], max_memory: int | None
+) -> None:
     """Refuse a conversion that takes more memory than there is.
 
     Args:
         pair: What is read and written.
         level: Of a streamed model.
+        filters: What leaves out splats.
         max_memory: Bytes that this process may take; None for what is free.
 
     Raises:
         NotEnoughMemoryError: It takes more.
     """
-    info = inspect(pair.source, level=level)
     known = registry.find(pair.target)
     compiled = known is not None and known.suffix == ".sog"
+    with open_model(pair.source, level=level) as source:
+        needed = needs.convert_bytes(source, pair.target, whole=_need_whole(filters))
     memory.refuse_too_large(
         f"Converting {pair.source}",
-        needs.convert_bytes(info, pair.target),
+        needed,
         memory.allowed_memory(max_memory, compiled=compiled),
-        "free some, or make a smaller model with `nanogs simplify` first, which works in blocks",
+        "free some, name a .ply file, which is written in parts, or make a smaller model with"
+        " `nanogs simplify` first, which works in blocks",
     )
+
+
+def _need_whole(filters: Sequence[Filter]) -> bool:
+    return any(each.whole for each in filters)
 
 
 def convert_file(
@@ -63,26 +74,23 @@ def convert_file(
     saving: dict[str, Any],
     told: Progress,
 ) -> dict[str, Any]:
-    """Read and write; the report."""
+    """Read and write, some rows at a time where the formats let that be; the report."""
     source, target = pair.source, pair.target
     start, clock = time.perf_counter(), StageClock()
     typical = 1_000_000  # only how the two compare counts
     write = Stage("write", write_weight(target.suffix, typical))
     stages = [Stage("read", read_weight(typical)), write]
     progress = Tracker(told, stages)
-    progress.begin("read")
-    with clock.time("read"):
-        splats = load(source, level=level)
-    # Asked now, as the output may take the place of the input.
-    read_bytes = inspect(source, level=level).file_bytes
-    splats, took = apply(splats, filters)
-    if sh_degree is not None:
-        splats = splats.with_sh_degree(sh_degree)
-    if frames:
-        splats = change_frame(splats, *frames)
-    progress.begin("write")
-    with clock.time("write"):
-        save(splats, target, progress=progress.passing(), **saving)
+    with open_model(source, level=level) as file:
+        progress.begin("read")
+        with clock.time("read"):
+            model, took = _changed(file, target, filters, sh_degree, frames)
+            # Asked now, as the output may take the place of the input.
+            notes, lost = _said(model, target)
+            count, degree, read_bytes = model.count, model.columns.sh_degree, file.info.file_bytes
+        progress.begin("write")
+        with clock.time("write"):
+            save(model, target, progress=progress.passing(), **saving)
     progress.finish()
     run = {
         "input": str(source),
@@ -91,22 +99,53 @@ def convert_file(
         "frames": frames,
         "input_bytes": read_bytes,
         "output_bytes": bytes_on_disk(target),
-        **_written(target, splats),
-        "notes": list(splats.notes),
-        "losses": list(losses(splats, target)),
+        **_written(target, count, degree),
+        "notes": notes,
+        "losses": lost,
         "seconds": {},
     }
     return with_file_seconds(run, clock, start)
 
 
-def _written(target: Path, splats: Splats) -> dict[str, Any]:
+def _changed(
+    source: Source,
+    target: Path,
+    filters: Sequence[Filter],
+    sh_degree: int | None,
+    frames: Frames | None,
+) -> tuple[Source, tuple[FilterReport, ...]]:
+    """The model as it is written, and what filters took; held whole where something needs that."""
+    took: tuple[FilterReport, ...] = ()
+    if _need_whole(filters):
+        splats, took = apply(source.load(), filters)
+        source = InMemory(splats)
+    elif filters:
+        source = Filtered(source, filters)
+        took = source.reports
+    if sh_degree is not None:
+        source = Reduced(source, sh_degree)
+    if frames:
+        source = Turned(source, *frames)
+    return source if registry.writable(target).streams else InMemory(source.load()), took
+
+
+def _said(model: Source, target: Path) -> tuple[list[str], list[str]]:
+    """What is to be said of the reading, and what the target leaves out, from one pass."""
+    losses, notes, lost = registry.writable(target).losses, [model.columns.notes], []
+    for block in model.blocks():
+        notes.append(tuple(block.notes))
+        lost.append(losses(block))
+    return list(join_findings(notes)), list(join_findings(lost))
+
+
+def _written(target: Path, count: int, degree: int) -> dict[str, Any]:
     """Describe the file that was written, by its own header where it can be read."""
     known = registry.find(target)
     if known is None or not known.readable:
         return {
             "format": target.suffix.lstrip("."),
-            "splats": len(splats),
-            "sh_degree": splats.sh_degree,
+            "splats": count,
+            "sh_degree": degree,
             "render_mode": RenderMode.DEFAULT.value,
         }
     info = inspect(target)

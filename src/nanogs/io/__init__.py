@@ -7,6 +7,7 @@ from typing import Any, BinaryIO
 
 from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError
+from nanogs.findings import join_findings
 from nanogs.io import atomic, registry
 from nanogs.io.file_objects import as_named, read_file, write_file
 from nanogs.io.folder import check_folder_writable
@@ -14,6 +15,7 @@ from nanogs.io.format import Format
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource
 from nanogs.progress import Progress, Stage, Tracker
+from nanogs.source import Source, source_of
 from nanogs.splats import Splats, refuse_other
 
 __all__ = [
@@ -97,7 +99,7 @@ def open(  # noqa: A001 - what it is called everywhere
 
 
 def save(
-    splats: Splats,
+    splats: Splats | Source,
     path: str | PathLike[str] | BinaryIO,
     *,
     overwrite: bool = False,
@@ -107,11 +109,14 @@ def save(
 ) -> None:
     """Write a model to a file, which appears whole or not at all.
 
+    Of a source, as `open` gives one, formats that list splats one after the other or column by
+    column hold no more than some rows: .ply, .splat, .npz and .spz. Others read all of it.
+
     `folder/meta.json` makes the folder of a SOG model; of a folder that exists, nothing is replaced
     but what nanogs made.
 
     Args:
-        splats: The model.
+        splats: The model, or a source of one.
         path: The file, or one that is open for writing bytes, such as `io.BytesIO`, into which it
             is written where that stands.
         overwrite: Replace a file that exists.
@@ -126,7 +131,8 @@ def save(
             no such option.
         OutputError: The file or folder exists and `overwrite` is off, or it cannot be written.
     """
-    refuse_other(splats)
+    if not isinstance(splats, Source):
+        refuse_other(splats)
     if not isinstance(path, str | PathLike):
         write_file(splats, path, format, options)
         return
@@ -135,7 +141,7 @@ def save(
     known = registry.writable(named)
     if known.write_folder:
         folder, chosen = _folder_of(path, known), registry.keywords(known, options)
-        known.write_folder(splats, folder, overwrite=overwrite, **chosen)
+        known.write_folder(source_of(splats).load(), folder, overwrite=overwrite, **chosen)
         return
     write = registry.writer(named, options)
     tracker = Tracker(progress, [Stage("write", 1.0)])
@@ -184,13 +190,18 @@ def as_stored(
         return load(file)
 
 
-def losses(splats: Splats, path: str | PathLike[str]) -> tuple[str, ...]:
+def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...]:
     """Name what `save` would leave out, a sentence each; quantisation, which formats imply, is not.
+
+    A source is read once, block by block.
 
     Raises:
         OptionError: As for `save`.
     """
-    return registry.losses(Path(path), splats)
+    name = registry.writable(Path(path)).losses
+    if isinstance(splats, Splats):
+        return name(splats)
+    return join_findings(map(name, splats.blocks()))
 
 
 def inspect(path: str | PathLike[str], *, level: int = 0) -> FileInfo:

@@ -15,6 +15,7 @@ from nanogs.cleanup import temporary_folder
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.sniff import sniff
+from nanogs.source import Source
 from nanogs.splats import Splats
 
 _IN_MEMORY = 1 << 28  # bytes of a file that is written before it goes to the disk
@@ -64,7 +65,7 @@ def read_file(file: BinaryIO, format: str | None) -> Splats:  # noqa: A002 - as 
 
 
 def write_file(
-    splats: Splats,
+    splats: Splats | Source,
     file: BinaryIO,
     format: str | None,  # noqa: A002 - as `save` has it
     options: dict[str, Any],

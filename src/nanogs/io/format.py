@@ -68,7 +68,8 @@ class Format:
     which a file takes far more than of one splat less. `options` are what `save` takes for this
     format alone. Of a format whose model is a folder, described by the file of the name `suffix` in
     it, `write_folder` makes that folder and `ours` says what in such a folder nanogs made. With
-    `tells`, `write` takes `tell`: it takes long, and tells its parts. `check` fails before any
+    `tells`, `write` takes `tell`: it takes long, and tells its parts. With `streams`, `write` takes
+    a source too, and holds no more than some rows of it. `check` fails before any
     computing where this installation cannot write the format.
     """
 
@@ -85,6 +86,7 @@ class Format:
     options: Mapping[str, WriteOption] = field(default_factory=dict)
     write_folder: FolderWriter | None = None
     tells: bool = False
+    streams: bool = False
     ours: Ours | None = None
     check: Callable[[], None] = _ready
 

@@ -43,9 +43,9 @@ FORMATS = (
         compressed_ply_write.file_bytes,
         compressed_ply_write.losses,
     ),
-    Format(".ply", ply.open_ply, ply_write.write, ply_write.file_bytes),
-    Format(".splat", splat.SplatFile, splat.write, splat.file_bytes, splat.losses),
-    Format(".npz", npz_packed.open_npz, npz.write, npz.file_bytes, npz.losses),
+    Format(".ply", ply.open_ply, ply_write.write, ply_write.file_bytes, streams=True),
+    Format(".splat", splat.SplatFile, splat.write, splat.file_bytes, splat.losses, streams=True),
+    Format(".npz", npz_packed.open_npz, npz.write, npz.file_bytes, npz.losses, streams=True),
     Format(
         ".spz",
         spz.open_spz,
@@ -54,6 +54,7 @@ FORMATS = (
         frame=_SPZ_FRAME,
         axes=None,
         options={"spz_version": WriteOption("version", (2, 3, 4))},
+        streams=True,
     ),
     Format(".ksplat", ksplat.KsplatFile),
     Format(

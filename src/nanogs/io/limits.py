@@ -3,6 +3,8 @@
 Said in one place, so that every such format says it alike.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from nanogs._types import Bool
@@ -11,25 +13,43 @@ from nanogs.findings import Finding, Names
 from nanogs.formatting import counted
 from nanogs.io import render_tag
 from nanogs.io.columns import NORMALS
+from nanogs.source import Source, source_of
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 
 
-def refuse_unstorable(splats: Splats, suffix: str) -> None:
+def refuse_unstorable(model: Splats | Source, suffix: str) -> None:
     """Refuse what a format has no code for; infinite opacities and scales of zero are fine.
 
     Raises:
         OutputError: There is no splat, or one of them holds a NaN or an infinite value, or a centre
             beyond float32.
     """
-    if not len(splats):
+    for _ in storable(source_of(model), suffix):
+        pass
+
+
+def storable(source: Source, suffix: str) -> Iterator[Splats]:
+    """All blocks of a model; at their end, what `refuse_unstorable` refuses is refused.
+
+    Raises:
+        OutputError: As said.
+    """
+    if not source.count:
         raise OutputError(f"The model holds no splats, which a {suffix} file cannot say.")
-    with np.errstate(over="ignore"):
-        good = splats.finite() & np.isfinite(splats.means.astype(np.float32)).all(axis=1)
-    if not good.all():
+    first, wrong, at = 0, 0, 0
+    for block in source.blocks():
+        with np.errstate(over="ignore"):
+            good = block.finite() & np.isfinite(block.means.astype(np.float32)).all(axis=1)
+        if not good.all():
+            first = first if wrong else at + int(np.argmin(good))
+            wrong += int((~good).sum())
+        at += len(block)
+        yield block
+    if wrong:
         raise OutputError(
-            f"{counted(int((~good).sum()), 'splat holds', 'splats hold')} NaN or infinite values,"
-            f" the first in row {int(np.argmin(good))}, which {suffix} has no code for; leave"
-            " such splats out, as simplifying with `ratio=1` does."
+            f"{counted(wrong, 'splat holds', 'splats hold')} NaN or infinite values, the first in"
+            f" row {first}, which {suffix} has no code for; leave such splats out, as simplifying"
+            " with `ratio=1` does."
         )
 
 

@@ -17,6 +17,7 @@ import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
@@ -25,9 +26,11 @@ import numpy as np
 from nanogs._types import Array
 from nanogs.errors import FormatError, ModelError, OutputError
 from nanogs.io import limits
+from nanogs.io.by_column import encoded_columns
 from nanogs.io.files import check_expansion, input_size, unreadable
 from nanogs.io.info import FileInfo
 from nanogs.io.ply_header import TYPE_NAMES, printable
+from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
 
 _SUFFIX = ".npz"
@@ -145,21 +148,34 @@ def inspect(path: Path) -> FileInfo:
     )
 
 
-def write(splats: Splats, file: BinaryIO) -> None:
-    """Write a model; comments and further elements stay behind.
+def write(model: Splats | Source, file: BinaryIO) -> None:
+    """Write a model, no more than some rows of it held; comments and further elements stay behind.
 
     Raises:
         OutputError: An extra column's name or type does not go into such a file; nothing has been
             written then.
         OSError: The system refuses to write.
     """
-    arrays = _arrays(splats)
+    source = source_of(model)
+    arrays = _arrays(source.read(0, min(source.count, 1)))
+    names = [name for name in arrays if name != MODE]
+    columns = encoded_columns(source, [partial(_column, name) for name in names])
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, array in arrays.items():
             info = zipfile.ZipInfo(name + _ARRAY)  # of 1980, whatever the clock says
             info.create_system, info.external_attr = 3, 0o600 << 16
+            shape = (source.count, *array.shape[1:]) if name != MODE else ()
             with archive.open(info, "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
+                member.write(_header(array, shape))
+                for piece in [array.tobytes()] if name == MODE else next(columns):
+                    member.write(piece)
+
+
+def _column(name: str, block: Splats) -> Array:
+    """The rows of an array of the file, by its name."""
+    extra = name.removeprefix(_EXTRA)
+    column: Array = getattr(block, name) if extra == name else block.extras[extra]
+    return column
 
 
 def file_bytes(splats: Splats, count: int) -> int:

@@ -13,6 +13,7 @@ from math import prod
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any, BinaryIO
+from weakref import finalize
 
 import numpy as np
 
@@ -179,7 +180,8 @@ class _Unpacked:
         for name, column in packed.stored.items():
             self._places[name], at = at, at + column.bytes
         try:
-            self.file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed by `Packed`
+            self.file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed below
+            finalize(self, self.file.close)  # if `Packed` does not do it before
             for piece in packed.unpack(self._notes):
                 self.file.write(np.ascontiguousarray(piece).data)
         except OSError as error:

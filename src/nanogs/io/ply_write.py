@@ -1,6 +1,7 @@
 """Writing 3DGS `.ply` files: binary little-endian, canonical column order, in bounded memory."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import BinaryIO
 
 import numpy as np
@@ -10,44 +11,28 @@ from nanogs.errors import OutputError
 from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.ply_header import MAX_HEADER_BYTES, TYPE_NAMES, encode
+from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
 ElementRows = tuple[str, int, Sequence[tuple[str, str]]]
 
 
-def write(splats: Splats, file: BinaryIO) -> None:
-    """Write a model, every extra column, element and comment with it.
+def write(model: Splats | Source, file: BinaryIO) -> None:
+    """Write a model, every extra column, element and comment with it, block by block.
 
     Raises:
         OutputError: The model holds something that PLY cannot; nothing has been written then.
         OSError: The system refuses to write.
     """
-    tables = _tables(splats)
-    file.write(_header(splats, tables, len(splats)))
-    for table in tables.values():
-        file.writelines(block.data for block in _blocks(table))
-
-
-def write_parts(first: Splats, parts: Iterable[Splats], count: int, file: BinaryIO) -> None:
-    """Write a model that comes in parts, of which no more than one is held.
-
-    Args:
-        first: Any part, for the columns, comments and further elements that all share.
-        parts: All of them in order.
-        count: Splats in all.
-        file: What to write to.
-
-    Raises:
-        OutputError: As for `write`.
-        OSError: The system refuses to write.
-    """
+    source = source_of(model)
+    first = replace(source.read(0, min(source.count, 1)), elements=source.read_elements())
     tables = _tables(first)
-    file.write(_header(first, tables, count))
-    for part in parts:
-        file.writelines(block.data for block in _blocks(_vertex(part)))
+    file.write(_header(first, tables, source.count))
+    for block in source.blocks(BLOCK_ROWS):
+        file.writelines(rows.data for rows in _blocks(_vertex(block)))
     for name, table in tables.items():
         if name != "vertex":
-            file.writelines(block.data for block in _blocks(table))
+            file.writelines(rows.data for rows in _blocks(table))
 
 
 def file_bytes(splats: Splats, count: int) -> int:

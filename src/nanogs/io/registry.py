@@ -3,10 +3,11 @@
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from nanogs.errors import FormatError, OptionError, did_you_mean
 from nanogs.io.format import Format, Sizer, Writer
+from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
@@ -60,7 +61,7 @@ def _meant(path: Path, suffixes: Sequence[str]) -> str:
 
 
 def writer(path: Path, options: Mapping[str, Any] | None = None) -> Writer:
-    """The function that writes a model to files of that suffix.
+    """The function that writes a model, or a source of one, to files of that suffix.
 
     Args:
         path: What is to be written.
@@ -75,8 +76,17 @@ def writer(path: Path, options: Mapping[str, Any] | None = None) -> Writer:
         raise OptionError(
             f"{path} describes a folder of files; name a file, such as {path.with_suffix('.sog')}."
         )
-    chosen = keywords(known, options or {})
-    return partial(known.write, **chosen) if chosen else known.write
+    write = known.write if known.streams else partial(_write_whole, known.write)
+    return partial(write, **keywords(known, options or {}))
+
+
+def _write_whole(
+    write: Writer,
+    model: Splats | Source,
+    file: BinaryIO,
+    **given: Any,  # noqa: ANN401 - as the writer takes it
+) -> None:
+    write(source_of(model).load(), file, **given)
 
 
 def keywords(known: Format, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -128,15 +138,6 @@ def sizer(path: Path) -> Sizer:
             " count."
         )
     return known.file_bytes
-
-
-def losses(path: Path, splats: Splats) -> tuple[str, ...]:
-    """Name what a file of that suffix cannot hold of a model, one sentence each.
-
-    Raises:
-        OptionError: As for `writable`.
-    """
-    return writable(path).losses(splats)
 
 
 def losses_by_format(splats: Splats) -> dict[str, tuple[str, ...]]:

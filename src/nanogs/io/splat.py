@@ -14,9 +14,10 @@ from nanogs.errors import FormatError
 from nanogs.findings import negative_scales
 from nanogs.formatting import counted
 from nanogs.io import limits
-from nanogs.io.files import BLOCK_ROWS, input_size
+from nanogs.io.files import input_size
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, row_blocks
+from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats, empty_arrays
 from nanogs.stored import SH_C0, alphas, base_colour, logit, rounded_bytes
 
@@ -89,16 +90,15 @@ def _count(path: Path) -> int:
     return rows
 
 
-def write(splats: Splats, file: BinaryIO) -> None:
-    """Write a model in its own order; `losses` says what does not go in.
+def write(model: Splats | Source, file: BinaryIO) -> None:
+    """Write a model in its own order, block by block; `losses` says what does not go in.
 
     Raises:
         OutputError: A value is NaN or infinite; nothing has been written then.
         OSError: The system refuses to write.
     """
-    limits.refuse_unstorable(splats, _SUFFIX)
-    starts = range(0, len(splats), BLOCK_ROWS)
-    file.writelines(_encode(splats, slice(at, at + BLOCK_ROWS)).tobytes() for at in starts)
+    limits.refuse_unstorable(model, _SUFFIX)
+    file.writelines(_encode(block).tobytes() for block in source_of(model).blocks())
 
 
 def file_bytes(_splats: Splats, count: int) -> int:
@@ -124,14 +124,14 @@ def losses(splats: Splats) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _encode(splats: Splats, rows: slice) -> Array:
+def _encode(splats: Splats) -> Array:
     """(R,) packed rows."""
-    out = np.empty(len(splats.means[rows]), _ROW)
-    out["mean"] = splats.means[rows]
-    out["scale"] = np.exp(splats.log_scales[rows].astype(np.float64))
-    out["rgba"][:, :3] = rounded_bytes((splats.sh[rows, 0] * np.float64(SH_C0) + 0.5) * 255)
-    out["rgba"][:, 3] = rounded_bytes(alphas(splats.opacity_logits[rows]) * 255)
-    out["quat"] = rounded_bytes(_near_unit(splats.quats[rows]) * 128 + 128)
+    out = np.empty(len(splats), _ROW)
+    out["mean"] = splats.means
+    out["scale"] = np.exp(splats.log_scales.astype(np.float64))
+    out["rgba"][:, :3] = rounded_bytes((splats.sh[:, 0] * np.float64(SH_C0) + 0.5) * 255)
+    out["rgba"][:, 3] = rounded_bytes(alphas(splats.opacity_logits) * 255)
+    out["quat"] = rounded_bytes(_near_unit(splats.quats) * 128 + 128)
     return out
 
 

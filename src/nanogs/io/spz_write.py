@@ -7,8 +7,8 @@ so that a small one keeps its detail and a large one does not wrap around.
 
 import gzip
 import math
-from collections.abc import Callable, Iterator
-from typing import BinaryIO, TypeAlias
+from collections.abc import Iterable
+from typing import BinaryIO
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from nanogs._types import F32, F64, U8
 from nanogs.errors import OutputError
 from nanogs.findings import Finding
 from nanogs.io import limits
-from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.by_column import Encoder, encoded_columns
 from nanogs.io.spz import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
 from nanogs.io.spz_header import (
     ANTIALIASED,
@@ -26,6 +26,7 @@ from nanogs.io.spz_header import (
     TOC_ENTRY,
     column_widths,
 )
+from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.stored import rounded_bytes
 
@@ -36,14 +37,12 @@ _FIXED_MAX = (1 << 23) - 1
 _SIGNIFICANT_BITS = 16
 _GZIP_LEVEL, _ZSTD_LEVEL = 6, 12  # the reference writer's
 
-Encoder: TypeAlias = Callable[[slice], U8]
 
-
-def write(splats: Splats, file: BinaryIO, *, version: int = 3) -> None:
+def write(model: Splats | Source, file: BinaryIO, *, version: int = 3) -> None:
     """Write a model, axes as they are; `losses` says what does not go in.
 
     Args:
-        splats: The model.
+        model: The model; of a source, no more than a column is held, and that as it is written.
         file: Open for binary writing.
         version: 3 (gzip); 4 (zstd), which fewer readers know; or 2 (gzip), which more know, with
             rotations of less precision.
@@ -53,23 +52,24 @@ def write(splats: Splats, file: BinaryIO, *, version: int = 3) -> None:
             written then.
         OSError: The system refuses to write.
     """
-    limits.refuse_unstorable(splats, SUFFIX)
-    bits = fraction_bits(splats)
-    flags = ANTIALIASED if splats.render_mode is RenderMode.MIP else 0
-    start = (MAGIC, version, len(splats), splats.sh_degree, bits, flags)
+    source = source_of(model)
+    bits, (degree, count) = fraction_bits(source), (source.columns.sh_degree, source.count)
+    flags = ANTIALIASED if source.columns.render_mode == RenderMode.MIP else 0
+    start = (MAGIC, version, count, degree, bits, flags)
+    columns = encoded_columns(source, _encoders(degree, bits, version))
     if version in (2, 3):
         with gzip.GzipFile("", "wb", _GZIP_LEVEL, file, mtime=0) as stream:
             stream.write(LEGACY_HEADER.pack(*start, 0))
-            for encode in _encoders(splats, bits, version):
-                for block in _blocks(encode, len(splats)):
+            for column in columns:
+                for block in column:
                     stream.write(block)
     elif version == 4:
-        widths = list(column_widths(version, splats.sh_degree).values())
-        columns = [_compressed(encode, len(splats)) for encode in _encoders(splats, bits, version)]
-        file.write(HEADER.pack(*start, len(columns), HEADER.size))
-        sizes = zip(columns, widths, strict=True)
-        file.writelines(TOC_ENTRY.pack(len(column), w * len(splats)) for column, w in sizes)
-        file.writelines(columns)
+        widths = list(column_widths(version, degree).values())
+        packed = [_compressed(column) for column in columns]
+        file.write(HEADER.pack(*start, len(packed), HEADER.size))
+        sizes = zip(packed, widths, strict=True)
+        file.writelines(TOC_ENTRY.pack(len(column), w * count) for column, w in sizes)
+        file.writelines(packed)
     else:
         raise OutputError(f".spz version {version} is not written; choose 2, 3 or 4.")
 
@@ -95,30 +95,36 @@ def losses(splats: Splats) -> tuple[str, ...]:
         (rest < -1 - half) | (rest > 1 - 1 / SH_STEPS + half),
         f"higher SH coefficients outside ±1, the range of {SUFFIX}",
     )
-    bits = _bits(splats)
+    bits = _bits(_reach([splats]))
     if 0 <= bits < USUAL_FRACTION_BITS:
         text = "Centres are rounded to 1/{}, since the scene is so large."
         out.append(Finding(text, 1 << bits, min))
     return tuple(out)
 
 
-def fraction_bits(splats: Splats) -> int:
+def fraction_bits(model: Splats | Source) -> int:
     """Bits behind the binary point: 12 as usual, fewer for large scenes and more for small ones.
 
     Raises:
-        OutputError: A centre is too far out for whole numbers of 24 bits.
+        OutputError: A value is NaN or infinite, or a centre is too far out for whole numbers of 24
+            bits.
     """
-    if (bits := _bits(splats)) < 0:
+    reach = _reach(limits.storable(source_of(model), SUFFIX))
+    if (bits := _bits(reach)) < 0:
         raise OutputError(
-            f"A centre is {np.abs(splats.means).max():g} from the origin along an axis, but"
-            f" {SUFFIX} ends at {_FIXED_MAX:,}; move the model to the origin or scale it down."
+            f"A centre is {reach:g} from the origin along an axis, but {SUFFIX} ends at"
+            f" {_FIXED_MAX:,}; move the model to the origin or scale it down."
         )
     return bits
 
 
-def _bits(splats: Splats) -> int:
+def _reach(blocks: Iterable[Splats]) -> float:
+    """The largest coordinate of all centres, without its sign; NaN if one of them is."""
+    return float(np.max([np.abs(block.means).max(initial=0) for block in blocks], initial=0))
+
+
+def _bits(reach: float) -> int:
     """Fraction bits, see `fraction_bits`; negative where a centre is too far out or not finite."""
-    reach = float(np.abs(splats.means).max(initial=0))
     if not reach <= _FIXED_MAX:
         return -1
     exponent = math.frexp(reach)[1]  # reach < 2^exponent
@@ -126,32 +132,27 @@ def _bits(splats: Splats) -> int:
     return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
 
 
-def _encoders(splats: Splats, bits: int, version: int) -> Iterator[Encoder]:
-    """Functions that encode a range of rows, one for each column of the file."""
-    yield lambda rows: _positions(splats.means[rows], bits)
-    opacities = splats.opacities()
-    yield lambda rows: rounded_bytes(opacities[rows] * 255)
-    yield lambda rows: rounded_bytes((splats.sh[rows, 0] * np.float64(COLOUR_SCALE) + 0.5) * 255)
-    yield lambda rows: rounded_bytes(
-        (splats.log_scales[rows] - np.float64(SCALE_LOW)) * SCALE_STEPS
-    )
-    quats = splats.unit_quats()
-    yield lambda rows: (_xyz_rotations if version == 2 else _rotations)(quats[rows])
-    if splats.sh_degree:
-        buckets = _buckets(splats.sh_degree)[:, None]
-        yield lambda rows: _coefficients(splats.sh[rows, 1:], buckets)
+def _encoders(degree: int, bits: int, version: int) -> list[Encoder]:
+    """Functions that encode a block of rows, one for each column of the file."""
+    rotations = _xyz_rotations if version == 2 else _rotations
+    encoders: list[Encoder] = [
+        lambda block: _positions(block.means, bits),
+        lambda block: rounded_bytes(block.opacities() * 255),
+        lambda block: rounded_bytes((block.sh[:, 0] * np.float64(COLOUR_SCALE) + 0.5) * 255),
+        lambda block: rounded_bytes((block.log_scales - np.float64(SCALE_LOW)) * SCALE_STEPS),
+        lambda block: rotations(block.unit_quats()),
+    ]
+    if degree:
+        buckets = _buckets(degree)[:, None]
+        encoders.append(lambda block: _coefficients(block.sh[:, 1:], buckets))
+    return encoders
 
 
-def _blocks(encode: Encoder, count: int) -> Iterator[bytes]:
-    for start in range(0, count, BLOCK_ROWS):
-        yield encode(slice(start, start + BLOCK_ROWS)).tobytes()
-
-
-def _compressed(encode: Encoder, count: int) -> bytes:
+def _compressed(column: Iterable[bytes]) -> bytes:
     """One column as a zstd frame that states its size and has a checksum."""
     import zstandard
 
-    plain = b"".join(_blocks(encode, count))
+    plain = b"".join(column)
     return zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_checksum=True).compress(plain)
 
 

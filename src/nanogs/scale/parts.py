@@ -1,5 +1,6 @@
 """The splats that blocks are left with, level by level: what results are put together from."""
 
+from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ from nanogs.scale.columns import (
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import Settings
 from nanogs.scale.tables import Record, Table, write_table
+from nanogs.source import Layout, Source
 from nanogs.splats import Splats, concatenate
 
 if TYPE_CHECKING:
@@ -28,6 +30,53 @@ BOUNDS = "bounds"
 def read_part(scratch: Scratch, settings: Settings, record: Record) -> Splats:
     """All splats of a table of them."""
     return _rows(scratch, settings, record, slice(0, count_of(record)))
+
+
+class Parts(Source):
+    """What blocks are left with at a level, one after the other; one table is open at a time.
+
+    Args:
+        work: The job, all its tasks done.
+        level: Of the result.
+    """
+
+    def __init__(self, work: "Work", level: int) -> None:
+        self._work = work
+        self._records = work.of_blocks("part", level)
+        self._ends = [0, *accumulate(map(count_of, self._records))]
+        self._table: Table | None = None
+
+    @property
+    def count(self) -> int:
+        """Splats of all blocks."""
+        return self._ends[-1]
+
+    @property
+    def columns(self) -> Layout:
+        """The columns of the job."""
+        return self._work.settings.layout
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        columns = empty_columns(self.columns, stop - start)
+        for record, (first, end) in zip(self._records, pairwise(self._ends), strict=True):
+            low, high = max(start, first), min(stop, end)
+            if low < high:
+                rows = slice(low - first, high - first)
+                read_rows(self._opened(record), columns, low - start, rows)
+        return splats_of(columns, self.columns)
+
+    def _opened(self, record: Record) -> Table:
+        if self._table is None or self._table.record is not record:
+            self.close()
+            self._table = Table(self._work.scratch, record)
+        return self._table
+
+    def close(self) -> None:
+        """Close the table that is open."""
+        if self._table is not None:
+            self._table.close()
+            self._table = None
 
 
 def further(small: Splats, target: int, settings: Settings) -> Splats:

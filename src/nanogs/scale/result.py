@@ -10,15 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from nanogs.errors import OptionError
-from nanogs.io import check_writable, ply_write, registry, save
+from nanogs.io import check_writable, registry, save
 from nanogs.io.atomic import atomic_write
-from nanogs.scale.columns import count_of
-from nanogs.scale.parts import further, read_part
+from nanogs.scale.parts import Parts, further
 from nanogs.scale.scratch import hash_file
 from nanogs.scale.work import Work
-from nanogs.splats import concatenate
-
-_STREAMED = ".ply"
+from nanogs.source import InMemory, Source, Turned
 
 
 def refuse_large(path: Path, count: int, row: int, max_memory: int | None) -> None:
@@ -35,10 +32,10 @@ def refuse_large(path: Path, count: int, row: int, max_memory: int | None) -> No
     """
     registry.writer(path)  # which refuses folders
     known = registry.writable(path)
-    if known.suffix != _STREAMED and max_memory is not None and 3 * count * row > max_memory:
+    if not known.streams and max_memory is not None and 3 * count * row > max_memory:
         raise OptionError(
-            f"{path}: only .ply is written block by block, and {count:,} splats are too many to be"
-            " held whole; name a .ply file, or raise `max_memory`."
+            f"{path}: {known.suffix} is not written block by block, and {count:,} splats are too"
+            " many to be held whole; name a .ply file, or raise `max_memory`."
         )
 
 
@@ -55,20 +52,14 @@ def write_result(work: Work, level: int, file: Path, target: int, saving: dict[s
     Raises:
         OutputError: The file cannot be written.
     """
-    records = work.of_blocks("part", level)
-    counts = [count_of(record) for record in records]
-    parts = (read_part(work.scratch, work.settings, record) for record in records)
-    known = registry.writable(file)
-    if sum(counts) > target or known.suffix != _STREAMED:
-        small = concatenate(list(parts))
-        if len(small) > target:
-            small = further(small, target, work.settings)
-        save(small, file, **(saving | {"overwrite": True}))
-        return len(small)
-    with atomic_write(file, overwrite=True) as out:
-        first = read_part(work.scratch, work.settings, records[0])
-        ply_write.write_parts(first, parts, sum(counts), out)
-    return sum(counts)
+    with Parts(work, level) as parts:
+        source: Source = parts
+        if parts.count > target:
+            source = InMemory(further(parts.load(), target, work.settings))
+        if work.settings.frame is not None:
+            source = Turned(source, *work.settings.frame)
+        save(source, file, **(saving | {"overwrite": True}))
+        return source.count
 
 
 def move_into_place(file: Path, path: Path, *, overwrite: bool) -> None:

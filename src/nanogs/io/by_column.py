@@ -1,0 +1,45 @@
+"""Columns one after the other, as some formats have them, of a model that is read by rows."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from tempfile import TemporaryFile
+
+from nanogs._types import Array
+from nanogs.source import InMemory, Source
+from nanogs.splats import Splats
+
+Encoder = Callable[[Splats], Array]
+"""The rows of one column of the file, of a block of splats."""
+_PIECE = 1 << 20  # bytes
+
+
+def encoded_columns(source: Source, encoders: Sequence[Encoder]) -> Iterator[Iterator[bytes]]:
+    """Each column in pieces; take all of one before the next.
+
+    A model in memory is gone through for each. Others are read once: the columns but the first,
+    as they are encoded, wait for their turn in temporary files.
+
+    Args:
+        source: The model.
+        encoders: One for each column.
+
+    Raises:
+        OSError: A temporary file cannot be written.
+    """
+    if isinstance(source, InMemory):
+        for encode in encoders:
+            yield (encode(block).tobytes() for block in source.blocks())
+        return
+    with ExitStack() as stack:
+        files = [stack.enter_context(TemporaryFile(prefix="nanogs-")) for _ in encoders[1:]]
+
+        def first() -> Iterator[bytes]:
+            for block in source.blocks():
+                for encode, file in zip(encoders[1:], files, strict=True):
+                    file.write(encode(block).tobytes())
+                yield encoders[0](block).tobytes()
+
+        yield first()
+        for file in files:
+            file.seek(0)
+            yield iter(lambda file=file: file.read(_PIECE), b"")  # type: ignore[misc]

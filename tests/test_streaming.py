@@ -1,0 +1,139 @@
+"""`convert` some rows at a time: the bytes of the model held whole, in little memory."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import launch
+import nanogs
+from builders import random_splats
+from nanogs import filters, io
+from nanogs.frames import change_frame
+from nanogs.source import Filtered, InMemory, Reduced, Source, Turned
+
+ENDS = [".ply", ".splat", ".npz", ".spz"]
+COUNT = 800_000
+MOST = 100e6  # bytes of the whole process
+# Of a process: the most that it ever took.
+PEAK = """
+import re, sys
+from pathlib import Path
+from nanogs.cli import main
+
+try:
+    main()
+except SystemExit as end:
+    assert not end.code, end
+print(int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) * 1024)
+"""
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    monkeypatch.setattr("nanogs.source.PAGE_ROWS", 64)
+    monkeypatch.setattr("nanogs.source.BLOCK_ROWS", 50)
+    extras = {"label": np.arange(900, dtype=np.int32)}
+    nanogs.save(random_splats(900, degree=3, extras=extras), tmp_path / "a.ply")
+    return tmp_path / "a.ply"
+
+
+class Strict(Source):
+    """A file of which nothing is read but blocks."""
+
+    def __init__(self, path):
+        self._source = nanogs.open(path)
+
+    @property
+    def count(self):
+        return self._source.count
+
+    @property
+    def columns(self):
+        return self._source.columns
+
+    def read(self, start, stop):
+        assert stop - start <= 64, "that is more than a page"
+        return self._source.read(start, stop)
+
+
+@pytest.mark.parametrize("options", [{}, {"spz_version": 2}, {"spz_version": 4}])
+@pytest.mark.parametrize("target", ENDS)
+@pytest.mark.parametrize("start", ENDS)
+def test_the_bytes_are_those_of_the_model_held_whole(scene, tmp_path, start, target, options):
+    if options and target != ".spz":
+        return
+    nanogs.save(nanogs.load(scene), tmp_path / f"b{start}")
+    kept = [filters.box((-1, -1, -0.5), (1, 1, 0.5)), filters.opaque_enough(0.3)]
+    near = Filtered(Strict(tmp_path / f"b{start}"), kept)
+    changed = Turned(Reduced(near, 2), "rdf", "fru")
+    nanogs.save(changed, tmp_path / f"c{target}", **options)
+    whole = filters.apply(nanogs.load(tmp_path / f"b{start}"), kept)[0]
+    whole = change_frame(whole.with_sh_degree(2), "rdf", "fru")
+    nanogs.save(whole, tmp_path / f"d{target}", **options)
+    assert (tmp_path / f"c{target}").read_bytes() == (tmp_path / f"d{target}").read_bytes()
+    assert io.losses(changed, f"a{target}") == io.losses(whole, f"a{target}")
+
+
+def test_what_cannot_be_written_is_counted_over_all_blocks(scene, tmp_path):
+    model = nanogs.load(scene)
+    model.means[[130, 131, 800]] = np.nan
+    nanogs.save(model, scene, overwrite=True)
+    for target in (".splat", ".spz"):
+        for given in (model, Strict(scene)):
+            with pytest.raises(nanogs.NanogsError, match=r"3 splats hold .* in row 130"):
+                nanogs.save(given, tmp_path / f"b{target}")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_a_source_is_written_to_formats_that_need_the_whole(scene, tmp_path):
+    for target in ("b.compressed.ply", "b.glb", "folder/meta.json"):
+        nanogs.save(nanogs.open(scene), tmp_path / target)
+        assert nanogs.io.inspect(tmp_path / target).splats == 900
+    assert len(io.losses(InMemory(nanogs.load(scene)), "a.glb")) == 1
+
+
+def test_a_file_takes_its_own_place(scene, tmp_path):
+    before = nanogs.load(scene)
+    run = launch.run("convert", scene, scene, "-w", "--crop", "box:-1,-1,-1,0,1,1", "--json")
+    report = json.loads(run.stdout)
+    left = filters.crop_box(before, (-1, -1, -1), (0, 1, 1))
+    assert report["filters"][0]["left"] == report["splats"] == len(left)
+    assert nanogs.load(scene).means.tobytes() == left.means.tobytes()
+
+
+def test_the_planner_refuses_before_work_begins_what_needs_the_whole(large, tmp_path):
+    allowed = ("--max-memory", "110MB")
+    refused = [("b.glb",), ("b.sog",), ("b.ply", "--drop-floaters")]
+    for target, *rest in refused:
+        run = launch.run("convert", large, tmp_path / target, *allowed, *rest)
+        assert run.returncode == 2, run.stderr
+        assert "of memory" in run.stderr
+        assert not list(tmp_path.iterdir())
+    run = launch.run("convert", large, tmp_path / "b.ply", *allowed)
+    assert run.returncode == 0, run.stderr
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory):
+    from nanogs.datasets.synthetic import make_scene
+
+    path = tmp_path_factory.mktemp("large") / "a.ply"
+    nanogs.save(make_scene(COUNT, sh_degree=3), path)
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_eight_hundred_thousand_splats_are_converted_within_a_hundred_megabytes(large, tmp_path):
+    changes = ["--crop", "sphere:0,0,0,1000", "--min-opacity", "0.01", "--frame", "rub:rdf"]
+    runs = [["convert", str(large), f"b{end}"] for end in ENDS]
+    runs += [["convert", f"b{end}", f"c{end}"] for end in ENDS]
+    runs += [["convert", str(large), f"d{end}", *changes] for end in ENDS]
+    runs += [["info", str(large)], ["info", "b.spz"]]
+    for run in runs:
+        command = [sys.executable, "-c", PEAK, *run]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert int(done.stdout.split()[-1]) < MOST, run
