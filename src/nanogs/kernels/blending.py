@@ -1,24 +1,17 @@
-"""Blending splats into a block of 4 x 4 pixels; see `blocks.py` and `vectors.py`."""
-# ruff: noqa: ANN401, ARG001 - Numba asks for these signatures, and llvmlite has no types
-
-from typing import Any, TypeAlias
+"""Blending splats into a block of 4 x 4 pixels; see `blocks.py`, and `simd/blending.py`."""
 
 import numpy as np
-from llvmlite import ir
-from numba.core import types
 
 from nanogs._types import F32
-from nanogs.kernels import vectors as vec
-from nanogs.kernels.blocks import BATCH, REALS, alpha_of, light_through, pixels_of, shade_block
-from nanogs.kernels.vectors import compiled
-
-Single: TypeAlias = np.float32
+from nanogs.kernels.blocks import BATCH, LANES, PIXELS_X, PIXELS_Y, Single, shade_pixel
+from nanogs.kernels.policy import two_ways
 
 
+@two_ways
 def blend_block(
     mark: int, block: int, shapes: F32, values: F32, left: F32, weights: F32, planes: F32
 ) -> None:
-    """Blend splats into a block, in their order, and tell their weights; see `shade_block`.
+    """Blend splats into a block, in their order, and tell their weights; see `shade_pixel`.
 
     Args:
         mark: Its set bits are the splats.
@@ -30,12 +23,17 @@ def blend_block(
         planes: (3 or more, 16, 16) sums for the tile's blocks, in and out.
     """
     for j in range(BATCH):
-        if int(mark) >> j & 1:
-            weights[j], *_ = shade_block(shapes[j], block, left)
+        if int(mark) >> j & 1 == 0:
+            continue
+        for lane in range(LANES):
+            x, y, light = PIXELS_X[block, lane], PIXELS_Y[block, lane], left[block, lane]
+            weight, left[block, lane], _, _ = shade_pixel(shapes, j, x, y, light)
+            weights[j, lane] = weight
             for c in range(3):
-                planes[c, block] += values[j, c] * weights[j]
+                planes[c, block, lane] += values[j, c] * weight
 
 
+@two_ways
 def add_block(mark: int, block: int, weights: F32, values: F32, c: int, planes: F32) -> None:
     """Add the weights of splats times one of their values to a block; as `blend_block` for three.
 
@@ -43,10 +41,12 @@ def add_block(mark: int, block: int, weights: F32, values: F32, c: int, planes: 
     (more than c, 16, 16), in and out.
     """
     for j in range(BATCH):
-        if int(mark) >> j & 1:
-            planes[c, block] += values[j, c] * weights[j]
+        if int(mark) >> j & 1 == 1:
+            for lane in range(LANES):
+                planes[c, block, lane] += values[j, c] * weights[j, lane]
 
 
+@two_ways
 def probe_block(mark: int, block: int, weights: F32, probes: F32, p: int, sums: F32) -> None:
     """Add the weights of splats in a block times a probe of its pixels to sums, pixel by pixel.
 
@@ -54,103 +54,17 @@ def probe_block(mark: int, block: int, weights: F32, probes: F32, p: int, sums: 
     (P, BATCH, 16), in and out.
     """
     for j in range(BATCH):
-        if int(mark) >> j & 1:
-            sums[p, j] += weights[j] * probes[p, block]
+        if int(mark) >> j & 1 == 1:
+            for lane in range(LANES):
+                sums[p, j, lane] += weights[j, lane] * probes[p, block, lane]
 
 
+@two_ways
 def total(sums: F32, p: int, j: int) -> Single:
-    """The sum of row j of table p; sums: (P, BATCH, 16)."""
-    row = sums[p, j]
-    while len(row) > 1:
-        row = row[: len(row) // 2] + row[len(row) // 2 :]
-    return np.float32(row[0])
-
-
-@compiled(blend_block)
-def _blend_block(
-    typing: Any, mark: Any, block: Any, shapes: Any, values: Any, left: Any, weights: Any,
-    planes: Any,
-) -> Any:  # fmt: skip
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        mark, block = args[:2]
-        shape_table, value_table, light, weight_table, plane_table = (
-            vec.Table(context, builder, kind, array, REALS)
-            for kind, array in zip(signature.args[2:], args[2:], strict=True)
-        )
-        x, y = pixels_of(builder, block)
-
-        def step(j: Any, before: Any, *sums: Any) -> list[Any]:
-            shape = [shape_table.spread(j, vec.index(k)) for k in range(6)]
-            alpha, seen, *_ = alpha_of(builder, shape, x, y)
-            weight, after = light_through(builder, alpha, seen, before)
-            weight_table.store(weight, j)
-            colours = (value_table.spread(j, vec.index(c)) for c in range(3))
-            return [after, *(
-                vec.add(builder, total, vec.mul(builder, colour, weight))
-                for total, colour in zip(sums, colours, strict=True)
-            )]  # fmt: skip
-
-        first = [light.load(block), *(plane_table.load(vec.index(c), block) for c in range(3))]
-        after, *sums = vec.each_bit(builder, mark, first, step)
-        light.store(after, block)
-        for c in range(3):
-            plane_table.store(sums[c], vec.index(c), block)
-        return context.get_dummy_value()
-
-    signature = types.void(types.uint32, types.int64, shapes, values, left, weights, planes)
-    return signature, generate
-
-
-@compiled(add_block)
-def _add_block(
-    typing: Any, mark: Any, block: Any, weights: Any, values: Any, c: Any, planes: Any
-) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        weight_table = vec.Table(context, builder, weights, args[2], REALS)
-        value_table = vec.Table(context, builder, values, args[3], REALS)
-        plane_table = vec.Table(context, builder, planes, args[5], REALS)
-
-        def step(j: Any, total: Any) -> list[Any]:
-            product = vec.mul(builder, value_table.spread(j, args[4]), weight_table.load(j))
-            return [vec.add(builder, total, product)]
-
-        (total,) = vec.each_bit(builder, args[0], [plane_table.load(args[4], args[1])], step)
-        plane_table.store(total, args[4], args[1])
-        return context.get_dummy_value()
-
-    place = types.int64
-    return types.void(types.uint32, place, weights, values, place, planes), generate
-
-
-@compiled(probe_block)
-def _probe_block(
-    typing: Any, mark: Any, block: Any, weights: Any, probes: Any, p: Any, sums: Any
-) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        weight_table = vec.Table(context, builder, weights, args[2], REALS)
-        sum_table = vec.Table(context, builder, sums, args[5], REALS)
-        probe = vec.Table(context, builder, probes, args[3], REALS).load(args[4], args[1])
-
-        def step(j: Any) -> list[Any]:
-            product = vec.mul(builder, weight_table.load(j), probe)
-            sum_table.store(vec.add(builder, sum_table.load(args[4], j), product), args[4], j)
-            return []
-
-        vec.each_bit(builder, args[0], [], step)
-        return context.get_dummy_value()
-
-    place = types.int64
-    return types.void(types.uint32, place, weights, probes, place, sums), generate
-
-
-@compiled(total)
-def _total(typing: Any, sums: Any, p: Any, j: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        row = vec.Table(context, builder, sums, args[0], REALS).load(args[1], args[2])
-        while row.type.count > 1:
-            half = row.type.count // 2
-            low, high = (vec.shuffled(builder, row, row, range(k, k + half)) for k in (0, half))
-            row = vec.add(builder, low, high)
-        return builder.extract_element(row, ir.Constant(vec.WORD, 0))
-
-    return types.float32(sums, types.int64, types.int64), generate
+    """The sum of row j of table p, which is overwritten; sums: (P, BATCH, 16)."""
+    width = LANES // 2
+    while width > 0:
+        for lane in range(width):
+            sums[p, j, lane] += sums[p, j, lane + width]
+        width //= 2
+    return np.float32(sums[p, j, 0])

@@ -15,6 +15,8 @@ import numba
 from numba.core import caching, config
 from numba.core.runtime.nrt import rtsys
 
+from nanogs.kernels.simd.choice import chosen
+
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
@@ -28,11 +30,11 @@ def cached(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba'
 
 @cache
 def sources_digest(folder: Path = Path(__file__).parent) -> str:
-    """SHA-256 of all Python files of a folder, with their names; here of all kernels."""
+    """SHA-256 of all Python files in a folder, with their names; here of all kernels."""
     digest = hashlib.sha256()
-    for source in sorted(folder.glob("*.py")):
+    for source in sorted(folder.rglob("*.py")):
         content = source.read_bytes()
-        digest.update(f"{source.name} {len(content)}\n".encode())
+        digest.update(f"{source.relative_to(folder).as_posix()} {len(content)}\n".encode())
         digest.update(content)
     return digest.hexdigest()
 
@@ -68,9 +70,9 @@ class _Disk(caching.FunctionCache):
         self._cache_file._source_stamp = sources_digest()  # noqa: SLF001
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:  # noqa: ANN401
-        """As Numba's; what is compiled with checks of bounds is kept beside what is not."""
+        """As Numba's; with checks of bounds or without, and each way of `simd`, are kept apart."""
         key = super()._index_key(sig, codegen)  # type: ignore[no-untyped-call]
-        return (*key, bool(config.BOUNDSCHECK))  # type: ignore[attr-defined]
+        return (*key, bool(config.BOUNDSCHECK), chosen().value)  # type: ignore[attr-defined]
 
     def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401
         """Keep a kernel; where that is impossible, the next process compiles it again."""

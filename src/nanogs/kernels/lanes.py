@@ -1,146 +1,67 @@
-"""Distances and lists of neighbours across 16 lanes; see `vectors.py`.
+"""Distances and lists of neighbours across 16 lanes; `simd/lanes.py` has the same in vectors.
 
 A key is the upper half of the bits of a float64 that is not negative. Keys sort like the numbers.
 """
-# ruff: noqa: ANN401, ARG001 - Numba asks for these signatures, and llvmlite has no types
-
-from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils, types
 
 from nanogs._types import F64, I32
-from nanogs.kernels import vectors as vec
-from nanogs.kernels.vectors import compiled
+from nanogs.kernels.policy import exact_two_ways
 
 LANES = 16
-_KEYS = vec.words(LANES)
-_REALS = vec.doubles(LANES)
-_BITS = ir.VectorType(vec.INDEX, LANES)
 
 
+@exact_two_ways
 def distance_keys(points: F64, x: float, y: float, z: float, keys: I32, at: int) -> None:
     """Keys of the squared distances of 16 points and one.
 
     points: (48,) 16 x, 16 y, 16 z; keys: filled from place `at`.
     """
-    dx, dy, dz = points[:16] - x, points[16:32] - y, points[32:48] - z
-    keys[at : at + LANES] = (dx * dx + dy * dy + dz * dz).view(np.int64) >> 32
+    for lane in range(LANES):
+        dx, dy, dz = points[lane] - x, points[LANES + lane] - y, points[2 * LANES + lane] - z
+        keys[at + lane] = np.float64(dx * dx + dy * dy + dz * dz).view(np.int64) >> 32
 
 
+@exact_two_ways
 def box_keys(points: F64, boxes: F64, node: int, keys: I32) -> None:
     """Keys of the squared distances of 16 points and a box. points: (48,); keys: (16,) or more."""
-    low, high = boxes[node, :3, None], boxes[node, 3:, None]
-    c = points.reshape(3, LANES)
-    dx, dy, dz = np.maximum(np.maximum(low - c, c - high), 0.0)
-    keys[:LANES] = (dx * dx + dy * dy + dz * dz).view(np.int64) >> 32
+    for lane in range(LANES):
+        square = 0.0
+        for axis in range(3):
+            c = points[axis * LANES + lane]
+            below, above = boxes[node, axis] - c, c - boxes[node, 3 + axis]
+            offset = max(below, above, 0.0)
+            square += offset * offset
+        keys[lane] = np.float64(square).view(np.int64) >> 32
 
 
+@exact_two_ways
 def within(keys: I32, at: int, bounds: I32) -> int:
     """Bit l is set where keys[at + l] <= bounds[l], l from 0 to 15."""
-    return sum(int(keys[at + lane] <= bounds[lane]) << lane for lane in range(LANES))
+    mask = 0
+    for lane in range(LANES):
+        mask |= int(keys[at + lane] <= bounds[lane]) << lane
+    return mask
 
 
+@exact_two_ways
 def lowest_bit(mask: int) -> int:
     """Place of the lowest bit set, of one at least."""
-    return (int(mask) & -int(mask)).bit_length() - 1
+    place = 0
+    while mask >> place & 1 == 0:
+        place += 1
+    return place
 
 
+@exact_two_ways
 def insert(lists: I32, keys: I32, at: int, k: int) -> None:
     """Put keys[at + l] into list l, which loses its largest, for the 16 lists.
 
     lists: (16 k,), list l in places l, 16 + l, ..., descending.
     """
-    key = keys[at : at + LANES]
-    table = lists.reshape(k, LANES)
-    table[:-1] = np.minimum(table[:-1], np.maximum(table[1:], key))
-    table[-1] = np.minimum(table[-1], key)
-
-
-def _lesser(builder: Any, a: Any, b: Any) -> Any:
-    return builder.select(builder.icmp_signed("<", a, b), a, b)
-
-
-def _greater(builder: Any, a: Any, b: Any) -> Any:
-    return builder.select(builder.icmp_signed(">", a, b), a, b)
-
-
-def _keys_of(builder: Any, x: Any, y: Any, z: Any) -> Any:
-    """Keys of x x + y y + z z; to the last bit as written."""
-    total = builder.fadd(builder.fmul(x, x), builder.fmul(y, y))
-    total = builder.fadd(total, builder.fmul(z, z))
-    return builder.trunc(builder.lshr(builder.bitcast(total, _BITS), vec.fill(_BITS, 32)), _KEYS)
-
-
-@compiled(distance_keys)
-def _distance_keys(typing: Any, points: Any, x: Any, y: Any, z: Any, keys: Any, at: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        offsets = []
-        for axis in range(3):
-            c = vec.read(context, builder, points, args[0], vec.index(axis * LANES), _REALS)
-            offsets.append(builder.fsub(c, vec.splat(builder, args[1 + axis], _REALS)))
-        vec.write(context, builder, keys, args[4], args[5], _keys_of(builder, *offsets))
-        return context.get_dummy_value()
-
-    return types.void(points, x, y, z, keys, types.int64), generate
-
-
-@compiled(box_keys)
-def _box_keys(typing: Any, points: Any, boxes: Any, node: Any, keys: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        offsets, zero = [], vec.fill(_REALS, 0.0)
-        for axis in range(3):
-            c = vec.read(context, builder, points, args[0], vec.index(axis * LANES), _REALS)
-            low, high = (
-                vec.item(context, builder, boxes, args[1], args[2], vec.index(side + axis))
-                for side in (0, 3)
-            )
-            below = builder.fsub(vec.splat(builder, low, _REALS), c)
-            above = builder.fsub(c, vec.splat(builder, high, _REALS))
-            offsets.append(vec.greater(builder, vec.greater(builder, below, above), zero))
-        vec.write(context, builder, keys, args[3], vec.index(0), _keys_of(builder, *offsets))
-        return context.get_dummy_value()
-
-    return types.void(points, boxes, types.int64, keys), generate
-
-
-@compiled(within)
-def _within(typing: Any, keys: Any, at: Any, bounds: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        key = vec.read(context, builder, keys, args[0], args[1], _KEYS)
-        bound = vec.read(context, builder, bounds, args[2], vec.index(0), _KEYS)
-        return vec.bits(builder, builder.icmp_signed("<=", key, bound))
-
-    return types.int64(keys, types.int64, bounds), generate
-
-
-@compiled(lowest_bit)
-def _lowest_bit(typing: Any, mask: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
-
-    return types.int64(types.int64), generate
-
-
-@compiled(insert)
-def _insert(typing: Any, lists: Any, keys: Any, at: Any, k: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        key = vec.read(context, builder, keys, args[1], args[2], _KEYS)
-        last = builder.mul(builder.sub(args[3], vec.index(1)), vec.index(LANES))
-
-        def row(offset: Any) -> Any:
-            return vec.read(context, builder, lists, args[0], offset, _KEYS)
-
-        def store(offset: Any, value: Any) -> None:
-            vec.write(context, builder, lists, args[0], offset, value)
-
-        with cgutils.for_range_slice(
-            builder, vec.index(0), last, vec.index(LANES), intp=vec.INDEX
-        ) as (offset, _):
-            after = _greater(builder, row(builder.add(offset, vec.index(LANES))), key)
-            store(offset, _lesser(builder, row(offset), after))
-        store(last, _lesser(builder, row(last), key))
-        return context.get_dummy_value()
-
-    return types.void(lists, keys, types.int64, types.int64), generate
+    last = (k - 1) * LANES
+    for place in range(last):
+        after = max(lists[place + LANES], keys[at + place % LANES])
+        lists[place] = min(lists[place], after)
+    for lane in range(LANES):
+        lists[last + lane] = min(lists[last + lane], keys[at + lane])

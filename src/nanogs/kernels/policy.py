@@ -6,13 +6,18 @@ that they also run with `NUMBA_DISABLE_JIT=1`.
 """
 
 from collections.abc import Callable
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from functools import wraps
+from importlib import import_module
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
+import numpy as np
 from numba.core import event
+from numba.extending import overload
 
 from nanogs import spread
 from nanogs.kernels import compiling
 from nanogs.kernels.cached import cached
+from nanogs.kernels.simd.choice import Way, chosen
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 P = ParamSpec("P")
@@ -78,6 +83,44 @@ def inline(function: Kernel) -> Kernel:
 def exact_inline(function: Kernel) -> Kernel:
     """Compile a small function to be inlined, without any liberty: for the exact kernels."""
     return cached(function, **INLINE)
+
+
+def two_ways(function: Kernel) -> Kernel:
+    """Compile a small function as vectors of `nanogs.kernels.simd`, or as it is written here.
+
+    The former is the function of the same name in the module of the same name there. Which it is,
+    `simd/choice.py` says for all.
+    """
+    return _two_ways(function, fastmath=FASTMATH, **INLINE)
+
+
+def exact_two_ways(function: Kernel) -> Kernel:
+    """As `two_ways`; its floating-point operations are those written, as in IEEE."""
+    return _two_ways(function, **INLINE)
+
+
+def _two_ways(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba's own
+    given: Any = options  # of the type that Numba keeps for itself
+
+    @wraps(function)
+    def python(*args: Any) -> Any:  # noqa: ANN401 - of any kernel
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # as compiled
+            return function(*args)
+
+    def implementation(*args: Any) -> Callable[..., Any]:  # noqa: ANN401 - types of Numba's
+        del args
+        if chosen() is Way.PLAIN:
+            return function
+        name = function.__module__.rpartition(".")[2]
+        operation = getattr(import_module(f"nanogs.kernels.simd.{name}"), function.__name__)
+
+        def body(*args: Any) -> Any:  # noqa: ANN401
+            return operation(*args)
+
+        return body
+
+    overload(python, jit_options=given, strict=False)(implementation)
+    return cast("Kernel", python)
 
 
 class _Listener(event.Listener):

@@ -1,11 +1,4 @@
-"""Vectors in LLVM's own types, for what Numba's loops do not reach; portable.
-
-Numba runs LLVM without the vectoriser of straight-line code, and its loops over as many elements as
-a vector has are unrolled before the loop vectoriser sees them. So `lanes.py`, `blocks.py` and
-`pulls.py` write their operations twice: as plain Python, which says what they do and runs with
-`NUMBA_DISABLE_JIT=1`, and with these: the compiler cuts the vectors into the registers that the
-machine has.
-"""
+"""Vectors in LLVM's own types: the compiler cuts them into the registers that a machine has."""
 # ruff: noqa: ANN401 - llvmlite has no types
 
 from collections.abc import Callable
@@ -14,7 +7,6 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils
-from numba.extending import intrinsic, overload
 
 INDEX, WORD = ir.IntType(64), ir.IntType(32)
 FAST = ("contract", "nsz", "arcp", "reassoc")
@@ -215,27 +207,3 @@ def sums(builder: Any, vectors: list[Any]) -> Any:
             halves.append(add(builder, even, odd))
         vectors = halves
     return vectors[0]
-
-
-def compiled(plain: Callable[..., Any]) -> Callable[[Any], Any]:
-    """Make what follows stand for a plain function wherever Numba compiles a call of it.
-
-    What follows takes the typing context and the types of the arguments, and returns a signature
-    and the function that builds the instructions, as Numba's `intrinsic` says.
-    """
-
-    def stand(written: Any) -> Any:
-        operation: Any = intrinsic(written)
-
-        def implementation(*args: Any) -> Any:
-            del args  # Numba wants the same names in both
-
-            def body(*args: Any) -> Any:
-                return operation(*args)
-
-            return body
-
-        overload(plain)(implementation)
-        return operation
-
-    return stand
