@@ -207,7 +207,7 @@ def test_every_group_keeps_one_of_its_own(groups, more, seed):
 
 def test_settings_survive_json():
     sieve = Sieve((("box", (0.1, 1 / 3)), ("opacity", (0.5,))), (60, 40), (30, 10))
-    job = settings(50, [30, 40], counts=(7,), ratios=(), sieve=sieve, frame=("rub", "rdf"))
+    job = settings(50, [30, 40], counts=(7,), ratios=(), filters=sieve, frame=("rub", "rdf"))
     assert settings_of(json.loads(json.dumps(job.to_dict()))) == job
     assert (job.splats, job.read) == (40, 70)
     with pytest.raises(FormatError, match="version"):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nanogs._types import F32, F64, Array
+from nanogs._types import F32, F64, Array, F
 from nanogs.errors import OptionError
 from nanogs.sh import basis
 from nanogs.splats import Splats, refuse_other
@@ -43,6 +43,11 @@ class Change(NamedTuple):
         out = np.zeros((3, 3))
         out[range(3), self.axes] = self.signs
         return out
+
+    def of_means(self, means: F) -> F:
+        """(N, 3) centres in the new frame."""
+        turned: F = means[:, list(self.axes)] * np.array(self.signs).astype(means.dtype)
+        return turned
 
     @property
     def is_nothing(self) -> bool:
@@ -101,7 +106,7 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
     quats[:, 1:] = splats.quats[:, 1:][:, axes] * sense.astype(quats.dtype)
     return replace(
         splats,
-        means=splats.means[:, axes] * signs.astype(splats.means.dtype),
+        means=change.of_means(splats.means),
         quats=quats,
         log_scales=splats.log_scales[:, axes].copy(),
         sh=_turned(splats.sh, change),

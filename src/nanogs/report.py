@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
+from nanogs.filters import FilterReport
 from nanogs.fit.report import RefitReport
 from nanogs.protocol import Judged
 
@@ -111,6 +112,8 @@ class BlocksReport:
         seen: Splats that blocks saw of others, in all.
         handed: Splats that moved to a group of another block.
         resumed: Tasks that a run before had done.
+        read: Splats of the inputs, before filters.
+        filters: What each filter took.
     """
 
     blocks: int
@@ -120,6 +123,8 @@ class BlocksReport:
     seen: int
     handed: int
     resumed: int
+    read: int
+    filters: tuple[FilterReport, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,15 +15,17 @@ from nanogs.io import FileInfo, bytes_on_disk
 from nanogs.io.collect import Pair
 from nanogs.io.files import splat_bytes
 from nanogs.lod.layout import Output
+from nanogs.pipeline.job import NanPolicy
 from nanogs.progress import Progress
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.api import simplify_blocks as library_simplify_blocks
 from nanogs.scale.encoding import Encoding, encoding_of
 from nanogs.scale.levels import chunks_of, plan_levels, write_levels_in_blocks
 from nanogs.scale.plan import ScalePlan
+from nanogs.scale.source import Changes
 
 
-def plan_of(pair: Pair, plan: Plan, blocks: Blocks, nan: Any) -> ScalePlan:  # noqa: ANN401
+def plan_of(pair: Pair, plan: Plan, blocks: Blocks, nan: NanPolicy, changes: Changes) -> ScalePlan:
     """How the model would be divided.
 
     Raises:
@@ -31,7 +33,8 @@ def plan_of(pair: Pair, plan: Plan, blocks: Blocks, nan: Any) -> ScalePlan:  # n
     """
     chosen = block_parameters(plan.preset, asdict(plan.parameters))
     size = blocks.size_of_blocks(pair.target)
-    return plan_job(blocks.sources(pair), (plan.goal,), chosen, *size, nan)[1]
+    sources = blocks.sources(pair)
+    return plan_job(sources, (plan.goal,), chosen, *size, nan, changes=changes)[1]
 
 
 def warn_of_blocks(plan: Plan, blocks: Blocks, target: Path, *, quiet: bool) -> None:
@@ -60,17 +63,25 @@ def plan_rows(plan: ScalePlan) -> None:
 
 
 def simplify_in_blocks(
-    pair: Pair, plan: Plan, blocks: Blocks, given: dict[str, Any], progress: Progress
+    pair: Pair,
+    plan: Plan,
+    blocks: Blocks,
+    changes: Changes,
+    given: dict[str, Any],
+    progress: Progress,
 ) -> dict[str, Any]:
     """Simplify a model that does not fit; its report with the files' names."""
     start, sources = time.perf_counter(), blocks.sources(pair)
     report = library_simplify_blocks(
         sources, pair.target, ratio=plan.goal.ratio, count=plan.goal.count,
         max_memory=blocks.process_memory(pair.target), job=blocks.job, resume=blocks.resume,
+        filters=changes.filters, sh_degree=changes.sh_degree, frame=changes.frame,
         progress=progress, **blocks.given, **given,
     )  # fmt: skip
     run = report.to_dict() | {"total_seconds": time.perf_counter() - start}
-    run |= {"read_count": report.input_count, "filters": []}
+    assert report.blocks is not None  # noqa: S101 - of a model in blocks
+    run |= {"read_count": report.blocks.read, "frames": changes.frame}
+    run["filters"] = [asdict(each) for each in report.blocks.filters]
     run |= {"input": plan.name, "output": str(pair.target)}
     run["input_bytes"] = sum(bytes_on_disk(path) for path in sources)
     return run | {"output_bytes": bytes_on_disk(pair.target)}
@@ -124,11 +135,11 @@ def levels_in_blocks(
             progress=progress, **given,
         )  # fmt: skip
     run = manifest.to_dict() | {"input": ", ".join(map(str, sources))}
+    run["reports"] = [report.to_dict() for report in reports]
     run |= {
         "output": str(output.path),
-        "filters": [],
+        "filters": run["reports"][0]["blocks"]["filters"],
         "layout": output.layout.value,
         "dropped_nonfinite": reports[0].dropped_nonfinite,
     }
-    run["reports"] = [report.to_dict() for report in reports]
     return run | {"total_seconds": time.perf_counter() - start}

@@ -15,6 +15,7 @@ from nanogs.io.folder import check_folder_writable
 from nanogs.lod.layout import Output, made_files
 from nanogs.pipeline.presets import Parameters, renders
 from nanogs.pipeline.target import Goal, target_count
+from nanogs.scale.source import Changes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +61,11 @@ class Request:
     quiet: bool
 
     @property
+    def changes(self) -> Changes:
+        """What is done to a model in blocks besides making it smaller."""
+        return Changes(self.reading.filters, self.reading.sh_degree, self.turn)
+
+    @property
     def hushed(self) -> bool:
         """Whether nothing is said on the way."""
         return self.quiet or self.json
@@ -89,8 +95,7 @@ def plan_levels(request: Request) -> Plan:
     plan = replace(plan, divided=True)
     refuse_other_files(output.suffix)
     refuse_whole_model_wishes(
-        plan, blocks, filtered=bool(request.reading.filters), looks=request.looks,
-        turned=bool(request.turn), reduced=request.reading.sh_degree is not None,
+        plan, blocks, filters=request.reading.filters, looks=request.looks,
         measured=bool(request.measure),
     )  # fmt: skip
     in_blocks.warn_of_blocks(plan, blocks, output.folder, quiet=request.hushed)
@@ -104,14 +109,15 @@ def show_levels_plan(request: Request, plan: Plan) -> None:
         NanogsError: It cannot be done.
     """
     parts, output, ratios, blocks = request.parts, request.output, request.ratios, request.blocks
-    if request.reading.filters:
-        plan = _filtered(plan, parts, request.reading)
     divided = None
     if plan.divided:
-        divided = in_blocks.levels_plan(parts, output, ratios, blocks, request.given)
-    elif not request.hushed:
-        for note in blocks.unused():
-            warn(note)
+        given = request.given | {"changes": request.changes}
+        divided = in_blocks.levels_plan(parts, output, ratios, blocks, given)
+        plan = _of_so_many(plan, divided.splats)
+    elif request.reading.filters:
+        plan = _of_so_many(plan, len(request.reading.prepare(read_parts(parts)).splats))
+    for note in () if plan.divided or request.hushed else blocks.unused():
+        warn(note)
     print_levels_plan(plan, output, ratios, divided, json=request.json)
 
 
@@ -125,7 +131,8 @@ def make_levels(request: Request, plan: Plan) -> dict[str, Any]:
     if plan.divided:
         return in_blocks.levels_in_blocks(
             parts, output, ratios, blocks, request.threads,
-            request.given | {"overwrite": request.overwrite}, quiet=request.hushed,
+            request.given | {"overwrite": request.overwrite, "changes": request.changes},
+            quiet=request.hushed,
         )  # fmt: skip
     blocks.refuse_fitting(output.folder)
     given = request.given | {"threads": request.threads, "turn": request.turn}
@@ -137,8 +144,7 @@ def make_levels(request: Request, plan: Plan) -> dict[str, Any]:
     return run | {"notes": [*blocks.unused(), *run["notes"]]}
 
 
-def _filtered(plan: Plan, parts: Sequence[Path], reading: Reading) -> Plan:
+def _of_so_many(plan: Plan, splats: int) -> Plan:
     """The plan for what filters leave, which only the splats tell."""
-    splats = len(reading.prepare(read_parts(parts)).splats)
     count = target_count(splats, plan.goal.ratio, None)
     return replace(plan, info=replace(plan.info, splats=splats), count=count)

@@ -28,6 +28,7 @@ from nanogs.pipeline.stages import measure_stage, simplify_stages, write_weight
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import Judged
+from nanogs.scale.source import Changes
 from nanogs.splats import Splats
 
 
@@ -75,6 +76,11 @@ class Request:
         """Whether the result is held against the input."""
         return renders(self.chosen) if self.measure is None else self.measure
 
+    def changes(self, pair: Pair) -> Changes:
+        """What is done to a model in blocks besides making it smaller."""
+        frames = frames_of(pair, self.frames)
+        return Changes(self.reading.filters, self.reading.sh_degree, frames)
+
 
 def plan_one(request: Request, pair: Pair, _progress: Progress) -> dict[str, Any]:
     """Say what would be done with a file; the plan.
@@ -87,7 +93,10 @@ def plan_one(request: Request, pair: Pair, _progress: Progress) -> dict[str, Any
         from nanogs.cli.in_blocks import plan_of, plan_rows, warn_of_blocks
 
         warn_of_blocks(plan, request.blocks, pair.target, quiet=request.quiet)
-        divided = plan_of(pair, plan, request.blocks, request.given["nan"])
+        changes = request.changes(pair)
+        divided = plan_of(pair, plan, request.blocks, request.given["nan"], changes)
+        plan = replace(plan, info=replace(plan.info, splats=divided.splats))
+        plan = replace(plan, count=plan.goal.target(divided.splats, lambda _count: 0))
         if not request.json:
             print_wish(plan)
             plan_rows(divided)
@@ -110,7 +119,8 @@ def run_one(request: Request, pair: Pair, progress: Progress) -> dict[str, Any]:
 
         warn_of_blocks(plan, request.blocks, pair.target, quiet=request.quiet)
         given = request.given | request.saving
-        return simplify_in_blocks(pair, plan, request.blocks, given, progress)
+        changes = request.changes(pair)
+        return simplify_in_blocks(pair, plan, request.blocks, changes, given, progress)
     return _simplify_file(plan, pair, request, progress)
 
 
@@ -136,14 +146,16 @@ def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
     if blocks.needed(plan, pair.target):
         plan = replace(plan, divided=True)
         refuse_whole_model_wishes(
-            plan, blocks, filtered=bool(reading.filters), looks=request.looks, turned=bool(frames),
-            reduced=reading.sh_degree is not None, measured=bool(request.measure),
+            plan, blocks, filters=reading.filters, looks=request.looks,
+            measured=bool(request.measure),
         )  # fmt: skip
     else:
         blocks.refuse_fitting(pair.target)
     if goal.size is None and not (reading.filters and dry_run):
         count = goal.target(info.splats, lambda _count: 0)
-    elif dry_run:  # what a row takes and what filters leave is only known from the columns
+    elif (
+        dry_run and not plan.divided
+    ):  # what a row takes and what filters leave is only known from the columns
         splats = reading.prepare(read_parts(blocks.sources(pair))).splats
         plan = replace(plan, info=replace(info, splats=len(splats)))
         usable = usable_rows(splats, request.given["nan"])

@@ -9,6 +9,7 @@ from nanogs.cli import options
 from nanogs.cli.simplify_report import Plan
 from nanogs.cli.streams import DASH
 from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.filters import Filter
 from nanogs.formatting import bytes_text
 from nanogs.io.collect import Pair
 from nanogs.memory import Memory, allowed_memory, process_memory
@@ -178,10 +179,8 @@ def refuse_whole_model_wishes(
     plan: Plan,
     blocks: Blocks,
     *,
-    filtered: bool,
+    filters: Sequence[Filter],
     looks: bool,
-    turned: bool = False,
-    reduced: bool = False,
     measured: bool = False,
 ) -> None:
     """Refuse what only a model in memory can be asked.
@@ -189,10 +188,8 @@ def refuse_whole_model_wishes(
     Args:
         plan: Of the run.
         blocks: How models are treated that do not fit.
-        filtered: Whether there are filters.
+        filters: What leaves out splats.
         looks: Whether views are asked for.
-        turned: Whether the frame is changed.
-        reduced: Whether spherical harmonics are dropped.
         measured: Whether the result is to be measured.
 
     Raises:
@@ -201,10 +198,8 @@ def refuse_whole_model_wishes(
     wishes = {
         "--size": plan.goal.size is not None,
         "--psnr": plan.goal.psnr is not None,
-        "a filter": filtered,
+        "--drop-floaters": any(each.whole for each in filters),
         "--views, --cameras or --up": looks,
-        "--frame": turned,
-        "--sh-degree": reduced,
         "--measure": measured,
         "a model in a pipe, which blocks cannot read or write,": blocks.piped,
         wish_to_render(plan.preset, plan.parameters): not can_do_without_renders(plan.parameters),

@@ -31,11 +31,20 @@ from nanogs.scale.plan import (
 )
 from nanogs.scale.scratch import is_url
 from nanogs.scale.settings import Chunks, Settings
-from nanogs.scale.source import look_at, segments_of
+from nanogs.scale.source import (
+    NOTHING,
+    Changes,
+    look_at,
+    refuse_large_whole,
+    segments_of,
+    sift,
+)
 from nanogs.scale.unpack import cost_of
 
 if TYPE_CHECKING:
     from distributed import Client
+
+    from nanogs.filters import Filter
 
 
 def simplify_blocks(
@@ -52,6 +61,9 @@ def simplify_blocks(
     resume: bool = False,
     overwrite: bool = False,
     nan: NanPolicy = "drop",
+    filters: "Sequence[Filter]" = (),
+    sh_degree: int | None = None,
+    frame: tuple[str, str] | None = None,
     threads: int | None = None,
     client: "Client | None" = None,
     scheduler: str | None = None,
@@ -69,7 +81,8 @@ def simplify_blocks(
 
     Args:
         inputs: A file, or several that are parts of one scene.
-        output: The file to write; a .ply is written block by block, others are held whole.
+        output: The file to write; .ply, .splat, .npz and .spz files are written block by block,
+            others are held whole.
         ratio: Compaction ratio in (0, 1]; exactly one of both is given.
         count: Splats to deliver.
         preset: `default` or `fast`.
@@ -84,6 +97,10 @@ def simplify_blocks(
         resume: Continue the job in that folder; without one, begin it.
         overwrite: Replace the output if it exists.
         nan: "drop" splats that hold a NaN or an infinite value, or raise an "error".
+        filters: What leaves out splats first, such as `nanogs.filters.box(low, high)`; the inputs
+            are read once more for them. One that has to see the whole model is refused.
+        sh_degree: The highest degree of spherical harmonics that stays; all by default.
+        frame: From and to which the result is turned, such as ("rdf", "rub").
         threads: Threads to use in a process; all by default.
         client: A Dask client whose workers do the work.
         scheduler: Address of a Dask scheduler, in place of a client.
@@ -117,7 +134,8 @@ def simplify_blocks(
         client is not None or scheduler,
     )
     settings, plan = plan_job(
-        [Path(path) for path in paths], (goal,), chosen, max_memory, block, nan
+        [Path(path) for path in paths], (goal,), chosen, max_memory, block, nan,
+        changes=Changes(filters, sh_degree, frame),
     )  # fmt: skip
     # Here and not above: these bring Numba, which `--help` and `info` do without.
     from nanogs.scale.ending import Files
@@ -190,8 +208,9 @@ def plan_job(
     block: int | None,
     nan: NanPolicy,
     chunks: Chunks | None = None,
+    changes: Changes = NOTHING,
 ) -> tuple[Settings, ScalePlan]:
-    """Plan the job, and what it takes; only headers are read.
+    """Plan the job, and what it takes; only headers are read, but for filters all rows.
 
     Args:
         paths: The inputs.
@@ -201,25 +220,36 @@ def plan_job(
         block: Splats of a block, in place of what memory allows.
         nan: "drop" or "error".
         chunks: Of the results, or None where each is one file.
+        changes: What else is done to the model.
 
     Raises:
-        NanogsError: An input cannot be read, or the memory is too little.
+        NanogsError: An input cannot be read, filters leave nothing or need the whole model, or the
+            memory is too little.
     """
-    inputs, layout, sieve = look_at(paths)
-    splats = sieve.left[-1] if sieve else sum(each.splats for each in inputs)
-    shares = tuple(target_count(splats, g.ratio, g.count) / splats for g in goals)
-    plan = plan_blocks(splats, layout, chosen, shares, max_memory, block, chunks)
+    changes.check()
+    inputs, layout = look_at(paths, changes)
+
+    def planned(splats: int) -> ScalePlan:
+        shares = tuple(target_count(splats, g.ratio, g.count) / splats for g in goals)
+        return plan_blocks(splats, layout, chosen, shares, max_memory, block, chunks)
+
+    plan = planned(sum(each.splats for each in inputs))
+    refuse_large_whole(inputs, plan.segment)
+    sieve = sift(inputs, layout, changes.filters)
+    if sieve:
+        plan = planned(sieve.left[-1])
     settings = Settings(
         inputs=inputs,
         layout=layout,
-        segments=segments_of(inputs, splats, plan.segment),
+        segments=segments_of(plan.splats, plan.segment),
         ratios=tuple(goal.ratio for goal in goals if goal.ratio is not None),
         counts=tuple(goal.count for goal in goals if goal.count is not None),
         nan=nan,
         block=plan.block,
         parameters=in_blocks(chosen),
         chunks=chunks,
-        sieve=sieve,
+        filters=sieve,
+        frame=changes.frame,
     )
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
 

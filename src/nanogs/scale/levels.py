@@ -29,6 +29,7 @@ from nanogs.scale.api import block_memory, block_parameters, plan_job, refuse_fu
 from nanogs.scale.folder import job_folder
 from nanogs.scale.plan import ScalePlan
 from nanogs.scale.settings import Chunks, Settings
+from nanogs.scale.source import NOTHING, Changes
 
 if TYPE_CHECKING:
     from nanogs.scale.job import Where
@@ -46,9 +47,10 @@ def plan_levels(
     max_memory: int | None,
     block: int | None = None,
     nan: NanPolicy = "drop",
+    changes: Changes = NOTHING,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[Settings, ScalePlan]:
-    """Plan the job, and what it takes; only headers are read.
+    """Plan the job, and what it takes; only headers are read, but for filters all rows.
 
     Args:
         inputs: As `write_levels_in_blocks` takes them, and all others too.
@@ -60,6 +62,7 @@ def plan_levels(
         max_memory: See there.
         block: See there.
         nan: See there.
+        changes: See there.
         **overrides: See there.
 
     Raises:
@@ -69,9 +72,8 @@ def plan_levels(
     check_options(layout, chunk, plain=plain)
     goals = [Goal(ratio=ratio) for ratio in ratios]
     chosen = block_parameters(preset, overrides)
-    return plan_job(
-        inputs, goals, chosen, max_memory, block, nan, chunks_of(layout, chunk, plain=plain)
-    )
+    chunks = chunks_of(layout, chunk, plain=plain)
+    return plan_job(inputs, goals, chosen, max_memory, block, nan, chunks, changes)
 
 
 def chunks_of(layout: Layout, chunk: int | None, *, plain: bool) -> Chunks | None:
@@ -96,6 +98,7 @@ def write_levels_in_blocks(
     resume: bool = False,
     overwrite: bool = False,
     nan: NanPolicy = "drop",
+    changes: Changes = NOTHING,
     where: "Where",
     progress: Progress | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
@@ -119,6 +122,7 @@ def write_levels_in_blocks(
         resume: See there.
         overwrite: Replace the folder if it holds nothing but earlier levels.
         nan: See there.
+        changes: What else is done to the model; levels are turned as results are.
         where: The tasks are done.
         progress: As `simplify_blocks` takes it.
         **overrides: See there.
@@ -138,7 +142,7 @@ def write_levels_in_blocks(
     )
     settings, plan = plan_levels(
         inputs, ratios, layout=layout, chunk=chunk, plain=plain, preset=preset,
-        max_memory=max_memory, block=block, nan=nan, **overrides,
+        max_memory=max_memory, block=block, nan=nan, changes=changes, **overrides,
     )  # fmt: skip
     source, start = ", ".join(part.name for part in inputs), time.perf_counter()
     chosen = block_parameters(preset, overrides)

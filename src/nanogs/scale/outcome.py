@@ -2,8 +2,10 @@
 
 import time
 from dataclasses import asdict
+from itertools import pairwise
 
 from nanogs.clock import StageClock
+from nanogs.filters import FilterReport, filter_of
 from nanogs.findings import join_findings, of_plain
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.presets import renders
@@ -11,6 +13,7 @@ from nanogs.pipeline.target import Goal
 from nanogs.report import BlocksReport, SimplifyReport, StopReason
 from nanogs.scale.columns import count_of
 from nanogs.scale.run import Done
+from nanogs.scale.settings import Settings
 from nanogs.scale.work import Task
 
 _UNRENDERED = (
@@ -76,5 +79,19 @@ def report_of(
             seen=sum(int(record.facts["seen"]) for record in settled),
             handed=sum(count_of(record) for record in settled),
             resumed=done.kept,
+            read=settings.read,
+            filters=_filter_reports(settings),
         ),
+    )
+
+
+def _filter_reports(settings: Settings) -> tuple[FilterReport, ...]:
+    """What each filter of a job took."""
+    if settings.filters is None:
+        return ()
+    filters = [filter_of(*plain) for plain in settings.filters.plain]
+    counts = pairwise((settings.read, *settings.filters.left))
+    return tuple(
+        FilterReport(each.name, each.argument, before - left, left)
+        for each, (before, left) in zip(filters, counts, strict=True)
     )

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs._types import I64, U64, Array, F
+from nanogs.frames import change_between, change_frame
 from nanogs.pipeline.api import simplify
 from nanogs.scale.columns import (
     CODES,
@@ -114,8 +115,13 @@ def write_rest(work: "Work", name: str, level: int, target: int) -> Record:
 
 
 def part_of_block(work: "Work", block: int, level: int) -> Splats:
-    """The splats of a level that stand for a block; none is missing or twice in all blocks."""
-    return _rows(work.scratch, work.settings, *_place(work, block, level))
+    """The splats of a level that stand for a block; none is missing or twice in all blocks.
+
+    They are in the frame that results are turned to.
+    """
+    splats = _rows(work.scratch, work.settings, *_place(work, block, level))
+    frame = work.settings.frame
+    return change_frame(splats, *frame) if frame else splats
 
 
 def means_of_block(work: "Work", block: int, level: int) -> F:
@@ -124,7 +130,9 @@ def means_of_block(work: "Work", block: int, level: int) -> F:
     if rows.start == rows.stop:
         return np.empty((0, 3), np.float32)
     with Table(work.scratch, record) as table:
-        return table.read("means", rows.start, rows.stop)
+        means: F = table.read("means", rows.start, rows.stop)
+    frame = work.settings.frame
+    return change_between(*frame).of_means(means) if frame else means
 
 
 def _place(work: "Work", block: int, level: int) -> tuple[Record, slice]:

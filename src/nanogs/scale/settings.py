@@ -56,12 +56,12 @@ class Sieve:
     """What filters leave of the inputs.
 
     Attributes:
-        filters: Kind and numbers of each, as `filters.Filter.plain` has them.
+        plain: Kind and numbers of each, as `filters.Filter.plain` has them.
         left: Splats after each.
         kept: Splats of each page of `source.PAGE_ROWS` rows after all.
     """
 
-    filters: tuple[Plain, ...]
+    plain: tuple[Plain, ...]
     left: tuple[int, ...]
     kept: tuple[int, ...]
 
@@ -95,7 +95,7 @@ class Settings:
         block: Most splats of a block.
         parameters: Of the forest.
         chunks: Of the results, or None where each is one file.
-        sieve: What filters leave of the files; None without any.
+        filters: What they leave of the files; None without any.
         frame: From and to which results are turned, or None.
     """
 
@@ -108,13 +108,13 @@ class Settings:
     block: int
     parameters: ForestParameters
     chunks: Chunks | None = None
-    sieve: Sieve | None = None
+    filters: Sieve | None = None
     frame: tuple[str, str] | None = None
 
     @property
     def splats(self) -> int:
         """Rows that filters leave of all inputs."""
-        return self.sieve.left[-1] if self.sieve else self.read
+        return self.filters.left[-1] if self.filters else self.read
 
     @property
     def read(self) -> int:
@@ -180,7 +180,7 @@ def settings_of(data: Mapping[str, Any]) -> Settings:
             block=int(data["block"]),
             parameters=ForestParameters(**data["parameters"]),
             chunks=Chunks(**data["chunks"]) if data.get("chunks") else None,
-            sieve=_sieve_of(data["sieve"]) if data.get("sieve") else None,
+            filters=_sieve_of(data["filters"]) if data.get("filters") else None,
             frame=(*data["frame"],) if data.get("frame") else None,
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -190,7 +190,7 @@ def settings_of(data: Mapping[str, Any]) -> Settings:
 
 
 def _sieve_of(data: Mapping[str, Any]) -> Sieve:
-    filters = tuple((str(kind), tuple(map(float, values))) for kind, values in data["filters"])
+    filters = tuple((str(kind), tuple(map(float, values))) for kind, values in data["plain"])
     return Sieve(filters, tuple(map(int, data["left"])), tuple(map(int, data["kept"])))
 
 

@@ -3,79 +3,111 @@
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from nanogs.errors import ModelError, OptionError
-from nanogs.filters import Filter, filter_of
+from nanogs.filters import Filter, filter_of, refuse_whole
+from nanogs.frames import change_between
 from nanogs.io import open as open_model
 from nanogs.scale.inputs import Inputs, input_file
 from nanogs.scale.settings import Access, InputFile, Segment, Settings, Sieve
 from nanogs.scale.unpack import Unpacked
 from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
-from nanogs.splats import Splats, concatenate
+from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
 
 _SPAN_ROWS, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # of the rows that stand for all
 
 
-def look_at(
-    paths: Sequence[Path], filters: Sequence[Filter] = (), sh_degree: int | None = None
-) -> tuple[tuple[InputFile, ...], Layout, Sieve | None]:
-    """The files, the columns of their splats, and what filters leave of them.
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What is done to a model besides making it smaller.
 
-    No row is read but for filters, which look at all.
-
-    Args:
-        paths: Of the files.
-        filters: What leaves out splats first.
+    Attributes:
+        filters: What leaves out splats first, such as `nanogs.filters.box(low, high)`.
         sh_degree: The highest that stays, or None for all.
+        frame: From and to which results are turned, or None.
+    """
+
+    filters: Sequence[Filter] = ()
+    sh_degree: int | None = None
+    frame: tuple[str, str] | None = None
+
+    def check(self) -> None:
+        """Refuse what cannot be done in blocks.
+
+        Raises:
+            OptionError: A filter has to see the whole model, or is of a kind that no job records,
+                or there is no such degree or frame.
+        """
+        refuse_whole(self.filters)
+        if any(each.plain is None for each in self.filters):
+            raise OptionError(
+                "A job takes the filters of nanogs.filters alone; apply others to the model first."
+            )
+        if self.sh_degree is not None and not 0 <= self.sh_degree <= MAX_SH_DEGREE:
+            raise OptionError(
+                f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {self.sh_degree}."
+            )
+        if self.frame is not None:
+            change_between(*self.frame)
+
+
+NOTHING = Changes()
+
+
+def look_at(
+    paths: Sequence[Path], changes: Changes = NOTHING
+) -> tuple[tuple[InputFile, ...], Layout]:
+    """The files, and the columns of their splats; no row is read.
 
     Raises:
         FormatError: One of them cannot be read.
-        ModelError: They do not make one scene, or filters leave nothing.
-        OptionError: A filter has to see the whole model, or is of a kind that no job records.
+        ModelError: They do not make one scene.
     """
     sources = [open_model(path) for path in paths]
     layout = joined_layout(sources)
-    if sh_degree is not None and sh_degree < layout.sh_degree:
-        layout = replace(layout, sh_degree=sh_degree)
-    files = tuple(map(input_file, sources))
-    if not filters:
-        return files, layout, None
-    with Filtered(Joined(sources, layout), filters) as left:
-        return files, layout, _sieve(filters, left)
+    if changes.sh_degree is not None and changes.sh_degree < layout.sh_degree:
+        note = f"Spherical harmonics above degree {changes.sh_degree} were dropped first."
+        layout = replace(layout, sh_degree=changes.sh_degree, notes=(*layout.notes, note))
+    return tuple(map(input_file, sources)), layout
 
 
-def _sieve(filters: Sequence[Filter], left: Filtered) -> Sieve:
-    plain = tuple(each.plain for each in filters if each.plain is not None)
-    if len(plain) < len(filters):
-        raise OptionError(
-            "A job takes the filters of nanogs.filters alone; apply others to the model first."
-        )
-    return Sieve(plain, tuple(report.left for report in left.reports), left.kept)
-
-
-def segments_of(inputs: Sequence[InputFile], count: int, rows: int) -> tuple[Segment, ...]:
-    """All rows in segments of about equal size.
-
-    Args:
-        inputs: The files.
-        count: Rows that filters leave of them.
-        rows: Most of a segment.
+def sift(files: Sequence[InputFile], layout: Layout, filters: Sequence[Filter]) -> Sieve | None:
+    """What filters leave of files, all of whose rows are looked at; None without filters.
 
     Raises:
-        OptionError: A file that cannot be read in parts has more.
+        FormatError: One of the files cannot be read.
+        ModelError: Nothing is left.
     """
-    for file in inputs:
+    if not filters:
+        return None
+    with Inputs(files, None) as inputs:
+        left = Filtered(Joined(inputs.parts, layout), filters)
+        plain = tuple(each.plain for each in filters if each.plain is not None)
+        return Sieve(plain, tuple(report.left for report in left.reports), left.kept)
+
+
+def refuse_large_whole(files: Sequence[InputFile], rows: int) -> None:
+    """Refuse files that cannot be read in parts and have more rows than a segment may have.
+
+    Raises:
+        OptionError: There is one.
+    """
+    for file in files:
         if file.splats > rows and file.access is Access.WHOLE:
             raise OptionError(
                 f"{file.path}: files of this kind are not read in parts, and this one is too large"
                 " to be read whole within the memory given; convert it to .ply, or raise"
                 " `max_memory`."
             )
+
+
+def segments_of(count: int, rows: int) -> tuple[Segment, ...]:
+    """So many rows in segments of about equal size, of at most `rows`."""
     parts = -(-count // rows)
     bounds = [count * part // parts for part in range(parts + 1)]
     return tuple(Segment(*pair) for pair in pairwise(bounds))
@@ -94,9 +126,9 @@ def opened(settings: Settings, unpacked: Unpacked | None = None) -> Iterator[Sou
     """
     with Inputs(settings.inputs, unpacked) as inputs:
         source: Source = Joined(inputs.parts, settings.layout)
-        if settings.sieve is not None:
-            filters = [filter_of(*plain) for plain in settings.sieve.filters]
-            source = Filtered(source, filters, settings.sieve.kept)
+        if settings.filters is not None:
+            filters = [filter_of(*plain) for plain in settings.filters.plain]
+            source = Filtered(source, filters, settings.filters.kept)
         yield source
         inputs.check()
 
@@ -128,7 +160,7 @@ def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None
 
 def _place(settings: Settings, row: int) -> str:
     """A row of the model, to begin a sentence."""
-    if settings.sieve is not None:
+    if settings.filters is not None:
         return f"Row {row} of those that filters leave"
     ends = [0, *accumulate(file.splats for file in settings.inputs)]
     number = bisect_right(ends, row) - 1

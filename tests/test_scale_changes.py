@@ -1,0 +1,170 @@
+"""Filters, frames, bands and parts of scenes in blocks: as of a model that has them already."""
+
+import json
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import model_bytes, random_splats
+from launch import run
+from nanogs import filters
+from nanogs.errors import ModelError, OptionError, OutputError
+from nanogs.filters import Filter
+from nanogs.frames import change_frame
+from nanogs.lod.layout import Layout
+from nanogs.scale.job import Where
+from nanogs.scale.levels import write_levels_in_blocks
+from nanogs.scale.source import Changes
+from nanogs.source import Filtered, Joined
+
+GIVEN = {"preset": "default", "block": 300, "threads": 1}
+KEPT = (filters.box((-1, -1, -0.7), (1, 1, 0.7)), filters.opaque_enough(0.2))
+FRAME = ("rdf", "fru")
+
+
+@pytest.fixture(autouse=True)
+def small_pages(monkeypatch):
+    """Pages of so few rows that files have several, and segments begin within some."""
+    monkeypatch.setattr("nanogs.source.PAGE_ROWS", 100)
+
+
+@pytest.fixture(scope="module", params=[".ply", ".spz", ".npz", ".usda"])
+def parts(request, tmp_path_factory):
+    """Two parts of a scene, the second of fewer bands."""
+    folder = tmp_path_factory.mktemp("parts")
+    models = [random_splats(900, degree=2), random_splats(500, degree=1, seed=3)]
+    models[0].means[17] = np.nan if request.param in (".ply", ".npz") else 0.5
+    paths = [folder / f"{number}{request.param}" for number in range(2)]
+    for model, path in zip(models, paths, strict=True):
+        nanogs.save(model, path)
+    return paths
+
+
+@pytest.fixture
+def scene(parts, tmp_path):
+    """What filters leave of both parts, in one file."""
+    path = tmp_path / "scene.ply"
+    with Filtered(Joined([nanogs.open(part) for part in parts]), KEPT) as left:
+        nanogs.save(left, path)
+    return path
+
+
+def blocks_for(parts):
+    """Files that are only read whole are no larger than a block."""
+    return GIVEN if parts[0].suffix != ".usda" else GIVEN | {"block": 900}
+
+
+def test_the_rows_are_those_of_a_file_of_what_is_left(parts, scene, tmp_path):
+    given = blocks_for(parts) | {"ratio": 0.3}
+    one, two = tmp_path / "one.ply", tmp_path / "two.ply"
+    wanted = nanogs.simplify_blocks(scene, one, **given)
+    report = nanogs.simplify_blocks(parts, two, filters=KEPT, **given)
+    assert model_bytes(nanogs.load(two)) == model_bytes(nanogs.load(one))
+    assert report.input_count == wanted.input_count == len(nanogs.load(scene))
+    assert report.achieved_count == wanted.achieved_count
+    assert report.blocks.blocks == wanted.blocks.blocks
+    assert (report.blocks.read, wanted.blocks.filters) == (1400, ())
+    whole = nanogs.source.Joined([nanogs.open(part) for part in parts]).load()
+    assert report.blocks.filters == filters.apply(whole, KEPT)[1]
+
+
+def test_results_are_turned_as_those_in_memory(parts, tmp_path):
+    given = blocks_for(parts) | {"ratio": 0.3}
+    nanogs.simplify_blocks(parts, tmp_path / "one.ply", **given)
+    nanogs.simplify_blocks(parts, tmp_path / "two.ply", frame=FRAME, **given)
+    turned = change_frame(nanogs.load(tmp_path / "one.ply"), *FRAME)
+    assert model_bytes(nanogs.load(tmp_path / "two.ply")) == model_bytes(turned)
+
+
+def test_bands_above_a_degree_are_dropped_first(parts, scene, tmp_path):
+    given = blocks_for(parts) | {"count": 200}
+    cut = tmp_path / "cut.ply"
+    nanogs.save(nanogs.load(scene).with_sh_degree(1), cut)
+    nanogs.simplify_blocks(cut, tmp_path / "one.ply", **given)
+    report = nanogs.simplify_blocks(scene, tmp_path / "two.ply", sh_degree=1, **given)
+    assert (tmp_path / "two.ply").read_bytes() == (tmp_path / "one.ply").read_bytes()
+    assert any("above degree 1 were dropped" in note for note in report.notes)
+
+
+@pytest.mark.parametrize("layout", [Layout.FILES, Layout.TILES])
+def test_levels_are_of_what_is_left_and_turned(parts, scene, tmp_path, layout):
+    ratios = (0.5, 0.1)
+    given = {"preset": "fast", "max_memory": None, "block": blocks_for(parts)["block"]}
+    given |= {"layout": layout, "where": Where(1)} | (
+        {"plain": True, "chunk": 100} if layout is Layout.TILES else {}
+    )
+    write_levels_in_blocks([scene], tmp_path / "one", ratios, **given)
+    changes = Changes(KEPT, None, FRAME)
+    write_levels_in_blocks(parts, tmp_path / "two", ratios, changes=changes, **given)
+    for level in range(2):
+        one, two = (read_level(tmp_path / name, layout, level) for name in ("one", "two"))
+        assert set(map(bytes, two.means)) == set(map(bytes, change_frame(one, *FRAME).means))
+
+
+def read_level(folder, layout, level):
+    if layout is Layout.FILES:
+        return nanogs.load(folder / f"level_{level}.ply")
+    return nanogs.load(folder / "tileset.json", level=level)
+
+
+def test_another_filter_or_frame_is_another_job(parts, tmp_path):
+    out = tmp_path / "a.ply"
+    given = blocks_for(parts) | {"ratio": 0.3, "resume": True}
+
+    def crash(step):
+        if step.stage == "forest":
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        nanogs.simplify_blocks(parts, out, filters=KEPT, frame=FRAME, progress=crash, **given)
+    changed = (KEPT[0], filters.opaque_enough(0.200001))
+    with pytest.raises(OutputError, match="its filters differ"):
+        nanogs.simplify_blocks(parts, out, filters=changed, frame=FRAME, **given)
+    with pytest.raises(OutputError, match="its frame differ"):
+        nanogs.simplify_blocks(parts, out, filters=KEPT, **given)
+    report = nanogs.simplify_blocks(parts, out, filters=KEPT, frame=FRAME, **given)
+    assert report.blocks.resumed > 0
+    fresh = tmp_path / "b.ply"
+    nanogs.simplify_blocks(parts, fresh, filters=KEPT, frame=FRAME, **given)
+    assert fresh.read_bytes() == out.read_bytes()
+
+
+def test_what_cannot_be_done_is_refused_before_work_begins(parts, tmp_path):
+    given = blocks_for(parts) | {"ratio": 0.3}
+    out = tmp_path / "a.ply"
+    for changes, error, said in (
+        ({"filters": [filters.in_company()]}, OptionError, "drop-floaters needs the whole"),
+        ({"filters": [Filter("own", "", lambda m: m.means[:, 0] > 0)]}, OptionError, "of nanogs.f"),
+        ({"filters": [filters.sphere((99, 0, 0), 1)]}, ModelError, "leaves none of 1,400 splats"),
+        ({"frame": ("rdf", "up")}, OptionError, "A frame says"),
+        ({"sh_degree": 7}, OptionError, "from 0 to 4, not 7"),
+    ):
+        with pytest.raises(error, match=said):
+            nanogs.simplify_blocks(parts, out, **changes, **given)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_the_command_does_the_same(tmp_path):
+    for number in range(2):
+        nanogs.save(random_splats(30_000, degree=3, seed=number), tmp_path / f"{number}.ply")
+    parts = [tmp_path / "0.ply", tmp_path / "1.ply"]
+    # fmt: off
+    given = ["simplify", *parts, tmp_path / "a.ply", "--join", "--ratio", "0.1", "--preset", "fast",
+             "--crop", "box:-1,-1,-0.7,1,1,0.7", "--min-opacity", "0.2", "--sh-degree", "2",
+             "--frame", "rdf:fru", "--max-memory", "256MB", "--json"]
+    # fmt: on
+    left = filters.apply(Joined([nanogs.open(part) for part in parts]).load(), KEPT)
+    planned = json.loads(run(*given, "--dry-run").stdout)
+    report = json.loads(run(*given).stdout)
+    assert report["blocks"]["blocks"] > 1, "the memory should be too little for the whole"
+    assert planned["blocks"]["splats"] == report["input_count"] == len(left[0])
+    assert report["read_count"] == 60_000
+    assert [entry["left"] for entry in report["filters"]] == [each.left for each in left[1]]
+    assert report["frames"] == list(FRAME)
+    nanogs.simplify_blocks(
+        parts, tmp_path / "b.ply", ratio=0.1, preset="fast", filters=KEPT, frame=FRAME,
+        sh_degree=2, max_memory="256MB",
+    )  # fmt: skip
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
