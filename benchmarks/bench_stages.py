@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 
 import nanogs
+from nanogs import neighbours
 from nanogs.datasets.synthetic import make_scene
 from nanogs.fit import targets
 from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.kernels.forest import log_determinants, merge_increments
 from nanogs.kernels.listing import list_tiles
 from nanogs.kernels.raster import blend_tiles
-from nanogs.method import cut, gaussians, graph, match, neighbours, nodes, order
+from nanogs.method import cut, gaussians, graph, match, nodes, order
 from nanogs.method.extent import dilation
 from nanogs.method.forest import grow_forest
 from nanogs.method.paper import cost, merge

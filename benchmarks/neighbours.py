@@ -20,8 +20,8 @@ from scipy.spatial import cKDTree
 
 import nanogs
 from nanogs._types import F64, I32
-from nanogs.method.neighbours import nearest_neighbours
 from nanogs.method.order import morton_order
+from nanogs.neighbours import nearest_neighbours
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = {

@@ -8,8 +8,8 @@ import numpy as np
 
 import nanogs
 from nanogs.clock import StageClock
-from nanogs.method.neighbours import nearest_neighbours
 from nanogs.metrics import psnr, ssim
+from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.target import Goal
 from nanogs.raster.rendering import prepare, render
 from nanogs.scale.api import block_parameters, plan_job

@@ -37,11 +37,11 @@ from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix
 from nanogs.method import match as stage_four
 from nanogs.method.graph import neighbour_pairs
 from nanogs.method.match import MergePlan, match
-from nanogs.method.neighbours import coincident_groups, nearest_neighbours
 from nanogs.method.order import morton_codes
 from nanogs.method.paper.cost import JITTER, log_masses, pair_costs
 from nanogs.method.paper.merge import merge
 from nanogs.method.paper.parameters import PaperParameters
+from nanogs.neighbours import coincident_groups, nearest_neighbours
 from nanogs.threads import use_threads
 
 

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 import twins
 from nanogs.kernels import lanes
-from nanogs.method.neighbours import nearest_neighbours, nearest_to
+from nanogs.neighbours import nearest_neighbours, nearest_to
 
 
 def outliers(rng, n):

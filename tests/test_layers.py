@@ -18,7 +18,7 @@ ORDER = """
 _version _types errors formatting findings quantities defaults stored protocol sh charts
 progress clock cleanup threads spread
 kernels
-bar
+bar neighbours
 _arrays splats frames gsplat_arrays metrics
 filters source
 raster
@@ -37,7 +37,6 @@ ahead bench cli __main__
 
 # Imports that go up, each when something is called and not before; why.
 UP = {
-    ("filters", "method"): "floaters are told by their neighbours, found as those of a merge are",
     ("splats", "gsplat_arrays"): "`from_gsplat` and `to_gsplat` are methods; what they do is apart",
     ("splats", "summary"): "a notebook shows a model, with its picture, through `_repr_html_`",
     ("io.html_write", "view"): "a page in which a model moves is a format to write",

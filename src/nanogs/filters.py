@@ -252,7 +252,7 @@ def in_company(neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS) -> 
 
 
 def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:
-    from nanogs.method.neighbours import nearest_neighbours
+    from nanogs.neighbours import nearest_neighbours
     from nanogs.threads import use_threads
 
     found = np.zeros(len(splats), np.bool_)

@@ -4,7 +4,7 @@ import numpy as np
 
 from nanogs._types import F64, I32, I64
 from nanogs.kernels.pairs import count_pairs, fill_firsts, fill_seconds
-from nanogs.method.neighbours import nearest_neighbours
+from nanogs.neighbours import nearest_neighbours
 from nanogs.threads import use_threads
 
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from nanogs._types import F64, I32
 from nanogs.kernels.assign import assign_nearest, invert_covariances
-from nanogs.method.neighbours import nearest_neighbours
 from nanogs.method.nodes import Nodes, gather
+from nanogs.neighbours import nearest_neighbours
 
 NEIGHBOURS = 12  # groups beside its own that a splat may move to
 LAMBDA_APP = 0.2  # weight of the squared distance of the colours beside the log likelihood

@@ -4,9 +4,9 @@ import numpy as np
 
 from nanogs._types import F64, I32, Array
 from nanogs.method.cut import label_groups
-from nanogs.method.neighbours import nearest_neighbours
 from nanogs.method.nodes import Nodes
 from nanogs.method.reassign import NEIGHBOURS
+from nanogs.neighbours import nearest_neighbours
 from nanogs.scale.forests import CHILDREN, SCORES
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Sorted, Table, write_table

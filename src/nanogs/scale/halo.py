@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64, I32, I64
-from nanogs.method.neighbours import nearest_to
+from nanogs.neighbours import nearest_to
 from nanogs.scale.cuts import CENTRES, LABELS, REACH
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import MOST_SEEN
