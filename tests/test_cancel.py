@@ -123,7 +123,6 @@ def test_a_request_to_stop_that_comes_when_all_is_done_changes_nothing():
 
 @posix
 def test_workers_end_with_the_run_that_started_them(tmp_path):
-    pytest.importorskip("distributed")
     nanogs.save(random_splats(60_000), tmp_path / "in.ply")
     delays = random.Random(0)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
@@ -139,6 +138,24 @@ def test_workers_end_with_the_run_that_started_them(tmp_path):
             time.sleep(0.05)
         assert not living(child.pid)
         subprocess.run(["rm", "-rf", tmp_path / "out.ply", tmp_path / "out.ply.job"], check=True)
+
+
+@posix
+def test_workers_end_with_a_run_that_is_killed(tmp_path):
+    nanogs.save(random_splats(60_000), tmp_path / "in.ply")
+    child = started(
+        "simplify", tmp_path / "in.ply", tmp_path / "out.ply", "--ratio", "0.1", "--preset",
+        "fast", "--max-memory", f"{int(1.09 * LIBRARIES)}B", "--workers", "2",
+    )  # fmt: skip
+    end = time.monotonic() + 60
+    while len(living(child.pid)) < 4 and time.monotonic() < end:  # one keeps books of semaphores
+        assert child.poll() is None
+        time.sleep(0.01)
+    child.kill()
+    child.communicate(timeout=60)  # workers hold its stderr too
+    while living(child.pid) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not living(child.pid)
 
 
 HOLD = """

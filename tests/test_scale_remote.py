@@ -10,6 +10,8 @@ import tempfile
 import threading
 import time
 import urllib.request
+from concurrent.futures import CancelledError, Future
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
@@ -193,34 +195,31 @@ class Quiet(http.server.BaseHTTPRequestHandler):
         pass
 
 
-class Ended:
-    """A future that has come to an end."""
-
-    def __init__(self, error=None):
-        self.status, self.error = "error" if error else "cancelled", error
-
-    def exception(self):
-        return self.error
-
-
 def test_how_a_task_ended_is_said():
     pytest.importorskip("distributed")
     from distributed import KilledWorker
 
     from nanogs.scale.work import Task
-    from nanogs.scale.workers import _check
+    from nanogs.scale.workers import check
 
     cases = [
         (None, OutputError, "scheduler was lost"),
-        (KilledWorker("a", None, 3), OutputError, "ended 4 workers"),
+        (CancelledError(), OutputError, "scheduler was lost"),
+        (BrokenProcessPool(), OutputError, "^1 worker ended"),
+        (KilledWorker("a", None, 3), OutputError, "^4 workers ended"),
         (ModuleNotFoundError("No module named 'nanogs'"), OptionError, "cannot load nanogs"),
         (MemoryError(), OutputError, "forest-0-00002 failed on a worker .MemoryError"),
         (FormatError("It is damaged."), FormatError, "^It is damaged.$"),
         (ZeroDivisionError("a defect"), ZeroDivisionError, "a defect"),
     ]
     for error, kind, said in cases:
+        future = Future()
+        if error:
+            future.set_exception(error)
+        else:
+            future.cancel()
         with pytest.raises(kind, match=said):
-            _check(Ended(error), Task("forest", 2))
+            check(future, Task("forest", 2))
 
 
 def test_a_worker_says_what_it_does_not_see(tmp_path):

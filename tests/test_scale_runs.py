@@ -1,12 +1,15 @@
 """Models in blocks from outside: the command, runs that are killed, workers, borders."""
 
 import json
+import logging
 import os
 import random
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import active_children, get_context
 
 import numpy as np
 import pytest
@@ -16,11 +19,11 @@ import launch
 import nanogs
 from builders import random_splats
 from nanogs.clock import StageClock
+from nanogs.errors import OptionError, OutputError
 from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
-from nanogs.scale import cluster
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.frame import survey
 from nanogs.scale.plan import held_bytes
@@ -139,9 +142,12 @@ def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path
 
 @pytest.fixture(scope="module")
 def client():
-    """Two workers on this machine."""
-    pytest.importorskip("distributed")
-    with cluster.connected(None, 2) as client:
+    """Two workers of Dask on this machine."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.Client(
+        n_workers=2, threads_per_worker=1, memory_limit=None, dashboard_address=None,
+        set_as_default=False, silence_logs=logging.CRITICAL,
+    ) as client:  # fmt: skip
         yield client
 
 
@@ -158,7 +164,7 @@ def test_workers_make_the_same_bytes_and_may_be_lost(scene, tmp_path, client):
         if (step.stage, step.done) == ("forest", 1):
             os.kill(workers.pop(), signal.SIGKILL)
 
-    nanogs.simplify_blocks(scene, there, ratio=0.1, client=client, progress=progress, **BLOCK)
+    nanogs.simplify_blocks(scene, there, ratio=0.1, executor=client, progress=progress, **BLOCK)
     assert len(workers) == 1
     assert there.read_bytes() == here.read_bytes()
     assert {("segment", 3, 3), ("part", 4, 4)} <= set(told)
@@ -172,9 +178,38 @@ def test_workers_unpack_too(tmp_path, client):
     nanogs.save(nanogs.load(path), plain)
     here, there, told = tmp_path / "here.ply", tmp_path / "there.ply", []
     nanogs.simplify_blocks(plain, here, ratio=0.1, **BLOCK)
-    nanogs.simplify_blocks(path, there, ratio=0.1, client=client, progress=told.append, **BLOCK)
+    nanogs.simplify_blocks(path, there, ratio=0.1, executor=client, progress=told.append, **BLOCK)
     assert ("unpack", 1, 1) in [(step.stage, step.done, step.parts) for step in told]
     assert there.read_bytes() == here.read_bytes()
+
+
+@pytest.mark.slow
+def test_processes_make_the_same_bytes_and_one_that_is_lost_ends_the_run(scene, tmp_path):
+    here, there = tmp_path / "here.ply", tmp_path / "there.ply"
+    nanogs.simplify_blocks(scene, here, ratio=0.1, **BLOCK)
+    others = set(active_children())
+
+    def progress(step):
+        if (step.stage, step.done) == ("forest", 1):
+            (set(active_children()) - others).pop().kill()
+
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        given = {"ratio": 0.1, "executor": pool, **BLOCK}
+        with pytest.raises(OutputError, match=r"^1 worker ended in the middle.* `resume=True`"):
+            nanogs.simplify_blocks(scene, there, progress=progress, **given)
+        with pytest.raises(OutputError, match=r"^1 worker ended"):  # it stays broken
+            nanogs.simplify_blocks(scene, there, resume=True, **given)
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        report = nanogs.simplify_blocks(scene, there, resume=True, **given | {"executor": pool})
+    assert there.read_bytes() == here.read_bytes()
+    assert report.blocks.resumed >= 5
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["here.ply", "there.ply"]
+
+
+def test_what_is_no_executor_is_refused(scene, tmp_path):
+    with pytest.raises(OptionError, match=r"a Dask client or a concurrent.*, not int"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, executor=2, **BLOCK)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -188,7 +223,7 @@ def test_a_task_that_fails_on_a_worker_is_told_here(scene, tmp_path, client):
 
     with pytest.raises(nanogs.NanogsError, match="has changed since the job began"):
         nanogs.simplify_blocks(
-            own, tmp_path / "a.ply", ratio=0.1, client=client, progress=progress, **BLOCK
+            own, tmp_path / "a.ply", ratio=0.1, executor=client, progress=progress, **BLOCK
         )
 
 

@@ -43,7 +43,7 @@ Scratch = Annotated[
 ]
 Workers = Annotated[
     int | None,
-    typer.Option(min=1, help="Processes on this machine, by Dask.", rich_help_panel=_PANEL),
+    typer.Option(min=1, help="Processes on this machine.", rich_help_panel=_PANEL),
 ]
 Scheduler = Annotated[
     str | None,

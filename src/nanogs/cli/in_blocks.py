@@ -19,6 +19,7 @@ from nanogs.pipeline.job import NanPolicy
 from nanogs.progress import Progress
 from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.api import simplify_blocks as library_simplify_blocks
+from nanogs.scale.cluster import executor_of
 from nanogs.scale.encoding import Encoding, encoding_of
 from nanogs.scale.levels import chunks_of, plan_levels, write_levels_in_blocks
 from nanogs.scale.plan import ScalePlan
@@ -72,12 +73,14 @@ def simplify_in_blocks(
 ) -> dict[str, Any]:
     """Simplify a model that does not fit; its report with the files' names."""
     start, sources = time.perf_counter(), blocks.sources(pair)
-    report = library_simplify_blocks(
-        sources, pair.target, ratio=plan.goal.ratio, count=plan.goal.count,
-        max_memory=blocks.process_memory(pair.target), job=blocks.job, resume=blocks.resume,
-        filters=changes.filters, sh_degree=changes.sh_degree, frame=changes.frame,
-        progress=progress, **blocks.given, **given,
-    )  # fmt: skip
+    threads = blocks.threads(given.pop("threads"))
+    with executor_of(blocks.workers, blocks.scheduler) as executor:
+        report = library_simplify_blocks(
+            sources, pair.target, ratio=plan.goal.ratio, count=plan.goal.count,
+            max_memory=blocks.process_memory(pair.target), job=blocks.job, resume=blocks.resume,
+            filters=changes.filters, sh_degree=changes.sh_degree, frame=changes.frame,
+            executor=executor, threads=threads, progress=progress, **blocks.given, **given,
+        )  # fmt: skip
     run = report.to_dict() | {"total_seconds": time.perf_counter() - start}
     assert report.blocks is not None  # noqa: S101 - of a model in blocks
     run |= {"read_count": report.blocks.read, "frames": changes.frame}
@@ -125,12 +128,15 @@ def levels_in_blocks(
     """Make levels of a model that does not fit; the manifest with the reports."""
     from nanogs.scale.job import Where
 
-    start, rest = time.perf_counter(), blocks.given
-    where = Where(threads, None, rest["scheduler"], rest["workers"], rest["patience"])
-    with shown(quiet=quiet) as progress:
+    start = time.perf_counter()
+    with (
+        shown(quiet=quiet) as progress,
+        executor_of(blocks.workers, blocks.scheduler) as executor,
+    ):
+        where = Where(blocks.threads(threads), executor, blocks.given["patience"])
         manifest, reports = write_levels_in_blocks(
             sources, output.folder, ratios, job=blocks.job,
-            max_memory=blocks.process_memory(output.folder), scratch=rest["scratch"],
+            max_memory=blocks.process_memory(output.folder), scratch=blocks.given["scratch"],
             resume=blocks.resume, where=where,
             progress=progress, **given,
         )  # fmt: skip

@@ -1,5 +1,6 @@
 """Options about models larger than memory, and whether a model is one."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,8 @@ class Blocks:
         joined: Inputs that are parts of one scene, or none.
         job: The job folder, or None for that beside the output.
         resume: Whether a job is continued.
+        workers: Processes of this machine, or None.
+        scheduler: Address of a Dask scheduler, or None.
         given: What the library takes beside.
     """
 
@@ -36,6 +39,8 @@ class Blocks:
     joined: tuple[Path, ...]
     job: Path | None
     resume: bool
+    workers: int | None
+    scheduler: str | None
     given: dict[str, Any]
 
     def needed(self, plan: Plan, target: Path) -> bool:
@@ -50,9 +55,9 @@ class Blocks:
         Args:
             target: What is written, beside which a job may be that was begun.
         """
-        if self.max_memory is not None or self.given["scheduler"] or self._begun(target):
+        if self.max_memory is not None or self.scheduler or self._begun(target):
             return self.max_memory
-        return process_memory(self.memory, self.given["workers"] or 1)
+        return process_memory(self.memory, self.workers or 1)
 
     def size_of_blocks(self, target: Path) -> tuple[int | None, int | None]:
         """The memory that decides the size of the blocks, as `block_memory` takes it."""
@@ -60,9 +65,14 @@ class Blocks:
         from nanogs.scale.folder import job_folder
 
         folder = job_folder(target, self.job) if self.resume else None
-        rest = self.given
         allowed = self.process_memory(target)
-        return block_memory(allowed, None, folder, rest["workers"], rest["scheduler"])
+        return block_memory(allowed, None, folder, elsewhere=self.scheduler is not None)
+
+    def threads(self, given: int | None) -> int | None:
+        """Threads of each process: by default those of the machine, shared by its workers."""
+        if given is None and self.workers is not None:
+            return max((os.cpu_count() or 1) // self.workers, 1)
+        return given
 
     def reason(self, plan: Plan, target: Path) -> str:
         """Why a model is simplified in blocks, where nobody has said so; otherwise nothing."""
@@ -78,7 +88,7 @@ class Blocks:
     def unused(self) -> list[str]:
         """Say that options for blocks had no effect on a model that is held whole."""
         named = {"--job": self.job, "--resume": self.resume, "--scratch": self.given["scratch"]}
-        named |= {"--workers": self.given["workers"], "--scheduler": self.given["scheduler"]}
+        named |= {"--workers": self.workers, "--scheduler": self.scheduler}
         found = " and ".join(option for option, value in named.items() if value)
         if not found:
             return []
@@ -156,10 +166,11 @@ def parse_blocks(
         raise OptionError("With --max-memory or --join models are files; name them in place of -.")
     if join and len(paths) < 2:
         raise OptionError("--join takes the parts of a scene and OUT; this is one path.")
-    rest: dict[str, Any] = {"scratch": scratch, "workers": workers, "scheduler": scheduler}
-    rest["patience"] = patience
+    rest = {"scratch": scratch, "patience": patience}
     joined, piped = tuple(paths[:-1]) if join else (), DASH in paths
-    return Blocks(allowed_memory(allowed), allowed, piped, joined, job, resume, rest)
+    return Blocks(
+        allowed_memory(allowed), allowed, piped, joined, job, resume, workers, scheduler, rest
+    )
 
 
 def refuse_other_files(suffix: str) -> None:

@@ -42,6 +42,8 @@ from nanogs.scale.source import (
 from nanogs.scale.unpack import cost_of
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from distributed import Client
 
     from nanogs.filters import Filter
@@ -65,15 +67,13 @@ def simplify_blocks(
     sh_degree: int | None = None,
     frame: tuple[str, str] | None = None,
     threads: int | None = None,
-    client: "Client | None" = None,
-    scheduler: str | None = None,
-    workers: int | None = None,
+    executor: "Client | Executor | None" = None,
     patience: float = PATIENCE,
     progress: Progress | bool | None = None,
     spz_version: int | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> SimplifyReport:
-    """Simplify files block by block, in bounded memory, here or on Dask workers.
+    """Simplify files block by block, in bounded memory, here or elsewhere.
 
     The result does not depend on where, in how many processes or in how many runs it was made; it
     does depend on the size of the blocks. Nothing is rendered: `default` is `fast` with a second
@@ -87,8 +87,8 @@ def simplify_blocks(
         count: Splats to deliver.
         preset: `default` or `fast`.
         max_memory: Bytes that each process may take, a number or text like "4GB"; it decides the
-            size of the blocks. By default what is free, less a tenth, shared by the workers of
-            this machine; 4 GB with a client or scheduler. A job that is resumed keeps its blocks.
+            size of the blocks. By default what is free, less a tenth; 4 GB with an executor. A job
+            that is resumed keeps its blocks.
         block: Splats of a block, in place of that.
         job: Folder for what has to survive a crash; by default the output's name with `.job`. It
             is removed when the run ends well.
@@ -101,11 +101,10 @@ def simplify_blocks(
             are read once more for them. One that has to see the whole model is refused.
         sh_degree: The highest degree of spherical harmonics that stays; all by default.
         frame: From and to which the result is turned, such as ("rdf", "rub").
-        threads: Threads to use in a process; all by default.
-        client: A Dask client whose workers do the work.
-        scheduler: Address of a Dask scheduler, in place of a client.
-        workers: Processes to start on this machine, in place of a scheduler.
-        patience: Seconds to wait for workers where a cluster has none, before the run ends.
+        threads: Threads to use in a process; all of its machine by default.
+        executor: Whose workers do the work: a Dask client, or a `concurrent.futures.Executor` such
+            as a ProcessPoolExecutor. It is used as it is, and not closed.
+        patience: Seconds to wait for workers where a Dask cluster has none, before the run ends.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`, its parts tasks; with "wait" in place of a stage
             while a cluster has no worker.
@@ -121,8 +120,6 @@ def simplify_blocks(
             was begun.
     """
     start, clock = time.perf_counter(), StageClock()
-    if sum(each is not None for each in (client, scheduler, workers)) > 1:
-        raise OptionError("Give one of a client, a scheduler and a number of workers.")
     paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
     output, goal = Path(output), Goal(ratio=ratio, count=count)
     folder, chosen = job_folder(output, job), block_parameters(preset, overrides)
@@ -130,8 +127,7 @@ def simplify_blocks(
         None if max_memory is None else as_bytes(max_memory),
         block,
         folder if resume else None,
-        workers,
-        client is not None or scheduler,
+        elsewhere=executor is not None,
     )
     settings, plan = plan_job(
         [Path(path) for path in paths], (goal,), chosen, max_memory, block, nan,
@@ -149,7 +145,7 @@ def simplify_blocks(
         refuse_full_disk(plan, folder, scratch)
     saving = {"spz_version": spz_version}
     made = BlockJob(settings, folder, scratch, Files((output,), saving, overwrite))
-    where = Where(threads, client, scheduler, workers, patience)
+    where = Where(threads, executor, patience)
     with drawn(progress) as tell:
         done, counts = made.run(where, clock, tell, resume=resume)
     return report_of(preset, chosen, goal, done, counts[0], clock, start)
@@ -159,8 +155,8 @@ def block_memory(
     max_memory: int | None,
     block: int | None,
     begun: Path | None,
-    workers: int | None,
-    elsewhere: object,
+    *,
+    elsewhere: bool,
 ) -> tuple[int | None, int | None]:
     """The limit that decides the size of the blocks: memory of a process, or a number of splats.
 
@@ -168,7 +164,6 @@ def block_memory(
         max_memory: Bytes that each process may take, or None.
         block: Splats of a block, or None.
         begun: Folder of a job to continue, or None.
-        workers: Processes of this machine that share its memory, or None for this one.
         elsewhere: Whether the work is done by processes whose machines are not known.
 
     Returns:
@@ -181,7 +176,7 @@ def block_memory(
         return None, found[0].block
     if elsewhere:
         return DEFAULT_MEMORY, None
-    return process_memory(allowed_memory(None), workers or 1), None
+    return process_memory(allowed_memory(None)), None
 
 
 def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters:

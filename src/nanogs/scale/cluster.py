@@ -1,138 +1,125 @@
-"""Dask clusters: one whose scheduler has an address, or processes of this machine."""
+"""Who does tasks for the command: processes of this machine, or workers of a Dask scheduler."""
 
-import asyncio
 import logging
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager, suppress
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from multiprocessing import active_children, get_context, parent_process, util
 from typing import TYPE_CHECKING
 
-from nanogs.cleanup import clean_at_end
+from nanogs.cleanup import cleaned_up
 from nanogs.errors import OptionError
 
 if TYPE_CHECKING:
     from distributed import Client
 
-_PATIENCE = 5  # seconds for a scheduler to answer
+_PATIENCE = 10  # seconds for a scheduler to answer
+
+
+def executor_of(
+    workers: int | None, scheduler: str | None
+) -> "AbstractContextManager[Client | Executor | None]":
+    """Who does the tasks: so many processes, the workers of a scheduler, or nobody else.
+
+    Args:
+        workers: Processes of this machine, or None.
+        scheduler: Address such as tcp://host:8786, or None.
+    """
+    if workers is not None:
+        return processes(workers)
+    return nullcontext() if scheduler is None else connected(scheduler)
 
 
 @contextmanager
-def connected(scheduler: str | None = None, workers: int | None = None) -> Iterator["Client"]:
-    """A client of the scheduler at an address, or of a cluster on this machine.
+def processes(workers: int) -> Iterator[Executor]:
+    """Processes of this machine, which start at once and end with the block or with this process.
 
     Args:
-        scheduler: Such as tcp://host:8786, or None.
-        workers: Processes on this machine where there is no scheduler.
+        workers: Their number.
+    """
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), _attend)
+    with cleaned_up(_end_children):
+        # Processes inherit what is blocked in the thread that starts them.
+        mask = getattr(signal, "pthread_sigmask", lambda *_: None)  # not on Windows
+        mask(getattr(signal, "SIG_BLOCK", 0), {signal.SIGINT})
+        for _ in range(workers):  # each starts one
+            pool.submit(_load)
+        mask(getattr(signal, "SIG_UNBLOCK", 0), {signal.SIGINT})
+        yield pool
+        pool.shutdown()
+
+
+def _attend() -> None:
+    """Leave interrupts from the terminal to the process that started this one, and end with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+
+    def follow() -> None:
+        if parent:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def _load() -> None:
+    """Import what tasks need."""
+    import nanogs.scale.workers  # noqa: F401
+
+
+def _end_children() -> None:
+    """Kill the processes that this one has started, and take away their semaphores."""
+    util._run_finalizers(0)  # type: ignore[attr-defined]  # noqa: SLF001 - what Python calls when it ends
+    for child in active_children():
+        child.kill()
+
+
+@contextmanager
+def connected(scheduler: str) -> Iterator["Client"]:
+    """A client of the scheduler at an address, such as tcp://host:8786.
 
     Raises:
         OptionError: Dask is not installed, or no scheduler answers.
     """
     try:
-        from distributed import Client, LocalCluster
+        from distributed import Client
     except ImportError:
-        raise OptionError("Workers need Dask; install nanogs[cluster].") from None
+        raise OptionError("A Dask scheduler needs Dask; install nanogs[cluster].") from None
+
+    def connect() -> "Client":
+        return Client(scheduler, timeout=_PATIENCE / 2, set_as_default=False)
+
     with _silent():
-        if scheduler is not None:
-            with closing(_answering(scheduler)) as client:
-                yield client
-            return
-        with (
-            LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
-                dashboard_address=None, silence_logs=logging.CRITICAL,
-            ) as cluster,
-            closing(Client(cluster, set_as_default=False)) as client,
-        ):  # fmt: skip
+        try:
+            client = _in_time(connect)
+        except Exception as error:  # Dask raises most kinds here, by what it finds at the address
+            raise OptionError(
+                f"No Dask scheduler answers at {scheduler!r} ({type(error).__name__}); start one"
+                " with `dask scheduler`, or leave --scheduler out."
+            ) from None
+        with closing(client):
             yield client
 
 
-@contextmanager
-def starting(workers: int) -> Iterator[Callable[[], "Client"]]:
-    """Processes on this machine that start while the caller does something else.
-
-    Args:
-        workers: Their number.
-
-    Yields:
-        What waits for them, and returns their client.
-    """
-    with ExitStack() as stack, ThreadPoolExecutor(1) as pool:
-        clean_at_end(_end_children)
-        begun = pool.submit(_shielded, stack, workers)
-        yield begun.result
-
-
-def _shielded(stack: ExitStack, workers: int) -> "Client":
-    """Start workers that an interrupt from the terminal does not reach: it is this process's.
-
-    Threads and processes inherit what is blocked in the thread that starts them.
-    """
-    if hasattr(signal, "pthread_sigmask"):  # not on Windows
-        from multiprocessing import resource_tracker
-
-        resource_tracker.ensure_running()  # or it would be started later, and unblock them
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    return stack.enter_context(connected(None, workers))
-
-
-def _end_children() -> None:
-    """Kill all processes that this one has started, and take away their semaphores."""
-    from multiprocessing import util
-
-    import psutil  # Dask brings it
-
-    util._run_finalizers(0)  # type: ignore[attr-defined]  # noqa: SLF001 - what Python calls when it ends
-    for child in psutil.Process().children(recursive=True):
-        with suppress(psutil.Error):
-            if not any("resource_tracker" in word for word in child.cmdline()):
-                child.kill()
-
-
-def _answering(scheduler: str) -> "Client":
-    """A client of a scheduler that is one."""
-    from distributed import Client
-
-    try:
-        # A client would wait for ever for some servers that speak something else.
-        found = _in_time(lambda: asyncio.run(_kind(scheduler)))
-        if found == "Scheduler":
-            return Client(scheduler, timeout=_PATIENCE, set_as_default=False)
-        reason = f"a {found.lower()} does"
-    except Exception as error:  # Dask raises most kinds here, by what it finds at the address
-        reason = type(error).__name__
-    raise OptionError(
-        f"No Dask scheduler answers at {scheduler!r} ({reason}); start one with `dask scheduler`,"
-        " or leave `scheduler` out."
-    )
-
-
-async def _kind(address: str) -> str:
-    """The kind of process at an address of Dask's: "Scheduler", "Worker" or "Nanny"."""
-    from distributed import rpc
-
-    async with rpc(address, timeout=_PATIENCE) as server:
-        return str((await server.identity())["type"])
-
-
-def _in_time(ask: Callable[[], str]) -> str:
-    """Ask, and give up after some seconds; an answer that comes later is dropped.
+def _in_time(connect: Callable[[], "Client"]) -> "Client":
+    """Connect, and give up after some seconds: to some servers Dask would try for ever.
 
     Raises:
         TimeoutError: There is no answer.
     """
-    answer: Future[str] = Future()
+    answer: Future[Client] = Future()
 
     def fill() -> None:
         try:
-            answer.set_result(ask())
+            answer.set_result(connect())
         except BaseException as error:
             answer.set_exception(error)
 
     threading.Thread(target=fill, daemon=True).start()
-    return answer.result(2 * _PATIENCE)
+    return answer.result(_PATIENCE)
 
 
 @contextmanager
@@ -148,8 +135,3 @@ def _silent() -> Iterator[None]:
     finally:
         for logger, level in zip(loggers, before, strict=True):
             logger.setLevel(level)
-
-
-def threads_each(workers: int) -> int:
-    """Threads for each of several processes on this machine."""
-    return max((os.cpu_count() or 1) // workers, 1)

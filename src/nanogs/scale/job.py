@@ -1,8 +1,8 @@
 """A job on disk: begun or continued under its lock, brought to an end, and taken away."""
 
 import secrets
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,6 @@ from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.errors import NanogsError, OutputError
 from nanogs.progress import WAITING, Progress, Tracker
-from nanogs.scale.cluster import connected, starting, threads_each
 from nanogs.scale.ending import Ending
 from nanogs.scale.folder import (
     MANIFEST,
@@ -25,60 +24,42 @@ from nanogs.scale.folder import (
 from nanogs.scale.run import Done, Executor, Here, job_stages, run_tasks
 from nanogs.scale.scratch import Scratch, is_url, open_scratch
 from nanogs.scale.settings import Settings, differences
-from nanogs.scale.workers import Workers
+from nanogs.scale.workers import workers_of
 from nanogs.threads import use_threads
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor as Pool
+
     from distributed import Client
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Where:
-    """The processes that do the tasks of a job.
+    """Who does the tasks of a job.
 
     Attributes:
         threads: In this process, or in each worker; None takes all.
-        client: A Dask client, or None.
-        scheduler: Address of a Dask scheduler, or None.
-        workers: Processes to start on this machine, or None.
-        patience: Seconds to wait for workers where all are gone.
+        executor: A Dask client or a `concurrent.futures.Executor`; None for this process.
+        patience: Seconds to wait for workers where a cluster has none.
     """
 
     threads: int | None = None
-    client: "Client | None" = None
-    scheduler: str | None = None
-    workers: int | None = None
+    executor: "Client | Pool | None" = None
     patience: float = PATIENCE
 
-    @contextmanager
-    def executor(self, progress: Tracker) -> Iterator[Executor]:
-        """Connect to whoever does the tasks.
+    def runner(self, progress: Tracker) -> Executor:
+        """Who does tasks.
 
         Args:
             progress: Told where there is no worker.
 
         Raises:
-            OptionError: The workers cannot be had.
+            OptionError: `executor` is none.
         """
-        with ExitStack() as stack:
-            threads = self.threads
-            connect: Callable[[], Client] | None = None
-            if self.client is not None:
-                connect = partial(_same, self.client)
-            elif self.scheduler is not None:
-                connect = partial(_same, stack.enter_context(connected(self.scheduler)))
-            elif self.workers is not None:
-                threads = threads or threads_each(self.workers)
-                connect = stack.enter_context(starting(self.workers))
-            if connect is None:
-                yield Here()
-            else:
-                waiting = partial(progress.aside, WAITING)
-                yield Workers(connect, threads, self.patience, waiting)
-
-
-def _same(client: "Client") -> "Client":
-    return client
+        if self.executor is None:
+            return Here()
+        waiting = partial(progress.aside, WAITING)
+        return workers_of(self.executor, self.threads, self.patience, waiting)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +99,8 @@ class BlockJob:
         with locked(self.folder), _telling_of(self.folder):
             place = self._found(resume=resume)
             resumed = place is not None
-            with where.executor(progress) as executor, use_threads(where.threads) as threads:
+            runner = where.runner(progress)
+            with use_threads(where.threads) as threads:
                 scratch = open_scratch(place or self._new_place())
                 scratch.prepare()
                 if resumed:
@@ -126,7 +108,7 @@ class BlockJob:
                 else:  # last of all, so that nothing is left of what could not be begun
                     write_manifest(self.folder, self.settings, scratch.place)
                 done = run_tasks(
-                    scratch, self.settings, executor, threads, clock, progress, resumed=resumed
+                    scratch, self.settings, runner, threads, clock, progress, resumed=resumed
                 )
                 progress.begin("write")
                 with clock.time("write"):

@@ -138,7 +138,7 @@ def write_levels_in_blocks(
 
     kept = job_folder(folder, job)
     max_memory, block = block_memory(
-        max_memory, block, kept if resume else None, where.workers, where.client or where.scheduler
+        max_memory, block, kept if resume else None, elsewhere=where.executor is not None
     )
     settings, plan = plan_levels(
         inputs, ratios, layout=layout, chunk=chunk, plain=plain, preset=preset,

@@ -1,29 +1,29 @@
-"""Tasks as Dask futures; the bytes are those of one process.
+"""Tasks on a Dask client or any `concurrent.futures.Executor`; the bytes are those of one process.
 
 Workers read the inputs and read and write the scratch, which all of them must see under the same
-name. A task that a worker took with it is done by another. What a task makes is in the scratch, so
-no result is fetched from a worker, and a worker that goes takes nothing with it that was done.
+name. What a task makes is in the scratch: a worker that goes takes nothing with it that was done.
 """
 
 import json
-import secrets
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent import futures
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 from nanogs._version import __version__
 from nanogs.errors import NanogsError, OptionError, OutputError
+from nanogs.formatting import counted
 from nanogs.scale.scratch import open_scratch
 from nanogs.scale.settings import settings_of
 from nanogs.scale.work import MARK, Task, Work, do
 from nanogs.threads import use_threads
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
 KEPT = "the job is kept, `resume=True` continues it"
 _LOOK = 1.0  # seconds between looks at the cluster
@@ -34,19 +34,18 @@ _ONE = threading.Lock()  # a process has memory for one task, and Numba threads 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Workers:
-    """Tasks as Dask futures.
+    """Does tasks on an executor.
 
     Attributes:
-        connect: Waits for the cluster, and returns a client of it.
+        executor: Whose workers do them.
         threads: For a task; None takes all of the worker's machine.
-        patience: Seconds to wait for a worker where there is none.
-        waiting: Called again and again while there is none.
+        watch: Called each second without a result, with the time of the last; it raises if there
+            will be none.
     """
 
-    connect: Callable[[], "Client"]
+    executor: futures.Executor
     threads: int | None
-    patience: float
-    waiting: Callable[[], None]
+    watch: Callable[[float], None] = lambda _: None
 
     def run(self, work: Work, tasks: Sequence[Task]) -> Iterator[Task]:
         """Do tasks on any workers, and yield each when it is done.
@@ -54,71 +53,108 @@ class Workers:
         Raises:
             NanogsError: A task failed, or the workers or the scheduler are lost.
         """
-        client = self.connect()
-        text, run = json.dumps(work.settings.to_dict()), secrets.token_hex(4)
-        done: SimpleQueue[Future[Any]] = SimpleQueue()
-        left: dict[str, tuple[Task, Future[Any]]] = {}
+        place, text = work.scratch.place, json.dumps(work.settings.to_dict())
+        done: SimpleQueue[futures.Future[None]] = SimpleQueue()
+        left: dict[futures.Future[None], Task] = {}
+        since = time.monotonic()
         try:
             for task in tasks:
-                key = f"nanogs-{run}-{task.name}"
-                future = _submit(
-                    client, do_task, work.scratch.place, text, task.stage, task.number, task.level,
-                    self.threads, __version__, key=key, pure=False,
+                future = self._submit(
+                    do_task, place, text, task.stage, task.number, task.level, self.threads,
+                    __version__,
                 )  # fmt: skip
-                left[key] = task, future
+                left[future] = task
                 future.add_done_callback(done.put)
             while left:
-                future = self._next(client, done)
-                task = left[str(future.key)][0]
-                _check(future, task)
-                del left[str(future.key)]
-                future.release()
+                try:
+                    future = done.get(timeout=_LOOK)
+                except Empty:
+                    self.watch(since)
+                    continue
+                task, since = left.pop(future), time.monotonic()
+                check(future, task)
                 yield task
         finally:
-            for _, future in left.values():
-                future.release()  # what no worker has begun is not begun any more
+            for future in left:
+                future.cancel()  # what no worker has begun is not begun any more
 
-    def _next(self, client: "Client", done: "SimpleQueue[Future[Any]]") -> "Future[Any]":
-        """The next future that is done.
+    def _submit(self, *given: Any) -> "futures.Future[None]":  # noqa: ANN401
+        try:
+            return self.executor.submit(*given)
+        except futures.BrokenExecutor:
+            raise _ended(1) from None
+        except Exception:
+            self.watch(time.monotonic())  # says so, if a cluster is gone
+            raise
+
+
+@dataclass(slots=True, eq=False)
+class _Watch:
+    """Raises when a Dask cluster will do nothing more, as far as one can tell.
+
+    Attributes:
+        client: Of the cluster.
+        patience: Seconds to wait for a worker where there is none.
+        waiting: Called again and again while there is none.
+        heard: When the scheduler last said something.
+        staffed: When there last was a worker.
+    """
+
+    client: "Client"
+    patience: float
+    waiting: Callable[[], None]
+    heard: float = 0.0
+    staffed: float = 0.0
+
+    def __call__(self, since: float) -> None:
+        """Ask who the workers are.
 
         Raises:
-            OutputError: There will be none, as far as one can tell.
+            OutputError: Nobody says so, or nobody is there for too long.
         """
-        heard = staffed = time.monotonic()
-        while True:
-            try:
-                return done.get(timeout=_LOOK)
-            except Empty:
-                pass
-            if client.status == "closed":
-                raise _lost()
-            found, now = _count(client), time.monotonic()
-            if found is not None:
-                heard = now
-            if now - heard > _SILENT:
-                raise _lost()
-            if found == 0:
-                self._wait(now - staffed)
-            elif found:
-                staffed = now
-
-    def _wait(self, seconds: float) -> None:
-        """Say that there is no worker; raise if there has been none for too long."""
-        self.waiting()
-        if seconds > self.patience:
-            raise OutputError(
-                f"The Dask cluster has had no worker for {self.patience:g} seconds; start some with"
-                f" `dask worker`; {KEPT}."
-            )
+        self.heard, self.staffed = max(self.heard, since), max(self.staffed, since)
+        found = None if self.client.status == "closed" else _count(self.client)
+        now = time.monotonic()
+        if found is not None:
+            self.heard = now
+        if self.client.status == "closed" or now - self.heard > _SILENT:
+            raise _lost()
+        if found:
+            self.staffed = now
+        elif found == 0:
+            self.waiting()
+            if now - self.staffed > self.patience:
+                raise OutputError(
+                    f"The Dask cluster has had no worker for {self.patience:g} seconds; start some"
+                    f" with `dask worker`; {KEPT}."
+                )
 
 
-def _submit(client: "Client", *given: object, **options: Any) -> "Future[Any]":  # noqa: ANN401
-    try:
-        return client.submit(*given, **options)
-    except Exception:
-        if client.status in ("running", "connecting"):
-            raise
-        raise _lost() from None
+def workers_of(
+    given: "Client | futures.Executor",
+    threads: int | None,
+    patience: float,
+    waiting: Callable[[], None],
+) -> Workers:
+    """Who does tasks on a Dask client, or on an executor.
+
+    Args:
+        given: The client or executor.
+        threads: For a task; None takes all of the worker's machine.
+        patience: Seconds to wait for a worker where a cluster has none.
+        waiting: Called again and again while it has none.
+
+    Raises:
+        OptionError: It is neither.
+    """
+    if isinstance(given, futures.Executor):
+        return Workers(given, threads)
+    if not hasattr(given, "get_executor"):
+        raise OptionError(
+            "`executor` is a Dask client or a concurrent.futures.Executor, not"
+            f" {type(given).__name__}."
+        )
+    return Workers(given.get_executor(pure=False), threads, _Watch(given, patience, waiting))
 
 
 def _count(client: "Client") -> int | None:
@@ -130,22 +166,21 @@ def _count(client: "Client") -> int | None:
         return None
 
 
-def _check(future: "Future[Any]", task: Task) -> None:
-    """Raise what a task ended with, if it failed."""
-    from distributed import KilledWorker
+def check(future: "futures.Future[None]", task: Task) -> None:
+    """Raise what a task ended with, if it failed.
 
-    if future.status == "cancelled":
+    Raises:
+        NanogsError: It failed for a reason that can be told.
+    """
+    error = None if future.cancelled() else future.exception()
+    if future.cancelled() or isinstance(error, futures.CancelledError):
         raise _lost()
-    if future.status != "error":
+    if error is None:
         return
-    error = future.exception()
-    if isinstance(error, KilledWorker):
-        raise OutputError(
-            f"{task.name} ended {error.allowed_failures + 1} workers, as when memory runs out;"
-            f" {KEPT}."
-        ) from None
     if isinstance(error, NanogsError):
         raise error from None
+    if isinstance(error, futures.BrokenExecutor) or type(error).__name__ == "KilledWorker":
+        raise _ended(getattr(error, "allowed_failures", 0) + 1) from None
     reason = str(error).splitlines()[0] if str(error) else type(error).__name__
     if isinstance(error, ImportError) or "deserializ" in str(error):
         raise OptionError(
@@ -154,8 +189,12 @@ def _check(future: "Future[Any]", task: Task) -> None:
         ) from None
     if isinstance(error, OSError | MemoryError):
         raise OutputError(f"{task.name} failed on a worker ({reason}); {KEPT}.") from error
-    assert error is not None  # noqa: S101 - the future's status says so
     raise error
+
+
+def _ended(workers: int) -> OutputError:
+    found = counted(workers, "worker")
+    return OutputError(f"{found} ended in the middle of a task, as when memory runs out; {KEPT}.")
 
 
 def _lost() -> OutputError:
