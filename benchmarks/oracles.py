@@ -188,7 +188,7 @@ def held(
         ours = folder / f"ours{suffix}"
         if kind != ".ksplat":
             version = 4 if kind == ".spz v4" else None
-            io.save(model, ours, overwrite=True, spz_version=version)
+            io.save(model, ours, overwrite=True, format_options={"spz_version": version})
             yield {"format": kind, "program": "nanogs"} | {"kept": kept(kind, expected, ours)}
         for name, reads, read, writes in programs:
             row: dict[str, Any] = {"format": kind, "program": name}

@@ -215,14 +215,14 @@ def glb(text, body):
 # --- seeds
 
 
-def saved(model, name, **options):
+def saved(model, name, version=None):
     """The files that nanogs writes of a model; those beside a `meta.json` too."""
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder, "model", name)
         target.parent.mkdir()
         if name == "meta.json":
             target.parent.rmdir()
-        io.save(model, target, **options)
+        io.save(model, target, format_options={"spz_version": version} if version else {})
         return files_of(target)
 
 
@@ -254,7 +254,7 @@ def _plys():
 
 def _spzs(version):
     if version >= 3:
-        return [saved(model, "a.spz", spz_version=version) for model in models((0, 2, 4))]
+        return [saved(model, "a.spz", version) for model in models((0, 2, 4))]
     rng = np.random.default_rng(version)
     out = []
     for degree, count in ((0, 3), (1, 40), (3, 200)):

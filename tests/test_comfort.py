@@ -51,7 +51,7 @@ def test_every_error_about_a_name_suggests_one(tmp_path):
         with pytest.raises(FormatError, match=r"unknown suffix; nanogs reads"):
             io.load(tmp_path / name)
     with pytest.raises(OptionError, match="did you mean 'spz_version'"):
-        io.save(model, tmp_path / "a.spz", spz_versoin=4)
+        io.save(model, tmp_path / "a.spz", format_options={"spz_versoin": 4})
     # A format that is read but not written was meant as it stands.
     with pytest.raises(OptionError) as caught:
         io.save(model, tmp_path / "a.ksplat")

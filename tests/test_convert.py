@@ -163,7 +163,7 @@ def test_the_version_of_spz_is_chosen(scene, tmp_path, version):
     assert run(scene, target, "--spz-version", version).returncode == 0
     encoding = "zstd" if version == 4 else "gzip"
     assert io.inspect(target).encoding == encoding
-    nanogs.save(nanogs.load(scene), tmp_path / "b.spz", spz_version=version)
+    nanogs.save(nanogs.load(scene), tmp_path / "b.spz", format_options={"spz_version": version})
     assert (tmp_path / "b.spz").read_bytes() == target.read_bytes()
     options = ["-r", "0.5", "--preset", "fast", "--spz-version", version, "-q"]
     assert launch.run("simplify", scene, tmp_path / "c.spz", *options).returncode == 0
@@ -174,7 +174,7 @@ def test_options_of_another_format_are_refused(scene, tmp_path):
     assert_refused(run(scene, tmp_path / "a.spz", "--spz-version", 1), tmp_path, "2 or 3 or 4")
     assert_refused(run(scene, tmp_path / "a.ply", "--spz-version", 4), tmp_path, "for .spz files")
     with pytest.raises(OptionError, match="no option 'quality'"):
-        nanogs.save(nanogs.load(scene), tmp_path / "a.spz", quality=3)
+        nanogs.save(nanogs.load(scene), tmp_path / "a.spz", format_options={"quality": 3})
     with pytest.raises(OptionError, match=r"not for \.ply"):
-        io.check_writable(tmp_path / "a.ply", spz_version=3)
+        io.check_writable(tmp_path / "a.ply", format_options={"spz_version": 3})
     assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]

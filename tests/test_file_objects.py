@@ -69,7 +69,7 @@ def test_a_file_goes_on_from_where_it_stands(model):
 def test_members_of_archives(model, tmp_path):
     path = tmp_path / "all.zip"
     with zipfile.ZipFile(path, "w") as archive, archive.open("scene.spz", "w") as member:
-        nanogs.save(model, member, format=".spz", spz_version=3)
+        nanogs.save(model, member, format=".spz", format_options={"spz_version": 3})
     with zipfile.ZipFile(path) as archive, archive.open("scene.spz") as member:
         assert len(nanogs.load(member)) == 60
 
@@ -97,7 +97,13 @@ def test_paths_with_a_format_that_is_not_their_name(model, tmp_path):
         (lambda m: nanogs.save(m, io.StringIO(), format=".ply"), OptionError, 'with "wb"'),
         (lambda m: nanogs.save(m, 7), OptionError, "is needed to write a model, not int"),
         (lambda m: nanogs.save(m, io.BytesIO(), format="ksplat"), OptionError, "does not write"),
-        (lambda m: nanogs.save(m, io.BytesIO(), format=".ply", spz_version=4), OptionError, "spz"),
+        (
+            lambda m: nanogs.save(
+                m, io.BytesIO(), format=".ply", format_options={"spz_version": 4}
+            ),
+            OptionError,
+            "spz",
+        ),
     ],
 )
 def test_what_is_refused(model, call, error, message):

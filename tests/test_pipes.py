@@ -84,7 +84,7 @@ SNIFFED = {
 
 @pytest.mark.parametrize("name", SNIFFED)
 def test_the_first_bytes_say_the_format(tmp_path, name):
-    nanogs.save(random_splats(20), tmp_path / f"a{name}", **SNIFFED[name])
+    nanogs.save(random_splats(20), tmp_path / f"a{name}", format_options=SNIFFED[name])
     found = sniff(tmp_path / f"a{name}")
     expected = registry.find(tmp_path / f"a{name}").suffix
     assert found == expected.replace(".compressed", "")

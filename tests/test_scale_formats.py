@@ -65,7 +65,9 @@ MADE = {
     ".compressed.ply": lambda folder, splats: written(folder / "a.compressed.ply", splats),
     ".npz": lambda folder, splats: written(folder / "a.npz", splats),
     ".spz v3": lambda folder, splats: written(folder / "a.spz", splats),
-    ".spz v4": lambda folder, splats: written(folder / "a.spz", splats, spz_version=4),
+    ".spz v4": lambda folder, splats: written(
+        folder / "a.spz", splats, format_options={"spz_version": 4}
+    ),
     ".glb": lambda folder, splats: written(folder / "a.glb", splats),
     ".sog": lambda folder, splats: written(folder / "a.sog", splats),
     "meta.json": lambda folder, splats: written(folder / "meta.json", splats),

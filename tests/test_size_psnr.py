@@ -129,7 +129,7 @@ def test_a_compressed_file_is_no_larger_than_asked(splats, tmp_path, suffix, pre
     small, report = nanogs.simplify(
         splats, size=size, format=suffix, format_options=options, **given
     )
-    nanogs.save(small, tmp_path / f"a{suffix}", **options)
+    nanogs.save(small, tmp_path / f"a{suffix}", format_options=options)
     written = (tmp_path / f"a{suffix}").stat().st_size
     assert report.achieved_size == written <= size
     tried = [probe.count for probe in report.size_probes]

@@ -69,10 +69,10 @@ def test_the_bytes_are_those_of_the_model_held_whole(scene, tmp_path, start, tar
     kept = [filters.box((-1, -1, -0.5), (1, 1, 0.5)), filters.opaque_enough(0.3)]
     near = Filtered(Strict(tmp_path / f"b{start}"), kept)
     changed = Turned(Reduced(near, 2), "rdf", "fru")
-    nanogs.save(changed, tmp_path / f"c{target}", **options)
+    nanogs.save(changed, tmp_path / f"c{target}", format_options=options)
     whole = filters.apply(nanogs.load(tmp_path / f"b{start}"), kept)[0]
     whole = change_frame(whole.with_sh_degree(2), "rdf", "fru")
-    nanogs.save(whole, tmp_path / f"d{target}", **options)
+    nanogs.save(whole, tmp_path / f"d{target}", format_options=options)
     assert (tmp_path / f"c{target}").read_bytes() == (tmp_path / f"d{target}").read_bytes()
     assert io.losses(changed, f"a{target}") == io.losses(whole, f"a{target}")
 

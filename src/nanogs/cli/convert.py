@@ -48,7 +48,10 @@ def convert(
     from nanogs.frames import TRAINED, Y_UP
     from nanogs.io import check_writable
 
-    saving: dict[str, Any] = {"overwrite": overwrite, "spz_version": spz_version}
+    saving: dict[str, Any] = {
+        "overwrite": overwrite,
+        "format_options": {"spz_version": spz_version},
+    }
     filters = filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters)
     if turn and frame:
         raise OptionError("--turn and --frame both turn the model; give one of them.")

@@ -109,7 +109,7 @@ def simplify(
         reading=reading.parse_reading(
             crop, min_opacity, drop_floaters=drop_floaters, sh_degree=sh_degree, psnr=psnr
         ),
-        saving={"overwrite": overwrite, "spz_version": spz_version},
+        saving={"overwrite": overwrite, "format_options": {"spz_version": spz_version}},
         frames=framing.parse_frames(frame),
         cameras=cameras,
         up=method.check_views(preset, chosen, views, cameras, up),

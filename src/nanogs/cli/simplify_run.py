@@ -184,7 +184,7 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
         size=goal.size,
         psnr=goal.psnr,
         format=known.suffix if known else target.suffix,
-        format_options={"spz_version": saving["spz_version"]},
+        format_options=saving["format_options"],
         cameras=requested_cameras(splats, request.cameras, request.up, request.chosen),
         max_memory=request.blocks.max_memory,
         progress=progress.passing(),

@@ -3,7 +3,7 @@
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError
@@ -11,7 +11,7 @@ from nanogs.findings import join_findings
 from nanogs.io import atomic, registry
 from nanogs.io.file_objects import as_named, read_file, write_file
 from nanogs.io.folder import check_folder_writable
-from nanogs.io.format import Format
+from nanogs.io.format import Format, FormatOptions
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource
 from nanogs.progress import Progress, Stage, Tracker
@@ -104,8 +104,8 @@ def save(
     *,
     overwrite: bool = False,
     format: str | None = None,  # noqa: A002 - what it is called everywhere
+    format_options: FormatOptions | None = None,
     progress: Progress | None = None,
-    **options: Any,  # noqa: ANN401 - checked against those of the format
 ) -> None:
     """Write a model to a file, which appears whole or not at all.
 
@@ -122,8 +122,8 @@ def save(
         overwrite: Replace a file that exists.
         format: Suffix of the format; by default that of the name. An open file without a name
             needs it.
+        format_options: Of the format, by name: `spz_version`, 2, 3 (as by default) or 4.
         progress: Called with each `nanogs.progress.Step` of a file whose writing takes long.
-        **options: Of the format: `spz_version`, 2, 3 (as by default) or 4.
 
     Raises:
         ModelError: It is no model, or the format cannot hold it at all.
@@ -134,16 +134,16 @@ def save(
     if not isinstance(splats, Source):
         refuse_other(splats)
     if not isinstance(path, str | PathLike):
-        write_file(splats, path, format, options)
+        write_file(splats, path, format, format_options or {})
         return
     path = Path(path)
     named = as_named(path, format)
     known = registry.writable(named)
     if known.write_folder:
-        folder, chosen = _folder_of(path, known), registry.keywords(known, options)
+        folder, chosen = _folder_of(path, known), registry.keywords(known, format_options or {})
         known.write_folder(source_of(splats).load(), folder, overwrite=overwrite, **chosen)
         return
-    write = registry.writer(named, options)
+    write = registry.writer(named, format_options)
     tracker = Tracker(progress, [Stage("write", 1.0)])
     told = {"tell": tracker.part} if known.tells else {}
     with atomic.atomic_write(path, overwrite=overwrite) as file:
@@ -154,7 +154,7 @@ def save(
 def encoded_bytes(
     splats: Splats,
     path: str | PathLike[str],
-    **options: Any,  # noqa: ANN401 - as in `save`
+    format_options: FormatOptions | None = None,
 ) -> int:
     """Bytes of the file that `save` would write, by writing it to memory.
 
@@ -162,14 +162,14 @@ def encoded_bytes(
         NanogsError: As for `save`.
     """
     buffer = BytesIO()
-    registry.writer(Path(path), options)(splats, buffer)
+    registry.writer(Path(path), format_options)(splats, buffer)
     return buffer.getbuffer().nbytes
 
 
 def as_stored(
     splats: Splats,
     path: str | PathLike[str],
-    **options: Any,  # noqa: ANN401 - as in `save`
+    format_options: FormatOptions | None = None,
 ) -> Splats:
     """The model as `load` would give it back after `save`, by way of a temporary file.
 
@@ -186,7 +186,7 @@ def as_stored(
         if not known.write_folder:
             file = file.with_name(f"model{known.suffix}")
             file.parent.mkdir()
-        save(splats, file, **options)
+        save(splats, file, format_options=format_options)
         return load(file)
 
 
@@ -236,7 +236,7 @@ def check_writable(
     path: str | PathLike[str],
     *,
     overwrite: bool = False,
-    **options: Any,  # noqa: ANN401 - as in `save`
+    format_options: FormatOptions | None = None,
 ) -> None:
     """Fail before any computing if `save` could not write to `path`.
 
@@ -246,7 +246,7 @@ def check_writable(
     """
     path = Path(path)
     known = registry.writable(path)
-    registry.keywords(known, options)
+    registry.keywords(known, format_options or {})
     known.check()
     if known.ours:
         check_folder_writable(_folder_of(path, known), known.ours, overwrite=overwrite)

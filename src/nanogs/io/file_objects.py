@@ -9,11 +9,12 @@ import os
 import shutil
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import Any, BinaryIO, cast
+from typing import BinaryIO, cast
 
 from nanogs.cleanup import temporary_folder
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
+from nanogs.io.format import FormatOptions
 from nanogs.io.sniff import sniff
 from nanogs.source import Source
 from nanogs.splats import Splats
@@ -68,7 +69,7 @@ def write_file(
     splats: Splats | Source,
     file: BinaryIO,
     format: str | None,  # noqa: A002 - as `save` has it
-    options: dict[str, Any],
+    options: FormatOptions,
 ) -> None:
     """Write a model into an open file, all of it or nothing.
 

@@ -12,6 +12,8 @@ from nanogs.io.parts import FileSource
 from nanogs.splats import Splats
 
 UNSTATED = "not stated in the file; y down (rdf) by habit"
+FormatOptions = Mapping[str, Any]
+"""What one format alone takes for writing, by name, such as `spz_version`; None is the default."""
 Writer = Callable[..., None]
 """Writes a model to a file that is open for binary writing."""
 Sizer = Callable[[Splats, int], int]
@@ -65,11 +67,11 @@ class Format:
     smaller for more splats. `frame` says which way is up, and `axes` is the name of the frame of a
     model that was read, or None where files differ; with `turns`, files are in the format's own
     frame, to and from which reading and writing turn. `leaps` are counts, in ascending order, of
-    which a file takes far more than of one splat less. `options` are what `save` takes for this
-    format alone. Of a format whose model is a folder, described by the file of the name `suffix` in
-    it, `write_folder` makes that folder and `ours` says what in such a folder nanogs made. With
-    `tells`, `write` takes `tell`: it takes long, and tells its parts. With `streams`, `write` takes
-    a source too, and holds no more than some rows of it. `check` fails before any
+    which a file takes far more than of one splat less. `options` are what `save` takes as
+    `format_options` for it. Of a format whose model is a folder, described by the file of the name
+    `suffix` in it, `write_folder` makes that folder and `ours` says what in such a folder nanogs
+    made. With `tells`, `write` takes `tell`: it takes long, and tells its parts. With `streams`,
+    `write` takes a source too, and holds no more than some rows of it. `check` fails before any
     computing where this installation cannot write the format.
     """
 

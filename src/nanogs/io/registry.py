@@ -1,12 +1,12 @@
 """The formats nanogs knows, by the suffix of the file name."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from nanogs.errors import FormatError, OptionError, did_you_mean
-from nanogs.io.format import Format, Sizer, Writer
+from nanogs.io.format import Format, FormatOptions, Sizer, Writer
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
@@ -60,7 +60,7 @@ def _meant(path: Path, suffixes: Sequence[str]) -> str:
     return did_you_mean(path.suffix, suffixes)
 
 
-def writer(path: Path, options: Mapping[str, Any] | None = None) -> Writer:
+def writer(path: Path, options: FormatOptions | None = None) -> Writer:
     """The function that writes a model, or a source of one, to files of that suffix.
 
     Args:
@@ -89,7 +89,7 @@ def _write_whole(
     write(source_of(model).load(), file, **given)
 
 
-def keywords(known: Format, options: Mapping[str, Any]) -> dict[str, Any]:
+def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
     """Arguments for a format's writer, from options by name; None stands for the default.
 
     Raises:

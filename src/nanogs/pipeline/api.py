@@ -1,7 +1,7 @@
 """`nanogs.simplify`: from a model and a wish to a smaller model and a report."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs.bar import drawn
 from nanogs.clock import StageClock
 from nanogs.io import as_stored, encoded_bytes, registry
+from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.job import Job, NanPolicy, prepare_job
 from nanogs.pipeline.outcome import Outcome
@@ -33,7 +34,7 @@ def simplify(
     size: int | str | None = None,
     psnr: float | None = None,
     format: str = ".ply",  # noqa: A002 - what it is called everywhere
-    format_options: Mapping[str, Any] | None = None,
+    format_options: FormatOptions | None = None,
     preset: str = DEFAULT_PRESET,
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
@@ -105,12 +106,11 @@ def simplify(
             if size is not None:
                 outcome = replace(outcome, achieved_size=registry.sizer(path)(splats, target))
         elif size is not None:
-            options = dict(format_options or {})
-            encode = partial(encoded_bytes, path=path, **options)
+            encode = partial(encoded_bytes, path=path, format_options=format_options)
             leaps = registry.writable(path).leaps(job.splats)
             outcome = _fit(job, size, encode, leaps, threads_used, clock, tracker)
         else:
-            stored = partial(as_stored, path=path, **dict(format_options or {}))
+            stored = partial(as_stored, path=path, format_options=format_options)
             outcome = _reach(job, goal.psnr or 0.0, stored, threads_used, clock, tracker)
         target = len(outcome.splats) if target is None else target
         tracker.finish()

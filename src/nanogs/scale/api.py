@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from nanogs.filters import Filter
+    from nanogs.io.format import FormatOptions
 
 
 def simplify_blocks(
@@ -69,8 +70,8 @@ def simplify_blocks(
     threads: int | None = None,
     executor: "Client | Executor | None" = None,
     patience: float = PATIENCE,
+    format_options: "FormatOptions | None" = None,
     progress: Progress | bool | None = None,
-    spz_version: int | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> SimplifyReport:
     """Simplify files block by block, in bounded memory, here or elsewhere.
@@ -105,10 +106,10 @@ def simplify_blocks(
         executor: Whose workers do the work: a Dask client, or a `concurrent.futures.Executor` such
             as a ProcessPoolExecutor. It is used as it is, and not closed.
         patience: Seconds to wait for workers where a Dask cluster has none, before the run ends.
+        format_options: Of the output's format, as `save` takes them.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`, its parts tasks; with "wait" in place of a stage
             while a cluster has no worker.
-        spz_version: Of a .spz file.
         **overrides: Parameters of the preset to replace.
 
     Returns:
@@ -143,8 +144,7 @@ def simplify_blocks(
     refuse_large(output, most, row_bytes(settings.layout), max_memory)
     if not resume:
         refuse_full_disk(plan, folder, scratch)
-    saving = {"spz_version": spz_version}
-    made = BlockJob(settings, folder, scratch, Files((output,), saving, overwrite))
+    made = BlockJob(settings, folder, scratch, Files((output,), format_options, overwrite))
     where = Where(threads, executor, patience)
     with drawn(progress) as tell:
         done, counts = made.run(where, clock, tell, resume=resume)

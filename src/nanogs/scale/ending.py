@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from nanogs.io import check_writable
+from nanogs.io.format import FormatOptions
 from nanogs.progress import Tracker
 from nanogs.scale.folder import RESULT, refuse_finished
 from nanogs.scale.result import move_into_place, seal, sealed, write_result
@@ -49,12 +50,12 @@ class Files:
 
     Attributes:
         paths: The files to write.
-        saving: What `save` takes for them.
+        format_options: As `save` takes them.
         overwrite: Whether files that exist are replaced.
     """
 
     paths: tuple[Path, ...]
-    saving: dict[str, Any]
+    format_options: FormatOptions | None
     overwrite: bool
 
     def check(self, folder: Path, *, resume: bool) -> None:
@@ -62,13 +63,13 @@ class Files:
         for path in self.paths:
             if resume and not self.overwrite:
                 refuse_finished(folder, path)
-            check_writable(path, overwrite=self.overwrite, **self.saving)
+            check_writable(path, overwrite=self.overwrite, format_options=self.format_options)
 
     def check_begun(self, folder: Path) -> None:
         """As `Ending` says."""
         for level, path in enumerate(self.paths):
             if sealed(self._file(folder, level), path) is None:
-                check_writable(path, overwrite=self.overwrite, **self.saving)
+                check_writable(path, overwrite=self.overwrite, format_options=self.format_options)
 
     def finish(self, done: Done, folder: Path, progress: Tracker) -> list[int]:
         """As `Ending` says."""
@@ -84,7 +85,7 @@ class Files:
         if count is None:
             count = sealed(file, file)
             if count is None:
-                count = write_result(done.work, level, file, target, self.saving)
+                count = write_result(done.work, level, file, target, self.format_options)
                 seal(file, count)
             move_into_place(file, path, overwrite=self.overwrite)
         return count

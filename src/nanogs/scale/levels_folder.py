@@ -115,7 +115,7 @@ def _fill_plain(work: Work, making: Path, progress: Tracker) -> list[int]:
     for level in range(work.settings.levels):
         progress.part(level, work.settings.levels)
         target = int(work.of_job("budget", level).facts["target"])
-        counts.append(write_result(work, level, making / level_name(level), target, {}))
+        counts.append(write_result(work, level, making / level_name(level), target))
     return counts
 
 

@@ -7,11 +7,11 @@ import json
 import os
 import shutil
 from pathlib import Path
-from typing import Any
 
 from nanogs.errors import OptionError
 from nanogs.io import check_writable, registry, save
 from nanogs.io.atomic import atomic_write
+from nanogs.io.format import FormatOptions
 from nanogs.scale.parts import Parts, further
 from nanogs.scale.scratch import hash_file
 from nanogs.scale.work import Work
@@ -39,7 +39,9 @@ def refuse_large(path: Path, count: int, row: int, max_memory: int | None) -> No
         )
 
 
-def write_result(work: Work, level: int, file: Path, target: int, saving: dict[str, Any]) -> int:
+def write_result(
+    work: Work, level: int, file: Path, target: int, format_options: FormatOptions | None = None
+) -> int:
     """Write the parts of a level to a file; the splats in it.
 
     Args:
@@ -47,7 +49,7 @@ def write_result(work: Work, level: int, file: Path, target: int, saving: dict[s
         level: Of the result.
         file: What to write; replaced if it exists.
         target: Splats asked for; where blocks could not go as far, the rest is done in memory.
-        saving: What `save` takes.
+        format_options: As `save` takes them.
 
     Raises:
         OutputError: The file cannot be written.
@@ -58,7 +60,7 @@ def write_result(work: Work, level: int, file: Path, target: int, saving: dict[s
             source = InMemory(further(parts.load(), target, work.settings))
         if work.settings.frame is not None:
             source = Turned(source, *work.settings.frame)
-        save(source, file, **(saving | {"overwrite": True}))
+        save(source, file, overwrite=True, format_options=format_options)
         return source.count
 
 
