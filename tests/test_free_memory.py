@@ -13,8 +13,8 @@ from nanogs.cli.failures import sentence_of
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import NotEnoughMemoryError
 from nanogs.io.files import splat_bytes
-from nanogs.lod.levels import judged_levels
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, free_memory, process_memory
+from nanogs.pipeline.levels import judged_levels
 from nanogs.pipeline.presets import effective, parameters
 from nanogs.scoring.needed import needed_bytes
 

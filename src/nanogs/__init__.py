@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from nanogs.fit.parameters import RefitParameters
     from nanogs.fit.report import RefitReport
     from nanogs.io import load, open, save  # noqa: A004 - what it is called everywhere
-    from nanogs.lod.levels import levels
     from nanogs.model_info import info
     from nanogs.pipeline.api import simplify
+    from nanogs.pipeline.levels import levels
     from nanogs.pipeline.presets import PRESETS as presets  # noqa: N811 - read like a module
     from nanogs.raster.camera import Camera
     from nanogs.report import SimplifyReport
@@ -61,7 +61,7 @@ _HOMES = {
     "Splats": "splats",
     "compare": "scoring.api",
     "info": "model_info",
-    "levels": "lod.levels",
+    "levels": "pipeline.levels",
     "load": "io",
     "open": "io",
     "presets": "pipeline.presets",

@@ -112,7 +112,7 @@ def lod(
         from nanogs.cli.lod_run import print_levels
         from nanogs.io.collect import Pair
         from nanogs.lod.layout import check_options, output_of
-        from nanogs.lod.levels import check_ratios
+        from nanogs.pipeline.levels import check_ratios
 
     overrides: dict[str, Any] = {
         "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,

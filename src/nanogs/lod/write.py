@@ -11,9 +11,9 @@ from nanogs.io.folder import atomic_folder
 from nanogs.lod.chunks import Written
 from nanogs.lod.file_levels import PLY
 from nanogs.lod.layout import NAMES, Layout, LevelWriter, check_options, made_files, writer
-from nanogs.lod.levels import judged_levels
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, describe_chunks, describe_level
 from nanogs.lod.measured import LevelJudge, level_judge
+from nanogs.pipeline.levels import judged_levels
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters
 from nanogs.pipeline.stages import levels_stages, measure_stage, write_weight
 from nanogs.pipeline.target import target_count

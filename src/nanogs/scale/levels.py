@@ -12,7 +12,6 @@ from nanogs.defaults import CHUNK
 from nanogs.findings import join_findings
 from nanogs.lod.file_levels import FileLevels, level_name
 from nanogs.lod.layout import Layout, check_options
-from nanogs.lod.levels import check_ratios
 from nanogs.lod.manifest import (
     ChunkedLevel,
     Level,
@@ -22,6 +21,7 @@ from nanogs.lod.manifest import (
 )
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.job import NanPolicy
+from nanogs.pipeline.levels import check_ratios
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress
 from nanogs.report import SimplifyReport
