@@ -14,7 +14,7 @@ from nanogs import filters, io
 from nanogs.frames import change_frame
 from nanogs.source import Filtered, InMemory, Reduced, Source, Turned
 
-ENDS = [".ply", ".splat", ".npz", ".spz"]
+ENDS = [".ply", ".splat", ".npz", ".spz", ".compressed.ply"]
 COUNT = 800_000
 MOST = 100e6  # bytes of the whole process
 # Of a process: the most that it ever took.
@@ -89,7 +89,7 @@ def test_what_cannot_be_written_is_counted_over_all_blocks(scene, tmp_path):
 
 
 def test_a_source_is_written_to_formats_that_need_the_whole(scene, tmp_path):
-    for target in ("b.compressed.ply", "b.glb", "folder/meta.json"):
+    for target in ("b.glb", "folder/meta.json"):
         nanogs.save(nanogs.open(scene), tmp_path / target)
         assert nanogs.io.inspect(tmp_path / target).splats == 900
     assert len(io.losses(InMemory(nanogs.load(scene)), "a.glb")) == 1

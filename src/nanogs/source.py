@@ -28,7 +28,7 @@ from nanogs.splats import (
 )
 
 BLOCK_ROWS = 8192  # of a block, unless told otherwise
-PAGE_ROWS = 1 << 14  # rows in and out of which a filter's are counted
+PAGE_ROWS = 1 << 13  # rows in and out of which a filter's are counted
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,6 @@ and the order of the splats are those of https://github.com/playcanvas/splat-tra
 that both write the same numbers. Rows come in Morton order (Morton 1966), for narrow bounds.
 """
 
-from collections.abc import Iterator
 from typing import BinaryIO
 
 import numpy as np
@@ -15,7 +14,9 @@ from nanogs.findings import Finding
 from nanogs.io import columns, limits, render_tag
 from nanogs.io.compressed_ply import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED
 from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.in_order import in_order
 from nanogs.io.ply_write import header
+from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.stored import SH_C0
 
@@ -27,26 +28,44 @@ _CHUNK = np.dtype([(name, "<f4") for name in (*BOUNDS, *COLOUR_BOUNDS)])
 _VERTEX = np.dtype([(name, "<u4") for name in PACKED])
 
 
-def write(splats: Splats, file: BinaryIO) -> None:
-    """Write a model; its rows come out in Morton order.
+def write(model: Splats | Source, file: BinaryIO) -> None:
+    """Write a model; its rows come out in Morton order. Of a source only the centres are held.
 
     Raises:
         OutputError: A splat holds a value that the format cannot, or a comment is too long.
         OSError: The system refuses to write.
     """
-    limits.refuse_unstorable(splats, ".compressed.ply")
-    file.write(_header(splats, len(splats)))
-    order = morton_order(splats.means.astype(np.float32))
-    chunks = np.empty(_chunks(len(splats)), _CHUNK)
-    for span, rows in _blocks(order):
-        first = span.start // CHUNK_ROWS
-        chunks[first : first + _chunks(len(rows))] = _bounds(splats, rows)
+    source = source_of(model)
+    order = _order(source)
+    file.write(_header(source.read(0, 1), source.count))
+    with in_order(source, order) as rows:
+        del order  # which is not needed any more, and large
+        _write_rows(rows, file)
+
+
+def _order(source: Source) -> I64:
+    """The rows in Morton order, once it is known that all can be stored."""
+    means = np.empty((source.count, 3), np.float32)
+    at = 0
+    for block in limits.storable(source, ".compressed.ply"):
+        with np.errstate(over="ignore"):  # which is refused when all have been looked at
+            means[at : at + len(block)] = block.means
+        at += len(block)
+    return morton_order(means)
+
+
+def _write_rows(rows: Source, file: BinaryIO) -> None:
+    """Write splats in their order; blocks begin where chunks do."""
+    size = max(BLOCK_ROWS // CHUNK_ROWS, 1) * CHUNK_ROWS
+    chunks = np.concatenate([_bounds(block) for block in rows.blocks(size)])
     file.write(chunks.data)
-    for span, rows in _blocks(order):
-        file.write(_packed(splats, rows, chunks[np.arange(span.start, span.stop) // CHUNK_ROWS]))
-    if splats.sh_degree:
-        for _, rows in _blocks(order):
-            file.write(_sh_bytes(splats.sh[rows]))
+    at = 0
+    for block in rows.blocks(size):
+        file.write(_packed(block, chunks[np.arange(at, at + len(block)) // CHUNK_ROWS]))
+        at += len(block)
+    if rows.columns.sh_degree:
+        for block in rows.blocks(size):
+            file.write(_sh_bytes(block.sh))
 
 
 def file_bytes(splats: Splats, count: int) -> int:
@@ -88,26 +107,36 @@ def morton_order(means: F32) -> I64:
     spans = [(0, len(means))]
     while spans:  # each pass splits a span of at least two places, so this ends
         start, stop = spans.pop()
-        codes = _codes(means[order[start:stop]].astype(np.float64))
+        codes = _codes(means, order[start:stop])
         rank = np.argsort(codes, kind="stable")
+        codes = codes[rank]
         order[start:stop] = order[start:stop][rank]
-        edges = np.flatnonzero(np.diff(codes[rank])) + 1 + start
-        edges = np.concatenate([[start], edges, [stop]])
-        if len(edges) > 2:
-            wide = np.flatnonzero(np.diff(edges) > CHUNK_ROWS)
-            spans += [(int(edges[i]), int(edges[i + 1])) for i in wide]
+        del rank  # of a large model large too
+        if codes[0] != codes[-1]:
+            crowded = np.unique(codes[CHUNK_ROWS:][codes[CHUNK_ROWS:] == codes[:-CHUNK_ROWS]])
+            edges = (start + np.searchsorted(codes, crowded, side) for side in ("left", "right"))
+            spans += zip(*(each.tolist() for each in edges), strict=True)
     return order
 
 
-def _codes(points: F64) -> U32:
-    """(R,) uint32: interleaved bits of the cells of the points' own bounding box, x lowest."""
-    low = points.min(axis=0)
-    extent = points.max(axis=0) - low
+def _codes(means: F32, rows: I64) -> U32:
+    """(R,) uint32: interleaved bits of the cells of the rows' own bounding box, x lowest."""
+    blocks = [rows[at : at + BLOCK_ROWS] for at in range(0, len(rows), BLOCK_ROWS)]
+    low, high = (
+        np.array([edge(means[block], axis=0) for block in blocks], np.float64)
+        for edge in (np.min, np.max)
+    )
+    corner = low.min(axis=0)
+    extent = high.max(axis=0) - corner
     scale = np.divide(_CELLS, extent, out=np.zeros(3), where=extent > 0)
-    cells = np.minimum((points - low) * scale, _CELLS - 1).astype(np.uint32)
-    for shift, mask in ((16, 0xFF0000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        cells = (cells ^ (cells << np.uint32(shift))) & np.uint32(mask)
-    codes: U32 = cells[:, 0] | cells[:, 1] << np.uint32(1) | cells[:, 2] << np.uint32(2)
+    codes = np.empty(len(rows), np.uint32)
+    for number, block in enumerate(blocks):
+        points = means[block].astype(np.float64)
+        cells = np.minimum((points - corner) * scale, _CELLS - 1).astype(np.uint32)
+        for shift, mask in ((16, 0xFF0000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
+            cells = (cells ^ (cells << np.uint32(shift))) & np.uint32(mask)
+        bits = cells[:, 0] | cells[:, 1] << np.uint32(1) | cells[:, 2] << np.uint32(2)
+        codes[number * BLOCK_ROWS :][: len(block)] = bits
     return codes
 
 
@@ -129,26 +158,18 @@ def _header(splats: Splats, count: int) -> bytes:
     return header(render_tag.tagged(splats.comments, splats.render_mode), elements)
 
 
-def _blocks(order: I64) -> Iterator[tuple[slice, I64]]:
-    """Places in the file and the rows that go there; blocks begin where chunks do."""
-    size = max(BLOCK_ROWS // CHUNK_ROWS, 1) * CHUNK_ROWS
-    for start in range(0, len(order), size):
-        rows = order[start : start + size]
-        yield slice(start, start + len(rows)), rows
-
-
-def _values(splats: Splats, rows: I64) -> tuple[F32, F32, F32]:
+def _values(splats: Splats) -> tuple[F32, F32, F32]:
     """Centres, clamped log-scales and base colours, (R, 3) float32 each, as the bounds see them."""
-    colours = splats.sh[rows, 0].astype(np.float64) * SH_C0 + 0.5
-    scales = np.clip(splats.log_scales[rows], -_LOG_SCALES, _LOG_SCALES)
-    return splats.means[rows].astype(np.float32), scales, colours.astype(np.float32)
+    colours = splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5
+    scales = np.clip(splats.log_scales, -_LOG_SCALES, _LOG_SCALES)
+    return splats.means.astype(np.float32), scales, colours.astype(np.float32)
 
 
-def _bounds(splats: Splats, rows: I64) -> Array:
+def _bounds(splats: Splats) -> Array:
     """(C,) of the chunk's type: the lowest and highest value in every 256 rows."""
-    chunks = np.empty(_chunks(len(rows)), _CHUNK)
-    starts = np.arange(0, len(rows), CHUNK_ROWS)
-    for values, names in zip(_values(splats, rows), _NAMES, strict=True):
+    chunks = np.empty(_chunks(len(splats)), _CHUNK)
+    starts = np.arange(0, len(splats), CHUNK_ROWS)
+    for values, names in zip(_values(splats), _NAMES, strict=True):
         low, high = (edge.reduceat(values, starts) for edge in (np.minimum, np.maximum))
         for axis in range(3):
             chunks[names[axis]], chunks[names[axis + 3]] = low[:, axis], high[:, axis]
@@ -158,16 +179,15 @@ def _bounds(splats: Splats, rows: I64) -> Array:
 _NAMES = (BOUNDS[:6], BOUNDS[6:], COLOUR_BOUNDS)
 
 
-def _packed(splats: Splats, rows: I64, chunk: Array) -> memoryview:
+def _packed(splats: Splats, chunk: Array) -> memoryview:
     """The vertex rows; `chunk` holds the bounds of each."""
     units = [
-        _unit(values, chunk, names)
-        for values, names in zip(_values(splats, rows), _NAMES, strict=True)
+        _unit(values, chunk, names) for values, names in zip(_values(splats), _NAMES, strict=True)
     ]
-    vertex = np.empty(len(rows), _VERTEX)
-    rgba = np.column_stack([units[2], splats.take(rows).opacities()])
+    vertex = np.empty(len(splats), _VERTEX)
+    rgba = np.column_stack([units[2], splats.opacities()])
     vertex["packed_position"] = _words(units[0], (11, 10, 11))
-    vertex["packed_rotation"] = _rotations(splats.quats[rows].astype(np.float64))
+    vertex["packed_rotation"] = _rotations(splats.quats.astype(np.float64))
     vertex["packed_scale"] = _words(units[1], (11, 10, 11))
     vertex["packed_color"] = _words(rgba, (8, 8, 8, 8))
     return vertex.data

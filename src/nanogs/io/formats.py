@@ -42,6 +42,7 @@ FORMATS = (
         compressed_ply_write.write,
         compressed_ply_write.file_bytes,
         compressed_ply_write.losses,
+        streams=True,
     ),
     Format(".ply", ply.open_ply, ply_write.write, ply_write.file_bytes, streams=True),
     Format(".splat", splat.SplatFile, splat.write, splat.file_bytes, splat.losses, streams=True),

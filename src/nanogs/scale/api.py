@@ -82,8 +82,8 @@ def simplify_blocks(
 
     Args:
         inputs: A file, or several that are parts of one scene.
-        output: The file to write; .ply, .splat, .npz and .spz files are written block by block,
-            others are held whole.
+        output: The file to write; .ply, .compressed.ply, .splat, .npz and .spz files are written
+            block by block, others are held whole.
         ratio: Compaction ratio in (0, 1]; exactly one of both is given.
         count: Splats to deliver.
         preset: `default` or `fast`.

@@ -1,0 +1,115 @@
+"""The rows of a source in another order, by way of a temporary file if it is not in memory."""
+
+from tempfile import TemporaryFile
+from typing import IO, Any
+from weakref import finalize
+
+import numpy as np
+
+from nanogs._types import I64, Array
+from nanogs.source import InMemory, Layout, Source
+from nanogs.splats import RenderMode, Splats
+
+_COLUMNS = ("means", "log_scales", "quats", "opacity_logits", "sh")
+_LEAST_ROWS, _MOST_BUCKETS = 1 << 13, 64
+
+
+def in_order(source: Source, order: I64) -> Source:
+    """The rows of a model in another order, without extra columns where it is not in memory.
+
+    Args:
+        source: N splats.
+        order: (N,) the row that comes first, and so on.
+
+    Raises:
+        OSError: The temporary file cannot be written.
+    """
+    return _Taken(source, order) if isinstance(source, InMemory) else _Sorted(source, order)
+
+
+class _Taken(Source):
+    """Rows of a model in memory."""
+
+    def __init__(self, source: Source, order: I64) -> None:
+        self._source, self._order = source, order
+
+    @property
+    def count(self) -> int:
+        """Number of splats."""
+        return len(self._order)
+
+    @property
+    def columns(self) -> Layout:
+        """The columns of the model."""
+        return self._source.columns
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        return self._source.take(self._order[start:stop])
+
+
+class _Sorted(Source):
+    """Rows in a temporary file: those of each bucket of places together, in the order they came."""
+
+    def __init__(self, source: Source, order: I64) -> None:
+        self._source = source
+        self._rows = max(_LEAST_ROWS, -(-len(order) // _MOST_BUCKETS))
+        first = source.read(0, 1)
+        columns = [(n, getattr(first, n).dtype, getattr(first, n).shape[1:]) for n in _COLUMNS]
+        self._dtype = np.dtype([("place", "<i8"), *columns])
+        self._file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed by `close`
+        finalize(self, self._file.close)
+        self._last: tuple[int, Array] | None = None
+        self._fill(order)
+
+    @property
+    def count(self) -> int:
+        """Number of splats."""
+        return self._source.count
+
+    @property
+    def columns(self) -> Layout:
+        """The columns of the model."""
+        return self._source.columns
+
+    def _fill(self, order: I64) -> None:
+        places = np.empty_like(order)
+        places[order] = np.arange(len(places))
+        ends = np.arange(0, len(places), self._rows)  # of what each bucket has so far
+        at = 0
+        for block in self._source.blocks():
+            rows = np.empty(len(block), self._dtype)
+            rows["place"] = places[at : at + len(block)]
+            for name in _COLUMNS:
+                rows[name] = getattr(block, name)
+            buckets = rows["place"] // self._rows
+            for bucket in np.unique(buckets):
+                some = rows[buckets == bucket]
+                self._file.seek(int(ends[bucket]) * self._dtype.itemsize)
+                self._file.write(some.tobytes())
+                ends[bucket] += len(some)
+            at += len(block)
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        parts = []
+        while start < stop:
+            number, skipped = divmod(start, self._rows)
+            parts.append(self._bucket(number)[skipped : skipped + stop - start])
+            start += len(parts[-1])
+        rows = np.concatenate(parts)
+        columns: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in _COLUMNS}
+        return Splats(**columns, render_mode=RenderMode(self.columns.render_mode))
+
+    def _bucket(self, number: int) -> Array:
+        if self._last is None or self._last[0] != number:
+            self._last = None
+            count = min(self._rows, self.count - number * self._rows)
+            self._file.seek(number * self._rows * self._dtype.itemsize)
+            rows = np.frombuffer(self._file.read(count * self._dtype.itemsize), self._dtype)
+            self._last = number, rows[np.argsort(rows["place"])]
+        return self._last[1]
+
+    def close(self) -> None:
+        """Remove the temporary file."""
+        self._file.close()
