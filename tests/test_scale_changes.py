@@ -26,7 +26,7 @@ FRAME = ("rdf", "fru")
 @pytest.fixture(autouse=True)
 def small_pages(monkeypatch):
     """Pages of so few rows that files have several, and segments begin within some."""
-    monkeypatch.setattr("nanogs.source.PAGE_ROWS", 100)
+    monkeypatch.setattr("nanogs.source.base.PAGE_ROWS", 100)
 
 
 @pytest.fixture(scope="module", params=[".ply", ".spz", ".npz", ".usda"])

@@ -11,7 +11,7 @@ from nanogs import filters
 from nanogs import source as sources
 from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.frames import change_frame
-from nanogs.source import Filtered, InMemory, Joined, Reduced, Turned
+from nanogs.source import Filtered, InMemory, Joined, Reduced, Turned, base
 from nanogs.splats import ExtraElement
 from strategies import assert_same
 
@@ -23,8 +23,8 @@ KEPT = [filters.box((-1, -1, -0.5), (1, 1, 0.5)), filters.opaque_enough(0.3)]
 @pytest.fixture
 def small_pages(monkeypatch):
     """Pages of so few rows that a filtered model has several, some of them empty."""
-    monkeypatch.setattr(sources, "PAGE_ROWS", 32)
-    monkeypatch.setattr(sources, "BLOCK_ROWS", 100)
+    monkeypatch.setattr(base, "PAGE_ROWS", 32)
+    monkeypatch.setattr(base, "BLOCK_ROWS", 100)
 
 
 def model_of(count=700, **given):

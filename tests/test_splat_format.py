@@ -129,7 +129,7 @@ def test_round_trip_within_half_a_step(tmp_path, model):
 def test_order_is_kept_across_blocks(saved, load, monkeypatch):
     model = random_splats(20, degree=0)
     whole = saved(model)
-    monkeypatch.setattr("nanogs.source.BLOCK_ROWS", 3)
+    monkeypatch.setattr("nanogs.source.base.BLOCK_ROWS", 3)
     assert saved(model) == whole
     assert np.array_equal(load(whole).means, model.means)
 

@@ -175,7 +175,7 @@ def test_blocks_agree(tmp_path, version, monkeypatch):
     model = random_splats(20, degree=1)
     whole = written(model, tmp_path / "a.spz", version)
     monkeypatch.setattr("nanogs.io.spz.BLOCK_ROWS", 3)
-    monkeypatch.setattr("nanogs.source.BLOCK_ROWS", 7)
+    monkeypatch.setattr("nanogs.source.base.BLOCK_ROWS", 7)
     assert_same(whole, written(model, tmp_path / "b.spz", version))
 
 

@@ -33,8 +33,8 @@ print(int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    monkeypatch.setattr("nanogs.source.PAGE_ROWS", 64)
-    monkeypatch.setattr("nanogs.source.BLOCK_ROWS", 50)
+    monkeypatch.setattr("nanogs.source.base.PAGE_ROWS", 64)
+    monkeypatch.setattr("nanogs.source.base.BLOCK_ROWS", 50)
     extras = {"label": np.arange(900, dtype=np.int32)}
     nanogs.save(random_splats(900, degree=3, extras=extras), tmp_path / "a.ply")
     return tmp_path / "a.ply"

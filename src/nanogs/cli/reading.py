@@ -9,8 +9,10 @@ from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.filters import Filter, FilterReport, apply
 from nanogs.io import FileInfo, inspect, load
+from nanogs.io import open as open_model
 from nanogs.pipeline.stages import read_weight
 from nanogs.progress import Stage, Tracker
+from nanogs.source import Joined
 from nanogs.splats import MAX_SH_DEGREE, Splats
 
 
@@ -123,6 +125,5 @@ def read_parts(paths: Sequence[Path]) -> Splats:
     """
     if len(paths) == 1:
         return load(paths[0])
-    from nanogs.scale.source import load_joined
-
-    return load_joined(paths)
+    with Joined([open_model(path) for path in paths]) as source:
+        return source.load()

@@ -58,7 +58,7 @@ class Sieve:
     Attributes:
         plain: Kind and numbers of each, as `filters.Filter.plain` has them.
         left: Splats after each.
-        kept: Splats of each page of `source.PAGE_ROWS` rows after all.
+        kept: Splats of each page of `source.base.PAGE_ROWS` rows after all.
     """
 
     plain: tuple[Plain, ...]

@@ -188,13 +188,3 @@ def sample(settings: Settings, unpacked: Unpacked | None = None) -> Splats:
             part = source.read(start, min(start + _SPAN_ROWS, source.count))
             parts.append(fitted(part.take(part.finite()), bare))
     return concatenate(parts)
-
-
-def load_joined(paths: Sequence[Path]) -> Splats:
-    """Several files as one model, held whole.
-
-    Raises:
-        NanogsError: One of them cannot be read, or they do not make one scene.
-    """
-    with Joined([open_model(path) for path in paths]) as source:
-        return source.load()

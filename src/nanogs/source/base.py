@@ -1,0 +1,143 @@
+"""What a source is: a model of which some rows are read at a time."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from nanogs._types import I64
+from nanogs.findings import join_findings
+from nanogs.splats import ExtraElement, Splats, concatenate
+
+BLOCK_ROWS = 8192  # of a block, unless told otherwise
+PAGE_ROWS = 1 << 13  # rows of which a filter's are counted, and that are read at once to take some
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """The columns of a model, and what is said of all its splats.
+
+    Attributes:
+        sh_degree: Degree of the spherical harmonics, 0 to 4.
+        double_means: Whether the centres are in double precision.
+        extras: Name and dtype of the extra columns.
+        render_mode: The rasteriser that the model was trained for.
+        comments: Comment lines.
+        notes: What is left out of the whole, one sentence each.
+    """
+
+    sh_degree: int
+    double_means: bool
+    extras: tuple[tuple[str, str], ...]
+    render_mode: str
+    comments: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+class Source(ABC):
+    """A model of which some rows are read at a time.
+
+    `read(start, stop)` and `take(rows)` give splats with the columns of `columns`, bit for bit as
+    the whole has them, with notes about those rows; further PLY elements come without their rows,
+    which `read_elements` gives. A source that holds files open or temporary ones is closed by
+    `close`, or at the end of a `with` block.
+
+    Attributes:
+        name: What it is called in messages.
+    """
+
+    name = "the model"
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """Number of splats."""
+
+    @property
+    @abstractmethod
+    def columns(self) -> Layout:
+        """The columns; no row is read for them."""
+
+    @abstractmethod
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows.
+
+        Args:
+            start: The first row.
+            stop: The row after the last, at most `count`.
+
+        Raises:
+            FormatError: They cannot be read, or are damaged.
+        """
+
+    def take(self, rows: I64) -> Splats:
+        """Rows by number, in any order; those that lie far apart are read one page at a time.
+
+        Raises:
+            FormatError: They cannot be read, or are damaged.
+        """
+        if not len(rows):
+            return self.read(0, 0)
+        order = np.argsort(rows, kind="stable")
+        ascending = rows[order]
+        breaks = np.flatnonzero(np.diff(ascending // PAGE_ROWS)) + 1
+        parts = [
+            self.read(int(some[0]), int(some[-1]) + 1).take(some - some[0])
+            for some in np.split(ascending, breaks)
+        ]
+        back = np.empty_like(order)
+        back[order] = np.arange(len(order))
+        return joined_rows(parts).take(back)
+
+    def blocks(self, rows: int | None = None) -> Iterator[Splats]:
+        """All splats in their order, so many at a time; `BLOCK_ROWS` unless told otherwise.
+
+        Raises:
+            FormatError: As for `read`, after some blocks perhaps.
+        """
+        step = rows or BLOCK_ROWS
+        for start in range(0, self.count, step):
+            yield self.read(start, min(start + step, self.count))
+
+    @property
+    def elements(self) -> tuple[tuple[str, int], ...]:
+        """Name and number of rows of each further PLY element."""
+        return ()
+
+    def read_elements(self) -> tuple[ExtraElement, ...]:
+        """The further PLY elements with their rows.
+
+        Raises:
+            FormatError: They cannot be read.
+        """
+        return ()
+
+    def load(self) -> Splats:
+        """The whole model.
+
+        Raises:
+            FormatError: As for `read`.
+        """
+        splats = self.read(0, self.count)
+        return replace(splats, elements=self.read_elements()) if self.elements else splats
+
+    def close(self) -> None:  # noqa: B027 - most have nothing to close
+        """Close files that are open, and remove temporary ones."""
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def joined_rows(parts: Sequence[Splats]) -> Splats:
+    """Rows of one model that were read apart, and what was said of them."""
+    if len(parts) == 1:
+        return parts[0]
+    return replace(concatenate(parts), notes=join_findings(part.notes for part in parts))

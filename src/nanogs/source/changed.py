@@ -1,0 +1,201 @@
+"""Sources whose rows are changed when they are read: filtered, turned, or of fewer bands."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from nanogs._types import I64
+from nanogs.filters import Filter, FilterReport, apply, refuse_empty, refuse_whole
+from nanogs.frames import change_between, change_frame
+from nanogs.source import base
+from nanogs.source.base import Layout, Source, joined_rows
+from nanogs.splats import ExtraElement, Splats, refuse_misaligned
+
+
+class _Changed(Source):
+    """A source whose rows are changed when they are read."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self.name = source.name
+
+    @property
+    def count(self) -> int:
+        """Number of splats."""
+        return self._source.count
+
+    @property
+    def columns(self) -> Layout:
+        """The columns; see `Source`."""
+        return self._source.columns
+
+    @property
+    def elements(self) -> tuple[tuple[str, int], ...]:
+        """The elements of the source; see `Source`."""
+        return self._source.elements
+
+    def read_elements(self) -> tuple[ExtraElement, ...]:
+        """The elements of the source; see `Source`."""
+        return self._source.read_elements()
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
+
+
+class Turned(_Changed):
+    """A model in another frame; see `nanogs.frames`.
+
+    Args:
+        source: The model.
+        before: The frame it is in, such as "rub".
+        after: The frame it is to be in.
+
+    Raises:
+        OptionError: One of them is no frame.
+    """
+
+    def __init__(self, source: Source, before: str, after: str) -> None:
+        change_between(before, after)
+        super().__init__(source)
+        self._turn: Callable[[Splats], Splats] = lambda rows: change_frame(rows, before, after)
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        return self._turn(self._source.read(start, stop))
+
+    def load(self) -> Splats:
+        """The whole model."""
+        return self._turn(self._source.load())
+
+
+class Reduced(_Changed):
+    """A model without the bands of spherical harmonics above a degree.
+
+    Args:
+        source: The model.
+        degree: The highest that may stay, 0 to 4.
+    """
+
+    def __init__(self, source: Source, degree: int) -> None:
+        super().__init__(source)
+        self._degree = degree
+
+    @property
+    def columns(self) -> Layout:
+        """The columns that stay."""
+        before = self._source.columns
+        return replace(before, sh_degree=min(before.sh_degree, self._degree))
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        return self._source.read(start, stop).with_sh_degree(self._degree)
+
+    def load(self) -> Splats:
+        """The whole model."""
+        return self._source.load().with_sh_degree(self._degree)
+
+
+class Filtered(_Changed):
+    """The splats of a model that several filters leave, each looking at what those before it left.
+
+    What each page of rows keeps is counted in a first pass over the source, made when it is first
+    needed; then pages are read as they are asked for, and filtered again.
+
+    Args:
+        source: The model.
+        filters: What leaves out splats, such as `nanogs.filters.box(low, high)`.
+        kept: What each page keeps, if it has been counted.
+
+    Raises:
+        OptionError: A filter has to see the whole model, which `nanogs.filters.apply` gives it.
+    """
+
+    def __init__(
+        self, source: Source, filters: Sequence[Filter], kept: Sequence[int] | None = None
+    ) -> None:
+        super().__init__(source)
+        refuse_whole(filters)
+        self._filters, self._given = filters, kept
+        self._last: tuple[int, Splats] | None = None
+
+    @cached_property
+    def _passed(self) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
+        """(P, F) rows of each page that are left after each filter.
+
+        Raises:
+            ModelError: None is left, or an element has one row a splat.
+        """
+        pages = []
+        for page in self._source.blocks(base.PAGE_ROWS):
+            left, counts = page, []
+            for each in self._filters:
+                left = left.take(each.keep(left))
+                counts.append(len(left))
+            pages.append(counts)
+        passed = np.array(pages, np.int64).reshape(-1, len(self._filters))
+        before = self._source.count
+        for each, after in zip(self._filters, passed.sum(axis=0).tolist(), strict=True):
+            refuse_empty(each, before, after)
+            before = after
+        refuse_misaligned(self._source.elements, self._source.count, before)
+        return passed
+
+    @property
+    def kept(self) -> tuple[int, ...]:
+        """What each page of `PAGE_ROWS` rows keeps.
+
+        Raises:
+            ModelError: None is left, or an element has one row a splat.
+        """
+        if self._given is None:
+            self._given = tuple(self._passed[:, -1].tolist())
+        return tuple(self._given)
+
+    @property
+    def reports(self) -> tuple[FilterReport, ...]:
+        """What each filter takes."""
+        left = [self._source.count, *self._passed.sum(axis=0).tolist()]
+        return tuple(
+            FilterReport(each.name, each.argument, before - after, after)
+            for each, (before, after) in zip(self._filters, pairwise(left), strict=True)
+        )
+
+    @cached_property
+    def _ends(self) -> I64:
+        return np.concatenate(([0], np.cumsum(self.kept, dtype=np.int64)))
+
+    @property
+    def count(self) -> int:
+        """Splats that are left."""
+        return int(self._ends[-1])
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        first = int(np.searchsorted(self._ends, start, side="right")) - 1
+        last = max(int(np.searchsorted(self._ends, stop, side="left")), first + 1)
+        pages = [self._page(page) for page in range(first, min(last, len(self._ends) - 1))]
+        rows = joined_rows(pages or [self._source.read(0, 0)])
+        skipped = int(self._ends[first])
+        return rows.take(slice(start - skipped, stop - skipped))
+
+    def _page(self, number: int) -> Splats:
+        if self._last is None or self._last[0] != number:
+            at = number * base.PAGE_ROWS
+            rows = self._source.read(at, min(at + base.PAGE_ROWS, self._source.count))
+            for each in self._filters:
+                rows = rows.take(each.keep(rows))
+            self._last = number, rows
+        return self._last[1]
+
+    def close(self) -> None:
+        """Let go of the last page, and close the source."""
+        self._last = None
+        super().close()
+
+    def load(self) -> Splats:
+        """The whole model that is left."""
+        return apply(self._source.load(), self._filters)[0]

@@ -1,0 +1,117 @@
+"""Several models as one source, all with the same columns."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import accumulate, pairwise
+
+import numpy as np
+
+from nanogs.errors import ModelError, OptionError
+from nanogs.source.base import Layout, Source, joined_rows
+from nanogs.splats import RenderMode, Splats, padded
+
+
+class Joined(Source):
+    """Several models as parts of one scene, one after the other.
+
+    The columns are those that all have; coefficients that a part lacks are 0.
+
+    Args:
+        parts: One or more.
+        layout: Columns that the parts are brought to; by default `joined_layout` of theirs. Of a
+            lower SH degree than theirs, it leaves out the bands above.
+
+    Raises:
+        ModelError: The parts make no one scene.
+    """
+
+    def __init__(self, parts: Sequence[Source], layout: Layout | None = None) -> None:
+        self._parts = parts
+        self._layout = layout or joined_layout(parts)
+        self._ends = [0, *accumulate(part.count for part in parts)]
+        self.name = ", ".join(part.name for part in parts)
+
+    @property
+    def count(self) -> int:
+        """Splats of all parts."""
+        return self._ends[-1]
+
+    @property
+    def columns(self) -> Layout:
+        """The columns that the parts are brought to."""
+        return self._layout
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        found = []
+        for part, (first, end) in zip(self._parts, pairwise(self._ends), strict=True):
+            low, high = max(start, first), min(stop, end)
+            if low < high or (start == stop == first):
+                found.append(fitted(part.read(low - first, high - first), self._layout))
+        return joined_rows(found)
+
+    def load(self) -> Splats:
+        """The whole model, with the notes of all parts."""
+        splats = joined_rows([fitted(part.load(), self._layout) for part in self._parts])
+        notes = dict.fromkeys([*self._layout.notes, *splats.notes])
+        return replace(splats, notes=tuple(notes))
+
+    def close(self) -> None:
+        """Close all parts."""
+        for part in self._parts:
+            part.close()
+
+
+def joined_layout(parts: Sequence[Source]) -> Layout:
+    """The columns that parts of one scene are brought to.
+
+    Raises:
+        OptionError: There is no part.
+        ModelError: They are for different renderers.
+    """
+    if not parts:
+        raise OptionError("Give at least one file.")
+    layouts = [part.columns for part in parts]
+    modes = {layout.render_mode for layout in layouts}
+    if len(modes) > 1:
+        raise ModelError(
+            "The inputs are for different renderers "
+            f"({', '.join(sorted(map(str, modes)))}) and make no one scene; simplify them apart."
+        )
+    columns = [dict(layout.extras) for layout in layouts]
+    shared = {
+        name: kind
+        for name, kind in columns[0].items()
+        if all(each.get(name) == kind for each in columns)
+    }
+    left = sorted({name for each in columns for name in each} - set(shared))
+    notes = [f"Extra columns that not all inputs have are left out: {', '.join(left)}."] * any(left)
+    if len({layout.sh_degree for layout in layouts}) > 1:
+        notes.append("The inputs' SH degrees differ: coefficients that one lacks are 0.")
+    if any(rows for part in parts for _, rows in part.elements):
+        notes.append("Further elements of the inputs are left out: blocks hold splats alone.")
+    return Layout(
+        sh_degree=max(layout.sh_degree for layout in layouts),
+        double_means=any(layout.double_means for layout in layouts),
+        extras=tuple(shared.items()),
+        render_mode=layouts[0].render_mode,
+        comments=layouts[0].comments,
+        notes=tuple(notes),
+    )
+
+
+def fitted(splats: Splats, layout: Layout) -> Splats:
+    """The splats with the columns and comments of a layout, without elements."""
+    means = splats.means.astype(np.float64) if layout.double_means else splats.means
+    cut = splats.with_sh_degree(layout.sh_degree)
+    return Splats(
+        means=means,
+        log_scales=splats.log_scales,
+        quats=splats.quats,
+        opacity_logits=splats.opacity_logits,
+        sh=padded(cut.sh, (layout.sh_degree + 1) ** 2),
+        extras={name: splats.extras[name].astype(kind) for name, kind in layout.extras},
+        render_mode=RenderMode(layout.render_mode),
+        comments=layout.comments,
+        notes=splats.notes,
+    )

@@ -1,0 +1,60 @@
+"""A model that is held whole, as a source."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from nanogs._types import I64
+from nanogs.source.base import Layout, Source
+from nanogs.splats import ExtraElement, Splats
+
+
+class InMemory(Source):
+    """A model that is held whole, as a source; what is read are views of it."""
+
+    def __init__(self, splats: Splats) -> None:
+        self._splats = splats
+
+    @property
+    def count(self) -> int:
+        """Number of splats."""
+        return len(self._splats)
+
+    @property
+    def columns(self) -> Layout:
+        """The columns of the model."""
+        splats = self._splats
+        return Layout(
+            sh_degree=splats.sh_degree,
+            double_means=splats.means.dtype == np.float64,
+            extras=tuple((name, column.dtype.str) for name, column in splats.extras.items()),
+            render_mode=splats.render_mode.value,
+            comments=tuple(splats.comments),
+            notes=tuple(splats.notes),
+        )
+
+    def read(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`. What is said of the whole is in `columns`."""
+        return replace(self._splats.span(start, stop), notes=())
+
+    def take(self, rows: I64) -> Splats:
+        """Rows by number; see `Source`."""
+        return replace(self._splats.take(rows), notes=())
+
+    @property
+    def elements(self) -> tuple[tuple[str, int], ...]:
+        """The elements of the model; see `Source`."""
+        return tuple((element.name, len(element.rows)) for element in self._splats.elements)
+
+    def read_elements(self) -> tuple[ExtraElement, ...]:
+        """The elements of the model; see `Source`."""
+        return tuple(self._splats.elements)
+
+    def load(self) -> Splats:
+        """The model itself."""
+        return self._splats
+
+
+def source_of(model: Splats | Source) -> Source:
+    """A model in memory as a source; sources as they are."""
+    return InMemory(model) if isinstance(model, Splats) else model
