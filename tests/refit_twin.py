@@ -122,7 +122,7 @@ def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
     """How a view pulls at one splat's parameters of shape (10,), and their curvatures (55,)."""
     jacobians, lanes, products = chain.new_chains(1)
     rotation = np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64)
-    lens = np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
+    lens = camera.intrinsics
     chain.screen_jacobian(
         row, point, axes, scales, opacity, rotation, lens, guard_bounds(lens),
         mode is RenderMode.MIP, jacobians[:, :, 0],

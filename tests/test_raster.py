@@ -455,10 +455,23 @@ def test_twice_the_pixels_see_the_same_means(seed):
     assert np.abs(pooled - small).max() < 0.03
 
 
+def test_a_part_of_a_view_has_the_pixels_of_the_whole():
+    """Near the edge, too, where projections are held to the whole picture's field of view."""
+    splats = make_splats(200, 5, size=0.5, spread=2.0)
+    camera = make_camera(128, 96, 40.0)
+    part = camera.cropped(16, 48, 32, 32)
+    whole, some = render(splats, camera, depth=True), render(splats, part, depth=True)
+    np.testing.assert_array_equal(some.color, whole.color[48:80, 16:48])
+    np.testing.assert_array_equal(some.depth, whole.depth[48:80, 16:48])
+    assert whole.alpha[48:80, 16:48].any()
+    alone = dataclasses.replace(part, whole=None)
+    assert np.abs(render(splats, alone).color - some.color).max() > 1e-3
+
+
 @pytest.mark.parametrize("scale", [1e-3, 0.1, 3.0])
 def test_what_is_left_out_as_beside_the_picture_reaches_none_of_it(scale):
     random = np.random.default_rng(3)
-    lens = np.array([40.0, 55.0, 20.0, 11.0, 37.0, 21.0, 0.01])
+    lens = np.array([40.0, 55.0, 20.0, 11.0, 37.0, 21.0, 0.01, 20.0, 11.0, 37.0, 21.0])
     bounds = project_kernels.guard_bounds(lens)
     steepest = (
         40.0**2 * (1 + max(bounds[0] ** 2, bounds[1] ** 2)),

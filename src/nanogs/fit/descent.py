@@ -6,6 +6,7 @@ are those of a separable surrogate (see `nanogs.kernels.backward`).
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from nanogs.kernels.advance import advance_splats
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.chain import PACKED
 from nanogs.kernels.damped import LANES
+from nanogs.raster.rendering import together
 from nanogs.splats import RenderMode, Splats
 
 # Largest steps: centres in standard deviations, log-scales, turns in radians, logit of the opacity.
@@ -53,6 +55,10 @@ class Descent:
         n = len(self.splats)
         self.state = state.copy()
         self._active = activate(self.state, self.splats, self.finite)
+        if self.views.surroundings is not None:
+            model = together(self._active.model, self.views.surroundings)
+            self._active = replace(self._active, model=model)
+            self.state = replace(self.state, sh=model.sh[:n])  # one array for both, as it was
         self._seen = np.zeros(n, np.int32)
         self._blocks = np.zeros((n, PACKED), np.float32)
         self._weights = np.zeros(n, np.float32)
@@ -91,15 +97,15 @@ class Descent:
         state, active, model = self.state, self._active, self._active.model
         view = pull(model, target, wanted)
         camera = target.camera
-        lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+        rows = np.sort(view.view.order)  # as they lie in memory, not by depth
         advance_splats(
-            np.sort(view.view.order),  # as they lie in memory, not by depth
+            rows[: np.searchsorted(rows, len(self.splats))],  # the others are surroundings
             view.view.geometry,
             view.view.features,
             view.totals,
             np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64),
             camera.position,
-            np.array(lens, np.float64),
+            camera.intrinsics,
             model.render_mode is RenderMode.MIP,
             model.sh_degree,
             rate,

@@ -14,7 +14,7 @@ from nanogs.fit.report import GroupReport, RefitStop, RoundReport
 from nanogs.fit.state import MeanState, State, start, store
 from nanogs.fit.targets import Fitting
 from nanogs.progress import Parts
-from nanogs.raster.rendering import prepare
+from nanogs.raster.rendering import PreparedSplats, prepare, together
 from nanogs.splats import Splats
 
 SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # of a round's way that are tried
@@ -45,10 +45,14 @@ class Guard:
     Args:
         small: The input.
         groups: The views that decide.
+        surroundings: What is drawn with every model, if anything.
     """
 
-    def __init__(self, small: Splats, groups: Sequence[Group]) -> None:
+    def __init__(
+        self, small: Splats, groups: Sequence[Group], surroundings: PreparedSplats | None = None
+    ) -> None:
         self.small = small
+        self.surroundings = surroundings
         self.groups = groups
         self.before = self._psnrs(small)
         self.best = self.before
@@ -70,7 +74,7 @@ class Guard:
         )
 
     def _psnrs(self, splats: Splats) -> list[float]:
-        model = prepare(splats)
+        model = together(prepare(splats), self.surroundings)
         return [group.psnr(model) for group in self.groups]
 
 
@@ -93,7 +97,8 @@ def fit(
     Returns:
         The fitted model, or the input itself where nothing helped, and what happened.
     """
-    guard, descent = Guard(small, deciding), Descent(small, fitting, parameters)
+    guard = Guard(small, deciding, fitting.surroundings)
+    descent = Descent(small, fitting, parameters)
     best: State | None = None  # the input, which is its own state
     rate = parameters.rate
     reports: list[RoundReport] = []

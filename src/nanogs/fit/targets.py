@@ -47,11 +47,13 @@ class Fitting:
         kept: Views that are rendered already.
         original: What the others show; None where there are none.
         further: Their cameras.
+        surroundings: What is drawn with the model and stays as it is; in the views, too.
     """
 
     kept: Sequence[Target]
     original: PreparedSplats | None = None
     further: Sequence[Camera] = ()
+    surroundings: PreparedSplats | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -138,7 +138,7 @@ def advance_splats(
         totals: (N, 25) from `gather_entries`.
         rotation: (3, 3), world to camera.
         position: (3,) the camera's centre, scene units.
-        lens: (6,) fx, fy, cx, cy, width, height in pixels.
+        lens: (11,) as `nanogs.kernels.project.project_splats` takes it.
         mip: Whether opacities were compensated for the dilation.
         degree: Spherical-harmonic degree, of which `sh` has all coefficients.
         rate: Length of the step, 1 for the whole way to the minimum of the quadratic.

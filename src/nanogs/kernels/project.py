@@ -168,8 +168,8 @@ def reaches_of(opacities: F32) -> F32:
 
 @inline
 def guard_bounds(lens: F64) -> tuple[float, float, float, float]:
-    """Least and most x/z and y/z of the Jacobian ([K]); lens: (6 or more,) as below."""
-    fx, fy, cx, cy, width, height = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
+    """Least and most x/z and y/z of the Jacobian ([K]), by the whole picture; lens as below."""
+    fx, fy, cx, cy, width, height = lens[0], lens[1], lens[7], lens[8], lens[9], lens[10]
     margin_x = (GUARD - 1.0) * 0.5 * width / fx
     margin_y = (GUARD - 1.0) * 0.5 * height / fy
     return (
@@ -210,7 +210,8 @@ def project_splats(
         sh: (N, K, 3) with K >= (degree + 1)².
         rotation: (3, 3), world to camera.
         position: (3,) the camera's centre, scene units.
-        lens: (7,) fx, fy, cx, cy, width, height in pixels and near in scene units.
+        lens: (11,) fx, fy, cx, cy, width, height in pixels, near in scene units, and cx, cy, width
+            and height of the picture that this is a part of.
         mip: Multiply opacities by sqrt(det before / det after dilation).
         degree: Spherical-harmonic degree to evaluate.
         geometry: (N, 8) out, see the module.

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+import numpy as np
+
 from nanogs._types import F64
 from nanogs.raster.lens import Lens
 
@@ -30,6 +32,9 @@ class Camera:
         name: What reports and files call this view.
         near: Splats whose centre is not farther than this are culled, scene units.
         lens: What bent the picture that the camera took; renderers leave it out.
+        whole: Principal point, width and height of the picture that this is a part of, pixels; None
+            where it is whole. Projections are approximate near the edges of a picture, and those of
+            a part are as they are in the whole.
     """
 
     width: int
@@ -42,6 +47,13 @@ class Camera:
     name: str = ""
     near: float = NEAR
     lens: Lens | None = None
+    whole: tuple[float, float, float, float] | None = None
+
+    @property
+    def intrinsics(self) -> F64:
+        """(11,) float64, as kernels take them: fx, fy, cx, cy, width, height, near, and `whole`."""
+        own = (self.cx, self.cy, self.width, self.height)
+        return np.array([self.fx, self.fy, *own, self.near, *(self.whole or own)], np.float64)
 
     @property
     def position(self) -> F64:
@@ -60,6 +72,7 @@ class Camera:
 
     def resized(self, width: int, height: int) -> "Camera":
         """Give the view other numbers of pixels."""
+        assert self.whole is None, "parts of views keep their pixels"  # noqa: S101
         along, down = width / self.width, height / self.height
         return replace(
             self,
@@ -69,6 +82,24 @@ class Camera:
             fy=self.fy * down,
             cx=self.cx * along,
             cy=self.cy * down,
+        )
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
+        """A part of the view, pixel for pixel.
+
+        Args:
+            left: Pixels left of it.
+            top: Pixels above it.
+            width: Its pixels.
+            height: Its pixels.
+        """
+        return replace(
+            self,
+            width=width,
+            height=height,
+            cx=self.cx - left,
+            cy=self.cy - top,
+            whole=self.whole or (self.cx, self.cy, self.width, self.height),
         )
 
 

@@ -17,7 +17,7 @@ from nanogs.kernels import project as projection
 from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.kernels.radix import radix_sort
 from nanogs.raster.camera import Camera
-from nanogs.splats import RenderMode, Splats, refuse_other
+from nanogs.splats import RenderMode, Splats, padded, refuse_other
 from nanogs.stored import rotations
 
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
@@ -133,6 +133,29 @@ def prepare(splats: Splats) -> PreparedSplats:
     )
 
 
+def together(first: PreparedSplats, second: PreparedSplats | None) -> PreparedSplats:
+    """Two models to be drawn as one: rows of the first, then those of the second, of its degree.
+
+    Args:
+        first: Its tags are those of both.
+        second: None for nothing.
+    """
+    if second is None:
+        return first
+    most = max(first.sh.shape[1], second.sh.shape[1])
+    return PreparedSplats(
+        means=np.concatenate([first.means, second.means.astype(first.means.dtype, copy=False)]),
+        factors=np.concatenate([first.factors, second.factors]),
+        opacities=np.concatenate([first.opacities, second.opacities]),
+        reaches=np.concatenate([first.reaches, second.reaches]),
+        sh=np.concatenate([padded(first.sh, most), padded(second.sh, most)]),
+        keep=np.concatenate([first.keep, second.keep]),
+        sh_degree=first.sh_degree,
+        render_mode=first.render_mode,
+        skipped=first.skipped + second.skipped,
+    )
+
+
 def render(
     splats: Splats | PreparedSplats,
     camera: Camera,
@@ -201,7 +224,6 @@ def project(
     geometry = _rows_of_a_line(n)
     features = np.empty((n, 4), np.float32)
     boxes = np.empty(n, np.int64)
-    lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.near)
     projection.project_splats(
         prepared.means,
         prepared.factors,
@@ -211,7 +233,7 @@ def project(
         prepared.sh,
         np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64),
         camera.position,
-        np.array(lens, np.float64),
+        camera.intrinsics,
         prepared.render_mode is RenderMode.MIP,
         degree,
         geometry,
