@@ -43,7 +43,7 @@ UP = {"chair": (0.0, 0.0, 1.0)}  # where the model itself does not show it
 PHOTOS = {"chair": "chair_photos"}
 SIZE = 512  # pixels of kinds that name no size
 BASELINE_VIEWS = 40  # that baselines may learn from
-APART = ("cli", "bench", "compare", "view", "lod", "scale")  # sources that no result depends on
+APART = ("cli", "bench", "scoring", "view", "lod", "scale")  # sources that no result depends on
 PACKAGE = Path(nanogs.__file__).parent
 Row = dict[str, Any]
 Tell = Callable[[str], None]
@@ -192,7 +192,9 @@ class Bench:
         """Test views of a kind, kept while the sources that place them stay; not of photographs."""
         if kind == "photographs":
             return []
-        rendering = digest_of_sources((*APART, "simplify", "refit", "io", "kernels", "datasets"))
+        rendering = digest_of_sources(
+            (*APART, "method", "pipeline", "fit", "io", "kernels", "datasets")
+        )
         kept = self.folder / "views" / f"{scene}_{kind}_{rendering}.pickle"
         if not kept.exists():
             kept.parent.mkdir(parents=True, exist_ok=True)

@@ -18,7 +18,7 @@ from nanogs.cli import options
 from nanogs.cli.filtering import parse_filters
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import registry
-from nanogs.method.choose import BALANCES
+from nanogs.method.parameters import BALANCES
 from nanogs.pipeline.presets import PRESETS, SUMMARIES
 from nanogs.quantities import parse_bytes
 

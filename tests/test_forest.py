@@ -13,8 +13,8 @@ import twins
 from builders import model_bytes, random_splats, same_pixel
 from nanogs.clock import StageClock
 from nanogs.kernels.assign import assign_nearest, invert_covariances
-from nanogs.method import choose, reassign
 from nanogs.method import forest as growth
+from nanogs.method import parameters, reassign
 from nanogs.method.choose import choose_model, quality
 from nanogs.method.cut import cut, merge_scores
 from nanogs.method.forest import Forest, grow_forest
@@ -439,7 +439,7 @@ def test_the_best_judged_is_chosen_and_marked_once(qualities, usual, growths, wi
 
 def test_a_fiftieth_of_ssim_is_worth_a_decibel():
     assert quality(30.0, 0.9) - quality(29.0, 0.92) == pytest.approx(0)
-    assert choose.BALANCES == (0.5, 1.0)
+    assert parameters.BALANCES == (0.5, 1.0)
 
 
 def test_the_report_lists_the_candidates_with_the_balance_asked_for():

@@ -17,7 +17,7 @@ from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.lod.cells import divide
 from nanogs.lod.layout import Layout, made_files
 from nanogs.method.parameters import ForestParameters
-from nanogs.scale import levels_folder, work
+from nanogs.scale import levels_folder, stages
 from nanogs.scale import run as scale_run
 from nanogs.scale.chunked import cut_of
 from nanogs.scale.folder import MANIFEST
@@ -258,7 +258,7 @@ def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
             done.append("moved")
             raise CrashError  # the folder has its name, and the job is not taken away
 
-    monkeypatch.setattr(scale_run, "do", crash_at(work.do, 1, 5, 20, 31, 46, 57))
+    monkeypatch.setattr(scale_run, "do", crash_at(stages.do, 1, 5, 20, 31, 46, 57))
     monkeypatch.setattr(levels_folder, "_copy", crash_at(levels_folder._copy, 1, 5))
     monkeypatch.setattr(levels_folder, "move_folder", named)
     for _ in range(20):

@@ -35,8 +35,8 @@ from nanogs.scale.scratch import FolderScratch, open_scratch
 from nanogs.source import Layout
 
 COUNT, BLOCK = 48_000, 18_000
-MEMORY = int((LIBRARIES + BLOCK * held_bytes(Layout(0, False, (), "default", (), ()),
-                                             ForestParameters(), 0.1)) / 0.95) + 1  # fmt: skip
+MEMORY = int((LIBRARIES + held_bytes(BLOCK, COUNT, Layout(0, False, (), "default", (), ()),
+                                     ForestParameters(), 0.1)) / 0.95) + 1  # fmt: skip
 GIVEN = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1}
 
 

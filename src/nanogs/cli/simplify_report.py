@@ -17,7 +17,6 @@ from nanogs.pipeline.presets import Parameters, effective, renders
 from nanogs.pipeline.target import Goal
 from nanogs.protocol import Judged, Protocol
 from nanogs.report import StopReason
-from nanogs.scale.plan import can_do_without_renders, in_blocks
 
 if TYPE_CHECKING:
     from nanogs.scale.encoding import Encoding
@@ -36,7 +35,7 @@ class Plan:
         encoding: What chunks take, for levels that may lie in them.
         measured: Whether results are held against the input on views held out.
         joined: The files of the input where it is several, parts of one scene.
-        divided: Whether it is simplified in blocks, by which nothing is rendered.
+        divided: Whether it is simplified in blocks.
     """
 
     info: FileInfo
@@ -53,12 +52,6 @@ class Plan:
     def name(self) -> str:
         """Name the input."""
         return ", ".join(map(str, self.joined or (self.info.path,)))
-
-    def method(self) -> Parameters:
-        """The parameters that are worked with."""
-        if not (self.divided and can_do_without_renders(self.parameters)):
-            return self.parameters
-        return in_blocks(self.parameters)
 
     def _judged(self) -> bool:
         """Whether measuring counts: where the preset looks, that has taken as much before.
@@ -138,7 +131,7 @@ def describe_plan(plan: Plan, asked: dict[str, Any]) -> dict[str, Any]:
         "input_count": plan.info.splats,
         **asked,
         "preset": plan.preset,
-        "parameters": asdict(plan.method()),
+        "parameters": asdict(plan.parameters),
         "memory_bytes": asdict(plan.memory()),
     }
 
@@ -149,7 +142,7 @@ def _print_rows(plan: Plan, text: str) -> None:
 
 def _wish_rows(plan: Plan, text: str) -> dict[str, str]:
     info = plan.info
-    parameters = effective(plan.method())
+    parameters = effective(plan.parameters)
     return {
         "would read": f"{plan.name} ({counted(info.splats, 'splat')}, SH degree {info.sh_degree})",
         "would write": text,

@@ -14,7 +14,7 @@ from nanogs.filters import Filter
 from nanogs.formatting import bytes_text
 from nanogs.io.collect import Pair
 from nanogs.memory import Memory, allowed_memory, process_memory
-from nanogs.scale.plan import can_do_without_renders, wish_to_render
+from nanogs.method.paper.parameters import PaperParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +213,7 @@ def refuse_whole_model_wishes(
         "--views, --cameras or --up": looks,
         "--measure": measured,
         "a model in a pipe, which blocks cannot read or write,": blocks.piped,
-        wish_to_render(plan.preset, plan.parameters): not can_do_without_renders(plan.parameters),
+        f"the preset {plan.preset}": isinstance(plan.parameters, PaperParameters),
     }
     for wish, asked in wishes.items():
         if asked:

@@ -8,7 +8,6 @@ from nanogs.progress import Parts, untold
 from nanogs.report import CandidateReport
 from nanogs.splats import Splats
 
-BALANCES = (0.5, 1.0)  # one between them is hardly ever better than both
 # Tried in turn after the usual one, as long as that helps clearly: thin opaque shells want more,
 # where merged splats would let light through at grazing angles.
 GROWTHS = (1.5, 1.8, 2.1)

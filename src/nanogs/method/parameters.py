@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from nanogs.errors import require
 
 USUAL_BALANCE = 0.8  # the safest where nothing is measured
+BALANCES = (0.5, 1.0)  # one between them is hardly ever better than both
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,3 +67,10 @@ class ForestParameters:
         require(self.further >= 0, "further", self.further, "0 or more")
         require(self.roaming >= 0, "roaming", self.roaming, "0 or more")
         require(16 <= self.view_size <= 8192, "view_size", self.view_size, "16 to 8192 pixels")
+
+    @property
+    def balances(self) -> tuple[float, ...]:
+        """The balances of the cuts that are tried, at least one."""
+        if not self.measure:
+            return (self.balance,)
+        return tuple(sorted({*BALANCES, self.balance} - {USUAL_BALANCE}))

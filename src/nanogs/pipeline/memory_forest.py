@@ -19,16 +19,18 @@ _LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0
 _CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the median, flags
 _TILES = 3  # tiles of a view of 560 pixels that a splat lies in, on average: 2.3 to 3.2
 _IMAGES = VIEWS * PIXELS**2 * 3 * _F4  # of the original, that results are judged by
-_PIXEL = 80  # of a view while it is drawn with contributions and depths
-_COMPARED = 64  # and while it is held against the original's, or pulls
+PIXEL = 80  # of a view while it is drawn with contributions and depths
+COMPARED = 64  # and while it is held against the original's, or pulls
 _BATCH = 2 * _I4 + 2 * _F4 + 2 * _F8  # of a pair, in a batch of which the costs are computed
-_PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rasteriser reads them
-_DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
-_SHARES = 5 * _F8 + _TILES * _F4  # of every splat in a view and in all
+PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rasteriser reads them
+DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
+SHARES = 5 * _F8 + _TILES * _F4  # of every splat in a view and in all
 _GROUPS = 12  # see `reassign.NEIGHBOURS`
 # That a splat of the result lies in. In views of 560 pixels it is 3 to 8, of half and of a tenth of
 # the splats; what else is counted makes up for it, measured, and in larger views it does not.
 _FIT_TILES = 2
+# Of a splat that is drawn in a step: its projection, its sums, and those of its tiles.
+FIT_STEP = 8 * _F8 + 8 * _F4 + 2 * _I8 + 25 * _F4 + _FIT_TILES * (25 * _F4 + _I4)
 _CURVATURES = (55 + 1) * _F4 + _I4  # of a splat that is fitted, and how many views it was in
 
 
@@ -63,11 +65,11 @@ def forest_stages(
     leaves = kept + count * _NODE  # their features are the model's
     forest = leaves + count * _MERGE
     best = target * row if drawn else 0  # of those tried before
-    draw = target * (_PREPARED + _DRAWN) + pixels * _COMPARED if drawn else 0
+    draw = target * (PREPARED + DRAWN) + pixels * COMPARED if drawn else 0
     labels = 2 * count * _I4 if looked else count * _I4
     stages = {
-        "measure": _IMAGES + count * (_I4 + _PREPARED + _DRAWN) if judged else 0,
-        "look": images + pixels * _PIXEL + count * (_I4 + _PREPARED + _DRAWN + _SHARES)
+        "measure": _IMAGES + count * (_I4 + PREPARED + DRAWN) if judged else 0,
+        "look": images + pixels * PIXEL + count * (_I4 + PREPARED + DRAWN + SHARES)
         if looked
         else 0,
         "activate": leaves,
@@ -77,7 +79,7 @@ def forest_stages(
         if parameters.rounds
         else 0,
         "store": forest + labels + best + target * row + max(draw, _store(count, target)),
-        "fit": forest + best + pixels * _COMPARED + _fit(count, target, features, parameters)
+        "fit": forest + best + pixels * COMPARED + _fit(count, target, features, parameters)
         if parameters.steps
         else 0,
     }
@@ -140,14 +142,17 @@ def _store(count: int, target: int) -> int:
 
 
 def _fit(count: int, target: int, features: int, parameters: ForestParameters) -> int:
-    """The state, its mean, after a first round the best so far, and curvatures; then two things.
+    """The state and what a step takes; where views are drawn now, two things after each other.
 
-    The larger one of them: a view of the original that is drawn now, or one of the state with its
-    pulls.
+    The larger one of them: a view of the original, or one of the state with its pulls.
     """
-    states = 2 + (fit_parameters(parameters).rounds > 1)
-    held = target * (states * (features + 11 * _F8 + 1) + 22 * _F4 + _CURVATURES)
-    step = target * (8 * _F8 + 8 * _F4 + 2 * _I8 + 25 * _F4 + _FIT_TILES * (25 * _F4 + _I4))
+    held, step = fit_state(target, features, parameters), target * FIT_STEP
     if not parameters.further:
         return held + step
-    return held + count * _PREPARED + max(step, count * _DRAWN)
+    return held + count * PREPARED + max(step, count * DRAWN)
+
+
+def fit_state(target: int, features: int, parameters: ForestParameters) -> int:
+    """The state, its mean, after a first round the best so far, and curvatures."""
+    states = 2 + (fit_parameters(parameters).rounds > 1)
+    return target * (states * (features + 11 * _F8 + 1) + 22 * _F4 + _CURVATURES)

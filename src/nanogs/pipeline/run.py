@@ -14,7 +14,7 @@ from nanogs.errors import ModelError
 from nanogs.fit.api import fit_to_views
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting
-from nanogs.method.choose import BALANCES, Candidate, choose_model
+from nanogs.method.choose import Candidate, choose_model
 from nanogs.method.cut import cut
 from nanogs.method.extent import Dilation, dilation
 from nanogs.method.forest import Forest, grow_forest
@@ -26,7 +26,7 @@ from nanogs.method.nodes import (
     without_coverages,
 )
 from nanogs.method.order import morton_order
-from nanogs.method.parameters import USUAL_BALANCE, ForestParameters
+from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import OriginalViews, judge, look, shown_share, visible_weights
@@ -199,7 +199,7 @@ def _choose(
         lambda balance: cut(build.forest, groups, balance),
         lambda labels: _grouped(build, labels, sheets=False).grown,
         lambda small: judge(small, views),
-        sorted({*BALANCES, build.parameters.balance} - {USUAL_BALANCE}),
+        build.parameters.balances,
         build.parameters.growth,
         progress.part,
     )

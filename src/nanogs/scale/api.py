@@ -24,10 +24,7 @@ from nanogs.scale.columns import row_bytes
 from nanogs.scale.folder import job_folder, read_manifest
 from nanogs.scale.plan import (
     ScalePlan,
-    can_do_without_renders,
-    in_blocks,
     plan_blocks,
-    wish_to_render,
 )
 from nanogs.scale.scratch import is_url
 from nanogs.scale.settings import Chunks, Settings
@@ -77,8 +74,8 @@ def simplify_blocks(
     """Simplify files block by block, in bounded memory, here or elsewhere.
 
     The result does not depend on where, in how many processes or in how many runs it was made; it
-    does depend on the size of the blocks. Nothing is rendered: `default` is `fast` with a second
-    round of reassignment after the cut.
+    does depend on the size of the blocks. Each block is looked at, chosen and fitted as a whole
+    model is, a coarse level of all others around it, on views of the whole scene.
 
     Args:
         inputs: A file, or several that are parts of one scene.
@@ -86,7 +83,7 @@ def simplify_blocks(
             block by block, others are held whole.
         ratio: Compaction ratio in (0, 1]; exactly one of both is given.
         count: Splats to deliver.
-        preset: `default` or `fast`.
+        preset: Name of a preset that grows a forest: any but `paper`.
         max_memory: Bytes that each process may take, a number or text like "4GB"; it decides the
             size of the blocks. By default what is free, less a tenth; 4 GB with an executor. A job
             that is resumed keeps its blocks.
@@ -148,7 +145,7 @@ def simplify_blocks(
     where = Where(threads, executor, patience)
     with drawn(progress) as tell:
         done, counts = made.run(where, clock, tell, resume=resume)
-    return report_of(preset, chosen, goal, done, counts[0], clock, start)
+    return report_of(preset, goal, done, counts[0], clock, start)
 
 
 def block_memory(
@@ -186,11 +183,10 @@ def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters
         OptionError: There is no such preset or parameter, or blocks cannot be simplified so.
     """
     chosen = parameters(preset, overrides)
-    if not can_do_without_renders(chosen):
-        wish = wish_to_render(preset, chosen)
+    if not isinstance(chosen, ForestParameters):
         raise OptionError(
-            f"{wish[0].upper()}{wish[1:]} needs the whole model in memory; take default or fast as"
-            " they are, or give it more memory."
+            f"The preset {preset} needs the whole model in memory; take another one, or give it"
+            " more memory."
         )
     return chosen
 
@@ -241,7 +237,7 @@ def plan_job(
         counts=tuple(goal.count for goal in goals if goal.count is not None),
         nan=nan,
         block=plan.block,
-        parameters=in_blocks(chosen),
+        parameters=chosen,
         chunks=chunks,
         filters=sieve,
         frame=changes.frame,

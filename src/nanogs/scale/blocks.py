@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs._types import I64, U64, Array
+from nanogs._types import F64, I64, U64, Array
 from nanogs.method.nodes import Nodes, activate_nodes, without_coverages
+from nanogs.method.visibility import visible_weights
 from nanogs.scale.columns import CODES, read_rows
 from nanogs.scale.frame import Frame
 from nanogs.scale.partition import Partition
@@ -70,10 +72,31 @@ def morton_rows(codes: U64) -> I64:
     return np.argsort(codes, kind="stable")
 
 
-def leaves_of(splats: Splats, rows: I64, frame: Frame, *, bare: bool = False) -> Nodes:
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """How splats are weighed that views show.
+
+    Attributes:
+        visible: (N,) how visible each is.
+        hidden: Weight of what is not seen at all, over that of what is in full sight.
+        typical: What weights are multiples of, square scene units.
+    """
+
+    visible: F64
+    hidden: float
+    typical: float
+
+
+def leaves_of(
+    splats: Splats, rows: I64, frame: Frame, seen: Seen | None = None, *, bare: bool = False
+) -> Nodes:
     """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
     nodes = activate_nodes(splats, rows, frame.centre(), frame.dilation(), frame.thinnest)
-    np.maximum(nodes.coverages / frame.coverage, 1e-9, out=nodes.weights)
+    if seen is None:
+        weights = nodes.coverages / frame.coverage
+    else:
+        weights = visible_weights(nodes.coverages, seen.visible[rows], seen.hidden) / seen.typical
+    np.maximum(weights, 1e-9, out=nodes.weights)
     return without_coverages(nodes) if bare else nodes
 
 

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from nanogs._types import I64, Array
-from nanogs.scale.forests import BINS, HISTOGRAM, SCORES, counts_of, keys
+from nanogs.scale.forests import BINS, counts_of, histogram_of, keys, scores_of
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Table
 
 
-def budget(scratch: Scratch, forests: Sequence[Record], target: int) -> list[int]:
+def budget(scratch: Scratch, forests: Sequence[Record], target: int, balance: int = 0) -> list[int]:
     """Groups of each block, as many as are asked for in all, or the fewest that there can be.
 
     Ties are given to the blocks in their order.
@@ -23,18 +23,19 @@ def budget(scratch: Scratch, forests: Sequence[Record], target: int) -> list[int
         scratch: Where the forests are.
         forests: Their records.
         target: Groups in all.
+        balance: Number of the one by whose scores.
     """
     splats = np.array([int(record.facts["splats"]) for record in forests], np.int64)
     merges = splats - np.array([int(record.facts["fewest"]) for record in forests], np.int64)
     wanted = int(min(splats.sum() - target, merges.sum()))
     if wanted <= 0:
         return [int(n) for n in splats]
-    upper = np.stack([_read(scratch, record, HISTOGRAM) for record in forests])
+    upper = np.stack([_read(scratch, record, histogram_of(balance)) for record in forests])
     high, done, left = _select(upper, wanted)
     lower = np.zeros((len(forests), BINS), np.int64)
     for row, record in enumerate(forests):
         if upper[row, high]:
-            found = keys(_read(scratch, record, SCORES))
+            found = keys(_read(scratch, record, scores_of(balance)))
             lower[row] = counts_of(found[found >> 16 == high])
     low, more, left = _select(lower, left)
     ties = lower[:, low]

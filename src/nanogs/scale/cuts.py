@@ -7,23 +7,24 @@ from nanogs.method.cut import label_groups
 from nanogs.method.nodes import Nodes
 from nanogs.method.reassign import NEIGHBOURS
 from nanogs.neighbours import nearest_neighbours
-from nanogs.scale.forests import CHILDREN, SCORES
+from nanogs.scale.forests import CHILDREN, scores_of
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Sorted, Table, write_table
 
 LABELS, CENTRES, REACH = "labels", "centres", "reach"
 
 
-def cut_block(scratch: Scratch, forest: Record, groups: int) -> I32:
+def cut_block(scratch: Scratch, forest: Record, groups: int, balance: int = 0) -> I32:
     """(N,) int32: the group of each leaf of a block's forest, in Morton order.
 
     Args:
         scratch: Where the forest is.
         forest: Its record.
         groups: Groups to keep.
+        balance: Number of the one by whose scores.
     """
     with Table(scratch, forest) as table:
-        children, scores = table.read(CHILDREN), table.read(SCORES)
+        children, scores = table.read(CHILDREN), table.read(scores_of(balance))
     if len(children) == 0:
         return np.arange(int(forest.facts["splats"]), dtype=np.int32)
     return label_groups(int(forest.facts["splats"]), children, scores, groups)

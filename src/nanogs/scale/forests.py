@@ -1,6 +1,6 @@
 """The merge forest of each block, and how late each of its merges is to be done."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,8 +13,18 @@ from nanogs.progress import untold
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.tables import Record, Sorted, write_table
 
-CHILDREN, SCORES, HISTOGRAM = "children", "scores", "histogram"
+CHILDREN = "children"
 BINS = 1 << 16
+
+
+def scores_of(balance: int) -> str:
+    """Name of the column of scores of a balance, by its number."""
+    return f"scores_{balance}"
+
+
+def histogram_of(balance: int) -> str:
+    """Name of the column of their histogram."""
+    return f"histogram_{balance}"
 
 
 def grow(
@@ -22,6 +32,7 @@ def grow(
     name: str,
     leaves: Callable[[], Nodes],
     parameters: ForestParameters,
+    balances: Sequence[float],
     threads: int,
 ) -> Record:
     """Grow a block's forest and write its merges, their scores and a histogram of these.
@@ -31,17 +42,17 @@ def grow(
         name: Of the table.
         leaves: Makes the block's nodes, in units that all blocks share; none are kept.
         parameters: Of the method.
+        balances: Of the cuts that are going to be made of it.
         threads: Threads for the nearest-neighbour query.
     """
     forest = grow_forest(leaves(), parameters.k, parameters.lambda_app, threads, untold)
-    # Errors are not over the block's own median, so that scores of all blocks compare. In single
-    # precision none falls below those of the merges under it: rounding keeps the order.
-    scores = merge_scores(forest, parameters.balance, 1.0).astype(np.float32)
-    columns: dict[str, Array | Sorted] = {
-        CHILDREN: forest.children,
-        SCORES: scores,
-        HISTOGRAM: np.bincount(keys(scores) >> 16, minlength=BINS),
-    }
+    columns: dict[str, Array | Sorted] = {CHILDREN: forest.children}
+    for number, balance in enumerate(balances):
+        # Errors are not over the block's own median, so that scores of all blocks compare. In
+        # single precision none falls below those of the merges under it: rounding keeps the order.
+        scores = merge_scores(forest, balance, 1.0).astype(np.float32)
+        columns[scores_of(number)] = scores
+        columns[histogram_of(number)] = np.bincount(keys(scores) >> 16, minlength=BINS)
     facts = {"splats": forest.splats, "fewest": forest.fewest, "stop": str(forest.stop)}
     return write_table(scratch, name, columns, facts)
 

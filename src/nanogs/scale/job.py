@@ -21,9 +21,10 @@ from nanogs.scale.folder import (
     read_manifest,
     write_manifest,
 )
-from nanogs.scale.run import Done, Executor, Here, job_stages, run_tasks
+from nanogs.scale.run import Done, Executor, Here, run_tasks
 from nanogs.scale.scratch import Scratch, is_url, open_scratch
 from nanogs.scale.settings import Settings, differences
+from nanogs.scale.stages import job_stages
 from nanogs.scale.workers import workers_of
 from nanogs.threads import use_threads
 

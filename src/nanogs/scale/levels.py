@@ -19,7 +19,6 @@ from nanogs.lod.manifest import (
     describe_chunks,
     describe_level,
 )
-from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.levels import check_ratios
 from nanogs.pipeline.target import Goal
@@ -145,8 +144,7 @@ def write_levels_in_blocks(
         max_memory=max_memory, block=block, nan=nan, changes=changes, **overrides,
     )  # fmt: skip
     source, start = ", ".join(part.name for part in inputs), time.perf_counter()
-    chosen = block_parameters(preset, overrides)
-    told = _Telling(source, preset, chosen, tuple(ratios), StageClock(), start)
+    told = _Telling(source, preset, tuple(ratios), StageClock(), start)
     if not resume:
         refuse_full_disk(plan, kept, scratch)
     ending = LevelsFolder(folder, layout, told.write_plain, overwrite)
@@ -163,7 +161,6 @@ class _Telling:
 
     source: str
     preset: str
-    asked: ForestParameters
     ratios: tuple[float, ...]
     clock: StageClock
     start: float
@@ -179,9 +176,7 @@ class _Telling:
         from nanogs.scale.outcome import report_of
 
         reports = [
-            report_of(
-                self.preset, self.asked, Goal(ratio=r), done, counts[n], self.clock, self.start, n
-            )
+            report_of(self.preset, Goal(ratio=r), done, counts[n], self.clock, self.start, n)
             for n, r in enumerate(self.ratios)
         ]
         manifest = Manifest(

@@ -7,26 +7,19 @@ from itertools import pairwise
 from nanogs.clock import StageClock
 from nanogs.filters import FilterReport, filter_of
 from nanogs.findings import join_findings, of_plain
-from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.presets import renders
 from nanogs.pipeline.target import Goal
 from nanogs.report import BlocksReport, SimplifyReport, StopReason
 from nanogs.scale.columns import count_of
+from nanogs.scale.fitting import fit_report
+from nanogs.scale.look import shown_share
 from nanogs.scale.run import Done
 from nanogs.scale.settings import Settings
+from nanogs.scale.trials import candidates_of
 from nanogs.scale.work import Task
-
-_UNRENDERED = (
-    "The model was simplified block by block, so nothing was rendered: splats were not weighed by"
-    " what is seen of them, results neither compared with the original nor fitted to it{}."
-    " Expect less quality than in memory, by up to 5 dB; more memory makes blocks needless."
-)
-_REASSIGNED = "; splats were reassigned after the cut"
 
 
 def report_of(
     preset: str,
-    asked: ForestParameters,
     goal: Goal,
     done: Done,
     count: int,
@@ -38,7 +31,6 @@ def report_of(
 
     Args:
         preset: Its name.
-        asked: The parameters asked for; the job's own render nothing.
         goal: What was asked.
         done: What the job did.
         count: Splats delivered.
@@ -52,8 +44,7 @@ def report_of(
     segments = work.segments()
     settled = work.of_blocks("settle", level) if settings.parameters.rounds else []
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
-    moved = _REASSIGNED if settings.parameters.rounds else ""
-    unrendered = [_UNRENDERED.format(moved)] if renders(asked) else []
+    looked = work.views.notes if settings.looks else ()
     return SimplifyReport(
         preset=preset,
         parameters=asdict(settings.parameters),
@@ -70,7 +61,10 @@ def report_of(
         seconds=clock.seconds,
         total_seconds=time.perf_counter() - start,
         threads=work.threads,
-        notes=tuple(dict.fromkeys([*settings.layout.notes, *own_notes, *unrendered])),
+        shown=shown_share(work) if settings.looks else None,
+        candidates=candidates_of(work.of_job("choose", level)) if settings.measures else (),
+        refit=fit_report(work, level) if settings.fits else None,
+        notes=tuple(dict.fromkeys([*settings.layout.notes, *own_notes, *looked])),
         blocks=BlocksReport(
             blocks=partition.blocks,
             largest=max(partition.count(block) for block in range(partition.blocks)),

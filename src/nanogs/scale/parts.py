@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 BOUNDS = "bounds"
 
 
-def read_part(scratch: Scratch, settings: Settings, record: Record) -> Splats:
+def read_part(scratch: Scratch, layout: Layout, record: Record) -> Splats:
     """All splats of a table of them."""
-    return _rows(scratch, settings, record, slice(0, count_of(record)))
+    return _rows(scratch, layout, record, slice(0, count_of(record)))
 
 
 class Parts(Source):
@@ -43,7 +43,7 @@ class Parts(Source):
 
     def __init__(self, work: "Work", level: int) -> None:
         self._work = work
-        self._records = work.of_blocks("part", level)
+        self._records = work.delivered(level)
         self._ends = [0, *accumulate(map(count_of, self._records))]
         self._table: Table | None = None
 
@@ -100,10 +100,10 @@ def write_rest(work: "Work", name: str, level: int, target: int) -> Record:
         level: Of the result.
         target: Splats asked for.
     """
-    records = work.of_blocks("part", level)
+    records = work.delivered(level)
     if sum(map(count_of, records)) <= target:
         return write_table(work.scratch, name, {}, {BOUNDS: None})
-    parts = [read_part(work.scratch, work.settings, record) for record in records]
+    parts = [read_part(work.scratch, work.settings.layout, record) for record in records]
     small = further(concatenate(parts), target, work.settings)
     codes = work.frame.codes(small)
     order = np.argsort(codes, kind="stable")
@@ -119,7 +119,7 @@ def part_of_block(work: "Work", block: int, level: int) -> Splats:
 
     They are in the frame that results are turned to.
     """
-    splats = _rows(work.scratch, work.settings, *_place(work, block, level))
+    splats = _rows(work.scratch, work.settings.layout, *_place(work, block, level))
     frame = work.settings.frame
     return change_frame(splats, *frame) if frame else splats
 
@@ -140,7 +140,7 @@ def _place(work: "Work", block: int, level: int) -> tuple[Record, slice]:
     rest = work.of_job("rest", level)
     bounds = rest.facts[BOUNDS]
     if bounds is None:
-        record = work.of_block("part", block, level)
+        record = work.delivered(level)[block]
         return record, slice(0, count_of(record))
     return rest, slice(*bounds[block : block + 2])
 
@@ -165,8 +165,7 @@ def _first_codes(work: "Work") -> U64:
     return lowest
 
 
-def _rows(scratch: Scratch, settings: Settings, record: Record, rows: slice) -> Splats:
-    layout = settings.layout
+def _rows(scratch: Scratch, layout: Layout, record: Record, rows: slice) -> Splats:
     columns: dict[str, Array] = empty_columns(layout, rows.stop - rows.start)
     if rows.stop > rows.start:
         with Table(scratch, record) as table:

@@ -4,17 +4,14 @@ No Numba here: `--dry-run` uses it.
 """
 
 from dataclasses import dataclass, replace
-from typing import TypeGuard
 
 from nanogs.errors import OptionError
-from nanogs.io.files import splat_bytes
 from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.memory import plan_memory
-from nanogs.pipeline.presets import PRESETS, Parameters
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.encoding import encoding_of
-from nanogs.scale.settings import MOST_SEEN, Chunks
+from nanogs.scale.memory import block_stages
+from nanogs.scale.settings import Chunks
 from nanogs.scale.unpack import Cost
 from nanogs.source import Layout
 
@@ -69,31 +66,6 @@ class ScalePlan:
         return replace(self, memory=memory, scratch=self.scratch + cost.scratch)
 
 
-SHORT = ForestParameters().steps  # of a fit that is left out where nothing is rendered
-
-
-def can_do_without_renders(parameters: Parameters) -> TypeGuard[ForestParameters]:
-    """Whether a method can be done in blocks at all: not where a long fit is what was asked for."""
-    return isinstance(parameters, ForestParameters) and parameters.steps <= SHORT
-
-
-def wish_to_render(preset: str, parameters: Parameters) -> str:
-    """Name what cannot be done without renders: the preset, or a longer fit than its own."""
-    own = PRESETS[preset]
-    if (
-        isinstance(parameters, ForestParameters)
-        and isinstance(own, ForestParameters)
-        and parameters.steps != own.steps
-    ):
-        return f"a fit of {parameters.steps} steps"
-    return f"the preset {preset}"
-
-
-def in_blocks(parameters: ForestParameters) -> ForestParameters:
-    """The parameters that blocks are simplified with: nothing is rendered."""
-    return replace(parameters, measure=False, steps=0)
-
-
 def plan_blocks(
     splats: int,
     layout: Layout,
@@ -117,13 +89,15 @@ def plan_blocks(
     Raises:
         OptionError: The memory is too little for any block.
     """
-    row, each = row_bytes(layout), held_bytes(layout, parameters, max(shares))
+    row, share = row_bytes(layout), max(shares)
     encoding = encoding_of(row, layout.sh_degree, chunks, splats, shares)
     if block is None:
         room = _room(max_memory or 0)
-        block = encoding.most(room, int(room / each))
-        if block < _LEAST:
-            least = _least(max(_LEAST * each, encoding.held(_LEAST)))
+        block = encoding.most(room, _largest_block(room, splats, layout, parameters, share))
+        if block < min(_LEAST, splats):
+            least = _least(
+                max(held_bytes(_LEAST, splats, layout, parameters, share), encoding.held(_LEAST))
+            )
             raise OptionError(
                 f"{_must_be(least, max_memory or 0)} for blocks of this model, of which"
                 f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries{encoding.remedy()}"
@@ -131,6 +105,7 @@ def plan_blocks(
     segment = max(min(block, _SEGMENT), 1)
     blocks = -(-splats // max(block - block // 16, 1))
     held = min(block, splats)
+    tasks = held_bytes(held, splats, layout, parameters, share)
     results = sum(int(share * splats) for share in shares)
     sorted_rows = splats * (row + 8)
     copies = 3 if chunks else 2  # parts, what is encoded of them, and the result
@@ -140,7 +115,7 @@ def plan_blocks(
         block=block,
         segment=segment,
         blocks=blocks,
-        memory=LIBRARIES + int(max(held * each, segment * (row + _KEYS), encoding.held(held))),
+        memory=LIBRARIES + int(max(tasks, segment * (row + _KEYS), encoding.held(held))),
         scratch=sorted_rows + tables,
         seconds=splats * (_SECONDS + _LEVEL_SECONDS * (len(shares) - 1)) + encoding.seconds,
     )
@@ -164,17 +139,20 @@ def _least(held: float) -> float:
     return (LIBRARIES + held) / _SHARE
 
 
-def held_bytes(layout: Layout, parameters: ForestParameters, share: float) -> float:
-    """Most bytes for each splat of a block that any stage holds.
+def held_bytes(
+    block: int, splats: int, layout: Layout, parameters: ForestParameters, share: float
+) -> int:
+    """Most bytes that any task of a block holds, the libraries apart; see `block_stages`."""
+    return max(block_stages(block, splats, layout, parameters, share).values())
 
-    Args:
-        layout: Of the columns.
-        parameters: Of the method.
-        share: What the result keeps of the splats of a block; one block can keep more than others.
-    """
-    extra = row_bytes(layout) - splat_bytes(layout.sh_degree)
-    kept = int(min(1.0, 2 * share) * _MANY)
-    held = plan_memory(_MANY, layout.sh_degree, extra, in_blocks(parameters), kept)
-    codes = 2 * 8  # and their order
-    seen = 1 + MOST_SEEN if parameters.rounds else 1
-    return (held.peak / _MANY + codes) * seen
+
+def _largest_block(
+    room: float, splats: int, layout: Layout, parameters: ForestParameters, share: float
+) -> int:
+    """Splats of the largest block whose tasks have room, 0 for none."""
+    low, high = 0, 2 * splats  # blocks of more than all splats: one
+    while low < high:
+        middle = (low + high + 1) // 2
+        fits = held_bytes(middle, splats, layout, parameters, share) <= room
+        low, high = (middle, high) if fits else (low, middle - 1)
+    return low

@@ -5,18 +5,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from nanogs.clock import StageClock
-from nanogs.progress import Stage, Tracker
+from nanogs.progress import Tracker
 from nanogs.scale.scratch import Scratch
-from nanogs.scale.settings import SOG, Settings
+from nanogs.scale.settings import Settings
+from nanogs.scale.stages import do, stages_of
 from nanogs.scale.tables import verified, write_table
-from nanogs.scale.work import MARK, UNPACK, Task, Work, do
-
-# Seconds for a million splats, of one machine; chunks take them for each of their own.
-_WEIGHTS = {
-    UNPACK: 1.0, "frame": 1.0, "segment": 0.5, "partition": 0.05, "forest": 5.0, "budget": 0.02,
-    "cut": 0.4, "settle": 2.0, "part": 0.5, "rest": 0.2, "cells": 0.5,
-}  # fmt: skip
-_PACKING = 25.0  # seconds for a million splats of streamed SOG
+from nanogs.scale.work import MARK, Task, Work
 
 
 class Executor(Protocol):
@@ -75,8 +69,9 @@ def run_tasks(
     """
     work, kept = Work(scratch, settings, threads), 0
     write_table(scratch, MARK.name, {}, {})
-    for stage, level in _stages(settings):
-        tasks = [Task(stage, number, level) for number in range(_count(work, stage))]
+    for each, level in stages_of(settings):
+        stage = each.name
+        tasks = [Task(stage, number, level) for number in range(each.count(work))]
         with clock.time(stage):
             left = [task for task in tasks if not (resumed and _is_done(work, task))]
             kept += len(tasks) - len(left)
@@ -88,46 +83,6 @@ def run_tasks(
                 work.record(task)  # kept: the report is made when the scratch is gone
                 progress.part(done, len(tasks))
     return Done(work, kept)
-
-
-def job_stages(settings: Settings) -> list[Stage]:
-    """The stages of a job, and how long each takes beside the others."""
-    weights = _WEIGHTS | {"chunk": _PACKING if _is_sog(settings) else 1.0}
-    ratios = settings.ratios or tuple(count / settings.splats for count in settings.counts)
-    stages = [
-        Stage(stage, weights[stage] * (ratios[level] if stage == "chunk" else 1.0))
-        for stage, level in _stages(settings)
-    ]
-    return [*stages, Stage("write", 0.1)]
-
-
-def _is_sog(settings: Settings) -> bool:
-    return settings.chunks is not None and settings.chunks.layout == SOG
-
-
-def _stages(settings: Settings) -> Iterator[tuple[str, int]]:
-    if settings.unpacked:
-        yield UNPACK, 0
-    for stage in ("frame", "segment", "partition", "forest"):
-        yield stage, 0
-    for level in range(settings.levels):
-        yield "budget", level
-        if settings.parameters.rounds:
-            yield "cut", level
-            yield "settle", level
-        yield "part", level
-    if settings.chunks:
-        yield from (("rest", level) for level in range(settings.levels))
-        yield "cells", 0
-        yield from (("chunk", level) for level in range(settings.levels))
-
-
-def _count(work: Work, stage: str) -> int:
-    if stage in ("frame", "partition", "budget", "rest"):
-        return 1
-    if stage == UNPACK:
-        return len(work.settings.unpacked)
-    return len(work.settings.segments) if stage == "segment" else work.partition.blocks
 
 
 def _is_done(work: Work, task: Task) -> bool:

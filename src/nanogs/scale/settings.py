@@ -8,6 +8,7 @@ from typing import Any
 from nanogs.errors import FormatError
 from nanogs.filters import Plain
 from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.presets import renders
 from nanogs.source import Layout
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
@@ -138,6 +139,26 @@ class Settings:
             for number, file in enumerate(self.inputs)
             if file.access is Access.PACKED and file.splats > longest
         )
+
+    @property
+    def looks(self) -> bool:
+        """Whether the scene is looked at."""
+        return renders(self.parameters)
+
+    @property
+    def measures(self) -> bool:
+        """Whether results are chosen by how they look."""
+        return self.parameters.measure
+
+    @property
+    def fits(self) -> bool:
+        """Whether results are fitted to what views show."""
+        return self.parameters.steps > 0
+
+    @property
+    def balances(self) -> tuple[float, ...]:
+        """The balances of the cuts that are tried."""
+        return self.parameters.balances
 
     @property
     def levels(self) -> int:

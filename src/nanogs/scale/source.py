@@ -19,7 +19,7 @@ from nanogs.scale.unpack import Unpacked
 from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
 from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
 
-_SPAN_ROWS, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # of the rows that stand for all
+SPAN, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # of the rows that stand for all
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,24 +167,31 @@ def _place(settings: Settings, row: int) -> str:
     return f"{settings.inputs[number].path}: row {row - ends[number]}"
 
 
-def sample(settings: Settings, unpacked: Unpacked | None = None) -> Splats:
+def sample(
+    settings: Settings,
+    unpacked: Unpacked | None = None,
+    *,
+    rows: int | None = None,
+    span: int = SPAN,
+) -> Splats:
     """Evenly spread stretches of the usable rows of all inputs, without higher harmonics.
-
-    They are some 260,000 at most, and no more than a block, so that memory for a block is enough.
 
     Args:
         settings: The job.
         unpacked: The files that have been unpacked, if any.
+        rows: How many in all, about; by default some 260,000, and no more than a block, so that
+            memory for a block is enough.
+        span: Rows of a stretch.
 
     Raises:
         FormatError: As for `read_segment`.
     """
     parts = []
     bare = replace(settings.layout, sh_degree=0, extras=())
-    spans = min(max(settings.block // _SPAN_ROWS, _LEAST_SPANS), _MOST_SPANS)
-    every = -(-settings.splats // (spans * _SPAN_ROWS))
+    rows = rows or min(max(settings.block // SPAN, _LEAST_SPANS), _MOST_SPANS) * SPAN
+    every = -(-settings.splats // rows)
     with opened(settings, unpacked) as source:
-        for start in range(0, source.count, _SPAN_ROWS * every):
-            part = source.read(start, min(start + _SPAN_ROWS, source.count))
+        for start in range(0, source.count, span * every):
+            part = source.read(start, min(start + span, source.count))
             parts.append(fitted(part.take(part.finite()), bare))
     return concatenate(parts)

@@ -4,38 +4,31 @@ A task's bytes depend on nothing but the job's settings, so that it can be done 
 time, and again.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from nanogs._types import I32, I64, Array
+from nanogs._types import F64, I32, I64, Array
 from nanogs.errors import OutputError
-from nanogs.method.nodes import Nodes
-from nanogs.method.store import store_groups
-from nanogs.pipeline.target import target_count
-from nanogs.scale.blocks import leaves_of, morton_rows, read_block, with_codes
-from nanogs.scale.budget import budget
-from nanogs.scale.chunked import write_cells, write_chunks
-from nanogs.scale.columns import CODES, empty_columns, read_rows, sorted_columns, splats_of
-from nanogs.scale.cuts import LABELS, cut_block, write_cut
-from nanogs.scale.forests import grow
-from nanogs.scale.frame import Frame, frame_of, survey
-from nanogs.scale.halo import find_halo
-from nanogs.scale.partition import Partition, partition, partition_of
-from nanogs.scale.parts import write_rest
+from nanogs.method.store import Groups, store_groups
+from nanogs.scale.blocks import Seen, leaves_of, morton_rows, read_block, with_codes
+from nanogs.scale.columns import CODES, empty_columns, read_rows, splats_of
+from nanogs.scale.cuts import LABELS, cut_block
+from nanogs.scale.frame import Frame, frame_of
+from nanogs.scale.halo import Halo
+from nanogs.scale.look import VISIBLE, read_visible, typical_weight
+from nanogs.scale.partition import Partition, partition_of
 from nanogs.scale.scratch import Scratch
 from nanogs.scale.settings import Settings
-from nanogs.scale.settle import GONE, GROUP, settled, view_of, write_settled
-from nanogs.scale.spill import spill
-from nanogs.scale.tables import Record, Table, read_record, write_table
-from nanogs.scale.unpack import Unpacked, unpack
+from nanogs.scale.settle import GONE, GROUP
+from nanogs.scale.tables import Record, Table, read_record
+from nanogs.scale.unpack import Unpacked
+from nanogs.scale.views import Views, views_of
 from nanogs.source import Layout
 from nanogs.splats import Splats
-from nanogs.threads import use_threads
 
 UNPACK = "unpack"
-FEWEST = 64  # splats of a block's part, on average
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,179 +118,151 @@ class Work:
         """The records of what a stage wrote, one a block."""
         return [self.record(Task(stage, b, level)) for b in range(self.partition.blocks)]
 
+    def table(self, stage: str, block: int, level: int = 0) -> Table:
+        """What a stage wrote for a block, open for reading."""
+        return Table(self.scratch, self.of_block(stage, block, level))
+
+    @property
+    def views(self) -> Views:
+        """The views of the whole scene."""
+        return views_of(self.of_job("views").facts)
+
+    def delivered(self, level: int) -> list[Record]:
+        """The records of a level's splats, one a block, as they are delivered."""
+        return self.of_blocks("fit" if self.settings.fits else "part", level)
+
     def read(
         self, block: int, columns: dict[str, Array], at: int = 0, rows: I64 | None = None
     ) -> int:
         """Fill columns with splats of a block, as `read_block` does."""
         return read_block(self.scratch, self.segments(), self.partition, block, columns, at, rows)
 
+    def block(self, block: int, layout: Layout | None = None) -> tuple[Splats, I64]:
+        """The splats of a block, and their rows in Morton order.
 
-def do(work: Work, task: Task) -> Record:
-    """Do a task.
+        Args:
+            block: Its number.
+            layout: The columns that are needed; those left out are zeros.
+        """
+        layout = layout or self.settings.layout
+        count = self.partition.count(block)
+        columns = with_codes(empty_columns(layout, count), count)
+        wanted = dict(columns)
+        if layout is not self.settings.layout:
+            columns["sh"][:] = 0
+            del wanted["sh"]
+        self.read(block, wanted)
+        return splats_of(columns, layout), morton_rows(columns[CODES])
 
-    Raises:
-        NanogsError: The input cannot be read, or the scratch not be written.
+    def seen(self, visible: F64 | None) -> Seen | None:
+        """How nodes of splats are weighed that are so visible; None where nothing is looked at."""
+        if visible is None:
+            return None
+        return Seen(visible, self.settings.parameters.hidden, typical_weight(self))
+
+    def visible(self, block: int) -> F64 | None:
+        """(N,) how visible a block's splats are; None where nothing is looked at."""
+        return read_visible(self, block) if self.settings.looks else None
+
+    def groups(self, block: int, level: int) -> int:
+        """How many groups of a block are left."""
+        return int(self.of_job("budget", level).facts["groups"][self.balance(level)][block])
+
+    def balance(self, level: int) -> int:
+        """Number of the balance that was chosen."""
+        return int(self.of_job("pick", level).facts["balance"]) if self.settings.measures else 0
+
+    def labels(self, block: int, level: int) -> I32:
+        """(N,) the group of each leaf of a block's forest, before reassignment."""
+        forest, balance = self.of_block("forest", block), self.balance(level)
+        return cut_block(self.scratch, forest, self.groups(block, level), balance)
+
+    def members(self, block: int, level: int, *, reassigned: bool) -> "Members":
+        """The splats of a block's groups, of which some may come from other blocks.
+
+        Args:
+            block: Its number.
+            level: Of the result.
+            reassigned: Whether as they are after reassignment.
+        """
+        if not reassigned:
+            splats, rows = self.block(block)
+            visible = self.visible(block)
+            return Members(splats, rows, self.labels(block, level), visible)
+        given = self._handed_to(block, level)
+        own = self.partition.count(block)
+        count = own + sum(stop - start for _, start, stop in given)
+        columns = with_codes(empty_columns(self.settings.layout, count), count)
+        by_row = np.empty(count, np.int32)
+        self.read(block, columns)
+        if self.settings.looks:
+            columns[VISIBLE] = np.empty(count)
+            columns[VISIBLE][:own] = self.visible(block)
+        with self.table("settle", block, level) as table:
+            table.read_into(LABELS, 0, by_row[:own])
+        at = own
+        for record, start, stop in given:
+            with Table(self.scratch, record) as table:
+                read_rows(table, columns, at, slice(start, stop))
+                by_row[at : at + stop - start] = table.read(GROUP, start, stop)
+            at += stop - start
+        if (gone := by_row == GONE).any():
+            for name in columns:  # one after the other, so that no two copies of all are held
+                columns[name] = columns[name][~gone]
+            by_row = by_row[~gone]
+        rows = morton_rows(columns[CODES])
+        splats = splats_of(columns, self.settings.layout)
+        return Members(splats, rows, by_row[rows], columns.get(VISIBLE))
+
+    def stored(self, members: "Members") -> Groups:
+        """The groups of a block as splats."""
+        leaves = leaves_of(members.splats, members.rows, self.frame, self.seen(members.visible))
+        frame, sheets = self.frame, not self.settings.measures
+        return store_groups(
+            leaves, members.labels, members.splats, frame.centre(), frame.dilation(), sheets=sheets
+        )
+
+    def visible_with(self, block: int, halo: Sequence[Halo]) -> F64:
+        """(V,) how visible a block's splats are, and after them those of its halo."""
+        parts = [read_visible(self, block)]
+        parts += [read_visible(self, each.block)[each.rows] for each in halo]
+        return np.concatenate(parts)
+
+    def chosen(self, level: int) -> "Chosen":
+        """How the groups of a level become splats."""
+        parameters = self.settings.parameters
+        if not self.settings.measures:
+            return Chosen(parameters.rounds > 0, parameters.growth)
+        facts = self.of_job("choose", level).facts
+        return Chosen(bool(facts["reassigned"]), float(facts["growth"]))
+
+    def _handed_to(self, block: int, level: int) -> list[tuple[Record, int, int]]:
+        """Rows that other blocks hand over to one, block by block."""
+        settled = self.of_blocks("settle", level)
+        places = [(record, record.facts["handed"].get(str(block))) for record in settled]
+        return [(record, *place) for record, place in places if place]
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """What was chosen for a level: whether splats stay reassigned, and how much may grow."""
+
+    reassigned: bool
+    growth: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Members:
+    """The splats of a block's groups.
+
+    Attributes:
+        splats: N of them.
+        rows: (N,) int64, their rows in Morton order.
+        labels: (N,) int32, the group of each, in that order.
+        visible: (N,) float64, how visible each splat is, or None where nothing is looked at.
     """
-    with use_threads(work.threads):
-        record = _STAGES[task.stage](work, task)
-    work.known[task.name] = record
-    return record
 
-
-def _unpack(work: Work, task: Task) -> Record:
-    settings = work.settings
-    return unpack(work.scratch, task.name, settings.inputs[settings.unpacked[task.number]])
-
-
-def _frame(work: Work, task: Task) -> Record:
-    facts = survey(work.settings, work.unpacked()).to_dict()
-    return write_table(work.scratch, task.name, {}, facts)
-
-
-def _segment(work: Work, task: Task) -> Record:
-    return spill(work.scratch, task.name, work.settings, work.frame, task.number, work.unpacked())
-
-
-def _partition(work: Work, task: Task) -> Record:
-    found = partition(work.scratch, work.settings, work.segments())
-    return write_table(work.scratch, task.name, {}, found.to_dict())
-
-
-def _forest(work: Work, task: Task) -> Record:
-    splats, rows = _block(work, task.number)
-    frame = work.frame
-    return grow(
-        work.scratch, task.name, lambda: leaves_of(splats, rows, frame, bare=True),
-        work.settings.parameters, work.threads,
-    )  # fmt: skip
-
-
-def _budget(work: Work, task: Task) -> Record:
-    counts = work.settings.counts
-    if counts:
-        target = target_count(work.partition.splats, None, counts[task.level])
-    else:
-        target = target_count(work.partition.splats, work.settings.ratios[task.level], None)
-    # Blocks cannot be cut to less than a splat each, nor well to a few: the rest is done in memory.
-    cut_to = max(target, min(FEWEST * work.partition.blocks, work.partition.splats))
-    groups = budget(work.scratch, work.of_blocks("forest"), cut_to)
-    return write_table(work.scratch, task.name, {}, {"target": target, "groups": groups})
-
-
-def _cut(work: Work, task: Task) -> Record:
-    bare = replace(work.settings.layout, sh_degree=0, extras=())  # colours have no part in it
-    splats, rows = _block(work, task.number, bare)
-    leaves, groups = leaves_of(splats, rows, work.frame), _groups(work, task)
-    labels = cut_block(work.scratch, _forest_of(work, task), groups)
-    return write_cut(work.scratch, task.name, leaves, labels, groups, work.threads)
-
-
-def _settle(work: Work, task: Task) -> Record:
-    cuts = work.of_blocks("cut", task.level)
-    own = work.partition.count(task.number)
-    halo = find_halo(work.scratch, cuts, task.number, own, work.threads)
-    count = own + sum(len(each.rows) for each in halo)
-    columns = with_codes(empty_columns(work.settings.layout, count), count)
-    work.read(task.number, columns)
-    at = own
-    for each in halo:
-        at = work.read(each.block, columns, at, each.rows)
-    with Table(work.scratch, cuts[task.number]) as table:
-        labels = table.read(LABELS)
-    splats = splats_of(columns, work.settings.layout)
-    leaves = leaves_of(splats, morton_rows(columns[CODES]), work.frame)
-    view = view_of(leaves, labels, own, _groups(work, task), halo)
-    after = settled(view, work.settings.parameters.rounds, work.threads)
-    return write_settled(work.scratch, task.name, after, view, columns)
-
-
-def _part(work: Work, task: Task) -> Record:
-    splats, leaves, labels = _members(work, task)
-    frame, growth = work.frame, work.settings.parameters.growth
-    groups = store_groups(leaves, labels, splats, frame.centre(), frame.dilation(), sheets=True)
-    small = groups.grown(growth)
-    order = morton_rows(frame.codes(small))
-    return write_table(work.scratch, task.name, sorted_columns(small, order), {})
-
-
-def _rest(work: Work, task: Task) -> Record:
-    target = int(work.of_job("budget", task.level).facts["target"])
-    return write_rest(work, task.name, task.level, target)
-
-
-def _cells(work: Work, task: Task) -> Record:
-    return write_cells(work, task.name, task.number)
-
-
-def _chunk(work: Work, task: Task) -> Record:
-    return write_chunks(work, task.name, task.number, task.level)
-
-
-def _members(work: Work, task: Task) -> tuple[Splats, Nodes, I32]:
-    """The splats of a block's groups, a leaf for each of them, and the group of each leaf."""
-    if not work.settings.parameters.rounds:
-        splats, rows = _block(work, task.number)
-        labels = cut_block(work.scratch, _forest_of(work, task), _groups(work, task))
-        return splats, leaves_of(splats, rows, work.frame), labels
-    given = _handed_to(work, task)
-    own = work.partition.count(task.number)
-    count = own + sum(stop - start for _, start, stop in given)
-    columns = with_codes(empty_columns(work.settings.layout, count), count)
-    by_row = np.empty(count, np.int32)
-    work.read(task.number, columns)
-    with Table(work.scratch, work.of_block("settle", task.number, task.level)) as table:
-        table.read_into(LABELS, 0, by_row[:own])
-    at = own
-    for record, start, stop in given:
-        with Table(work.scratch, record) as table:
-            read_rows(table, columns, at, slice(start, stop))
-            by_row[at : at + stop - start] = table.read(GROUP, start, stop)
-        at += stop - start
-    rows = morton_rows(columns[CODES])
-    rows = rows[by_row[rows] != GONE]
-    splats = splats_of(columns, work.settings.layout)
-    return splats, leaves_of(splats, rows, work.frame), by_row[rows]
-
-
-def _handed_to(work: Work, task: Task) -> list[tuple[Record, int, int]]:
-    """Rows that other blocks hand over to one, block by block."""
-    settled = work.of_blocks("settle", task.level)
-    places = [(record, record.facts["handed"].get(str(task.number))) for record in settled]
-    return [(record, *place) for record, place in places if place]
-
-
-def _block(work: Work, block: int, layout: Layout | None = None) -> tuple[Splats, I64]:
-    """The splats of a block, and their rows in Morton order."""
-    layout = layout or work.settings.layout
-    count = work.partition.count(block)
-    columns = with_codes(empty_columns(layout, count), count)
-    wanted = dict(columns)
-    if layout is not work.settings.layout:
-        columns["sh"][:] = 0
-        del wanted["sh"]
-    work.read(block, wanted)
-    return splats_of(columns, layout), morton_rows(columns[CODES])
-
-
-def _forest_of(work: Work, task: Task) -> Record:
-    return work.of_block("forest", task.number)
-
-
-def _groups(work: Work, task: Task) -> int:
-    return int(work.of_job("budget", task.level).facts["groups"][task.number])
-
-
-_STAGES: dict[str, Callable[[Work, Task], Record]] = {
-    UNPACK: _unpack,
-    "frame": _frame,
-    "segment": _segment,
-    "partition": _partition,
-    "forest": _forest,
-    "budget": _budget,
-    "cut": _cut,
-    "settle": _settle,
-    "part": _part,
-    "rest": _rest,
-    "cells": _cells,
-    "chunk": _chunk,
-}
+    splats: Splats
+    rows: I64
+    labels: I32
+    visible: F64 | None

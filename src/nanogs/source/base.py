@@ -35,6 +35,10 @@ class Layout:
     comments: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
+    def bare(self) -> "Layout":
+        """The same without higher harmonics and extra columns."""
+        return replace(self, sh_degree=0, extras=())
+
 
 class Source(ABC):
     """A model of which some rows are read at a time.

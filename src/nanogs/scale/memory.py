@@ -1,0 +1,85 @@
+"""Memory of a block: bytes that its tasks hold, stage by stage, for blocks of any size.
+
+No Numba here: `--dry-run` uses it.
+"""
+
+from dataclasses import replace
+
+from nanogs.io.files import splat_bytes
+from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.memory import plan_memory
+from nanogs.pipeline.memory_forest import (
+    COMPARED,
+    DRAWN,
+    FIT_STEP,
+    PIXEL,
+    PREPARED,
+    SHARES,
+    fit_state,
+)
+from nanogs.pipeline.presets import renders
+from nanogs.scale.columns import row_bytes
+from nanogs.scale.settings import MOST_SEEN
+from nanogs.source import Layout
+
+FINE, ROUGH = 0, 1  # coarse levels of the scene
+# Splats of the scene for each of a coarse level, at least; and splats of the level for each of a
+# block, at most: they are only drawn.
+COARSE_SHARES, COARSE_OF_BLOCK = (2, 8), (2.0, 0.5)
+_CODES = 2 * 8  # Morton codes and their order
+_TRIED = 4  # models that are held against the original at a time
+
+
+def most_coarse(level: int, block: int, splats: int) -> int:
+    """Splats of a coarse level of the scene, at most: enough to hide what is behind them.
+
+    Args:
+        level: `FINE` or `ROUGH`.
+        block: Most splats of a block.
+        splats: Of the scene.
+    """
+    return min(splats // COARSE_SHARES[level], int(COARSE_OF_BLOCK[level] * block))
+
+
+def block_stages(
+    block: int, splats: int, layout: Layout, parameters: ForestParameters, share: float
+) -> dict[str, int]:
+    """Bytes that the tasks of a block hold at most, the libraries apart.
+
+    Args:
+        block: Splats of the block.
+        splats: Of the whole scene.
+        layout: Of their columns.
+        parameters: Of the method.
+        share: What the result keeps of the splats; one block can keep more than others.
+    """
+    kept = int(min(1.0, 2 * share) * block)
+    degree, row = layout.sh_degree, row_bytes(layout)
+    extra = row - splat_bytes(degree)
+    plain = replace(parameters, measure=False, steps=0)
+    grown = plan_memory(block, degree, extra, plain, kept).peak + _CODES * block
+    grown = int(grown * (1 + MOST_SEEN if parameters.rounds else 1))
+    if not renders(parameters):
+        return {"grow": grown}
+    fine, rough = (most_coarse(level, block, splats) for level in (FINE, ROUGH))
+    bare, features = row_bytes(layout.bare()), 3 * (degree + 1) ** 2 * 4
+    pixels = parameters.view_size**2
+    coarse = plan_memory(block, 0, 0, plain, min(block, fine)).peak + block * (row + _CODES)
+    # What is drawn: the block and, copied with it, what surrounds it.
+    scene = (block + rough) * (12 + features + PREPARED)
+    alone = block * (12 + features + PREPARED) + rough * (bare + PREPARED)
+    views = 4 * pixels
+    look = block * (bare + _CODES + PREPARED) + fine * (bare + PREPARED)
+    look += (block + fine) * (24 + PREPARED + DRAWN + SHARES) + pixels * PIXEL
+    judge = alone + scene + _TRIED * kept * row + 2 * views + (block + rough) * DRAWN
+    fit = alone + scene + kept * row
+    fitted = scene + kept * row + parameters.views * views + pixels * COMPARED
+    fitted += rough * (12 + features + PREPARED) + fit_state(kept, features, parameters)
+    fitted += max((kept + rough) * FIT_STEP, (block + rough) * DRAWN if parameters.further else 0)
+    return {
+        "grow": grown + 8 * block,
+        "coarse": coarse,
+        "look": look,
+        "judge": judge + pixels * COMPARED,
+        "fit": max(fit, fitted) if parameters.steps else 0,
+    }

@@ -1,0 +1,210 @@
+"""Blocks that look: visibility, choice and fit of each block, on views of the whole scene."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import model_bytes, random_splats
+from nanogs.fit.groups import Group
+from nanogs.fit.parameters import RefitParameters
+from nanogs.fit.rounds import fit
+from nanogs.fit.targets import Fitting, make_target
+from nanogs.progress import untold
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import prepare, render, together
+from nanogs.scale import run, stages
+from nanogs.scale.memory import FINE, ROUGH, block_stages, most_coarse
+from nanogs.scale.views import LEAST, Views, deciding_count, parts_of, views_of
+from nanogs.source import Layout
+from nanogs.splats import concatenate
+from nanogs.views.automatic import automatic_cameras
+
+COUNT = 1500
+LOOKING = {"preset": "default", "views": 6, "view_size": 96, "steps": 6}
+BLOCKS = {**LOOKING, "block": 500, "threads": 1}
+
+
+@pytest.fixture(scope="module")
+def splats():
+    given = random_splats(COUNT, degree=1, seed=7)
+    label = np.arange(COUNT, dtype=np.int32)
+    larger = given.log_scales + np.float32(0.7)  # so that some hide others
+    return dataclasses.replace(given, log_scales=larger, extras={"label": label})
+
+
+@pytest.fixture(scope="module")
+def scene(splats, tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(splats, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def made(scene, tmp_path_factory):
+    """The report and the bytes of a result in blocks."""
+    path = tmp_path_factory.mktemp("made") / "small.ply"
+    report = nanogs.simplify_blocks(scene, path, ratio=0.2, **BLOCKS)
+    return report, path.read_bytes()
+
+
+def test_what_was_looked_at_chosen_and_fitted_is_told(made):
+    report, _ = made
+    assert report.blocks.blocks > 2
+    assert report.achieved_count == COUNT // 5
+    assert 0 < report.shown <= 1
+    assert sum(each.chosen for each in report.candidates) == 1
+    assert {each.balance for each in report.candidates} == {0.5, 1.0}
+    assert report.refit.psnr_after > report.refit.psnr_before
+    assert all(each.psnr_after >= each.psnr_before for each in report.refit.groups)
+    assert report.refit.count == report.achieved_count
+
+
+def test_threads_do_not_change_the_bytes(scene, made, tmp_path):
+    nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **(BLOCKS | {"threads": 2}))
+    assert (tmp_path / "a.ply").read_bytes() == made[1]
+
+
+@pytest.mark.parametrize("stage", ["coarse", "views", "look", "trial", "choose", "fit"])
+def test_a_job_that_was_cut_off_gives_the_same_bytes(scene, made, tmp_path, monkeypatch, stage):
+    out, do, left = tmp_path / "a.ply", stages.do, [1]
+
+    def crash(work, task):
+        if (
+            task.stage == stage
+            and left
+            and task.number == work.partition.blocks // 2 * (stage not in ("views", "choose"))
+        ):
+            left.pop()
+            raise KeyboardInterrupt
+        return do(work, task)
+
+    monkeypatch.setattr(run, "do", crash)
+    with pytest.raises(KeyboardInterrupt):
+        nanogs.simplify_blocks(scene, out, ratio=0.2, **BLOCKS)
+    nanogs.simplify_blocks(scene, out, ratio=0.2, resume=True, **BLOCKS)
+    assert out.read_bytes() == made[1]
+
+
+def test_one_block_is_chosen_and_fitted_as_in_memory(splats, scene, tmp_path):
+    given = BLOCKS | {"block": 10**6}
+    blocks = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **given)
+    _, whole = nanogs.simplify(splats, ratio=0.2, **LOOKING)
+    assert blocks.blocks.blocks == 1
+    assert blocks.shown == pytest.approx(whole.shown, abs=1e-6)
+    for one, other in zip(blocks.candidates, whole.candidates, strict=False):
+        assert (one.balance, one.reassigned) == (other.balance, other.reassigned)
+        assert one.psnr == pytest.approx(other.psnr, abs=0.1)
+        assert one.ssim == pytest.approx(other.ssim, abs=0.005)
+    gained = [report.psnr_after - report.psnr_before for report in (blocks.refit, whole.refit)]
+    assert gained[0] == pytest.approx(gained[1], abs=0.5)
+
+
+def test_blocks_see_nearly_what_the_whole_shows(splats, made):
+    _, whole = nanogs.simplify(splats, ratio=0.2, **LOOKING)
+    assert made[0].shown == pytest.approx(whole.shown, abs=0.05)
+
+
+def test_levels_look_too(scene, tmp_path):
+    from nanogs.scale.job import Where
+    from nanogs.scale.levels import write_levels_in_blocks
+
+    given = {key: value for key, value in BLOCKS.items() if key != "threads"}
+    given |= {"max_memory": None, "where": Where(1)}
+    _, reports = write_levels_in_blocks([scene], tmp_path / "levels", [0.4, 0.1], **given)
+    assert [report.achieved_count for report in reports] == [COUNT * 2 // 5, COUNT // 10]
+    assert all(report.refit.psnr_after > report.refit.psnr_before for report in reports)
+
+
+# ---- parts ----------------------------------------------------------------------------------
+
+
+def test_two_models_are_drawn_as_one(splats):
+    first, second = splats.take(slice(0, 1000)), splats.take(slice(1000, COUNT)).with_sh_degree(0)
+    camera = automatic_cameras(splats, 1, width=64, height=48)[0]
+    both = render(together(prepare(first), prepare(second)), camera)
+    bare = dataclasses.replace(first, extras={}), dataclasses.replace(second, extras={})
+    np.testing.assert_array_equal(both.color, render(concatenate(bare), camera).color)
+    assert np.abs(both.color - render(first, camera).color).max() > 0.01
+
+
+def test_views_survive_json(splats):
+    cameras = tuple(automatic_cameras(splats, 5, width=70, height=50))
+    views = Views(cameras[:3], cameras[3:4], cameras[4:], ("note",))
+    again = views_of(json.loads(json.dumps(views.to_dict())))
+    assert again.notes == views.notes
+    for one, other in zip((*again.kept, *again.further, *again.roaming), cameras, strict=True):
+        np.testing.assert_array_equal(one.intrinsics, other.intrinsics)
+        np.testing.assert_array_equal(one.world_to_camera, other.world_to_camera)
+        assert one.name == other.name
+    assert len(again.deciding) == deciding_count(3) == 1
+
+
+def test_the_part_of_a_view_holds_what_a_block_draws(splats):
+    camera = automatic_cameras(splats, 1, width=400, height=300)[0]
+    near = np.argsort(np.linalg.norm(splats.means - splats.means[0], axis=1))[:30]
+    some = splats.take(near)
+    small = some.log_scales - np.float32(2)
+    own = prepare(dataclasses.replace(some, log_scales=small))
+    part = parts_of(own, np.ones(len(some), bool), [camera])[0]
+    assert part.width < camera.width
+    assert min(part.width, part.height) >= LEAST
+    whole, cut = render(own, camera).alpha, render(own, part).alpha
+    assert cut.sum() > 0.99 * whole.sum()
+    left, top = round(camera.cx - part.cx), round(camera.cy - part.cy)
+    assert left % 16 == top % 16 == 0
+    np.testing.assert_array_equal(cut, whole[top : top + part.height, left : left + part.width])
+    assert parts_of(own, np.zeros(len(some), bool), [camera]) == [None]
+
+
+def surrounded(small, original, around, cameras):
+    """The fit of a small model to views of the original, both among something else."""
+    whole = together(prepare(original), around)
+    targets = [make_target(whole, camera, depth=False) for camera in cameras]
+    views = Fitting(targets[1:], surroundings=around)
+    chosen = RefitParameters(rounds=1, steps=6)
+    return fit(small, views, [Group("views", tuple(targets[:1]))], chosen, untold)
+
+
+def test_surroundings_are_drawn_and_stay(splats):
+    original = dataclasses.replace(splats, extras={})
+    small, _ = nanogs.simplify(original, ratio=0.2, preset="fast")
+    cameras = automatic_cameras(original, 6, width=96, height=96)
+    plain, gained = surrounded(small, original, None, cameras)
+    assert gained.improved
+    behind = original.take(slice(0, 300))
+    away = dataclasses.replace(behind, means=behind.means + np.float32(1e6))
+    same, _ = surrounded(small, original, prepare(away), cameras)
+    assert model_bytes(same) == model_bytes(plain)
+    among, helped = surrounded(small, original, prepare(behind), cameras)
+    assert len(among) == len(small)
+    assert helped.improved
+    assert model_bytes(among) != model_bytes(plain)
+
+
+def test_a_wall_in_front_leaves_nothing_to_fit(splats):
+    small = dataclasses.replace(splats, extras={}).take(slice(0, 50))
+    place = np.zeros((1, 3), np.float32)
+    wall = dataclasses.replace(
+        small.take(slice(0, 1)), means=place, log_scales=place + np.float32(np.log(50.0)),
+        opacity_logits=np.array([30.0], np.float32),
+    )  # fmt: skip
+    pose = np.eye(4)
+    pose[2, 3] = 1.0
+    camera = Camera(64, 64, 64.0, 64.0, 32.0, 32.0, pose)
+    hidden = dataclasses.replace(small, means=small.means + np.array([0, 0, 9], np.float32))
+    around = together(prepare(wall), prepare(wall))
+    fitted, outcome = surrounded(hidden, splats.take(slice(0, 1)), around, [camera] * 3)
+    assert not outcome.improved
+    assert model_bytes(fitted) == model_bytes(hidden)
+
+
+def test_memory_of_a_block_grows_with_it_and_coarse_levels_are_bounded():
+    layout, chosen = Layout(3, False, (), "default", (), ()), nanogs.presets["best"]
+    held = [max(block_stages(n, 10**8, layout, chosen, 0.1).values()) for n in (10**4, 10**6)]
+    assert held[0] < held[1] < 100 * held[0]
+    assert most_coarse(FINE, 10**6, 10**8) == 2 * 10**6
+    assert most_coarse(ROUGH, 10**6, 10**8) == 10**6 // 2
+    assert most_coarse(FINE, 10**6, 1000) == 500
