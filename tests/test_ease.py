@@ -310,8 +310,7 @@ def test_verbose_tells_of_each_level(folder, tmp_path):
         (["a.ply"], ["OUT is missing", "a.ply"]),
         (["a.ply", "out/tileset.json", "--frame", "rub"], [".glb has a frame of its own"]),
         (["a.ply", "out", "--crop", "cube"], ["--crop"]),
-        (["a.ply", "out", "--max-memory", "240MB", "--sh-degree", "0"], ["--sh-degree needs"]),
-        (["a.ply", "out", "--max-memory", "240MB", "--min-opacity", "0"], ["a filter needs"]),
+        (["a.ply", "out", "--max-memory", "240MB", "--drop-floaters"], ["--drop-floaters needs"]),
         (["a.ply", "out", "--max-memory", "240MB", "--format", "sog"], [".ply files, not .sog"]),
     ],
 )
