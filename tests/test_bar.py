@@ -50,7 +50,9 @@ def last_line(screen):
 
 
 @pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
-def test_a_bar_is_full_at_the_end_and_only_where_it_is_asked_for(call, pair, screen, capfd):
+def test_a_bar_is_full_at_the_end_and_only_where_it_is_asked_for(
+    call, pair, screen, capfd, small_views
+):
     call(*pair, None)
     call(*pair, False)
     assert screen.getvalue() == ""

@@ -233,6 +233,7 @@ def test_the_notebook_runs_and_holds_no_results(tmp_path):
     for cell in code:
         assert cell["outputs"] == []
         assert cell["execution_count"] is None
+    nanogs.save(make_scene(4000), tmp_path / "scene.ply")  # where it would make a larger one
     script = tmp_path / "quickstart.py"
     script.write_text("\n\n".join("".join(cell["source"]) for cell in code))
     environment = {**os.environ, "MPLBACKEND": "agg"}
@@ -241,11 +242,11 @@ def test_the_notebook_runs_and_holds_no_results(tmp_path):
         timeout=300,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
-    assert "2,000 splats, stopped by: target" in result.stdout
+    assert "400 splats, stopped by: target" in result.stdout
     assert re.search(
-        r"^default: 2,000 splats, [23]\d\.\d\d dB on 8 held-out", result.stdout, re.MULTILINE
+        r"^default: 400 splats, [23]\d\.\d\d dB on 8 held-out", result.stdout, re.MULTILINE
     )
-    assert len(nanogs.load(tmp_path / "small.spz")) == 2000
+    assert len(nanogs.load(tmp_path / "small.spz")) == 400
 
 
 NEEDED = ("mkdocs", "material", "mkdocstrings", "mkdocstrings_handlers")

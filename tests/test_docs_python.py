@@ -33,7 +33,7 @@ class Parameter:
 
 
 @pytest.fixture
-def shown(tmp_path, monkeypatch):
+def shown(tmp_path, monkeypatch, small_views):
     """What pages may use: a scene as a file and as a model, and gsplat's dictionary."""
     monkeypatch.chdir(tmp_path)
     scene = make_scene(600, sh_degree=1)

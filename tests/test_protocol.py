@@ -39,11 +39,12 @@ def said(*words):
 def test_simplify_lod_compare_and_view_say_the_same(scene, tmp_path):
     require_bundle()
     small, levels = tmp_path / "small.ply", tmp_path / "levels"
-    numbers = [said("simplify", scene, small, "-r", "0.2")["judged"]]
+    fast = ("--preset", "fast", "--measure")  # what is measured is another matter
+    numbers = [said("simplify", scene, small, "-r", "0.2", *fast)["judged"]]
     [compared] = (report := said("compare", scene, small))["models"]
     numbers.append({name: compared[name] for name in ("psnr", "ssim")})
     numbers.append(said("view", scene, small, "-o", tmp_path / "a.html")["judged"])
-    numbers.append(said("lod", scene, levels, "--levels", "0.2")["levels"][0])
+    numbers.append(said("lod", scene, levels, "--levels", "0.2", *fast)["levels"][0])
     numbers.append(json.loads((levels / "levels.json").read_text())["levels"][0])
     for other in numbers[1:]:
         assert other["psnr"] == pytest.approx(numbers[0]["psnr"], abs=0.01)
@@ -53,7 +54,7 @@ def test_simplify_lod_compare_and_view_say_the_same(scene, tmp_path):
     assert protocol == json.loads(json.dumps(asdict(Protocol())))
     assert Protocol().text == WORDS
     asked = f"{compared['psnr'] - 0.1:.2f}"
-    reached = said("simplify", scene, small, "--psnr", asked, "-w")["judged"]
+    reached = said("simplify", scene, small, "--psnr", asked, "-w", *fast)["judged"]
     [compared] = said("compare", scene, small)["models"]
     assert reached["psnr"] == pytest.approx(compared["psnr"], abs=0.01)
     assert float(asked) <= compared["psnr"] <= float(asked) + 0.3
@@ -61,16 +62,18 @@ def test_simplify_lod_compare_and_view_say_the_same(scene, tmp_path):
 
 def test_what_is_said_is_of_the_file(scene, tmp_path):
     """Packed, turned into another frame, and in chunks."""
-    for name, *options in (("a.spz",), ("a.ply", "--frame", "rub")):
+    fast = ("--preset", "fast", "--measure")
+    for name, *options in (("a.spz", *fast), ("a.ply", "--frame", "rub")):
         run_of = said("simplify", scene, tmp_path / name, "-r", "0.1", *options)
         seen = nanogs.load(tmp_path / name)
-        if options:
+        if run_of["frames"]:
             seen = nanogs.frames.change_frame(seen, *reversed(run_of["frames"]))
         expected = held_out(nanogs.load(scene)).judge(seen)
         assert run_of["judged"]["psnr"] == pytest.approx(expected.psnr, abs=1e-6)
-    made = said("lod", scene, tmp_path / "l" / "lod-meta.json", "--levels", "0.5,0.1")["levels"]
+    folder = tmp_path / "l" / "lod-meta.json"
+    made = said("lod", scene, folder, "--levels", "0.5,0.1", *fast)["levels"]
     for number, level in enumerate(made):
-        seen = nanogs.load(tmp_path / "l" / "lod-meta.json", level=number)
+        seen = nanogs.load(folder, level=number)
         expected = held_out(nanogs.load(scene)).judge(seen)
         assert level["psnr"] == pytest.approx(expected.psnr, abs=1e-6)
 
