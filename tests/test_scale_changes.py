@@ -18,7 +18,7 @@ from nanogs.scale.levels import write_levels_in_blocks
 from nanogs.scale.source import Changes
 from nanogs.source import Filtered, Joined
 
-GIVEN = {"preset": "default", "block": 300, "threads": 1}
+GIVEN = {"preset": "fast", "block": 300, "threads": 1}
 KEPT = (filters.box((-1, -1, -0.7), (1, 1, 0.7)), filters.opaque_enough(0.2))
 FRAME = ("rdf", "fru")
 

@@ -35,6 +35,7 @@ print(int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[
 def scene(tmp_path, monkeypatch):
     monkeypatch.setattr("nanogs.source.base.PAGE_ROWS", 64)
     monkeypatch.setattr("nanogs.source.base.BLOCK_ROWS", 50)
+    monkeypatch.setattr("nanogs.io.in_order._LEAST_ROWS", 100)
     extras = {"label": np.arange(900, dtype=np.int32)}
     nanogs.save(random_splats(900, degree=3, extras=extras), tmp_path / "a.ply")
     return tmp_path / "a.ply"
