@@ -106,7 +106,8 @@ class _Sorted(Source):
             self._last = None
             count = min(self._rows, self.count - number * self._rows)
             self._file.seek(number * self._rows * self._dtype.itemsize)
-            rows = np.frombuffer(self._file.read(count * self._dtype.itemsize), self._dtype)
+            stored = self._file.read(count * self._dtype.itemsize)
+            rows = np.frombuffer(stored, self._dtype, count)  # which refuses fewer
             self._last = number, rows[np.argsort(rows["place"])]
         return self._last[1]
 
