@@ -461,7 +461,9 @@ def test_the_command_prints_a_table_and_writes_three_files(model, tmp_path):
     assert lines[1]["seconds"] > 0
     assert lines[1]["peak_memory"] > 50e6
     assert lines[1]["fps"] > 0
-    assert (out / "plot.svg").stat().st_size > 5000
+    drawn = (out / "plot.svg").read_text()
+    assert all(f">{method}</text>" in drawn for method in ("paper", "random"))
+    assert drawn.count("<polyline") >= 2
     again = run("bench", model, *options, "--out", out)
     assert (again.returncode, again.stdout) == (2, "")
     assert "add -w to replace it" in again.stderr

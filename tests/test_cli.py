@@ -127,10 +127,13 @@ def test_steps_reach_the_method(scene, tmp_path):
     assert report["refit"]["psnr_after"] >= report["refit"]["psnr_before"]
 
 
+QUICK = ("--steps", "1", "--no-measure")
+
+
 @pytest.mark.slow
 def test_views_reach_the_method(scene, tmp_path):
     def candidates(name, up):
-        options = ("-r", "0.1", "--cameras", "orbit", "--up", up, "--views", "2", "--json")
+        options = ("-r", "0.1", "--cameras", "orbit", "--up", up, "--views", "2", "--json", *QUICK)
         report = json.loads(run("simplify", scene, tmp_path / name, *options).stdout)
         return [entry["psnr"] for entry in report["candidates"]]
 
