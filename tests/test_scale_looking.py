@@ -206,5 +206,6 @@ def test_memory_of_a_block_grows_with_it_and_coarse_levels_are_bounded():
     held = [max(block_stages(n, 10**8, layout, chosen, 0.1).values()) for n in (10**4, 10**6)]
     assert held[0] < held[1] < 100 * held[0]
     assert most_coarse(FINE, 10**6, 10**8) == 2 * 10**6
+    assert most_coarse(FINE, 10**3, 10**8) == 1 << 18
     assert most_coarse(ROUGH, 10**6, 10**8) == 10**6 // 2
-    assert most_coarse(FINE, 10**6, 1000) == 500
+    assert most_coarse(FINE, 10**6, 1000) == 900

@@ -23,9 +23,9 @@ from nanogs.scale.settings import MOST_SEEN
 from nanogs.source import Layout
 
 FINE, ROUGH = 0, 1  # coarse levels of the scene
-# Splats of the scene for each of a coarse level, at least; and splats of the level for each of a
-# block, at most: they are only drawn.
-COARSE_SHARES, COARSE_OF_BLOCK = (2, 8), (2.0, 0.5)
+# Of the coarse levels: share of the scene's splats at most; as many for each of a block as memory
+# has room for, since they are only drawn; and how many there may be beside a block however small.
+COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (2.0, 0.5), (1 << 18, 1 << 15)
 _CODES = 2 * 8  # Morton codes and their order
 _TRIED = 4  # models that are held against the original at a time
 
@@ -38,7 +38,8 @@ def most_coarse(level: int, block: int, splats: int) -> int:
         block: Most splats of a block.
         splats: Of the scene.
     """
-    return min(splats // COARSE_SHARES[level], int(COARSE_OF_BLOCK[level] * block))
+    beside = max(int(COARSE_OF_BLOCK[level] * block), COARSE_LEAST[level])
+    return min(int(splats * COARSE_SHARES[level]), beside)
 
 
 def block_stages(
