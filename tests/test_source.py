@@ -65,6 +65,19 @@ def test_a_file_that_is_opened_is_the_one_that_is_loaded(tmp_path, suffix, small
         assert source.load().comments == whole.comments
 
 
+def test_what_is_counted_in_a_whole_file_is_counted_once(tmp_path, small_pages):
+    path = tmp_path / "a.usda"
+    nanogs.save(model_of(), path)
+    before, scales, after = path.read_text().partition("scales = [(")
+    path.write_text(f"{before}{scales}-{after}")
+    said = nanogs.load(path).notes
+    assert said == ("1 splat has a negative scale, which became NaN.",)
+    with nanogs.open(path) as source:
+        blocks = list(source.blocks())
+    assert len(blocks) == 7
+    assert sources.joined_rows(blocks).notes == said
+
+
 def test_elements_are_read_apart(tmp_path):
     rows = np.zeros(5, [("a", "<f4"), ("b", "<i2")])
     rows["a"] = range(5)

@@ -231,7 +231,9 @@ class Whole(FileSource):
     def read(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         if self._held is None:
-            self._held = self._read(self.path)
+            found = self._read(self.path)
+            # Of the whole, whatever rows are read: plain texts are not added up.
+            self._held = replace(found, notes=tuple(map(str, found.notes)))
         return self._held.span(start, stop)
 
     def load(self) -> Splats:
