@@ -15,7 +15,7 @@ from nanogs.fit.targets import Fitting, make_target
 from nanogs.progress import untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, render, together
-from nanogs.scale import run, stages
+from nanogs.scale import fitting, run, stages
 from nanogs.scale.memory import FINE, ROUGH, block_stages, most_coarse
 from nanogs.scale.views import LEAST, Views, deciding_count, parts_of, views_of
 from nanogs.source import Layout
@@ -105,6 +105,29 @@ def test_one_block_is_chosen_and_fitted_as_in_memory(splats, scene, tmp_path):
 def test_blocks_see_nearly_what_the_whole_shows(splats, made):
     _, whole = nanogs.simplify(splats, ratio=0.2, **LOOKING)
     assert made[0].shown == pytest.approx(whole.shown, abs=0.05)
+
+
+@pytest.mark.parametrize("preset", ["default", "best"])
+@pytest.mark.parametrize("block", [500, 10**6])
+def test_a_scene_that_shows_nothing_is_cut_as_if_nothing_looked(splats, tmp_path, preset, block):
+    faint = dataclasses.replace(splats, opacity_logits=np.full(COUNT, -12, np.float32))
+    scene, given = tmp_path / "faint.ply", {"ratio": 0.2, "block": block, "threads": 1}
+    nanogs.save(faint, scene)
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", preset=preset, **given)
+    assert [note.partition(":")[0] for note in report.notes] == ["Nothing was measured"]
+    assert (report.shown, report.candidates, report.refit) == (None, (), None)
+    given["rounds"] = nanogs.presets[preset].rounds
+    nanogs.simplify_blocks(scene, tmp_path / "b.ply", preset="fast", **given)
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+def test_where_nothing_is_measured_nothing_is_weighed_by_what_is_seen(scene, tmp_path, monkeypatch):
+    """As in memory; before the fit, the result is that of the same method without it."""
+    monkeypatch.setattr(fitting, "_fitted", lambda _work, part, *_: (part, None))
+    given = BLOCKS | {"preset": "fast", "ratio": 0.2}
+    nanogs.simplify_blocks(scene, tmp_path / "a.ply", **given)
+    nanogs.simplify_blocks(scene, tmp_path / "b.ply", **(given | {"steps": 0}))
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
 def test_levels_look_too(scene, tmp_path):

@@ -92,7 +92,8 @@ def _fitted(
 ) -> tuple[Splats, RefitReport | None]:
     """The fitted part; or the same one, and None, where too few views show it."""
     found = work.members(block, level, reassigned=work.chosen(level).reassigned)
-    assert found.visible is not None  # noqa: S101 - this job looks
+    if found.visible is None:  # the scene shows nothing
+        return part, None
     own, count, visible = prepare(found.splats), len(found.splats), found.visible
     del found
     views = work.views

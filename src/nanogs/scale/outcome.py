@@ -61,8 +61,8 @@ def report_of(
         seconds=clock.seconds,
         total_seconds=time.perf_counter() - start,
         threads=work.threads,
-        shown=shown_share(work) if settings.looks else None,
-        candidates=candidates_of(work.of_job("choose", level)) if settings.measures else (),
+        shown=shown_share(work) if work.looks else None,
+        candidates=candidates_of(work.of_job("choose", level)) if work.measures else (),
         refit=fit_report(work, level) if settings.fits else None,
         notes=tuple(dict.fromkeys([*settings.layout.notes, *own_notes, *looked])),
         blocks=BlocksReport(

@@ -156,11 +156,6 @@ class Settings:
         return self.parameters.steps > 0
 
     @property
-    def balances(self) -> tuple[float, ...]:
-        """The balances of the cuts that are tried."""
-        return self.parameters.balances
-
-    @property
     def levels(self) -> int:
         """How many results there are."""
         return len(self.ratios) or len(self.counts)

@@ -61,6 +61,8 @@ class JobStage:
 
     def count(self, work: Work) -> int:
         """How many tasks it has, those before it being done."""
+        if self.wanted is _measures and not work.measures:
+            return 0
         if self.per == "job":
             return 1
         if self.per == "file":
@@ -165,7 +167,7 @@ def _forest(work: Work, task: Task) -> Record:
     seen = work.seen(work.visible(task.number))
     return grow(
         work.scratch, task.name, lambda: leaves_of(splats, rows, frame, seen, bare=True),
-        settings.parameters, settings.balances, work.threads,
+        settings.parameters, work.balances, work.threads,
     )  # fmt: skip
 
 
@@ -178,10 +180,7 @@ def _budget(work: Work, task: Task) -> Record:
     # Blocks cannot be cut to less than a splat each, nor well to a few: the rest is done in memory.
     cut_to = max(target, min(FEWEST * work.partition.blocks, work.partition.splats))
     forests = work.of_blocks("forest")
-    groups = [
-        budget(work.scratch, forests, cut_to, number)
-        for number in range(len(work.settings.balances))
-    ]
+    groups = [budget(work.scratch, forests, cut_to, number) for number in range(len(work.balances))]
     return write_table(work.scratch, task.name, {}, {"target": target, "groups": groups})
 
 
@@ -211,7 +210,7 @@ def _settle(work: Work, task: Task) -> Record:
     at = own
     for each in halo:
         at = work.read(each.block, columns, at, each.rows)
-    if settings.looks:
+    if work.looks:
         columns[VISIBLE] = work.visible_with(task.number, halo)
     with work.table("cut", task.number, task.level) as table:
         labels = table.read(LABELS)

@@ -45,7 +45,7 @@ def try_balances(work: "Work", name: str, block: int, level: int) -> Record:
     visible = read_visible(work, block)
     budget, forest = work.of_job("budget", level).facts["groups"], work.of_block("forest", block)
     models = []
-    for number in range(len(work.settings.balances)):
+    for number in range(len(work.balances)):
         labels = cut_block(work.scratch, forest, budget[number][block], number)
         groups = work.stored(Members(splats, rows, labels, visible))
         models.append(groups.grown(work.settings.parameters.growth))
@@ -62,7 +62,7 @@ def pick_balance(work: "Work", name: str, level: int) -> Record:
     growth = work.settings.parameters.growth
     reports = [
         _report(work, (trial[number] for trial in trials), balance, growth, reassigned=False)
-        for number, balance in enumerate(work.settings.balances)
+        for number, balance in enumerate(work.balances)
     ]
     best = max(range(len(reports)), key=lambda number: reports[number]["quality"])
     return write_table(work.scratch, name, {}, {"balance": best, "candidates": reports})
@@ -89,7 +89,7 @@ def choose(work: "Work", name: str, level: int) -> Record:
     """
     parameters = work.settings.parameters
     picked = work.of_job("pick", level).facts
-    balance = work.settings.balances[picked["balance"]]
+    balance = work.balances[picked["balance"]]
     usual = picked["candidates"][picked["balance"]]
     trials = [record.facts["errors"] for record in work.of_blocks("judge", level)]
     tried = [

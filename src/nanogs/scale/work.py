@@ -127,6 +127,22 @@ class Work:
         """The views of the whole scene."""
         return views_of(self.of_job("views").facts)
 
+    @property
+    def looks(self) -> bool:
+        """Whether anything is looked at: not in a scene that shows nothing."""
+        return self.settings.looks and bool(self.views.kept)
+
+    @property
+    def measures(self) -> bool:
+        """Whether results are chosen by how they look."""
+        return self.settings.measures and self.looks
+
+    @property
+    def balances(self) -> tuple[float, ...]:
+        """The balances of the cuts that are tried; the usual one where none can be measured."""
+        given = self.settings.parameters
+        return given.balances if self.measures else (given.balance,)
+
     def delivered(self, level: int) -> list[Record]:
         """The records of a level's splats, one a block, as they are delivered."""
         return self.of_blocks("fit" if self.settings.fits else "part", level)
@@ -155,14 +171,14 @@ class Work:
         return splats_of(columns, layout), morton_rows(columns[CODES])
 
     def seen(self, visible: F64 | None) -> Seen | None:
-        """How nodes of splats are weighed that are so visible; None where nothing is looked at."""
-        if visible is None:
+        """How nodes of splats are weighed that are so visible; None where nothing is measured."""
+        if visible is None or not self.measures:
             return None
         return Seen(visible, self.settings.parameters.hidden, typical_weight(self))
 
     def visible(self, block: int) -> F64 | None:
         """(N,) how visible a block's splats are; None where nothing is looked at."""
-        return read_visible(self, block) if self.settings.looks else None
+        return read_visible(self, block) if self.looks else None
 
     def groups(self, block: int, level: int) -> int:
         """How many groups of a block are left."""
@@ -170,7 +186,7 @@ class Work:
 
     def balance(self, level: int) -> int:
         """Number of the balance that was chosen."""
-        return int(self.of_job("pick", level).facts["balance"]) if self.settings.measures else 0
+        return int(self.of_job("pick", level).facts["balance"]) if self.measures else 0
 
     def labels(self, block: int, level: int) -> I32:
         """(N,) the group of each leaf of a block's forest, before reassignment."""
@@ -195,7 +211,7 @@ class Work:
         columns = with_codes(empty_columns(self.settings.layout, count), count)
         by_row = np.empty(count, np.int32)
         self.read(block, columns)
-        if self.settings.looks:
+        if self.looks:
             columns[VISIBLE] = np.empty(count)
             columns[VISIBLE][:own] = self.visible(block)
         with self.table("settle", block, level) as table:
@@ -217,7 +233,7 @@ class Work:
     def stored(self, members: "Members") -> Groups:
         """The groups of a block as splats."""
         leaves = leaves_of(members.splats, members.rows, self.frame, self.seen(members.visible))
-        frame, sheets = self.frame, not self.settings.measures
+        frame, sheets = self.frame, not self.measures
         return store_groups(
             leaves, members.labels, members.splats, frame.centre(), frame.dilation(), sheets=sheets
         )
@@ -231,7 +247,7 @@ class Work:
     def chosen(self, level: int) -> "Chosen":
         """How the groups of a level become splats."""
         parameters = self.settings.parameters
-        if not self.settings.measures:
+        if not self.measures:
             return Chosen(parameters.rounds > 0, parameters.growth)
         facts = self.of_job("choose", level).facts
         return Chosen(bool(facts["reassigned"]), float(facts["growth"]))
