@@ -228,7 +228,45 @@ def test_memory_of_a_block_grows_with_it_and_coarse_levels_are_bounded():
     layout, chosen = Layout(3, False, (), "default", (), ()), nanogs.presets["best"]
     held = [max(block_stages(n, 10**8, layout, chosen, 0.1).values()) for n in (10**4, 10**6)]
     assert held[0] < held[1] < 100 * held[0]
-    assert most_coarse(FINE, 10**6, 10**8) == 2 * 10**6
+    assert most_coarse(FINE, 10**6, 10**8) == 10**6
     assert most_coarse(FINE, 10**3, 10**8) == 1 << 18
     assert most_coarse(ROUGH, 10**6, 10**8) == 10**6 // 2
     assert most_coarse(FINE, 10**6, 1000) == 900
+
+
+def test_a_scene_that_shows_nothing_is_simplified_all_the_same(splats, tmp_path):
+    clear = dataclasses.replace(splats, opacity_logits=np.full(COUNT, -20, np.float32))
+    nanogs.save(clear, tmp_path / "clear.ply")
+    report = nanogs.simplify_blocks(tmp_path / "clear.ply", tmp_path / "a.ply", ratio=0.2, **BLOCKS)
+    assert report.achieved_count == COUNT // 5
+    assert any("Nothing was measured" in note for note in report.notes)
+
+
+def test_blocks_that_are_small_in_every_view_are_looked_at_from_nearer(tmp_path):
+    """Nine objects far from each other: views of all show each with few pixels."""
+    places = [np.array([x, y, 0], np.float32) * 60 for x in range(3) for y in range(3)]
+    parts = [random_splats(200, degree=0, seed=n) for n in range(9)]
+    parts = [
+        dataclasses.replace(part, means=part.means + place)
+        for part, place in zip(parts, places, strict=True)
+    ]
+    nanogs.save(concatenate(parts), tmp_path / "city.ply")
+    looked = []
+
+    def told(work, block):
+        looked.append(work.of_block("look", block).facts)
+        return fit_cameras(work, block)
+
+    given = BLOCKS | {"block": 110, "view_size": 256}
+    fit_cameras = fitting.looks_at
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fitting, "looks_at", told)
+        report = nanogs.simplify_blocks(
+            tmp_path / "city.ply", tmp_path / "a.ply", ratio=0.2, **given
+        )
+    assert len(looked) == report.blocks.blocks >= 18
+    nearer = [facts["light"] for facts in looked if len(facts["light"]) > 6]
+    assert len(nearer) > 12  # the others reach from one object to the next
+    for light in nearer:
+        assert len(light) == 6 + 3
+        assert np.mean(light[6:]) > 2 * max(light[:6])

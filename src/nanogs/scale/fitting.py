@@ -20,7 +20,7 @@ from nanogs.raster.camera import Camera, spread
 from nanogs.raster.rendering import prepare, together
 from nanogs.scale.coarse import surroundings
 from nanogs.scale.columns import columns_of, count_of
-from nanogs.scale.look import light_of
+from nanogs.scale.look import looks_at
 from nanogs.scale.memory import ROUGH
 from nanogs.scale.parts import read_part
 from nanogs.scale.tables import Record, write_table
@@ -97,9 +97,10 @@ def _fitted(
     own, count, visible = prepare(found.splats), len(found.splats), found.visible
     del found
     views = work.views
-    kept = parts_of(own, visible >= SHOWN, views.kept)
+    looked = looks_at(work, block)
+    kept = parts_of(own, visible >= SHOWN, [camera for camera, _ in looked])
     further = parts_of(own, visible >= SHOWN, views.further)
-    seen = _sorted(kept, further, light_of(work, block))
+    seen = _sorted(kept, further, [light for _, light in looked])
     if not seen.fitting:
         return part, None
     others = surroundings(work, block, ROUGH)

@@ -5,17 +5,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.fit.views import choose_cameras
 from nanogs.method.visibility import SHOWN, Light, visible_weights
+from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, render, together
 from nanogs.scale.blocks import leaves_of
 from nanogs.scale.coarse import surroundings
 from nanogs.scale.memory import FINE
 from nanogs.scale.tables import Record, write_table
+from nanogs.scale.views import camera_of, parts_of, plain_camera
+from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.scale.work import Work
 
 VISIBLE = "visible"
+SMALL = 0.2  # of a view's pixels, in whose parts a block is small
 
 
 def look_at_block(work: "Work", name: str, block: int) -> Record:
@@ -28,18 +33,19 @@ def look_at_block(work: "Work", name: str, block: int) -> Record:
     """
     own, rows = work.block(block, work.settings.layout.bare())  # what hides has no need of colours
     views, n = work.views, len(own)
+    cameras = [*views.kept, *closer_views(work, own)]
     scene = together(prepare(own), surroundings(work, block, FINE))
-    near, anywhere = Light(len(scene)), Light(len(scene))
+    looked, anywhere = Light(len(scene)), Light(len(scene))
     light = []
-    for camera in views.kept:
+    for camera in cameras:
         view = render(scene, camera, contributions=True, sh_degree=0)
-        near.add(view)
+        looked.add(view)
         assert view.contributions is not None  # noqa: S101 - asked for
         light.append(float(view.contributions[:n].sum()))
     for camera in views.roaming:
         anywhere.add(render(scene, camera, contributions=True, sh_degree=0))
     del scene
-    visible, missed = near.shares()[:n], near.whole[:n] == 0
+    visible, missed = looked.shares()[:n], looked.whole[:n] == 0
     visible[missed] = 1.0
     if views.roaming:
         np.maximum(visible, anywhere.shares()[:n], out=visible)
@@ -47,6 +53,7 @@ def look_at_block(work: "Work", name: str, block: int) -> Record:
     coverages = leaves_of(own, rows, work.frame).coverages
     weights = visible_weights(coverages, visible[rows], work.settings.parameters.hidden)
     facts = {
+        "cameras": [plain_camera(camera) for camera in cameras],
         "light": light,
         "weight": float(weights.sum()),
         "coverage": float(coverages.sum()),
@@ -55,9 +62,30 @@ def look_at_block(work: "Work", name: str, block: int) -> Record:
     return write_table(work.scratch, name, {VISIBLE: visible}, facts)
 
 
-def light_of(work: "Work", block: int) -> list[float]:
-    """How much of a block each of the views shows, pixels of alpha 1."""
-    return [float(light) for light in work.of_block("look", block).facts["light"]]
+def looks_at(work: "Work", block: int) -> list[tuple[Camera, float]]:
+    """The views that a block was looked at, and how much of it each shows, pixels of alpha 1."""
+    facts = work.of_block("look", block).facts
+    cameras = map(camera_of, facts["cameras"])
+    return list(zip(cameras, map(float, facts["light"]), strict=True))
+
+
+def closer_views(work: "Work", own: Splats) -> list[Camera]:
+    """Views of a block alone, where it is small in all those of the scene: a city is no object.
+
+    Args:
+        work: The job, its views chosen.
+        own: Splats of the block.
+    """
+    parameters, kept = work.settings.parameters, work.views.kept
+    if work.partition.blocks == 1 or not kept:
+        return []
+    drawn = prepare(own)
+    least = SMALL * kept[0].width * kept[0].height
+    parts = [part for part in parts_of(drawn, drawn.keep, kept) if part]
+    if not drawn.keep.any() or any(part.width * part.height > least for part in parts):
+        return []
+    size = max(parameters.view_size // 2, 16)
+    return choose_cameras(own, None, -(-parameters.views // 2), 0, size)[0]
 
 
 def typical_weight(work: "Work") -> float:

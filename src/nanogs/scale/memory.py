@@ -25,9 +25,9 @@ from nanogs.source import Layout
 FINE, ROUGH = 0, 1  # coarse levels of the scene
 # Of the coarse levels: share of the scene's splats at most; as many for each of a block as memory
 # has room for, since they are only drawn; and how many there may be beside a block however small.
-COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (2.0, 0.5), (1 << 18, 1 << 15)
+COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 18, 1 << 15)
 _CODES = 2 * 8  # Morton codes and their order
-_TRIED = 4  # models that are held against the original at a time
+_TRIED = 2  # models that are held against the original at a time; growths share all but scales
 
 
 def most_coarse(level: int, block: int, splats: int) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from nanogs.errors import OptionError
 from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.presets import renders
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.encoding import encoding_of
 from nanogs.scale.memory import block_stages
@@ -20,8 +21,9 @@ _KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the 
 _SEGMENT = 1 << 21  # rows; more make sorting no faster
 _LEAST = 4096  # splats of a block
 _SHARE = 0.95  # of the memory is planned with
-_SECONDS = 6.5e-6  # a splat, of one processor (`docs/scale.md`), and for each further level:
-_LEVEL_SECONDS = 2.5e-6
+# A splat, of one processor (`docs/scale.md`); for each further level; for looking and choosing; and
+# for each step of a fit.
+_SECONDS, _LEVEL_SECONDS, _LOOKED, _STEP = 6.5e-6, 2.5e-6, 1.5e-5, 5e-7
 _PLACES = 4 * 8  # bytes a group: its centre and reach
 
 
@@ -117,8 +119,14 @@ def plan_blocks(
         blocks=blocks,
         memory=LIBRARIES + int(max(tasks, segment * (row + _KEYS), encoding.held(held))),
         scratch=sorted_rows + tables,
-        seconds=splats * (_SECONDS + _LEVEL_SECONDS * (len(shares) - 1)) + encoding.seconds,
+        seconds=splats * _seconds(parameters, len(shares)) + encoding.seconds,
     )
+
+
+def _seconds(parameters: ForestParameters, levels: int) -> float:
+    """Of one processor, for a splat."""
+    looked = _LOOKED * renders(parameters) + _STEP * parameters.steps
+    return _SECONDS + levels * looked + (levels - 1) * _LEVEL_SECONDS
 
 
 def _room(max_memory: int) -> float:

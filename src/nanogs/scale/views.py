@@ -53,9 +53,9 @@ class Views:
     def to_dict(self) -> dict[str, Any]:
         """Plain data; floats keep every digit in JSON."""
         return {
-            "kept": [_plain(camera) for camera in self.kept],
-            "further": [_plain(camera) for camera in self.further],
-            "roaming": [_plain(camera) for camera in self.roaming],
+            "kept": [plain_camera(camera) for camera in self.kept],
+            "further": [plain_camera(camera) for camera in self.further],
+            "roaming": [plain_camera(camera) for camera in self.roaming],
             "notes": list(self.notes),
         }
 
@@ -68,7 +68,7 @@ def deciding_count(views: int) -> int:
 def views_of(data: Mapping[str, Any]) -> Views:
     """Views from what `to_dict` made of them, by way of JSON."""
     kept, further, roaming = (
-        tuple(_camera(each) for each in data[kind]) for kind in ("kept", "further", "roaming")
+        tuple(camera_of(each) for each in data[kind]) for kind in ("kept", "further", "roaming")
     )
     return Views(kept, further, roaming, tuple(data["notes"]))
 
@@ -135,11 +135,13 @@ def _between(first: Any, last: Any, size: int) -> tuple[int, int]:  # noqa: ANN4
     return low, high
 
 
-def _plain(camera: Camera) -> dict[str, Any]:
+def plain_camera(camera: Camera) -> dict[str, Any]:
+    """A camera as plain data, without what bent its picture."""
     names = ("width", "height", "fx", "fy", "cx", "cy", "name", "near")
     plain = {name: getattr(camera, name) for name in names}
     return plain | {"world_to_camera": camera.world_to_camera.tolist()}
 
 
-def _camera(data: Mapping[str, Any]) -> Camera:
+def camera_of(data: Mapping[str, Any]) -> Camera:
+    """A camera from what `plain_camera` made of it."""
     return Camera(**{**data, "world_to_camera": np.array(data["world_to_camera"])})
