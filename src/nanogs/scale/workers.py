@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
 from dataclasses import dataclass
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
@@ -38,13 +39,13 @@ class Workers:
     """Does tasks on an executor.
 
     Attributes:
-        executor: Whose workers do them.
+        submit: As that of an executor, whose workers do them.
         threads: For a task; None takes all of the worker's machine.
         watch: Called each second without a result, with the time of the last; it raises if there
             will be none.
     """
 
-    executor: futures.Executor
+    submit: "Callable[..., futures.Future[None]]"
     threads: int | None
     watch: Callable[[float], None] = lambda _: None
 
@@ -60,7 +61,7 @@ class Workers:
         since = time.monotonic()
         try:
             for task in tasks:
-                future = self._submit(
+                future = self._begin(
                     do_task, place, text, task.stage, task.number, task.level, self.threads,
                     __version__,
                 )  # fmt: skip
@@ -79,14 +80,35 @@ class Workers:
             for future in left:
                 future.cancel()  # what no worker has begun is not begun any more
 
-    def _submit(self, *given: Any) -> "futures.Future[None]":  # noqa: ANN401
+    def _begin(self, *given: Any) -> "futures.Future[None]":  # noqa: ANN401
         try:
-            return self.executor.submit(*given)
+            return self.submit(*given)
         except futures.BrokenExecutor:
             raise _ended(1) from None
         except Exception:
             self.watch(time.monotonic())  # says so, if a cluster is gone
             raise
+
+
+def _submit_to(client: "Client", *given: Any) -> "futures.Future[None]":  # noqa: ANN401
+    """Have a Dask client do something, as an executor does, but fetch no result.
+
+    What `Client.get_executor` gives has futures that are never done if it cannot be fetched.
+    """
+    theirs, ours = client.submit(*given, pure=False), futures.Future[None]()
+
+    def end(theirs: Any) -> None:  # noqa: ANN401 - Dask's future
+        if not ours.set_running_or_notify_cancel():
+            return
+        if theirs.status == "finished":
+            ours.set_result(None)
+        else:
+            error = theirs.exception() if theirs.status == "error" else None
+            ours.set_exception(error or futures.CancelledError())
+
+    theirs.add_done_callback(end)
+    ours.add_done_callback(lambda _: theirs.release())
+    return ours
 
 
 @dataclass(slots=True, eq=False)
@@ -149,13 +171,13 @@ def workers_of(
         OptionError: It is neither.
     """
     if isinstance(given, futures.Executor):
-        return Workers(given, threads)
-    if not hasattr(given, "get_executor"):
+        return Workers(given.submit, threads)
+    if not hasattr(given, "scheduler_info"):
         raise OptionError(
             "`executor` is a Dask client or a concurrent.futures.Executor, not"
             f" {type(given).__name__}."
         )
-    return Workers(given.get_executor(pure=False), threads, _Watch(given, patience, waiting))
+    return Workers(partial(_submit_to, given), threads, _Watch(given, patience, waiting))
 
 
 def _count(client: "Client") -> int | None:
