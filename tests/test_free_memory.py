@@ -168,8 +168,8 @@ def test_a_tenth_is_kept_free_unless_the_memory_is_given(monkeypatch):
 @pytest.mark.parametrize(
     ("free", "processes", "each"),
     [
-        (3_456_000_000, 1, 3_690_000_000),
-        (7_400_000, 1, 242_000_000),
+        (3_456_000_000, 1, 3_660_000_000),
+        (7_400_000, 1, 217_000_000),
         (4_000_000_000, 4, 1_050_000_000),
     ],
 )

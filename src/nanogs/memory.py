@@ -20,14 +20,13 @@ from pathlib import Path, PurePosixPath
 from nanogs.errors import NotEnoughMemoryError
 from nanogs.formatting import bytes_text
 
-LIBRARIES = 235_000_000  # bytes, measured, that Python and its libraries take at the most
+LIBRARIES = 210_000_000  # bytes, measured, that Python and its libraries take at the most
 _PLAIN = 70_000_000  # the same without Numba
 SHARE = 0.9  # of what is free is planned with: plans are off by up to a tenth, and others want some
 
-# Address space in bytes, measured (Linux, glibc, wheels of NumPy, SciPy and Numba): of one thread,
-# and for each further one: a stack and the allocator's reserve of 64 MiB each for Numba and for
-# SciPy's searches, and 40 MB each for the OpenBLAS of NumPy and of SciPy.
-_MAPPED, _MAPPED_THREAD = 595_000_000, 235_000_000
+# Address space in bytes, measured (Linux, glibc, wheels of NumPy and Numba): of one thread, and for
+# each further one: a stack, the allocator's reserve of 64 MiB, and 40 MB for NumPy's OpenBLAS.
+_MAPPED, _MAPPED_THREAD = 500_000_000, 120_000_000
 _DATA, _DATA_THREAD = 190_000_000, 95_000_000  # the part of it that `ulimit -d` counts
 _PLAIN_MAPPED, _PLAIN_THREAD = 200_000_000, 45_000_000  # `ulimit -v`, without Numba
 _NUMPY, _NUMPY_THREAD = 130_000_000, 45_000_000  # what NumPy alone maps
