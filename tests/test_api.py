@@ -170,7 +170,7 @@ def test_options_are_refused_before_a_file_is_read():
     ],
 )
 def test_what_is_no_model_is_named(call):
-    with pytest.raises(ModelError, match=r"must be Splats or a path, not ndarray"):
+    with pytest.raises(ModelError, match=r"must be Splats, a Source or a path, not ndarray"):
         call(np.zeros((3, 3)))
     with pytest.raises(FormatError, match=r"missing\.ply: no such file"):
         call("missing.ply")

@@ -65,6 +65,34 @@ def test_a_file_that_is_opened_is_the_one_that_is_loaded(tmp_path, suffix, small
         assert source.load().comments == whole.comments
 
 
+@pytest.mark.parametrize("suffix", [*SUFFIXES, None])
+def test_rows_that_there_are_not_are_refused(tmp_path, suffix):
+    """They came from beside the rows in the file, or as zeros."""
+    path, source = tmp_path / f"a{suffix}", InMemory(model_of())
+    if suffix is not None:
+        nanogs.save(model_of(), path)
+        source = nanogs.open(path)
+    with source:
+        for start, stop in [(-5, 3), (5, 3), (699, 701), (701, 701)]:
+            with pytest.raises(OptionError, match=f"has no rows {start} to {stop}: its 700 are"):
+                source.read(start, stop)
+        for row in (-1, 700):
+            with pytest.raises(OptionError, match=f"has no row {row}: its 700 are"):
+                source.take(np.array([3, row]))
+        with pytest.raises(OptionError, match="by number"):
+            source.take(np.zeros(700, bool))
+        assert len(source.take([3, 1, 3])) == 3
+
+
+def test_functions_that_take_a_model_take_a_source_of_it(tmp_path):
+    nanogs.save(model_of(), tmp_path / "a.ply")
+    with nanogs.open(tmp_path / "a.ply") as source:
+        assert repr(source) == f"<Source {tmp_path / 'a.ply'}>"
+        small, _ = nanogs.simplify(source, ratio=0.1, preset="fast")
+        assert nanogs.compare(source, source, views=1, pixels=32).models[0].psnr > 99
+    assert_same(small, nanogs.simplify(tmp_path / "a.ply", ratio=0.1, preset="fast")[0])
+
+
 def test_what_is_counted_in_a_whole_file_is_counted_once(tmp_path, small_pages):
     path = tmp_path / "a.usda"
     nanogs.save(model_of(), path)

@@ -55,7 +55,7 @@ class Strict(Source):
     def columns(self):
         return self._source.columns
 
-    def read(self, start, stop):
+    def _span(self, start, stop):
         assert stop - start <= 64, "that is more than a page"
         return self._source.read(start, stop)
 

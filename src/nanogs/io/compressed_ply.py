@@ -90,7 +90,7 @@ class _Chunks(FileSource):
             rows[block.element.name][block.rows] = block.values
         return _splats(self._header, rows, self._degree)
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows, from the chunks that they are in; see `Source`."""
         first = start // CHUNK_ROWS
         spans = dict.fromkeys(("vertex", "sh") if self._degree else ("vertex",), (start, stop))

@@ -150,7 +150,7 @@ class _Rows(FileSource):
         with gltf_rows.opened(document.path, document.buffers()) as body:
             yield body
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows, or, of a file that holds packed ones, all; see `Source`."""
         scene, n = self._scene, stop - start
         out = empty_arrays(n, scene.degree)

@@ -43,7 +43,7 @@ class _Taken(Source):
         """The columns of the model."""
         return self._source.columns
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         return self._source.take(self._order[start:stop])
 
@@ -90,7 +90,7 @@ class _Sorted(Source):
                 ends[bucket] += len(some)
             at += len(block)
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         parts = []
         while start < stop:

@@ -61,7 +61,7 @@ class KsplatFile(FileSource):
             comments=(),
         )
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         file, n = self._headers, stop - start
         out = empty_arrays(n, file.degree)

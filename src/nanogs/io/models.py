@@ -1,30 +1,33 @@
-"""A model that is given as such, or as the name of its file."""
+"""A model that is given as such, as a source, or as the name of its file."""
 
 from os import PathLike
 from typing import TypeAlias
 
 from nanogs.errors import ModelError
+from nanogs.source import Source
 from nanogs.splats import Splats
 
-Model: TypeAlias = Splats | str | PathLike[str]
-"""Models as functions take them: `Splats`, or a path that `load` reads."""
+Model: TypeAlias = Splats | Source | str | PathLike[str]
+"""Models as functions take them: `Splats`, a `Source`, or a path that `load` reads."""
 
 
 def as_splats(model: Model, name: str = "the model") -> Splats:
-    """The model itself, or what its file holds.
+    """The model itself, or what its source or its file holds.
 
     Args:
-        model: The model, or a path.
+        model: The model, a source of it, or a path.
         name: What it is called, for the message.
 
     Raises:
         FormatError: The file cannot be read; see `load`.
-        ModelError: It is neither.
+        ModelError: It is none of these.
     """
     if isinstance(model, Splats):
         return model
+    if isinstance(model, Source):
+        return model.load()
     if isinstance(model, str | PathLike):
         from nanogs.io import load  # `--help` does without
 
         return load(model)
-    raise ModelError(f"{name} must be Splats or a path, not {type(model).__name__}.")
+    raise ModelError(f"{name} must be Splats, a Source or a path, not {type(model).__name__}.")

@@ -35,6 +35,9 @@ class FileSource(Source):
     def __init__(self, path: Path) -> None:
         self.path, self.name = path, str(path)
 
+    def __repr__(self) -> str:
+        return f"<Source {self.name}>"
+
     @property
     @abstractmethod
     def info(self) -> FileInfo:
@@ -129,7 +132,7 @@ class Packed(FileSource):
             FormatError: What belongs to the columns cannot be read.
         """
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`.
 
         Raises:
@@ -228,7 +231,7 @@ class Whole(FileSource):
         """The file's description of itself."""
         return self._inspect(self.path)
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         if self._held is None:
             found = self._read(self.path)

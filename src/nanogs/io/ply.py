@@ -110,7 +110,7 @@ class _Ply(FileSource):
 class _Binary(_Ply):
     """The rows of a binary file."""
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         blocks = iter_span(self._header, self._vertex.element, start, stop)
         return self._rows(blocks, stop - start)

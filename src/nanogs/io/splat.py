@@ -57,7 +57,7 @@ class SplatFile(FileSource):
         """The description, from the size of the file."""
         return self._info
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         n = stop - start
         out = empty_arrays(n, 0)

@@ -138,6 +138,6 @@ class _Input(Source):
         """The columns; see `Source`."""
         return self._inputs.of(self._number).columns
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         return self._inputs.of(self._number).read(start, stop)

@@ -57,7 +57,7 @@ class Parts(Source):
         """The columns of the job."""
         return self._work.settings.layout
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         columns = empty_columns(self.columns, stop - start)
         for record, (first, end) in zip(self._records, pairwise(self._ends), strict=True):

@@ -60,7 +60,7 @@ class UnpackedSource(Source):
         """The columns; see `Source`."""
         return self._packed.columns
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         splats = self._packed.decode(self._table.read, start, stop)
         return replace(splats, notes=[*splats.notes, *self._table.record.facts[NOTES]])

@@ -7,6 +7,7 @@ from nanogs.io import inspect
 from nanogs.io.files import splat_bytes
 from nanogs.io.models import Model
 from nanogs.needs import model_bytes, scoring_bytes
+from nanogs.source import Source
 from nanogs.splats import Splats
 
 LESS = "free some, or compare fewer or smaller views (`views`, `pixels`) or smaller models"
@@ -30,6 +31,9 @@ def needed_bytes(models: Sequence[Model], pixels: int, views: int, *, all_of_it:
             info = inspect(model)
             counts.append(info.splats)
             read += model_bytes(info)
+        elif isinstance(model, Source):
+            counts.append(model.count)
+            read += model.count * splat_bytes(model.columns.sh_degree)
         elif isinstance(model, Splats):
             counts.append(len(model))
             read += len(model) * splat_bytes(model.sh_degree) if all_of_it else 0

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from nanogs._types import I64
+from nanogs.errors import OptionError
 from nanogs.findings import join_findings
 from nanogs.splats import ExtraElement, Splats, concatenate
 
@@ -64,26 +65,46 @@ class Source(ABC):
     def columns(self) -> Layout:
         """The columns; no row is read for them."""
 
-    @abstractmethod
     def read(self, start: int, stop: int) -> Splats:
         """Some rows.
 
         Args:
-            start: The first row.
-            stop: The row after the last, at most `count`.
+            start: The first row, from 0.
+            stop: The row after the last, from `start` to `count`.
 
         Raises:
+            OptionError: There are no such rows.
             FormatError: They cannot be read, or are damaged.
         """
+        if not 0 <= start <= stop <= self.count:
+            raise self._lacking(f"no rows {start} to {stop}")
+        return self._span(start, stop)
+
+    @abstractmethod
+    def _span(self, start: int, stop: int) -> Splats:
+        """As `read`, of rows that there are."""
 
     def take(self, rows: I64) -> Splats:
         """Rows by number, in any order; those that lie far apart are read one page at a time.
 
+        Args:
+            rows: (M,) integers, each from 0 and below `count`.
+
         Raises:
+            OptionError: They are no integers, or there are no such rows.
             FormatError: They cannot be read, or are damaged.
         """
-        if not len(rows):
+        rows = np.asarray(rows)
+        if not rows.size:
             return self.read(0, 0)
+        if rows.ndim != 1 or rows.dtype.kind not in "iu":
+            raise OptionError("Rows are taken by number; of a mask, np.flatnonzero(mask) has them.")
+        if len(beyond := rows[(rows < 0) | (rows >= self.count)]):
+            raise self._lacking(f"no row {beyond[0]}")
+        return self._take(rows)
+
+    def _take(self, rows: I64) -> Splats:
+        """As `take`, of one row or more that there are."""
         order = np.argsort(rows, kind="stable")
         ascending = rows[order]
         breaks = np.flatnonzero(np.diff(ascending // PAGE_ROWS)) + 1
@@ -94,6 +115,9 @@ class Source(ABC):
         back = np.empty_like(order)
         back[order] = np.arange(len(order))
         return joined_rows(parts).take(back)
+
+    def _lacking(self, what: str) -> OptionError:
+        return OptionError(f"{self.name} has {what}: its {self.count:,} are counted from 0.")
 
     def blocks(self, rows: int | None = None) -> Iterator[Splats]:
         """All splats in their order, so many at a time; `BLOCK_ROWS` unless told otherwise.

@@ -63,7 +63,7 @@ class Turned(_Changed):
         super().__init__(source)
         self._turn: Callable[[Splats], Splats] = lambda rows: change_frame(rows, before, after)
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         return self._turn(self._source.read(start, stop))
 
@@ -90,7 +90,7 @@ class Reduced(_Changed):
         before = self._source.columns
         return replace(before, sh_degree=min(before.sh_degree, self._degree))
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         return self._source.read(start, stop).with_sh_degree(self._degree)
 
@@ -173,7 +173,7 @@ class Filtered(_Changed):
         """Splats that are left."""
         return int(self._ends[-1])
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         first = int(np.searchsorted(self._ends, start, side="right")) - 1
         last = max(int(np.searchsorted(self._ends, stop, side="left")), first + 1)

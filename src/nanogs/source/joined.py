@@ -41,7 +41,7 @@ class Joined(Source):
         """The columns that the parts are brought to."""
         return self._layout
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         found = []
         for part, (first, end) in zip(self._parts, pairwise(self._ends), strict=True):

@@ -33,11 +33,11 @@ class InMemory(Source):
             notes=tuple(splats.notes),
         )
 
-    def read(self, start: int, stop: int) -> Splats:
+    def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`. What is said of the whole is in `columns`."""
         return replace(self._splats.span(start, stop), notes=())
 
-    def take(self, rows: I64) -> Splats:
+    def _take(self, rows: I64) -> Splats:
         """Rows by number; see `Source`."""
         return replace(self._splats.take(rows), notes=())
 
