@@ -24,7 +24,7 @@ from builders import random_splats
 from nanogs.clock import StageClock
 from nanogs.errors import FormatError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
-from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.presets import PRESETS
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.scale import cluster
@@ -36,8 +36,9 @@ from nanogs.source import Layout
 
 COUNT, BLOCK = 48_000, 18_000
 MEMORY = int((LIBRARIES + held_bytes(BLOCK, COUNT, Layout(0, False, (), "default", (), ()),
-                                     ForestParameters(), 0.1)) / 0.95) + 1  # fmt: skip
-GIVEN = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1}
+                                     PRESETS["fast"], 0.1)) / 0.95) + 1  # fmt: skip
+QUICK = {"preset": "fast", "rounds": 2}
+GIVEN = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1, **QUICK}
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,8 @@ def expected(scene, tmp_path_factory):
 def started(scene, out, *more, env=None):
     """The command, running."""
     command = [sys.executable, "-m", "nanogs", "simplify", scene, out, "--ratio", "0.1"]
-    command += ["--max-memory", f"{MEMORY}B", "--threads", "1", *more]
+    command += ["--max-memory", f"{MEMORY}B", "--threads", "1"]
+    command += ["--preset", "fast", "--rounds", "2", *more]
     return subprocess.Popen(
         list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env
     )
@@ -323,8 +325,8 @@ def test_a_killed_run_with_a_store_is_resumed_and_the_store_emptied(
 @pytest.mark.slow
 def test_a_worker_uses_a_store_too(scene, tmp_path, keyed):
     here, out = tmp_path / "here.ply", tmp_path / "small.ply"
-    nanogs.simplify_blocks(scene, here, preset="fast", **GIVEN)
-    given = ["--preset", "fast", "--scratch", "s3://bucket", "--workers", "1", "-q"]
+    nanogs.simplify_blocks(scene, here, **GIVEN)
+    given = ["--scratch", "s3://bucket", "--workers", "1", "-q"]
     assert ended(started(scene, out, *given)) == ""
     assert out.read_bytes() == here.read_bytes()
     assert keys(keyed) == ["prefix/mine.json"]

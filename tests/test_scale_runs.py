@@ -108,7 +108,7 @@ def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
 def test_what_cannot_be_done_in_blocks_is_said(scene, tmp_path, memory, more, said):
     if "--scheduler" in more:
         pytest.importorskip("distributed")
-    given = [] if "--max-memory" in more else ["--max-memory", "245MB"]
+    given = [] if "--max-memory" in more else ["--max-memory", "215MB"]
     _, text = run("simplify", scene, tmp_path / "a.ply", *given, *more, code=2)
     assert said in " ".join(text.split())
     assert [path.name for path in tmp_path.iterdir()] == []
@@ -118,6 +118,7 @@ def test_what_cannot_be_done_in_blocks_is_said(scene, tmp_path, memory, more, sa
 def test_a_run_that_is_killed_at_any_moment_gives_the_same_bytes(scene, tmp_path, memory):
     out = tmp_path / "small.ply"
     given = ["simplify", scene, out, "--ratio", "0.1", "--max-memory", memory, "--resume", "-q"]
+    given += ["--preset", "fast", "--rounds", "2"]
     start = time.perf_counter()
     subprocess.run(nanogs_command(*given), check=True)  # started as those that are killed
     whole, wanted = time.perf_counter() - start, out.read_bytes()
