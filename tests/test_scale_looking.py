@@ -12,10 +12,13 @@ from nanogs.fit.groups import Group
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.rounds import fit
 from nanogs.fit.targets import Fitting, make_target
+from nanogs.pipeline.target import Goal
 from nanogs.progress import untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, render, together
 from nanogs.scale import fitting, run, stages
+from nanogs.scale.api import block_parameters, plan_job
+from nanogs.scale.job import BlockJob
 from nanogs.scale.memory import FINE, ROUGH, block_stages, most_coarse
 from nanogs.scale.views import LEAST, Views, deciding_count, parts_of, views_of
 from nanogs.source import Layout
@@ -128,6 +131,24 @@ def test_where_nothing_is_measured_nothing_is_weighed_by_what_is_seen(scene, tmp
     nanogs.simplify_blocks(scene, tmp_path / "a.ply", **given)
     nanogs.simplify_blocks(scene, tmp_path / "b.ply", **(given | {"steps": 0}))
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+@pytest.mark.parametrize("given", [{"preset": "fast", "steps": 0}, {}])
+@pytest.mark.parametrize("block", [500, 10**6])
+def test_the_scratch_is_as_large_as_planned(scene, tmp_path, monkeypatch, given, block):
+    remove, found = BlockJob._remove, []
+
+    def measured(job, scratch):
+        found.append(sum(path.stat().st_size for path in job.folder.rglob("*.npy")))
+        remove(job, scratch)
+
+    monkeypatch.setattr(BlockJob, "_remove", measured)
+    out, chosen = tmp_path / "a.ply", BLOCKS | {"block": block} | given
+    nanogs.simplify_blocks(scene, out, ratio=0.2, **chosen)
+    parameters = {name: chosen[name] for name in ("views", "view_size", "steps")}
+    parameters = block_parameters(chosen["preset"], parameters)
+    plan = plan_job([scene], [Goal(ratio=0.2)], parameters, None, block, "drop")[1]
+    assert plan.scratch == pytest.approx(found[0] + out.stat().st_size, rel=0.1)
 
 
 def test_levels_look_too(scene, tmp_path):

@@ -1,8 +1,9 @@
-"""Memory of a block: bytes that its tasks hold, stage by stage, for blocks of any size.
+"""Memory of a block, stage by stage, for blocks of any size; and what all write to the scratch.
 
 No Numba here: `--dry-run` uses it.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from nanogs.io.files import splat_bytes
@@ -27,6 +28,8 @@ FINE, ROUGH = 0, 1  # coarse levels of the scene
 # has room for, since they are only drawn; and how many there may be beside a block however small.
 COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 18, 1 << 15)
 _CODES = 2 * 8  # Morton codes and their order
+_HISTOGRAM = 8 << 16  # of the scores of a forest, for each balance
+_PLACE = 4 * 8  # of a group: its centre and reach
 _TRIED = 2  # models that are held against the original at a time; growths share all but scales
 
 
@@ -84,3 +87,39 @@ def block_stages(
         "judge": judge + pixels * COMPARED,
         "fit": max(fit, fitted) if parameters.steps else 0,
     }
+
+
+def scratch_bytes(
+    splats: int,
+    block: int,
+    blocks: int,
+    layout: Layout,
+    parameters: ForestParameters,
+    shares: Sequence[float],
+    *,
+    encoded: bool,
+) -> int:
+    """Bytes of the intermediate files of a job at its end, the results among them.
+
+    Args:
+        splats: Of the whole scene.
+        block: Most splats of a block.
+        blocks: How many blocks.
+        layout: Of their columns.
+        parameters: Of the method.
+        shares: What each result keeps of the splats.
+        encoded: Whether results are encoded in chunks before they are put together.
+    """
+    row, balances = row_bytes(layout), len(parameters.balances)
+    results = sum(int(share * splats) for share in shares)
+    copies = 2 + encoded + (parameters.steps > 0)  # parts, fitted, encoded, the result
+    held = splats * (row + 8)  # sorted, with their codes
+    held += splats * (8 + 4 * balances) + blocks * balances * _HISTOGRAM  # forests
+    held += len(shares) * splats * 2 * 4 + results * (copies * row + _PLACE)  # labels, parts
+    if not renders(parameters):
+        return held
+    held += splats * 8  # how visible each is
+    if blocks > 1:
+        coarse = sum(most_coarse(level, block, splats) for level in (FINE, ROUGH))
+        held += splats * 12 + blocks * _HISTOGRAM + coarse * row_bytes(layout.bare())
+    return held

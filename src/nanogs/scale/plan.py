@@ -11,7 +11,7 @@ from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.presets import renders
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.encoding import encoding_of
-from nanogs.scale.memory import block_stages
+from nanogs.scale.memory import block_stages, scratch_bytes
 from nanogs.scale.settings import Chunks
 from nanogs.scale.unpack import Cost
 from nanogs.source import Layout
@@ -24,7 +24,6 @@ _SHARE = 0.95  # of the memory is planned with
 # A splat, of one processor (`docs/scale.md`); for each further level; for looking and choosing; and
 # for each step of a fit.
 _SECONDS, _LEVEL_SECONDS, _LOOKED, _STEP = 6.5e-6, 2.5e-6, 1.5e-5, 5e-7
-_PLACES = 4 * 8  # bytes a group: its centre and reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,17 +107,15 @@ def plan_blocks(
     blocks = -(-splats // max(block - block // 16, 1))
     held = min(block, splats)
     tasks = held_bytes(held, splats, layout, parameters, share)
-    results = sum(int(share * splats) for share in shares)
-    sorted_rows = splats * (row + 8)
-    copies = 3 if chunks else 2  # parts, what is encoded of them, and the result
-    tables = splats * (12 + len(shares) * 2 * 4) + results * (copies * row + _PLACES)
     return ScalePlan(
         splats=splats,
         block=block,
         segment=segment,
         blocks=blocks,
         memory=LIBRARIES + int(max(tasks, segment * (row + _KEYS), encoding.held(held))),
-        scratch=sorted_rows + tables,
+        scratch=scratch_bytes(
+            splats, block, blocks, layout, parameters, shares, encoded=chunks is not None
+        ),
         seconds=splats * _seconds(parameters, len(shares)) + encoding.seconds,
     )
 
