@@ -118,7 +118,7 @@ def info_bytes(source: FileSource) -> int:
 
 
 def _held(source: FileSource) -> int:
-    """What reading in parts holds: the whole, of formats that can only be read so."""
+    """Bytes that reading in parts holds: the whole, of formats that can only be read so."""
     if isinstance(source, Whole):
         return _read(source.info)
     return source.memory if isinstance(source, Packed) else 0

@@ -20,7 +20,7 @@ from nanogs.splats import Splats
 
 @dataclass(frozen=True, slots=True)
 class MethodContext:
-    """What a method may know beside the model.
+    """The knowledge that a method may have beside the model.
 
     Attributes:
         cameras: Views to learn from, none of which is scored.

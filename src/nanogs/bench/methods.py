@@ -35,7 +35,7 @@ ABLATIONS = (
     "fast:rounds=3",
     "best",
 )
-"""What a method is worth without each of its parts, one at a time."""
+"""The ablations: a method without each of its parts, one at a time."""
 
 
 def all_methods() -> tuple[str, ...]:

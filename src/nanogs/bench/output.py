@@ -96,7 +96,7 @@ class ResultFolder:
             (self.path / UNFINISHED).unlink(missing_ok=True)
 
     def _rows_so_far(self) -> list[BenchRow]:
-        """What an unfinished run has measured; a line that was cut off is measured again."""
+        """Rows measured by an unfinished run; a line that was cut off is measured again."""
         unfinished = self.path / UNFINISHED
         if not unfinished.exists():
             return []

@@ -1,4 +1,4 @@
-"""What a reader of the tables must know: how they were made, and what the columns mean."""
+"""The text before the tables: how they were made, and what the columns mean."""
 
 import os
 import platform

@@ -14,7 +14,7 @@ RATIOS = (0.1, 0.01, 0.001)
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What was published of one method on one data set; None where it was not.
+    """Figures published of one method on one data set; None where there are none.
 
     Attributes:
         psnr: Mean over the scenes, dB, by compaction ratio; 1 for the model itself.

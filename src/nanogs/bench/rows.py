@@ -12,7 +12,7 @@ RowKey = tuple[str, str, float]
 
 
 class Status(StrEnum):
-    """What became of a row."""
+    """The state of a row."""
 
     OK = "ok"
     SKIPPED = "skipped"  # nothing to measure, for the stated reason
@@ -20,7 +20,7 @@ class Status(StrEnum):
 
 
 class Against(StrEnum):
-    """What the images are held against."""
+    """The reference of the images."""
 
     PHOTOGRAPHS = "photographs"
     ORIGINAL = "the original model"

@@ -125,7 +125,7 @@ def fill(pattern: str, **values: str) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneViews:
-    """What a scene's results are held against.
+    """The views that a scene's results are held against.
 
     Attributes:
         sets: The sets of views to score, by label: kind and size; "" for photographs.

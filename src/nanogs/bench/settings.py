@@ -1,4 +1,4 @@
-"""What to measure, and how: checked before anything is computed."""
+"""The settings of a run, what to measure and how: checked before anything is computed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

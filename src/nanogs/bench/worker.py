@@ -25,7 +25,7 @@ _WARM_UP = 1000  # splats on which the kernels are compiled or read from their c
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What a process is to do.
+    """The task of a process.
 
     Attributes:
         model: The model's file.
@@ -50,7 +50,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a process did.
+    """The outcome of a process.
 
     Attributes:
         error: Why there is no result; empty where there is one.

@@ -130,7 +130,7 @@ def _changed(
 
 
 def _said(model: Source, target: Path) -> tuple[list[str], list[str]]:
-    """What is to be said of the reading, and what the target leaves out, from one pass."""
+    """Notes on the reading, and what the target leaves out, from one pass."""
     losses, notes, lost = registry.writable(target).losses, [model.columns.notes], []
     for block in model.blocks():
         notes.append(tuple(block.notes))

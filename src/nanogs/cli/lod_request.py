@@ -62,7 +62,7 @@ class Request:
 
     @property
     def changes(self) -> Changes:
-        """What is done to a model in blocks besides making it smaller."""
+        """Changes to a model in blocks besides making it smaller."""
         return Changes(self.reading.filters, self.reading.sh_degree, self.turn)
 
     @property

@@ -77,7 +77,7 @@ class Request:
         return renders(self.chosen) if self.measure is None else self.measure
 
     def changes(self, pair: Pair) -> Changes:
-        """What is done to a model in blocks besides making it smaller."""
+        """Changes to a model in blocks besides making it smaller."""
         frames = frames_of(pair, self.frames)
         return Changes(self.reading.filters, self.reading.sh_degree, frames)
 

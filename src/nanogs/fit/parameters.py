@@ -1,4 +1,4 @@
-"""What a refit may be told; every number is without unit, so none depends on a scene's scale."""
+"""Parameters of a refit; every number is without unit, so none depends on a scene's scale."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a refit did: frozen dataclasses that become JSON as they stand."""
+"""The report of a refit: frozen dataclasses that become JSON as they stand."""
 
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -56,7 +56,7 @@ class GroupReport:
 
 @dataclass(frozen=True, slots=True)
 class RefitReport:
-    """What `refit` was given, what it gained, and why it stopped.
+    """The report of `refit`: what it was given, what it gained, and why it stopped.
 
     Attributes:
         parameters: Every parameter by name.

@@ -26,7 +26,7 @@ LEAST = 0.05  # of the first rate: below it, what does not help is at an optimum
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What `fit` came to; see `RefitReport` for the fields."""
+    """The result of `fit`; see `RefitReport` for the fields."""
 
     groups: tuple[GroupReport, ...]
     psnr_before: float
@@ -67,7 +67,7 @@ class Guard:
         return False
 
     def reports(self) -> tuple[GroupReport, ...]:
-        """What was gained on each group."""
+        """The gain on each group."""
         return tuple(
             GroupReport(group.name, tuple(view.camera.name for view in group.targets), old, new)
             for group, old, new in zip(self.groups, self.before, self.best, strict=True)

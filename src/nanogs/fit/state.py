@@ -120,7 +120,7 @@ def start(splats: Splats) -> State:
 
 
 def activate(state: State, splats: Splats, finite: Bool) -> Active:
-    """What the kernels take; tags and everything that does not move from `splats`."""
+    """Arrays for the kernels; tags and everything that does not move from `splats`."""
     axes = rotations(state.quats).astype(np.float32)
     opacities = alphas(state.logits).astype(np.float32)
     with np.errstate(over="ignore"):

@@ -1,4 +1,4 @@
-"""What a refit aims at: renders of the original, and how far a model is from them."""
+"""The targets of a refit: renders of the original, and how far a model is from them."""
 
 import math
 from collections.abc import Sequence

@@ -13,7 +13,7 @@ from nanogs.splats import Splats
 
 UNSTATED = "not stated in the file; y down (rdf) by habit"
 FormatOptions = Mapping[str, Any]
-"""What one format alone takes for writing, by name, such as `spz_version`; None is the default."""
+"""Options of one format alone for writing, by name, such as `spz_version`; None is the default."""
 Writer = Callable[..., None]
 """Writes a model to a file that is open for binary writing."""
 Sizer = Callable[[Splats, int], int]

@@ -130,7 +130,7 @@ class _Text(_Ply, Packed):
 
     @property
     def memory(self) -> int:
-        """What the numbers of a block take as text."""
+        """Bytes that the numbers of a block take as text."""
         widest = max(len(each.properties) for each in self._header.elements)
         return BLOCK_ROWS * widest * _TOKEN
 

@@ -84,7 +84,7 @@ class SogSource(Packed):
 
     @cached_property
     def memory(self) -> int:
-        """What decoding the largest texture takes."""
+        """Bytes that decoding the largest texture takes."""
         with opened(self.path) as (container, _):
             packed = {each: container.size(f) for each, f in self.model.meta.files.items()}
         texels = {each: width * height for each, (width, height) in self.model.sizes.items()}
@@ -170,7 +170,7 @@ class SogLevel(Packed):
 
     @cached_property
     def memory(self) -> int:
-        """What the largest texture takes."""
+        """Bytes that the largest texture takes."""
         return self._opened.memory
 
     def unpack(self, notes: list[str]) -> Iterator[Array]:

@@ -94,7 +94,7 @@ class _Cache:
         return getattr(self._disk, name)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:  # noqa: ANN401
-        """What is kept for a signature, or None; under Numba's lock, as all that compiles."""
+        """The code kept for a signature, or None; under Numba's lock, as all that compiles."""
         rtsys.initialize(target_context)  # for the arrays that it makes
         target_context.refresh = lambda: None
         try:

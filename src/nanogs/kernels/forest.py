@@ -28,7 +28,7 @@ def merge_increments(
     pairs: I32, weights: F64, means: F64, covariances: F64, log_dets: F64,
     features: F32, rows: I32, seconds: I32, shares: F64, out: F32,
 ) -> None:  # fmt: skip
-    """What merging each pair adds to the error of colour and of geometry.
+    """Write what merging each pair adds to the error of colour and of geometry.
 
     Colour: w_i w_j / (w_i + w_j) |f_i - f_j|² [W]. Geometry: (w_i + w_j) ½ (log |Sigma_m|
     - pi log |Sigma_i| - (1 - pi) log |Sigma_j|), pi = w_i / (w_i + w_j): the upper bound on the

@@ -116,7 +116,7 @@ def pack_box(x: int, y: int, across: int, down: int) -> int:
 
 @inline
 def unpack_box(box: int) -> tuple[int, int, int, int]:
-    """What `pack_box` took; an empty one for HIDDEN."""
+    """Undo `pack_box`; an empty box for HIDDEN."""
     return box & 0xFFFF, (box >> 16) & 0xFFFF, (box >> 32) & 0xFFFF, box >> 48
 
 

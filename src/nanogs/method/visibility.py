@@ -1,4 +1,4 @@
-"""What views of the original show: how visible each splat is, and what a result is held against."""
+"""Views of the original: how visible each splat is, and what a result is held against."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -119,7 +119,7 @@ class Light:
 def _light_from_anywhere(
     splats: Splats, prepared: PreparedSplats, count: int, tell: Parts
 ) -> tuple[Light, tuple[str, ...]]:
-    """What small roaming views show, and a note where fewer of them were found."""
+    """The light in small roaming views, and a note where fewer of them were found."""
     found: list[Camera] = []
     with suppress(ModelError):  # none was found, which the note says
         found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", tell=tell)

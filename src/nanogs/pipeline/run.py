@@ -193,7 +193,7 @@ def _group(build: Build, groups: int, clock: StageClock, progress: Tracker) -> S
 def _choose(
     build: Build, groups: int, views: OriginalViews, progress: Tracker
 ) -> tuple[Candidate, tuple[CandidateReport, ...]]:
-    """What does best on views of the original, and how the others did."""
+    """The candidate that does best on views of the original, and how all did."""
     return choose_model(
         lambda labels: _regroup(build, labels, groups),
         lambda balance: cut(build.forest, groups, balance),

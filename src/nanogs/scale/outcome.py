@@ -80,7 +80,7 @@ def report_of(
 
 
 def _filter_reports(settings: Settings) -> tuple[FilterReport, ...]:
-    """What each filter of a job took."""
+    """How many splats each filter of a job took."""
     if settings.filters is None:
         return ()
     filters = [filter_of(*plain) for plain in settings.filters.plain]

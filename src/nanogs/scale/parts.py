@@ -34,7 +34,7 @@ def read_part(scratch: Scratch, layout: Layout, record: Record) -> Splats:
 
 
 class Parts(Source):
-    """What blocks are left with at a level, one after the other; one table is open at a time.
+    """The splats of a level, block after block; one table is open at a time.
 
     Args:
         work: The job, all its tasks done.

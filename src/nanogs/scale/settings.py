@@ -54,7 +54,7 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class Sieve:
-    """What filters leave of the inputs.
+    """The rows that filters leave of the inputs.
 
     Attributes:
         plain: Kind and numbers of each, as `filters.Filter.plain` has them.

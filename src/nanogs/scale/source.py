@@ -24,7 +24,7 @@ SPAN, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # of the rows that stand for al
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What is done to a model besides making it smaller.
+    """Changes to a model besides making it smaller.
 
     Attributes:
         filters: What leaves out splats first, such as `nanogs.filters.box(low, high)`.
@@ -77,7 +77,7 @@ def look_at(
 
 
 def sift(files: Sequence[InputFile], layout: Layout, filters: Sequence[Filter]) -> Sieve | None:
-    """What filters leave of files, all of whose rows are looked at; None without filters.
+    """Apply filters to all rows of files and count what is left; None without filters.
 
     Raises:
         FormatError: One of the files cannot be read.

@@ -119,7 +119,7 @@ class Work:
         return [self.record(Task(stage, b, level)) for b in range(self.partition.blocks)]
 
     def table(self, stage: str, block: int, level: int = 0) -> Table:
-        """What a stage wrote for a block, open for reading."""
+        """The table that a stage wrote for a block, open for reading."""
         return Table(self.scratch, self.of_block(stage, block, level))
 
     @property
@@ -261,7 +261,7 @@ class Work:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """What was chosen for a level: whether splats stay reassigned, and how much may grow."""
+    """The choice for a level: whether splats stay reassigned, and how much they may grow."""
 
     reassigned: bool
     growth: float

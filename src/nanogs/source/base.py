@@ -1,4 +1,4 @@
-"""What a source is: a model of which some rows are read at a time."""
+"""The interface of a source: a model of which some rows are read at a time."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence

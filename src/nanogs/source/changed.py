@@ -146,7 +146,7 @@ class Filtered(_Changed):
 
     @property
     def kept(self) -> tuple[int, ...]:
-        """What each page of `PAGE_ROWS` rows keeps.
+        """Splats that each page of `PAGE_ROWS` rows keeps.
 
         Raises:
             ModelError: None is left, or an element has one row a splat.
@@ -157,7 +157,7 @@ class Filtered(_Changed):
 
     @property
     def reports(self) -> tuple[FilterReport, ...]:
-        """What each filter takes."""
+        """How many splats each filter takes."""
         left = [self._source.count, *self._passed.sum(axis=0).tolist()]
         return tuple(
             FilterReport(each.name, each.argument, before - after, after)

@@ -56,7 +56,7 @@ def _chosen() -> tuple[Way, str | None]:
 
 
 def _untried(version: str) -> str | None:
-    """What is to say of a version of Numba that the vectors were not tried with."""
+    """A warning about a version of Numba that the vectors were not tried with."""
     major, minor, *_ = version.split(".")
     if FIRST <= (int(major), int(minor)) <= LAST:
         return None
@@ -65,7 +65,7 @@ def _untried(version: str) -> str | None:
 
 
 def _failure() -> str | None:
-    """What is to say if the vectors do not compile here; else they are kept on the disk."""
+    """A warning if the vectors do not compile here; else they are kept on the disk."""
     global _trying  # noqa: PLW0603
     from nanogs.kernels.simd import trial
 
