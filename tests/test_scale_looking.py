@@ -133,6 +133,26 @@ def test_where_nothing_is_measured_nothing_is_weighed_by_what_is_seen(scene, tmp
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
+def test_blocks_that_are_not_fitted_are_told_of(splats, tmp_path):
+    """A half of the scene shows nothing; and one view cannot tell what helps."""
+    hidden = np.where(splats.means[:, 0] > 0, np.float32(-12), splats.opacity_logits)
+    nanogs.save(dataclasses.replace(splats, opacity_logits=hidden), tmp_path / "scene.ply")
+
+    def told(**given):
+        out, chosen = tmp_path / "a.ply", BLOCKS | {"block": 200, "overwrite": True} | given
+        return nanogs.simplify_blocks(tmp_path / "scene.ply", out, ratio=0.2, **chosen)
+
+    some = told()
+    left = some.blocks.blocks - len(some.refit.groups)
+    were, blocks = "was" if left == 1 else "were", some.blocks.blocks
+    said = f"{left} of {blocks} blocks {were} not fitted: too few views show them."
+    assert left > 0
+    assert some.notes == (said,)
+    none = told(views=1, block=10**6)
+    assert none.refit is None
+    assert none.notes == ("The result was not fitted: too few views show it.",)
+
+
 @pytest.mark.parametrize("given", [{"preset": "fast", "steps": 0}, {}])
 @pytest.mark.parametrize("block", [500, 10**6])
 def test_the_scratch_is_as_large_as_planned(scene, tmp_path, monkeypatch, given, block):

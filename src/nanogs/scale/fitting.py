@@ -58,7 +58,7 @@ def fit_part(work: "Work", name: str, block: int, level: int) -> Record:
 
 
 def fit_report(work: "Work", level: int) -> RefitReport | None:
-    """What the fits of all blocks gained, each a group; None where no block could be fitted."""
+    """The gains of the fits of all blocks, each a group; None where no block could be fitted."""
     records = work.of_blocks("fit", level)
     gains = [(number, record.facts["gained"]) for number, record in enumerate(records)]
     groups = tuple(GroupReport(f"block {n}", (), *gained) for n, gained in gains if gained)
@@ -83,8 +83,20 @@ def fit_report(work: "Work", level: int) -> RefitReport | None:
         seconds={},
         total_seconds=0.0,
         threads=work.threads,
-        notes=tuple(f"block {n} is shown by too few views to be fitted" for n, g in gains if not g),
+        notes=(),
     )
+
+
+def notes_on_fits(work: "Work", level: int) -> list[str]:
+    """A sentence on the blocks that were not fitted; none where all were, or nothing was seen."""
+    records = work.of_blocks("fit", level)
+    left = sum(record.facts["gained"] is None for record in records)
+    if not left or not work.looks:
+        return []
+    if len(records) == 1:
+        return ["The result was not fitted: too few views show it."]
+    were = "was" if left == 1 else "were"
+    return [f"{left:,} of {len(records):,} blocks {were} not fitted: too few views show them."]
 
 
 def _fitted(

@@ -10,7 +10,7 @@ from nanogs.findings import join_findings, of_plain
 from nanogs.pipeline.target import Goal
 from nanogs.report import BlocksReport, SimplifyReport, StopReason
 from nanogs.scale.columns import count_of
-from nanogs.scale.fitting import fit_report
+from nanogs.scale.fitting import fit_report, notes_on_fits
 from nanogs.scale.look import shown_share
 from nanogs.scale.run import Done
 from nanogs.scale.settings import Settings
@@ -44,7 +44,8 @@ def report_of(
     segments = work.segments()
     settled = work.of_blocks("settle", level) if settings.parameters.rounds else []
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
-    looked = work.views.notes if settings.looks else ()
+    looked = [*work.views.notes] if settings.looks else []
+    looked += notes_on_fits(work, level) if settings.fits else []
     return SimplifyReport(
         preset=preset,
         parameters=asdict(settings.parameters),
