@@ -228,7 +228,6 @@ def test_levels_that_do_not_fit_go_to_blocks(scene, tmp_path, little, capsys):
     [
         (["--psnr", "30"], "--psnr needs the whole model"),
         (["--size", "1MB"], "--size needs the whole model"),
-        (["-r", "0.1", "--views", "3"], "--views, --cameras or --up needs the whole model"),
         (["-r", "0.1", "--drop-floaters"], "--drop-floaters needs the whole model"),
         (["-r", "0.1", "--preset", "paper"], "the preset paper needs the whole model"),
     ],

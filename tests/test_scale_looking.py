@@ -8,6 +8,7 @@ import pytest
 
 import nanogs
 from builders import model_bytes, random_splats
+from nanogs.errors import OptionError
 from nanogs.fit.groups import Group
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.rounds import fit
@@ -16,10 +17,12 @@ from nanogs.pipeline.target import Goal
 from nanogs.progress import untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, render, together
-from nanogs.scale import fitting, run, stages
+from nanogs.scale import fitting, job, run, stages
 from nanogs.scale.api import block_parameters, plan_job
+from nanogs.scale.asked import Asked
 from nanogs.scale.job import BlockJob
 from nanogs.scale.memory import FINE, ROUGH, block_stages, most_coarse
+from nanogs.scale.settings import differences, settings_of
 from nanogs.scale.views import LEAST, Views, deciding_count, parts_of, views_of
 from nanogs.source import Layout
 from nanogs.splats import concatenate
@@ -311,3 +314,30 @@ def test_blocks_that_are_small_in_every_view_are_looked_at_from_nearer(tmp_path)
     for light in nearer:
         assert len(light) == 6 + 3
         assert np.mean(light[6:]) > 2 * max(light[:6])
+
+
+def test_given_cameras_are_those_that_blocks_are_looked_at_from(scene, splats, tmp_path):
+    cameras = automatic_cameras(splats, 5, width=120, height=90, split="test")
+    jobs = []
+
+    def told(settings, *rest, **more):
+        jobs.append(settings)
+        return begun(settings, *rest, **more)
+
+    begun = job.BlockJob
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(job, "BlockJob", told)
+        report = nanogs.simplify_blocks(
+            scene, tmp_path / "a.ply", ratio=0.2, cameras=cameras, **BLOCKS
+        )
+        nanogs.simplify_blocks(
+            scene, tmp_path / "b.ply", ratio=0.2, cameras="inside", up=(0, 0, 1), **BLOCKS
+        )
+    assert report.refit.fit_views == tuple(camera.name for camera in cameras)
+    again = settings_of(json.loads(json.dumps(jobs[0].to_dict())))
+    assert again == jobs[0]
+    assert [camera.width for camera in again.asked.given()] == [120] * 5
+    assert jobs[1].asked == Asked("inside", (0.0, 0.0, 1.0))
+    assert differences(*jobs) == ["asked"]
+    with pytest.raises(OptionError, match="no camera file"):
+        nanogs.simplify_blocks(scene, tmp_path / "c.ply", ratio=0.2, cameras="none.json", **BLOCKS)

@@ -140,7 +140,7 @@ def lod(
     request = lod_request.Request(
         parts=parts, output=output, ratios=ratios, preset=preset, chosen=chosen, reading=read,
         blocks=asked, given=given | {"layout": output.layout}, turn=turn, measure=measure,
-        looks=views is not None or cameras != "auto" or up is not None, cameras=cameras,
+        cameras=cameras,
         up=direction, threads=threads, overwrite=overwrite, json=json, quiet=quiet,
     )  # fmt: skip
     plan = lod_request.plan_levels(request)

@@ -15,6 +15,7 @@ from nanogs.io.folder import check_folder_writable
 from nanogs.lod.layout import Output, made_files
 from nanogs.pipeline.presets import Parameters, renders
 from nanogs.pipeline.target import Goal, target_count
+from nanogs.scale.asked import asked_views
 from nanogs.scale.source import Changes
 
 
@@ -33,7 +34,6 @@ class Request:
         given: What `write_levels` takes beside, in blocks too.
         turn: Frames from and to which the levels are turned, or None.
         measure: Whether levels are held against the model; None for where the preset renders.
-        looks: Whether views are asked for.
         cameras: As `requested_cameras` takes it.
         up: Up direction of automatic views, or None.
         threads: Threads to use, or None for all.
@@ -52,7 +52,6 @@ class Request:
     given: dict[str, Any]
     turn: tuple[str, str] | None
     measure: bool | None
-    looks: bool
     cameras: str
     up: tuple[float, float, float] | None
     threads: int | None
@@ -63,7 +62,8 @@ class Request:
     @property
     def changes(self) -> Changes:
         """Changes to a model in blocks besides making it smaller."""
-        return Changes(self.reading.filters, self.reading.sh_degree, self.turn)
+        asked = asked_views(self.cameras, self.up)
+        return Changes(self.reading.filters, self.reading.sh_degree, self.turn, asked)
 
     @property
     def hushed(self) -> bool:
@@ -95,7 +95,7 @@ def plan_levels(request: Request) -> Plan:
     plan = replace(plan, divided=True)
     refuse_other_files(output.suffix)
     refuse_whole_model_wishes(
-        plan, blocks, filters=request.reading.filters, looks=request.looks,
+        plan, blocks, filters=request.reading.filters,
         measured=bool(request.measure),
     )  # fmt: skip
     in_blocks.warn_of_blocks(plan, blocks, output.folder, quiet=request.hushed)

@@ -128,7 +128,6 @@ def simplify(
             scheduler=scheduler,
             patience=patience,
         ),
-        looks=views is not None or cameras != "auto" or up is not None,
         measure=measure,
     )
     pipes = streams.Streams(read_as, write_as)

@@ -28,6 +28,7 @@ from nanogs.pipeline.stages import measure_stage, simplify_stages, write_weight
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import Judged
+from nanogs.scale.asked import asked_views
 from nanogs.scale.source import Changes
 from nanogs.splats import Splats
 
@@ -50,7 +51,6 @@ class Request:
         quiet: Whether nothing is said on the way but errors.
         folder_later: Whether the folder of the results is still to be made.
         blocks: How a model is treated that does not fit into memory.
-        looks: Whether views are asked for.
         measure: Whether the result is held against the input as `nanogs compare` does it; None for
             where the preset renders anyway.
     """
@@ -68,7 +68,6 @@ class Request:
     quiet: bool
     folder_later: bool
     blocks: Blocks
-    looks: bool
     measure: bool | None
 
     @property
@@ -79,7 +78,8 @@ class Request:
     def changes(self, pair: Pair) -> Changes:
         """Changes to a model in blocks besides making it smaller."""
         frames = frames_of(pair, self.frames)
-        return Changes(self.reading.filters, self.reading.sh_degree, frames)
+        asked = asked_views(self.cameras, self.up)
+        return Changes(self.reading.filters, self.reading.sh_degree, frames, asked)
 
 
 def plan_one(request: Request, pair: Pair, _progress: Progress) -> dict[str, Any]:
@@ -146,7 +146,7 @@ def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
     if blocks.needed(plan, pair.target):
         plan = replace(plan, divided=True)
         refuse_whole_model_wishes(
-            plan, blocks, filters=reading.filters, looks=request.looks,
+            plan, blocks, filters=reading.filters,
             measured=bool(request.measure),
         )  # fmt: skip
     else:

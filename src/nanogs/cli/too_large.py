@@ -191,7 +191,6 @@ def refuse_whole_model_wishes(
     blocks: Blocks,
     *,
     filters: Sequence[Filter],
-    looks: bool,
     measured: bool = False,
 ) -> None:
     """Refuse what only a model in memory can be asked.
@@ -200,7 +199,6 @@ def refuse_whole_model_wishes(
         plan: Of the run.
         blocks: How models are treated that do not fit.
         filters: What leaves out splats.
-        looks: Whether views are asked for.
         measured: Whether the result is to be measured.
 
     Raises:
@@ -210,7 +208,6 @@ def refuse_whole_model_wishes(
         "--size": plan.goal.size is not None,
         "--psnr": plan.goal.psnr is not None,
         "--drop-floaters": any(each.whole for each in filters),
-        "--views, --cameras or --up": looks,
         "--measure": measured,
         "a model in a pipe, which blocks cannot read or write,": blocks.piped,
         f"the preset {plan.preset}": isinstance(plan.parameters, PaperParameters),

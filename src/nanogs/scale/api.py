@@ -20,6 +20,7 @@ from nanogs.pipeline.target import Goal, target_count
 from nanogs.progress import Progress
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
+from nanogs.scale.asked import asked_views
 from nanogs.scale.columns import row_bytes
 from nanogs.scale.folder import job_folder, read_manifest
 from nanogs.scale.plan import (
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 
     from nanogs.filters import Filter
     from nanogs.io.format import FormatOptions
+    from nanogs.views.cameras import Cameras
 
 
 def simplify_blocks(
@@ -64,6 +66,8 @@ def simplify_blocks(
     filters: "Sequence[Filter]" = (),
     sh_degree: int | None = None,
     frame: tuple[str, str] | None = None,
+    cameras: "Cameras | None" = None,
+    up: Sequence[float] | None = None,
     threads: int | None = None,
     executor: "Client | Executor | None" = None,
     patience: float = PATIENCE,
@@ -99,6 +103,9 @@ def simplify_blocks(
             are read once more for them. One that has to see the whole model is refused.
         sh_degree: The highest degree of spherical harmonics that stays; all by default.
         frame: From and to which the result is turned, such as ("rdf", "rub").
+        cameras: Views that matter, for presets that look: "auto", "orbit", "inside", "roam", a file
+            or folder of cameras, or cameras; by default automatic.
+        up: Up direction of views that are found, scene coordinates.
         threads: Threads to use in a process; all of its machine by default.
         executor: Whose workers do the work: a Dask client, or a `concurrent.futures.Executor` such
             as a ProcessPoolExecutor. It is used as it is, and not closed.
@@ -129,7 +136,7 @@ def simplify_blocks(
     )
     settings, plan = plan_job(
         [Path(path) for path in paths], (goal,), chosen, max_memory, block, nan,
-        changes=Changes(filters, sh_degree, frame),
+        changes=Changes(filters, sh_degree, frame, asked_views(cameras, up)),
     )  # fmt: skip
     # Here and not above: these bring Numba, which `--help` and `info` do without.
     from nanogs.scale.ending import Files
@@ -241,6 +248,7 @@ def plan_job(
         chunks=chunks,
         filters=sieve,
         frame=changes.frame,
+        asked=changes.asked,
     )
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
 

@@ -9,11 +9,12 @@ from nanogs.fit.views import choose_cameras
 from nanogs.method.visibility import SHOWN, Light, visible_weights
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, render, together
+from nanogs.scale.asked import camera_of, plain_camera
 from nanogs.scale.blocks import leaves_of
 from nanogs.scale.coarse import surroundings
 from nanogs.scale.memory import FINE
 from nanogs.scale.tables import Record, write_table
-from nanogs.scale.views import camera_of, parts_of, plain_camera
+from nanogs.scale.views import parts_of
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def closer_views(work: "Work", own: Splats) -> list[Camera]:
         own: Splats of the block.
     """
     parameters, kept = work.settings.parameters, work.views.kept
-    if work.partition.blocks == 1 or not kept:
+    if work.partition.blocks == 1 or not kept or work.settings.asked.cameras:
         return []
     drawn = prepare(own)
     least = SMALL * kept[0].width * kept[0].height

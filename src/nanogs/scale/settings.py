@@ -9,6 +9,7 @@ from nanogs.errors import FormatError
 from nanogs.filters import Plain
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.presets import renders
+from nanogs.scale.asked import AUTOMATIC, Asked
 from nanogs.source import Layout
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
@@ -98,6 +99,7 @@ class Settings:
         chunks: Of the results, or None where each is one file.
         filters: What they leave of the files; None without any.
         frame: From and to which results are turned, or None.
+        asked: The views that were asked for.
     """
 
     inputs: tuple[InputFile, ...]
@@ -111,6 +113,7 @@ class Settings:
     chunks: Chunks | None = None
     filters: Sieve | None = None
     frame: tuple[str, str] | None = None
+    asked: Asked = AUTOMATIC
 
     @property
     def splats(self) -> int:
@@ -198,6 +201,7 @@ def settings_of(data: Mapping[str, Any]) -> Settings:
             chunks=Chunks(**data["chunks"]) if data.get("chunks") else None,
             filters=_sieve_of(data["filters"]) if data.get("filters") else None,
             frame=(*data["frame"],) if data.get("frame") else None,
+            asked=Asked(**{k: _frozen(v) for k, v in data["asked"].items()}),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FormatError(

@@ -13,6 +13,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.filters import Filter, filter_of, refuse_whole
 from nanogs.frames import change_between
 from nanogs.io import open as open_model
+from nanogs.scale.asked import AUTOMATIC, Asked
 from nanogs.scale.inputs import Inputs, input_file
 from nanogs.scale.settings import Access, InputFile, Segment, Settings, Sieve
 from nanogs.scale.unpack import Unpacked
@@ -30,11 +31,13 @@ class Changes:
         filters: What leaves out splats first, such as `nanogs.filters.box(low, high)`.
         sh_degree: The highest that stays, or None for all.
         frame: From and to which results are turned, or None.
+        asked: The views that were asked for.
     """
 
     filters: Sequence[Filter] = ()
     sh_degree: int | None = None
     frame: tuple[str, str] | None = None
+    asked: Asked = AUTOMATIC
 
     def check(self) -> None:
         """Refuse what cannot be done in blocks.

@@ -14,8 +14,10 @@ from nanogs.formatting import counted
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.project import HIDDEN, unpack_box
 from nanogs.method.visibility import DECIDING, SMALL
+from nanogs.pipeline.cameras import fit_cameras
 from nanogs.raster.camera import Camera, spread
 from nanogs.raster.rendering import PreparedSplats, project
+from nanogs.scale.asked import camera_of, plain_camera
 from nanogs.scale.coarse import coarse_scene
 from nanogs.scale.memory import FINE
 from nanogs.scale.source import sample
@@ -81,16 +83,20 @@ def choose_views(work: "Work") -> Views:
     """
     parameters = work.settings.parameters
     some = sample(work.settings, work.unpacked(), rows=SAMPLE, span=SPAN)
+    asked = work.settings.asked
     notes: tuple[str, ...] = ()
     try:
+        given = asked.given() or fit_cameras(
+            some, asked.source, asked.up, parameters.views, parameters.view_size
+        )
         kept, further = choose_cameras(
-            some, None, parameters.views, parameters.further if parameters.steps else 0,
+            some, given, parameters.views, parameters.further if parameters.steps else 0,
             parameters.view_size,
         )  # fmt: skip
     except ModelError as error:
         return Views((), (), (), (f"Nothing was measured: {error}",))
     roaming: list[Camera] = []
-    if parameters.roaming:
+    if parameters.roaming and not given:
         scene = coarse_scene(work, FINE) or work.block(0)[0]
         with suppress(ModelError):  # none was found, which the note says
             roaming = roaming_cameras(
@@ -133,15 +139,3 @@ def _between(first: Any, last: Any, size: int) -> tuple[int, int]:  # noqa: ANN4
         low = max(min(low, (size - LEAST) // TILE * TILE), 0)
         high = min(max(high, low + LEAST), size)
     return low, high
-
-
-def plain_camera(camera: Camera) -> dict[str, Any]:
-    """A camera as plain data, without what bent its picture."""
-    names = ("width", "height", "fx", "fy", "cx", "cy", "name", "near")
-    plain = {name: getattr(camera, name) for name in names}
-    return plain | {"world_to_camera": camera.world_to_camera.tolist()}
-
-
-def camera_of(data: Mapping[str, Any]) -> Camera:
-    """A camera from what `plain_camera` made of it."""
-    return Camera(**{**data, "world_to_camera": np.array(data["world_to_camera"])})

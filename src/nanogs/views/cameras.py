@@ -54,6 +54,15 @@ def cameras_for(
         from nanogs.views.roam import roaming_cameras  # brings Numba
 
         return roaming_cameras(splats, count, width=width, height=height, up=up, split=split)
+    return cameras_from(source)
+
+
+def cameras_from(source: str) -> list[Camera]:
+    """All cameras of a file or data-set folder.
+
+    Raises:
+        NanogsError: There is none, or it cannot be read.
+    """
     if not Path(source).exists():
         raise OptionError(
             f"There is no camera file {source!r}; give a file, or one of {', '.join(FOUND)}."

@@ -1,0 +1,77 @@
+"""The views that a job is asked to look from, as plain data."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nanogs.raster.camera import Camera
+
+if TYPE_CHECKING:
+    from nanogs.views.cameras import Cameras
+
+AUTO = "auto"
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Views that were asked for.
+
+    Attributes:
+        source: "auto", or another name of those in `views.cameras.FOUND`.
+        up: Up direction of views that are found, or None.
+        cameras: Given ones as JSON; then none are found.
+    """
+
+    source: str = AUTO
+    up: tuple[float, ...] | None = None
+    cameras: tuple[str, ...] = ()
+
+    def given(self) -> list[Camera]:
+        """The given cameras."""
+        return [camera_of(json.loads(text)) for text in self.cameras]
+
+
+AUTOMATIC = Asked()
+
+
+def asked_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Asked:
+    """What was asked for; a file of cameras is read now, so that no worker needs it.
+
+    Args:
+        cameras: A name of those that are found, a file or folder, or cameras; None for automatic.
+        up: Up direction of views that are found, or None.
+
+    Raises:
+        NanogsError: A file is none of cameras.
+    """
+    from nanogs.views.cameras import FOUND, cameras_from, given_cameras
+
+    direction = None if up is None else tuple(map(float, up))
+    if cameras is None or (isinstance(cameras, str) and cameras in FOUND):
+        return Asked(cameras or AUTO, direction)
+    if isinstance(cameras, str | PathLike):
+        found = cameras_from(os.fspath(cameras))
+    else:
+        found = given_cameras(cameras)
+    return Asked(cameras=tuple(json.dumps(plain_camera(camera)) for camera in found))
+
+
+def plain_camera(camera: Camera) -> dict[str, Any]:
+    """A camera as plain data, without what bent its picture; floats keep every digit in JSON."""
+    names = ("width", "height", "fx", "fy", "cx", "cy", "name", "near")
+    plain = {name: _plain(getattr(camera, name)) for name in names}
+    return plain | {"world_to_camera": camera.world_to_camera.tolist()}
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - a number of NumPy's or Python's, or text
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def camera_of(data: Mapping[str, Any]) -> Camera:
+    """A camera from what `plain_camera` made of it."""
+    return Camera(**{**data, "world_to_camera": np.array(data["world_to_camera"])})
