@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from nanogs.scale.api import block_parameters, plan_job
 from nanogs.scale.asked import Asked
 from nanogs.scale.job import BlockJob
 from nanogs.scale.memory import FINE, ROUGH, block_stages, most_coarse
+from nanogs.scale.plan import plan_blocks
 from nanogs.scale.settings import differences, settings_of
 from nanogs.scale.views import LEAST, Views, deciding_count, parts_of, views_of
 from nanogs.source import Layout
@@ -341,3 +343,15 @@ def test_given_cameras_are_those_that_blocks_are_looked_at_from(scene, splats, t
     assert differences(*jobs) == ["asked"]
     with pytest.raises(OptionError, match="no camera file"):
         nanogs.simplify_blocks(scene, tmp_path / "c.ply", ratio=0.2, cameras="none.json", **BLOCKS)
+
+
+@pytest.mark.parametrize("preset", ["fast", "default", "best"])
+@pytest.mark.parametrize("degree", range(4))
+def test_the_memory_that_a_refusal_asks_for_is_enough(preset, degree):
+    layout, chosen = Layout(degree, False, (), "default", (), ()), nanogs.presets[preset]
+    with pytest.raises(OptionError, match="must be at least") as refused:
+        plan_blocks(10**7, layout, chosen, (0.1,), 10**8)
+    least = int(re.search(r"at least ([0-9,]+) MB", str(refused.value))[1].replace(",", ""))
+    assert plan_blocks(10**7, layout, chosen, (0.1,), least * 10**6).blocks > 1
+    with pytest.raises(OptionError):
+        plan_blocks(10**7, layout, chosen, (0.1,), (least - 1) * 10**6)

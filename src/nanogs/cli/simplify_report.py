@@ -21,6 +21,8 @@ from nanogs.report import StopReason
 if TYPE_CHECKING:
     from nanogs.scale.encoding import Encoding
 
+_LIBRARIES = f"{bytes_text(LIBRARIES)} for Python and its libraries"
+
 
 @dataclass(frozen=True, slots=True)
 class Plan:
@@ -99,7 +101,8 @@ def print_wish(plan: Plan) -> None:
 def print_divided(plan: Plan, text: str) -> None:
     """Show the plan of a model in blocks, with words for what would be written."""
     rows = _wish_rows(plan, text)
-    show(err, key_value_table(rows | {"peak memory": f"{bytes_text(plan.memory().peak)} if whole"}))
+    whole = f"{bytes_text(plan.memory().peak)} if whole, and {_LIBRARIES}"
+    show(err, key_value_table(rows | {"peak memory": whole}))
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
@@ -153,10 +156,7 @@ def _wish_rows(plan: Plan, text: str) -> dict[str, str]:
 
 def _memory_rows(memory: MemoryPlan) -> dict[str, str]:
     """The peak, and what each stage holds, the model with it."""
-    rows = {
-        "peak memory": f"about {bytes_text(memory.peak)}, and {bytes_text(LIBRARIES)} for Python "
-        "and its libraries"
-    }
+    rows = {"peak memory": f"about {bytes_text(memory.peak)}, and {_LIBRARIES}"}
     return rows | {f"  {stage}": bytes_text(held) for stage, held in memory.stages.items()}
 
 

@@ -4,6 +4,7 @@ No Numba here: `--dry-run` uses it.
 """
 
 from dataclasses import dataclass, replace
+from math import ceil
 
 from nanogs.errors import OptionError
 from nanogs.memory import LIBRARIES
@@ -16,7 +17,6 @@ from nanogs.scale.settings import Chunks
 from nanogs.scale.unpack import Cost
 from nanogs.source import Layout
 
-_MANY = 1_000_000
 _KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the making
 _SEGMENT = 1 << 21  # rows; more make sorting no faster
 _LEAST = 4096  # splats of a block
@@ -135,7 +135,7 @@ def _must_be(least: float, allowed: int) -> str:
     """The beginning of a sentence about a limit, which the user or the system has set."""
     return (
         f"`max_memory`, or without it what is free, is {allowed / 1e6:,.0f} MB and must be at least"
-        f" {least / 1e6:,.0f} MB"
+        f" {ceil(least / 1e6):,} MB"
     )
 
 
