@@ -20,7 +20,10 @@ T = TypeVar("T")
 
 
 class Spread(Generic[P]):
-    """A kernel of a range, called without it: threads take parts of it until all are done."""
+    """A compiled kernel `f(start, stop, *args)` that is called as `f(*args)`.
+
+    The range is split, and its parts are run on the thread pool.
+    """
 
     def __init__(
         self,
@@ -30,7 +33,7 @@ class Spread(Generic[P]):
         least: int,
         each: int,
     ) -> None:
-        """Take what `policy.parallel_kernel` describes."""
+        """See `policy.parallel_kernel` for the arguments."""
         self._compiled = compiled
         self._place = list(inspect.signature(function).parameters).index(over) - 2
         self._least, self._each = least, each

@@ -118,7 +118,7 @@ def _shapes(
     splats: Splats, rows: I32, origin: F64, pixel: float, thinnest: float | None
 ) -> tuple[F64, F64]:
     """The means and covariances of `activate_nodes`."""
-    covariances = np.empty((len(rows), 6))  # before what is freed again, which leaves no gap then
+    covariances = np.empty((len(rows), 6))  # before the temporaries: freeing them leaves no hole
     means, scales, quats = activated(splats, rows, origin)
     least = thinnest_axis(scales, means, pixel) if thinnest is None else thinnest
     covariances_of(scales, quats, FLATTEST, least, covariances)

@@ -65,7 +65,10 @@ def settled(view: View, rounds: int, threads: int) -> I32:
 
 
 def keep_every_group(after: I32, before: I32, weights: F64, groups: int) -> None:
-    """Give every group without a splat the heaviest that it had and that can be spared; in place.
+    """Refill empty groups in place: each takes back its heaviest former member that can be spared.
+
+    Only what is not the last one of its new group can be; where no former member can, the heaviest
+    of all others is taken.
 
     Args:
         after: (N,) the group of each splat; those from `groups` on are other blocks'.
