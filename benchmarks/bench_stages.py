@@ -25,6 +25,7 @@ from nanogs.method.extent import dilation
 from nanogs.method.forest import grow_forest
 from nanogs.method.paper import cost, merge
 from nanogs.method.paper.parameters import PaperParameters
+from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import store_groups
 from nanogs.metrics import ssim
@@ -63,7 +64,7 @@ def scene(splats):
         np.ascontiguousarray(pairs), leaves.weights, leaves.means, leaves.covariances, dets,
         leaves.features, leaves.rows, leaves.seconds, leaves.shares, costs,
     )  # fmt: skip
-    forest = grow_forest(leaves, 8, 1.0, THREADS, nothing)
+    forest = grow_forest(leaves, ForestParameters(), THREADS, nothing)
     target = max(1, len(leaves) // RATIO)
     labels = cut.cut(forest, target, 0.8)
     merged = nodes.gather(leaves, labels, target)
@@ -174,7 +175,9 @@ def test_gather(timed, scene):
 
 
 def test_grow_forest(timed, scene):
-    timed(lambda: grow_forest(scene["leaves"], 8, 1.0, THREADS, nothing), scene["pairs"])
+    timed(
+        lambda: grow_forest(scene["leaves"], ForestParameters(), THREADS, nothing), scene["pairs"]
+    )
 
 
 def test_cut(timed, scene):

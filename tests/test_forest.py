@@ -28,6 +28,7 @@ from nanogs.method.nodes import (
     normalised,
 )
 from nanogs.method.order import morton_order
+from nanogs.method.parameters import ForestParameters
 from nanogs.method.store import MOST_OPAQUE, store_groups
 from nanogs.pipeline import run as pipeline_run
 from nanogs.pipeline.presets import PRESETS
@@ -45,7 +46,9 @@ def nodes_of(splats, pixel=0.0):
 
 
 def forest_of(count, seed=0, k=8):
-    return grow_forest(nodes_of(random_splats(count, seed=seed))[0], k, 1.0, 1, untold)
+    return grow_forest(
+        nodes_of(random_splats(count, seed=seed))[0], ForestParameters(k=k), 1, untold
+    )
 
 
 # Moments
@@ -100,7 +103,7 @@ def test_growing_needs_no_coverages():
     merged = gather_pairs(bare, labels, 25)
     assert merged.coverages is merged.weights
     assert np.array_equal(merged.weights, gather(nodes, labels, 25).weights)
-    forests = [grow_forest(x, 8, 1.0, 1, untold) for x in (nodes, bare)]
+    forests = [grow_forest(x, ForestParameters(k=8), 1, untold) for x in (nodes, bare)]
     assert np.array_equal(forests[0].children, forests[1].children)
     assert np.array_equal(forests[0].increments, forests[1].increments)
 
@@ -176,7 +179,7 @@ def test_a_forest_joins_all_and_no_node_twice(n, k, seed):
 
 def test_increments_are_those_of_the_merged_nodes():
     nodes, _ = nodes_of(random_splats(40, seed=4), 0.01)
-    forest = grow_forest(nodes, 6, 1.0, 1, untold)
+    forest = grow_forest(nodes, ForestParameters(k=6), 1, untold)
     sigmas = np.array([twins.unpack(six) for six in nodes.covariances])
 
     def moments(node):
@@ -201,7 +204,7 @@ def test_colour_decides_who_merges_where_it_weighs(lambda_app, together):
     splats.log_scales[:] = 0
     splats.sh[:, 0] = np.array([[0.0], [5], [0], [5]])
     nodes, rows = nodes_of(splats)
-    forest = grow_forest(nodes, 3, lambda_app, 1, untold)
+    forest = grow_forest(nodes, ForestParameters(k=3, lambda_app=lambda_app), 1, untold)
     pairs = rows[forest.children[forest.levels == 1]]
     assert set(np.abs(np.diff(pairs, axis=1)).ravel().tolist()) == together
     assert forest.levels.tolist() == [1, 1, 2]
@@ -340,7 +343,7 @@ def test_reassignment_keeps_every_group_and_fits_no_worse(n, seed, equal):
     leaves, _ = nodes_of(random_splats(n, seed=seed), 0.01)
     if equal:
         leaves = dataclasses.replace(leaves, weights=np.ones(n))
-    labels = cut(grow_forest(leaves, 8, 1.0, 1, untold), n // 4, 0.8)
+    labels = cut(grow_forest(leaves, ForestParameters(k=8), 1, untold), n // 4, 0.8)
     filled = []
     with pytest.MonkeyPatch.context() as patch:
         whole = reassign._refill
@@ -359,7 +362,7 @@ def test_reassignment_keeps_every_group_and_fits_no_worse(n, seed, equal):
 
 def test_no_round_changes_nothing_and_rounds_end_when_nothing_moves(monkeypatch):
     leaves, _ = nodes_of(random_splats(60, seed=5))
-    labels = cut(grow_forest(leaves, 8, 1.0, 1, untold), 12, 0.8)
+    labels = cut(grow_forest(leaves, ForestParameters(k=8), 1, untold), 12, 0.8)
     assert reassign.reassign(leaves, labels, 12, 0, 1) is labels
     settled = reassign.reassign(leaves, labels, 12, 100, 1)
     assert not np.array_equal(settled, labels)

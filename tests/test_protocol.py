@@ -13,6 +13,7 @@ from nanogs.cli.simplify_run import _judge
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import ModelError
 from nanogs.io.collect import Pair
+from nanogs.method.parameters import ForestParameters
 from nanogs.method.visibility import look
 from nanogs.protocol import Protocol
 from nanogs.scoring.held_out import held_out
@@ -116,7 +117,7 @@ def test_nothing_is_learnt_from_the_views_that_judge():
     scene = make_scene(500)
     judging = automatic_cameras(scene, split="test")
     learning = automatic_cameras(scene, 40, split="fit", habit=False)
-    views = look(scene, further=20, roaming=4)
+    views = look(scene, None, ForestParameters(views=14, view_size=768, further=20, roaming=4))
     learning += [view.camera for view in views.fitting] + list(views.further)
     learning += [view.camera for group in views.deciding for view in group.targets]
     places = {tuple(camera.position.round(6)) for camera in learning}

@@ -15,6 +15,7 @@ from nanogs.kernels.forest import log_determinants, merge_increments
 from nanogs.method.graph import neighbour_pairs
 from nanogs.method.match import MergePlan, match
 from nanogs.method.nodes import Nodes, gather, gather_pairs
+from nanogs.method.parameters import ForestParameters
 from nanogs.method.slices import SLICE_PAIRS, slices
 from nanogs.progress import Parts
 from nanogs.report import PassReport, StopReason
@@ -46,13 +47,12 @@ class Forest:
         return self.splats - len(self.children)
 
 
-def grow_forest(leaves: Nodes, k: int, lambda_app: float, threads: int, tell: Parts) -> Forest:
+def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell: Parts) -> Forest:
     """Match nearly all nodes with a neighbour, merge, and again until one is left.
 
     Args:
         leaves: N nodes, one a splat.
-        k: Neighbours of each node in the graph.
-        lambda_app: Weight of the colour's increment beside the geometry's.
+        parameters: k and lambda_app are used.
         threads: Threads for the nearest-neighbour query.
         tell: Told of the merges done.
     """
@@ -64,7 +64,7 @@ def grow_forest(leaves: Nodes, k: int, lambda_app: float, threads: int, tell: Pa
     stop = StopReason.TARGET
     while len(nodes) > 1:
         told = partial(_tell_within, tell, count, len(nodes))
-        plan, increments, report = _one_pass(nodes, k, lambda_app, threads, told)
+        plan, increments, report = _one_pass(nodes, parameters, threads, told)
         if len(plan) == 0:
             none_left = report.candidates == report.without_cost
             stop = StopReason.NO_CANDIDATES if none_left else StopReason.NO_PROGRESS
@@ -96,18 +96,18 @@ def _tell_within(tell: Parts, splats: int, nodes: int, share: float) -> None:
 
 
 def _one_pass(
-    nodes: Nodes, k: int, lambda_app: float, threads: int, told: Callable[[float], None]
+    nodes: Nodes, parameters: ForestParameters, threads: int, told: Callable[[float], None]
 ) -> tuple[MergePlan, F32, PassReport]:
     """Graph, cost and match; the plan, the increments of its pairs, and what was done."""
     count, clock = len(nodes), StageClock()
     told(0)
     with clock.time("graph"):
-        pairs = neighbour_pairs(nodes.means, k, threads)
+        pairs = neighbour_pairs(nodes.means, parameters.k, threads)
     told(0.5)
     with clock.time("cost"):
         dets = np.empty(count)
         log_determinants(nodes.covariances, dets)
-        costs = _costs(pairs, nodes, dets, lambda_app)
+        costs = _costs(pairs, nodes, dets, parameters)
     told(0.65)
     with clock.time("match"):
         plan = match(pairs, costs, count, count // 2)
@@ -120,13 +120,13 @@ def _one_pass(
     return plan, chosen, report
 
 
-def _costs(pairs: I32, nodes: Nodes, dets: F64, lambda_app: float) -> F32:
+def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) -> F32:
     """(E,) float32: increments weighed, slice by slice, since both are twice as large."""
     costs = np.empty(len(pairs), dtype=np.float32)
     for part in slices(len(pairs), SLICE_PAIRS):
         increments = _increments(np.ascontiguousarray(pairs[part]), nodes, dets)
         with np.errstate(over="ignore"):  # a pair that costs too much to be said comes last
-            increments[:, 0] *= np.float32(lambda_app)
+            increments[:, 0] *= np.float32(parameters.lambda_app)
             np.add(increments[:, 0], increments[:, 1], out=costs[part])
     return costs
 

@@ -12,6 +12,7 @@ from nanogs.fit.groups import Group, split
 from nanogs.fit.targets import Target, as_target
 from nanogs.fit.views import choose_cameras
 from nanogs.formatting import counted
+from nanogs.method.parameters import ForestParameters
 from nanogs.metrics import psnr, ssim
 from nanogs.progress import Parts, each, untold
 from nanogs.raster.camera import Camera
@@ -49,30 +50,25 @@ class OriginalViews:
 
 def look(
     splats: Splats,
-    cameras: Sequence[Camera] | None = None,
-    count: int = 14,
-    size: int = 768,
-    further: int = 0,
-    roaming: int = 0,
+    cameras: Sequence[Camera] | None,
+    parameters: ForestParameters,
     tell: Parts = untold,
 ) -> OriginalViews:
     """Render the original once.
 
     Args:
         splats: N splats.
-        cameras: The views; by default automatic ones.
-        count: How many of them at most.
-        size: Pixels along the longer side of a view at most.
-        further: How many more cameras to choose, at most, for views to fit to.
-        roaming: Small views from anywhere in free space (see `roam`) that only say what is hidden;
-            none where cameras are given.
+        cameras: The views; None for automatic ones.
+        parameters: `views`, `view_size`, `further` and `roaming` are used; roaming views only where
+            no cameras are given.
         tell: Told of the views rendered.
 
     Raises:
         ModelError: No splat is visible.
     """
-    looked, rest = choose_cameras(splats, cameras, count, further, size)
-    wandering = 0 if cameras else roaming
+    count, further = parameters.views, parameters.further if parameters.steps else 0
+    looked, rest = choose_cameras(splats, cameras, count, further, parameters.view_size)
+    wandering = 0 if cameras else parameters.roaming
     prepared = prepare(splats)
     light = Light(len(splats))
     views: list[Target] = []

@@ -86,11 +86,7 @@ def build_forest(
         progress.begin("look")
         with clock.time("look"):
             try:
-                views = look(
-                    splats, cameras, parameters.views, parameters.view_size,
-                    parameters.further if parameters.steps else 0, parameters.roaming,
-                    progress.part,
-                )  # fmt: skip
+                views = look(splats, cameras, parameters, progress.part)
                 notes = (*lens_notes(cameras or ()), *views.notes)
             except ModelError as error:
                 notes = (f"Nothing was measured: {error}",)
@@ -116,9 +112,7 @@ def build_forest(
     progress.begin("grow")
     # Made again for what follows: the passes are the most that is held, and they have no use for
     # the leaves after the first.
-    forest = grow_forest(
-        without_coverages(leaves()), parameters.k, parameters.lambda_app, threads, progress.part
-    )
+    forest = grow_forest(without_coverages(leaves()), parameters, threads, progress.part)
     for one_pass in forest.passes:
         clock.add(one_pass.seconds)
     nodes, shown = leaves(), None

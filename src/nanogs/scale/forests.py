@@ -45,7 +45,7 @@ def grow(
         balances: Of the cuts that are going to be made of it.
         threads: Threads for the nearest-neighbour query.
     """
-    forest = grow_forest(leaves(), parameters.k, parameters.lambda_app, threads, untold)
+    forest = grow_forest(leaves(), parameters, threads, untold)
     columns: dict[str, Array | Sorted] = {CHILDREN: forest.children}
     for number, balance in enumerate(balances):
         # Errors are not over the block's own median, so that scores of all blocks compare. In

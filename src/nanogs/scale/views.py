@@ -76,7 +76,7 @@ def views_of(data: Mapping[str, Any]) -> Views:
 
 
 def choose_views(work: "Work") -> Views:
-    """Choose the views of the whole scene, from its coarse level.
+    """Choose the views of the whole scene, from rows spread over it; or those asked for.
 
     Args:
         work: The job, the coarse level done.
