@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from nanogs.fit.parameters import RefitParameters
     from nanogs.fit.report import RefitReport
     from nanogs.io import load, open, save  # noqa: A004 - what it is called everywhere
+    from nanogs.lod.write import write_levels
     from nanogs.model_info import info
     from nanogs.pipeline.api import simplify
     from nanogs.pipeline.levels import levels
@@ -46,6 +47,7 @@ __all__ = [
     "save",
     "simplify",
     "simplify_blocks",
+    "write_levels",
 ]
 
 # Where the names are from. They are imported when they are first asked for: the command runs this
@@ -70,6 +72,7 @@ _HOMES = {
     "save": "io",
     "simplify": "pipeline.api",
     "simplify_blocks": "scale.api",
+    "write_levels": "lod.write",
 }
 _ATTRIBUTES = {"presets": "PRESETS"}  # what they are called there, if not the same
 _MODULES = (

@@ -135,7 +135,7 @@ def make_levels(request: Request, plan: Plan) -> dict[str, Any]:
             quiet=request.hushed,
         )  # fmt: skip
     blocks.refuse_fitting(output.folder)
-    given = request.given | {"threads": request.threads, "turn": request.turn}
+    given = request.given | {"threads": request.threads, "frame": request.turn}
     given |= {"max_memory": blocks.max_memory, "measured": plan.measured}
     run = write_whole(
         plan, parts, request.reading, output, ratios, request.overwrite, request.cameras,

@@ -2,12 +2,15 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from nanogs._version import __version__
+from nanogs.bar import drawn
 from nanogs.frames import change_frame
 from nanogs.io.folder import atomic_folder
+from nanogs.io.models import Model, as_splats
 from nanogs.lod.chunks import Written
 from nanogs.lod.file_levels import PLY
 from nanogs.lod.layout import NAMES, Layout, LevelWriter, check_options, made_files, writer
@@ -25,35 +28,35 @@ _NO_PARAMETERS = ("preset", "cameras", "nan", "threads", "max_memory")
 
 
 def write_levels(
-    splats: Splats,
-    folder: Path,
+    model: Model,
+    folder: str | PathLike[str],
     ratios: Sequence[float],
     *,
-    source: str,
+    source: str | None = None,
     layout: Layout = Layout.FILES,
     chunk: int | None = None,
     plain: bool = False,
     suffix: str = PLY,
-    turn: tuple[str, str] | None = None,
+    frame: tuple[str, str] | None = None,
     overwrite: bool = False,
     measured: bool = False,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     **options: Any,  # noqa: ANN401 - as `levels` takes them
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make the levels of a model; all of the folder appears or nothing.
 
     Args:
-        splats: The model.
+        model: The model, a source of it, or a path.
         folder: The folder to make.
         ratios: As `levels` takes them.
-        source: Name of the model for the manifest.
-        layout: Files of their own, streamed SOG, or 3D Tiles.
+        source: Name of the model for the manifest; by default that of its file.
+        layout: ".ply files", "streamed sog" or "3d tiles".
         chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
             default.
         plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
             them.
         suffix: Format of levels in files of their own.
-        turn: Frames from and to which the levels are turned before they are written.
+        frame: From and to which the levels are turned before they are written.
         overwrite: Replace the folder if it holds nothing but earlier levels.
         measured: Hold what was written of each level against the model, as `nanogs compare` does.
         progress: As `levels` takes it; a stage "write" follows each level.
@@ -67,6 +70,8 @@ def write_levels(
         ModelError: As for `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
+    layout, splats = Layout(layout), as_splats(model)
+    name = source or (Path(model).name if isinstance(model, str | PathLike) else "a model")
     entries: list[Level | ChunkedLevel] = []
     reports: list[SimplifyReport] = []
     left_out: list[str] = []
@@ -74,45 +79,46 @@ def write_levels(
     stages = write_levels_stages(
         _parameters(options), len(splats), ratios, layout, suffix, measured=measured
     )
-    tracker = Tracker(progress, stages)
-    made = judged_levels(splats, ratios, judged=measured, progress=tracker.passing(), **options)
-    threads = options.get("threads")
-    judge = LevelJudge()
-    if measured:
-        judge = level_judge(splats, suffix, turn, threads, tracker)
-    with atomic_folder(folder, made_files, overwrite=overwrite) as temporary:
-        out = writer(layout, temporary, chunk, plain=plain, suffix=suffix)
-        for ratio in ratios:
-            report, written, losses = _write_next(made, out, turn, tracker)
-            # Said once of the finest level, and of others where it is not the same.
-            prefix = f"Level {len(reports)}: " if reports else ""
-            left_out += [prefix + loss for loss in losses if loss not in left_out]
-            reports.append(report)
-            if layout is Layout.FILES:
-                path = temporary / written.names[0]
-                entries.append(judge.of_file(describe_level(path, ratio, report), path))
-            else:
-                entries.append(describe_chunks(*written, ratio, report))
-        manifest = _manifest(source, entries, reports, [*left_out, *judge.notes])
-        if judge.views:
-            manifest = replace(manifest, protocol=judge.views.protocol)
-        out.finish(manifest)
-        if layout is not Layout.FILES:  # what describes the chunks is there now
-            manifest = judge.of_chunks(manifest, temporary / NAMES[layout])
-    tracker.finish()
-    return manifest, tuple(reports)
+    with drawn(progress) as tell:
+        tracker = Tracker(tell, stages)
+        made = judged_levels(splats, ratios, judged=measured, progress=tracker.passing(), **options)
+        threads = options.get("threads")
+        judge = LevelJudge()
+        if measured:
+            judge = level_judge(splats, suffix, frame, threads, tracker)
+        with atomic_folder(Path(folder), made_files, overwrite=overwrite) as temporary:
+            out = writer(layout, temporary, chunk, plain=plain, suffix=suffix)
+            for ratio in ratios:
+                report, written, losses = _write_next(made, out, frame, tracker)
+                # Said once of the finest level, and of others where it is not the same.
+                prefix = f"Level {len(reports)}: " if reports else ""
+                left_out += [prefix + loss for loss in losses if loss not in left_out]
+                reports.append(report)
+                if layout is Layout.FILES:
+                    path = temporary / written.names[0]
+                    entries.append(judge.of_file(describe_level(path, ratio, report), path))
+                else:
+                    entries.append(describe_chunks(*written, ratio, report))
+            manifest = _manifest(name, entries, reports, [*left_out, *judge.notes])
+            if judge.views:
+                manifest = replace(manifest, protocol=judge.views.protocol)
+            out.finish(manifest)
+            if layout is not Layout.FILES:  # what describes the chunks is there now
+                manifest = judge.of_chunks(manifest, temporary / NAMES[layout])
+        tracker.finish()
+        return manifest, tuple(reports)
 
 
 def _write_next(
     made: Iterator[tuple[Splats, SimplifyReport]],
     out: LevelWriter,
-    turn: tuple[str, str] | None,
+    frame: tuple[str, str] | None,
     progress: Tracker,
 ) -> tuple[SimplifyReport, Written, tuple[str, ...]]:
     """Make and write one level; nothing of it is kept but its report and what was left out."""
     small, report = next(made)
-    if turn:
-        small = change_frame(small, *turn)
+    if frame:
+        small = change_frame(small, *frame)
     progress.begin("write")
     return report, out.add(small, progress.part), out.losses(small)
 
