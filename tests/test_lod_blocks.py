@@ -16,7 +16,7 @@ from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.lod.cells import divide
 from nanogs.lod.layout import Layout, made_files
-from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.presets import PRESETS
 from nanogs.scale import levels_folder, stages
 from nanogs.scale import run as scale_run
 from nanogs.scale.chunked import cut_of
@@ -341,7 +341,7 @@ def test_memory_bounds_blocks_and_files_of_chunks():
     layout = Columns(3, False, (), "default", (), ())
 
     def plan(room, chunks):
-        return plan_blocks(10**7, layout, ForestParameters(), (0.5,), room, None, chunks)
+        return plan_blocks(10**7, layout, PRESETS["fast"], (0.5,), room, None, chunks)
 
     plain, small, large = (
         plan(500_000_000, chunks)
@@ -365,10 +365,10 @@ def test_the_command(tmp_path):
     nanogs.save(random_splats(200_000, degree=0), scene)
     path = tmp_path / "web" / "lod-meta.json"
     options = ["--levels", "0.05,0.001", "--preset", "fast", "--chunk", "2000"]
-    options += ["--max-memory", "275MB"]
+    options += ["--max-memory", "250MB"]
     planned = json.loads(run("lod", scene, path, *options, "--dry-run", "--json").stdout)
     assert planned["blocks"]["blocks"] > 1
-    assert planned["blocks"]["memory"] <= 275_000_000
+    assert planned["blocks"]["memory"] <= 250_000_000
     plan = run("lod", scene, tmp_path / "web" / "tileset.json", *options, "--dry-run").stderr
     assert "of at most" in plan
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.ply"]

@@ -98,7 +98,7 @@ def connected(scheduler: str) -> Iterator["Client"]:
         except Exception as error:  # Dask raises most kinds here, by what it finds at the address
             raise OptionError(
                 f"No Dask scheduler answers at {scheduler!r} ({type(error).__name__}); start one"
-                " with `dask scheduler`, or leave --scheduler out."
+                " with `dask scheduler`, or do without one."
             ) from None
         with closing(client):
             yield client
