@@ -81,14 +81,13 @@ def look(
         views.append(as_target(view, camera))
     fitting, deciding = split(views, max(1, len(views) // DECIDING))
     notes: tuple[str, ...] = ()
-    visible, missed = light.shares(), light.whole == 0
-    visible[missed] = 1.0
+    anywhere: Light | None = None
     if wandering:
-        there, notes = _light_from_anywhere(
-            splats, prepared, wandering, lambda done, _: tell(len(looked) + done, total)
+        found, notes = roaming_views(
+            splats, wandering, lambda done, _: tell(len(looked) + done, total)
         )
-        np.maximum(visible, there.shares(), out=visible)
-        missed &= there.whole == 0
+        anywhere = light_in(prepared, found)
+    visible, missed = visibility_of(light, anywhere)
     return OriginalViews(visible, missed, deciding, fitting, tuple(rest), notes)
 
 
@@ -112,18 +111,41 @@ class Light:
         return np.minimum(shares, 1.0, out=shares)
 
 
-def _light_from_anywhere(
-    splats: Splats, prepared: PreparedSplats, count: int, tell: Parts
-) -> tuple[Light, tuple[str, ...]]:
-    """The light in small roaming views, and a note where fewer of them were found."""
+def light_in(prepared: PreparedSplats, cameras: Sequence[Camera]) -> Light:
+    """The light of splats in views that are not kept."""
+    light = Light(len(prepared))
+    for camera in cameras:
+        light.add(render(prepared, camera, contributions=True, sh_degree=0))
+    return light
+
+
+def visibility_of(looked: Light, anywhere: Light | None) -> tuple[F64, Bool]:
+    """How visible splats are, and which lie in no view.
+
+    Args:
+        looked: In the views that are looked from; a splat that lies in none counts as visible.
+        anywhere: In roaming views, which can only show more; None without any.
+
+    Returns:
+        (N,) float64 in [0, 1], and (N,) bool.
+    """
+    visible, missed = looked.shares(), looked.whole == 0
+    visible[missed] = 1.0
+    if anywhere is not None:
+        np.maximum(visible, anywhere.shares(), out=visible)
+        missed &= anywhere.whole == 0
+    return visible, missed
+
+
+def roaming_views(
+    splats: Splats, count: int, tell: Parts = untold
+) -> tuple[list[Camera], tuple[str, ...]]:
+    """Small roaming cameras to look from, and a note where fewer of them were found."""
     found: list[Camera] = []
     with suppress(ModelError):  # none was found, which the note says
         found = roaming_cameras(splats, count, width=SMALL, height=SMALL, split="fit", tell=tell)
-    light = Light(len(splats))
-    for camera in found:
-        light.add(render(prepared, camera, contributions=True, sh_degree=0))
     lacking = f"Of {counted(count, 'roaming view')} to look from {len(found)} were found."
-    return light, (lacking,) if len(found) < count else ()
+    return found, (lacking,) if len(found) < count else ()
 
 
 def visible_weights(coverages: F64, visible: F64, hidden: float) -> F64:
@@ -147,8 +169,12 @@ def shown_share(coverages: F64, visible: F64, missed: Bool) -> float:
         missed: (N,) which lie in no view.
     """
     total = float(coverages.sum())
-    shown = float(coverages[(visible >= SHOWN) & ~missed].sum())
-    return shown / total if total > 0 else 0.0
+    return shown_coverage(coverages, visible, missed) / total if total > 0 else 0.0
+
+
+def shown_coverage(coverages: F64, visible: F64, missed: Bool) -> float:
+    """Sum of the footprints that views show; the arguments are those of `shown_share`."""
+    return float(coverages[(visible >= SHOWN) & ~missed].sum())
 
 
 def judge(small: Splats, views: OriginalViews) -> tuple[float, float]:

@@ -2,11 +2,15 @@
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from nanogs._types import F64
 from nanogs.fit.views import choose_cameras
-from nanogs.method.visibility import SHOWN, Light, visible_weights
+from nanogs.method.visibility import (
+    Light,
+    light_in,
+    shown_coverage,
+    visibility_of,
+    visible_weights,
+)
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, render, together
 from nanogs.scale.asked import camera_of, plain_camera
@@ -21,7 +25,7 @@ if TYPE_CHECKING:
     from nanogs.scale.work import Work
 
 VISIBLE = "visible"
-SMALL = 0.2  # of a view's pixels, in whose parts a block is small
+DISTANT = 0.2  # of a view's pixels, in a smaller part of which a block is too far away
 
 
 def look_at_block(work: "Work", name: str, block: int) -> Record:
@@ -36,21 +40,16 @@ def look_at_block(work: "Work", name: str, block: int) -> Record:
     views, n = work.views, len(own)
     cameras = [*views.kept, *closer_views(work, own)]
     scene = together(prepare(own), surroundings(work, block, FINE))
-    looked, anywhere = Light(len(scene)), Light(len(scene))
-    light = []
+    looked, light = Light(len(scene)), []
     for camera in cameras:
         view = render(scene, camera, contributions=True, sh_degree=0)
         looked.add(view)
         assert view.contributions is not None  # noqa: S101 - asked for
         light.append(float(view.contributions[:n].sum()))
-    for camera in views.roaming:
-        anywhere.add(render(scene, camera, contributions=True, sh_degree=0))
+    anywhere = light_in(scene, views.roaming) if views.roaming else None
     del scene
-    visible, missed = looked.shares()[:n], looked.whole[:n] == 0
-    visible[missed] = 1.0
-    if views.roaming:
-        np.maximum(visible, anywhere.shares()[:n], out=visible)
-        missed &= anywhere.whole[:n] == 0
+    visible, missed = visibility_of(looked, anywhere)
+    visible, missed = visible[:n], missed[:n]  # the surroundings' are not asked for
     coverages = leaves_of(own, rows, work.frame).coverages
     weights = visible_weights(coverages, visible[rows], work.settings.parameters.hidden)
     facts = {
@@ -58,7 +57,7 @@ def look_at_block(work: "Work", name: str, block: int) -> Record:
         "light": light,
         "weight": float(weights.sum()),
         "coverage": float(coverages.sum()),
-        "shown": float(coverages[((visible >= SHOWN) & ~missed)[rows]].sum()),
+        "shown": shown_coverage(coverages, visible[rows], missed[rows]),
     }
     return write_table(work.scratch, name, {VISIBLE: visible}, facts)
 
@@ -81,7 +80,7 @@ def closer_views(work: "Work", own: Splats) -> list[Camera]:
     if work.partition.blocks == 1 or not kept or work.settings.asked.cameras:
         return []
     drawn = prepare(own)
-    least = SMALL * kept[0].width * kept[0].height
+    least = DISTANT * kept[0].width * kept[0].height
     parts = [part for part in parts_of(drawn, drawn.keep, kept) if part]
     if not drawn.keep.any() or any(part.width * part.height > least for part in parts):
         return []

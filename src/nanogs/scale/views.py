@@ -1,7 +1,6 @@
 """The views of a job in blocks: chosen once, for the whole scene, and cut to what a block shows."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +9,9 @@ import numpy as np
 from nanogs._types import Bool
 from nanogs.errors import ModelError
 from nanogs.fit.views import choose_cameras
-from nanogs.formatting import counted
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.project import HIDDEN, unpack_box
-from nanogs.method.visibility import DECIDING, SMALL
+from nanogs.method.visibility import DECIDING, roaming_views
 from nanogs.pipeline.cameras import fit_cameras
 from nanogs.raster.camera import Camera, spread
 from nanogs.raster.rendering import PreparedSplats, project
@@ -21,7 +19,6 @@ from nanogs.scale.asked import camera_of, plain_camera
 from nanogs.scale.coarse import coarse_scene
 from nanogs.scale.memory import FINE
 from nanogs.scale.source import sample
-from nanogs.views.roam import roaming_cameras
 
 if TYPE_CHECKING:
     from nanogs.scale.work import Work
@@ -98,13 +95,7 @@ def choose_views(work: "Work") -> Views:
     roaming: list[Camera] = []
     if parameters.roaming and not given:
         scene = coarse_scene(work, FINE) or work.block(0)[0]
-        with suppress(ModelError):  # none was found, which the note says
-            roaming = roaming_cameras(
-                scene, parameters.roaming, width=SMALL, height=SMALL, split="fit"
-            )
-        if len(roaming) < parameters.roaming:
-            wanted = counted(parameters.roaming, "roaming view")
-            notes = (f"Of {wanted} to look from {len(roaming)} were found.",)
+        roaming, notes = roaming_views(scene, parameters.roaming)
     return Views(tuple(kept), tuple(further), tuple(roaming), notes)
 
 
