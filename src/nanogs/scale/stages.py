@@ -35,7 +35,7 @@ from nanogs.scale.work import Task, Work
 from nanogs.threads import use_threads
 
 FEWEST = 64  # splats of a block's part, on average
-Per = Literal["job", "file", "segment", "block", "other"]
+Per = Literal["job", "file", "segment", "block"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +44,12 @@ class JobStage:
 
     Attributes:
         name: For progress, clock and tables.
-        per: What it is done for: once, or for each packed file, segment or block; "other" for
-            blocks that have others.
+        per: What it is done for: once, or for each packed file, segment or block.
         do: Does one task of it.
         seconds: For a million splats, of one machine.
         wanted: Whether a job has it.
         levels: How many it has; None for one of each result.
+        needed: Whether there is anything to do, those before it being done.
     """
 
     name: str
@@ -58,10 +58,11 @@ class JobStage:
     seconds: float
     wanted: Callable[[Settings], bool] = lambda _: True
     levels: int | None = 1
+    needed: Callable[[Work], bool] = lambda _: True
 
     def count(self, work: Work) -> int:
         """How many tasks it has, those before it being done."""
-        if self.wanted is _measures and not work.measures:
+        if not self.needed(work):
             return 0
         if self.per == "job":
             return 1
@@ -69,8 +70,7 @@ class JobStage:
             return len(work.settings.unpacked)
         if self.per == "segment":
             return len(work.settings.segments)
-        blocks = work.partition.blocks
-        return 0 if self.per == "other" and blocks == 1 else blocks
+        return work.partition.blocks
 
 
 def do(work: Work, task: Task) -> Record:
@@ -276,6 +276,14 @@ def _in_chunks(settings: Settings) -> bool:
     return settings.chunks is not None
 
 
+def _divided(work: Work) -> bool:
+    return work.partition.blocks > 1
+
+
+def _shown(work: Work) -> bool:
+    return work.measures
+
+
 STAGES = {
     stage.name: stage
     for stage in (
@@ -283,19 +291,19 @@ STAGES = {
         JobStage("frame", "job", _frame, 1.0),
         JobStage("segment", "segment", _segment, 0.5),
         JobStage("partition", "job", _partition, 0.05),
-        JobStage("rough", "other", _rough, 5.0, _looks),
+        JobStage("rough", "block", _rough, 5.0, _looks, needed=_divided),
         JobStage("outline", "job", _outline, 0.02, _looks),
-        JobStage("coarse", "other", _coarse, 0.5, _looks, len(COARSE_SHARES)),
+        JobStage("coarse", "block", _coarse, 0.5, _looks, len(COARSE_SHARES), _divided),
         JobStage("views", "job", _views, 0.5, _looks),
         JobStage("look", "block", _look, 3.0, _looks),
         JobStage("forest", "block", _forest, 5.0),
         JobStage("budget", "job", _budget, 0.02, levels=None),
-        JobStage("trial", "block", _trial, 2.0, _measures, levels=None),
-        JobStage("pick", "job", _pick, 0.01, _measures, levels=None),
+        JobStage("trial", "block", _trial, 2.0, _measures, None, _shown),
+        JobStage("pick", "job", _pick, 0.01, _measures, None, _shown),
         JobStage("cut", "block", _cut, 0.4, _settles, levels=None),
         JobStage("settle", "block", _settle, 2.0, _settles, levels=None),
-        JobStage("judge", "block", _judge, 2.0, _measures, levels=None),
-        JobStage("choose", "job", _choose, 0.01, _measures, levels=None),
+        JobStage("judge", "block", _judge, 2.0, _measures, None, _shown),
+        JobStage("choose", "job", _choose, 0.01, _measures, None, _shown),
         JobStage("part", "block", _part, 0.5, levels=None),
         JobStage("fit", "block", _fit, 5.0, _fits, levels=None),
         JobStage("rest", "job", _rest, 0.2, _in_chunks, levels=None),

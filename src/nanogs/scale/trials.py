@@ -151,9 +151,7 @@ def _report(
 ) -> dict[str, Any]:
     """A `CandidateReport` as plain data, from the errors of all blocks."""
     pixels = np.array([camera.width * camera.height for camera in work.views.deciding])
-    sums = np.sum([np.array(each).reshape(-1, 2) for each in of_blocks], axis=0)
-    if len(pixels) == 0:  # nothing can be seen, and all candidates look alike
-        sums, pixels = np.zeros((1, 2)), np.ones(1)
+    sums = np.sum([np.array(each) for each in of_blocks], axis=0)
     with np.errstate(divide="ignore"):
         psnrs = np.minimum(-10 * np.log10(sums[:, 0] / pixels), MOST)
     psnr, similar = float(psnrs.mean()), float(np.mean(1 - sums[:, 1] / pixels))

@@ -130,7 +130,7 @@ class Work:
     @property
     def looks(self) -> bool:
         """Whether anything is looked at: not in a scene that shows nothing."""
-        return self.settings.looks and bool(self.views.kept)
+        return self.settings.looks and bool(self.of_job("views").facts["kept"])
 
     @property
     def measures(self) -> bool:
