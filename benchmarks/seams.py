@@ -10,14 +10,14 @@ import nanogs
 from nanogs.clock import StageClock
 from nanogs.metrics import psnr, ssim
 from nanogs.neighbours import nearest_neighbours
+from nanogs.pipeline.frame import survey
+from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.result import write_result
+from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.raster.rendering import prepare, render
-from nanogs.scale.api import block_parameters, plan_job
-from nanogs.scale.frame import survey
-from nanogs.scale.result import write_result
-from nanogs.scale.run import Here, run_tasks
-from nanogs.scale.scratch import FolderScratch
 from nanogs.splats import Splats
+from nanogs.store.scratch import FolderScratch
 from nanogs.views.automatic import automatic_cameras
 
 VIEWS, SIZE = 8, 512
@@ -46,7 +46,7 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
 
 
 def _budget():  # noqa: ANN202 - a task
-    from nanogs.scale.work import Task
+    from nanogs.pipeline.work import Task
 
     return Task("budget")
 

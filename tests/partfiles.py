@@ -7,9 +7,9 @@ from tempfile import TemporaryDirectory
 
 from nanogs import io
 from nanogs.io.parts import Packed, Whole
-from nanogs.scale.scratch import FolderScratch
-from nanogs.scale.tables import write_table
-from nanogs.scale.unpack import NOTES, Unpacked, streamed
+from nanogs.pipeline.unpack import NOTES, Unpacked, streamed
+from nanogs.store.scratch import FolderScratch
+from nanogs.store.tables import write_table
 
 
 @contextmanager

@@ -30,7 +30,7 @@ from nanogs.method.nodes import (
 from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.store import MOST_OPAQUE, store_groups
-from nanogs.pipeline import run as pipeline_run
+from nanogs.pipeline import in_memory as pipeline_run
 from nanogs.pipeline.presets import PRESETS
 from nanogs.progress import Tracker, untold
 from nanogs.report import PassReport, StopReason

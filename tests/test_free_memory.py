@@ -281,8 +281,8 @@ def test_in_python_a_model_that_would_not_fit_is_refused_before_work(monkeypatch
 
 
 def test_blocks_that_are_resumed_keep_their_size_whatever_is_free(scene, tmp_path, monkeypatch):
-    from nanogs.scale.api import block_memory
-    from nanogs.scale.folder import read_manifest
+    from nanogs.pipeline.folder import read_manifest
+    from nanogs.pipeline.in_blocks import block_memory
 
     job, out = tmp_path / "job", tmp_path / "small.ply"
 
@@ -352,7 +352,7 @@ def test_memory_that_runs_out_in_blocks_names_the_job_that_is_kept(
         raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr("nanogs.scale.work.store_groups", run_out)
+        patch.setattr("nanogs.pipeline.work.store_groups", run_out)
         assert command(*given) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "error: Memory ran out; free some" in said
@@ -369,7 +369,7 @@ def test_memory_that_runs_out_before_a_job_is_begun_names_none(
     def run_out(*_args):
         raise MemoryError
 
-    monkeypatch.setattr("nanogs.scale.job.open_scratch", run_out)
+    monkeypatch.setattr("nanogs.pipeline.stored_job.open_scratch", run_out)
     assert command("simplify", scene, tmp_path / "a.ply", "-r", "0.1", "--preset", "fast") == 2
     assert ".job" not in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
@@ -590,8 +590,8 @@ def test_too_little_for_chunks_is_refused_before_anything_is_read(
     def read(*_args, **_options):
         raise AssertionError
 
-    monkeypatch.setattr("nanogs.scale.stages.do", read)
-    monkeypatch.setattr("nanogs.scale.run.do", read)
+    monkeypatch.setattr("nanogs.pipeline.stages.do", read)
+    monkeypatch.setattr("nanogs.pipeline.run.do", read)
     given = ["lod", scene, tmp_path / "web" / "lod-meta.json", "--max-memory", "260MB"]
     (tmp_path / "web").mkdir()
     assert command(*given) == 2

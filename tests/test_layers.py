@@ -29,9 +29,8 @@ report
 method
 memory needs summary
 view scoring
-pipeline
-lod
-scale model_info
+store lod
+pipeline model_info
 ahead bench cli __main__
 """.split()
 
@@ -58,7 +57,6 @@ NOT = {
 }
 # Where that does not hold yet, or need not.
 STILL = {
-    ("lod.write", "nanogs.pipeline"): "makes the levels that it writes, one after the other",
     ("method.choose", "nanogs.progress"): "candidates are told of one by one",
     ("method.forest", "nanogs.progress"): "passes are told of one by one",
     ("method.visibility", "nanogs.progress"): "views are told of one by one",

@@ -17,7 +17,7 @@ from nanogs.cli.lod import exit_if_short
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.folder import atomic_folder
 from nanogs.lod.manifest import made_files
-from nanogs.lod.write import write_levels
+from nanogs.pipeline.write_levels import write_levels
 from nanogs.report import StopReason
 from test_cli import assert_refused
 
@@ -50,7 +50,7 @@ def test_every_level_is_what_simplify_gives(splats, preset, small_views):
 
 
 def test_one_build_serves_all_levels(splats, monkeypatch):
-    from nanogs.pipeline import run as pipeline_run
+    from nanogs.pipeline import in_memory as pipeline_run
 
     built = []
     grow = pipeline_run.grow_forest

@@ -16,19 +16,19 @@ from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.lod.cells import divide
 from nanogs.lod.layout import Layout, made_files
+from nanogs.pipeline import levels_folder, stages
+from nanogs.pipeline import run as scale_run
+from nanogs.pipeline.chunked import cut_of
+from nanogs.pipeline.folder import MANIFEST
+from nanogs.pipeline.levels_in_blocks import write_levels_in_blocks
+from nanogs.pipeline.plan import plan_blocks
 from nanogs.pipeline.presets import PRESETS
-from nanogs.scale import levels_folder, stages
-from nanogs.scale import run as scale_run
-from nanogs.scale.chunked import cut_of
-from nanogs.scale.folder import MANIFEST
-from nanogs.scale.job import Where
-from nanogs.scale.levels import write_levels_in_blocks
-from nanogs.scale.plan import plan_blocks
-from nanogs.scale.scratch import FolderScratch
-from nanogs.scale.settings import SOG, TILES, Chunks
-from nanogs.scale.tables import write_table
+from nanogs.pipeline.settings import SOG, TILES, Chunks
+from nanogs.pipeline.stored_job import Where
 from nanogs.source import Layout as Columns
 from nanogs.splats import concatenate
+from nanogs.store.scratch import FolderScratch
+from nanogs.store.tables import write_table
 from test_lod_stream import assert_binary, files, leaves, seen_by_the_viewer
 from test_scale_runs import wall
 from test_tiles import corners, level_of, tiles

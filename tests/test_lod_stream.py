@@ -27,7 +27,7 @@ from nanogs.lod.boxes import box_around
 from nanogs.lod.cells import LEAF, divide
 from nanogs.lod.layout import Layout, made_files, output_of
 from nanogs.lod.streamed_sog import StreamedSog
-from nanogs.lod.write import write_levels
+from nanogs.pipeline.write_levels import write_levels
 from nanogs.threads import use_threads
 from npm_packages import package, served
 from test_cli import assert_refused

@@ -19,16 +19,14 @@ from builders import model_bytes, random_splats
 from nanogs.errors import FormatError, ModelError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
-from nanogs.scale import run, stages
-from nanogs.scale.budget import budget
-from nanogs.scale.columns import CODES
-from nanogs.scale.folder import LOCK, MANIFEST, locked
-from nanogs.scale.forests import BINS, histogram_of, keys, scores_of
-from nanogs.scale.frame import Frame
-from nanogs.scale.partition import partition
-from nanogs.scale.plan import held_bytes, plan_blocks
-from nanogs.scale.scratch import FolderScratch, open_scratch
-from nanogs.scale.settings import (
+from nanogs.pipeline import run, stages
+from nanogs.pipeline.budget import budget
+from nanogs.pipeline.folder import LOCK, MANIFEST, locked
+from nanogs.pipeline.forests import BINS, histogram_of, keys, scores_of
+from nanogs.pipeline.frame import Frame
+from nanogs.pipeline.partition import partition
+from nanogs.pipeline.plan import held_bytes, plan_blocks
+from nanogs.pipeline.settings import (
     VERSION,
     Access,
     InputFile,
@@ -37,10 +35,12 @@ from nanogs.scale.settings import (
     Sieve,
     settings_of,
 )
-from nanogs.scale.settle import keep_every_group
-from nanogs.scale.spill import DIGEST
-from nanogs.scale.tables import Table, read_record, verified, write_table
+from nanogs.pipeline.settle import keep_every_group
+from nanogs.pipeline.spill import DIGEST
 from nanogs.source import Layout
+from nanogs.store.columns import CODES
+from nanogs.store.scratch import FolderScratch, open_scratch
+from nanogs.store.tables import Table, read_record, verified, write_table
 from torchfiles import File
 
 FAST = {"preset": "fast", "block": 400, "threads": 1}
@@ -391,7 +391,7 @@ def test_damage_to_what_was_done_is_mended(scene, tmp_path, expected, monkeypatc
 
 
 def test_a_run_killed_as_the_result_got_its_name_ends_well(scene, tmp_path, expected, monkeypatch):
-    from nanogs.scale import job
+    from nanogs.pipeline import stored_job as job
 
     out, folder = tmp_path / "small.ply", tmp_path / "small.ply.job"
 
@@ -492,7 +492,7 @@ def test_a_disk_that_is_too_small_is_refused_at_once(scene, tmp_path, monkeypatc
 
 
 def test_frames_keep_every_digit():
-    from nanogs.scale.frame import frame_of
+    from nanogs.pipeline.frame import frame_of
 
     anchors = ((0.1, 0.2, 0.3, 1 / 7), (1e-300, 2.0, 3.0, 0.0))
     frame = Frame((0.1, 1 / 3, 1e-300), anchors, 0.2, 1e-9, 1 / 7, (-1.1, 0.0, 3.0), 9.9)

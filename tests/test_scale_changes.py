@@ -13,9 +13,9 @@ from nanogs.errors import ModelError, OptionError, OutputError
 from nanogs.filters import Filter
 from nanogs.frames import change_frame
 from nanogs.lod.layout import Layout
-from nanogs.scale.job import Where
-from nanogs.scale.levels import write_levels_in_blocks
-from nanogs.scale.source import Changes
+from nanogs.pipeline.levels_in_blocks import write_levels_in_blocks
+from nanogs.pipeline.rows import Changes
+from nanogs.pipeline.stored_job import Where
 from nanogs.source import Filtered, Joined
 
 GIVEN = {"preset": "fast", "block": 300, "threads": 1}

@@ -13,11 +13,12 @@ from conftest import scene_path
 from launch import run as run_command
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import sog_packed, spz
+from nanogs.pipeline import rows as source
+from nanogs.pipeline import run, stages
+from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.settings import Access
 from nanogs.pipeline.target import Goal
-from nanogs.scale import run, source, stages
-from nanogs.scale.api import block_parameters, plan_job
-from nanogs.scale.settings import Access
-from nanogs.scale.unpack import Cost
+from nanogs.pipeline.unpack import Cost
 from plyfiles import BASE, ply
 from torchfiles import File
 

@@ -14,18 +14,19 @@ from nanogs.fit.groups import Group
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.rounds import fit
 from nanogs.fit.targets import Fitting, make_target
+from nanogs.pipeline import fitting, run, stages
+from nanogs.pipeline import stored_job as job
+from nanogs.pipeline.asked import Asked
+from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.memory_blocks import FINE, ROUGH, block_stages, most_coarse
+from nanogs.pipeline.plan import plan_blocks
+from nanogs.pipeline.settings import differences, settings_of
+from nanogs.pipeline.stored_job import BlockJob
 from nanogs.pipeline.target import Goal
+from nanogs.pipeline.views import LEAST, Views, deciding_count, parts_of, views_of
 from nanogs.progress import untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, render, together
-from nanogs.scale import fitting, job, run, stages
-from nanogs.scale.api import block_parameters, plan_job
-from nanogs.scale.asked import Asked
-from nanogs.scale.job import BlockJob
-from nanogs.scale.memory import FINE, ROUGH, block_stages, most_coarse
-from nanogs.scale.plan import plan_blocks
-from nanogs.scale.settings import differences, settings_of
-from nanogs.scale.views import LEAST, Views, deciding_count, parts_of, views_of
 from nanogs.source import Layout
 from nanogs.splats import concatenate
 from nanogs.views.automatic import automatic_cameras
@@ -177,8 +178,8 @@ def test_the_scratch_is_as_large_as_planned(scene, tmp_path, monkeypatch, given,
 
 
 def test_levels_look_too(scene, tmp_path):
-    from nanogs.scale.job import Where
-    from nanogs.scale.levels import write_levels_in_blocks
+    from nanogs.pipeline.levels_in_blocks import write_levels_in_blocks
+    from nanogs.pipeline.stored_job import Where
 
     given = {key: value for key, value in BLOCKS.items() if key != "threads"}
     given |= {"max_memory": None, "where": Where(1)}

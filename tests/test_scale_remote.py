@@ -24,15 +24,15 @@ from builders import random_splats
 from nanogs.clock import StageClock
 from nanogs.errors import FormatError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
+from nanogs.pipeline import cluster
+from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.plan import held_bytes
 from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
-from nanogs.scale import cluster
-from nanogs.scale.api import block_parameters, plan_job
-from nanogs.scale.plan import held_bytes
-from nanogs.scale.run import Here, run_tasks
-from nanogs.scale.scratch import FolderScratch, open_scratch
 from nanogs.source import Layout
+from nanogs.store.scratch import FolderScratch, open_scratch
 
 COUNT, BLOCK = 48_000, 18_000
 MEMORY = int((LIBRARIES + held_bytes(BLOCK, COUNT, Layout(0, False, (), "default", (), ()),
@@ -201,8 +201,8 @@ def test_how_a_task_ended_is_said():
     pytest.importorskip("distributed")
     from distributed import KilledWorker
 
-    from nanogs.scale.work import Task
-    from nanogs.scale.workers import check
+    from nanogs.pipeline.work import Task
+    from nanogs.pipeline.workers import check
 
     cases = [
         (None, OutputError, "scheduler was lost"),
@@ -226,7 +226,7 @@ def test_how_a_task_ended_is_said():
 
 def test_a_worker_says_what_it_does_not_see(tmp_path):
     from nanogs._version import __version__
-    from nanogs.scale.workers import do_task
+    from nanogs.pipeline.workers import do_task
 
     source, host = tmp_path / "in.ply", re.escape(socket.gethostname())
     nanogs.save(random_splats(900), source)

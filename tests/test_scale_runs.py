@@ -21,16 +21,16 @@ from builders import random_splats
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError, OutputError
 from nanogs.memory import LIBRARIES
+from nanogs.pipeline.frame import survey
+from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.plan import held_bytes
 from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.result import write_result
+from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
-from nanogs.scale.api import block_parameters, plan_job
-from nanogs.scale.frame import survey
-from nanogs.scale.plan import held_bytes
-from nanogs.scale.result import write_result
-from nanogs.scale.run import Here, run_tasks
-from nanogs.scale.scratch import FolderScratch
 from nanogs.source import Layout
+from nanogs.store.scratch import FolderScratch
 
 COUNT = 40_000
 BLOCK = {"preset": "fast", "rounds": 1, "block": 14_000, "threads": 1}

@@ -10,7 +10,7 @@ import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import encoded_bytes, ply_write, registry
-from nanogs.pipeline import run as pipeline_run
+from nanogs.pipeline import in_memory as pipeline_run
 from nanogs.pipeline.fit_size import ENOUGH, search_fit
 from nanogs.pipeline.fit_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.fit_size import TOLERANCE as CLOSE

@@ -16,7 +16,7 @@ from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.lod.layout import Layout, made_files
 from nanogs.lod.tiles import Tiles
-from nanogs.lod.write import write_levels
+from nanogs.pipeline.write_levels import write_levels
 from nanogs.splats import RenderMode
 from nanogs.threads import use_threads
 from npm_packages import node, package

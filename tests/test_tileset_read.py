@@ -11,7 +11,7 @@ from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.lod.layout import Layout
-from nanogs.lod.write import write_levels
+from nanogs.pipeline.write_levels import write_levels
 
 RATIOS = (0.5, 0.1, 0.02)
 BOX = {"box": [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]}

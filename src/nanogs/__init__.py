@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from nanogs.fit.parameters import RefitParameters
     from nanogs.fit.report import RefitReport
     from nanogs.io import load, open, save  # noqa: A004 - what it is called everywhere
-    from nanogs.lod.write import write_levels
     from nanogs.model_info import info
     from nanogs.pipeline.api import simplify
+    from nanogs.pipeline.in_blocks import simplify_blocks
     from nanogs.pipeline.levels import levels
     from nanogs.pipeline.presets import PRESETS as presets  # noqa: N811 - read like a module
+    from nanogs.pipeline.write_levels import write_levels
     from nanogs.raster.camera import Camera
     from nanogs.report import SimplifyReport
-    from nanogs.scale.api import simplify_blocks
     from nanogs.scoring.api import compare
     from nanogs.source import Source
     from nanogs.splats import RenderMode, Splats
@@ -71,13 +71,13 @@ _HOMES = {
     "render": "views.api",
     "save": "io",
     "simplify": "pipeline.api",
-    "simplify_blocks": "scale.api",
-    "write_levels": "lod.write",
+    "simplify_blocks": "pipeline.in_blocks",
+    "write_levels": "pipeline.write_levels",
 }
 _ATTRIBUTES = {"presets": "PRESETS"}  # what they are called there, if not the same
 _MODULES = (
     "datasets", "errors", "filters", "formatting", "frames", "io", "lod", "progress", "report",
-    "scale", "source", "splats",
+    "source", "splats",
 )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from nanogs.formatting import counted, sizes_text, time_text
 from nanogs.io import bytes_on_disk, inspect, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.collect import Pair
-from nanogs.pipeline.stages import read_weight, write_weight
+from nanogs.pipeline.weights import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.source import Filtered, InMemory, Reduced, Source, Turned
 from nanogs.splats import RenderMode

@@ -15,15 +15,15 @@ from nanogs.io import FileInfo, bytes_on_disk
 from nanogs.io.collect import Pair
 from nanogs.io.files import splat_bytes
 from nanogs.lod.layout import Output
+from nanogs.pipeline.cluster import executor_of
+from nanogs.pipeline.encoding import Encoding, encoding_of
+from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.in_blocks import simplify_blocks as library_simplify_blocks
 from nanogs.pipeline.job import NanPolicy
+from nanogs.pipeline.levels_in_blocks import chunks_of, plan_levels, write_levels_in_blocks
+from nanogs.pipeline.plan import ScalePlan
+from nanogs.pipeline.rows import Changes
 from nanogs.progress import Progress
-from nanogs.scale.api import block_parameters, plan_job
-from nanogs.scale.api import simplify_blocks as library_simplify_blocks
-from nanogs.scale.cluster import executor_of
-from nanogs.scale.encoding import Encoding, encoding_of
-from nanogs.scale.levels import chunks_of, plan_levels, write_levels_in_blocks
-from nanogs.scale.plan import ScalePlan
-from nanogs.scale.source import Changes
 
 
 def plan_of(pair: Pair, plan: Plan, blocks: Blocks, nan: NanPolicy, changes: Changes) -> ScalePlan:
@@ -126,7 +126,7 @@ def levels_in_blocks(
     quiet: bool,
 ) -> dict[str, Any]:
     """Make levels of a model that does not fit; the manifest with the reports."""
-    from nanogs.scale.job import Where
+    from nanogs.pipeline.stored_job import Where
 
     start = time.perf_counter()
     with (

@@ -13,10 +13,10 @@ from nanogs.cli.simplify_report import Plan
 from nanogs.cli.too_large import Blocks, refuse_other_files, refuse_whole_model_wishes
 from nanogs.io.folder import check_folder_writable
 from nanogs.lod.layout import Output, made_files
+from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.presets import Parameters, renders
+from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.target import Goal, target_count
-from nanogs.scale.asked import asked_views
-from nanogs.scale.source import Changes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

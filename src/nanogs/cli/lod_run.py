@@ -27,16 +27,16 @@ from nanogs.clock import StageClock
 from nanogs.formatting import bytes_text, counted, number_text, time_text
 from nanogs.kernels.compiling import when_compiling
 from nanogs.lod.layout import Layout, Output
-from nanogs.lod.write import write_levels, write_levels_stages
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.target import target_count
+from nanogs.pipeline.write_levels import write_levels, write_levels_stages
 from nanogs.progress import Tracker
 from nanogs.protocol import Protocol
 
 if TYPE_CHECKING:
-    from nanogs.scale.plan import ScalePlan
+    from nanogs.pipeline.plan import ScalePlan
 
 
 def write_whole(

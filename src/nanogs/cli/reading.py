@@ -10,7 +10,7 @@ from nanogs.errors import OptionError
 from nanogs.filters import Filter, FilterReport, apply
 from nanogs.io import FileInfo, inspect, load
 from nanogs.io import open as open_model
-from nanogs.pipeline.stages import read_weight
+from nanogs.pipeline.weights import read_weight
 from nanogs.progress import Stage, Tracker
 from nanogs.source import Joined
 from nanogs.splats import MAX_SH_DEGREE, Splats

@@ -129,7 +129,7 @@ def _stages(
     """The stages to come: reading, the fit's own ones, writing."""
     from nanogs.fit.stages import refit_stages
     from nanogs.io import inspect
-    from nanogs.pipeline.stages import read_weight, write_weight
+    from nanogs.pipeline.weights import read_weight, write_weight
     from nanogs.progress import Stage
 
     splats, count = inspect(original).splats, inspect(small).splats

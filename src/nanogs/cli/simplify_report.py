@@ -19,7 +19,7 @@ from nanogs.protocol import Judged, Protocol
 from nanogs.report import StopReason
 
 if TYPE_CHECKING:
-    from nanogs.scale.encoding import Encoding
+    from nanogs.pipeline.encoding import Encoding
 
 _LIBRARIES = f"{bytes_text(LIBRARIES)} for Python and its libraries"
 
@@ -74,7 +74,7 @@ class Plan:
         )  # fmt: skip
         if not (self.encoding and self.encoding.each):
             return plan
-        from nanogs.scale.encoding import PLACED
+        from nanogs.pipeline.encoding import PLACED
 
         # Between two levels, what a cut needs is kept, and each is encoded before the next.
         row = plan.input_columns // info.splats + PLACED

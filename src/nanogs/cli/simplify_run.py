@@ -21,15 +21,15 @@ from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
 from nanogs.pipeline.api import refuse_searches, target_of
 from nanogs.pipeline.api import simplify as library_simplify
+from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.job import import_stages, usable_rows
 from nanogs.pipeline.presets import Parameters, renders
-from nanogs.pipeline.stages import measure_stage, simplify_stages, write_weight
+from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.target import Goal
+from nanogs.pipeline.weights import measure_stage, simplify_stages, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import Judged
-from nanogs.scale.asked import asked_views
-from nanogs.scale.source import Changes
 from nanogs.splats import Splats
 
 

@@ -61,8 +61,8 @@ class Blocks:
 
     def size_of_blocks(self, target: Path) -> tuple[int | None, int | None]:
         """The memory that decides the size of the blocks, as `block_memory` takes it."""
-        from nanogs.scale.api import block_memory
-        from nanogs.scale.folder import job_folder
+        from nanogs.pipeline.folder import job_folder
+        from nanogs.pipeline.in_blocks import block_memory
 
         folder = job_folder(target, self.job) if self.resume else None
         allowed = self.process_memory(target)
@@ -104,7 +104,7 @@ class Blocks:
         """Whether there is a job in blocks to continue."""
         if not self.resume:
             return False
-        from nanogs.scale.folder import MANIFEST, job_folder
+        from nanogs.pipeline.folder import MANIFEST, job_folder
 
         return (job_folder(target, self.job) / MANIFEST).exists()
 
@@ -120,7 +120,7 @@ class Blocks:
         """
         if not self.resume:
             return False
-        from nanogs.scale.folder import job_folder, refuse_finished
+        from nanogs.pipeline.folder import job_folder, refuse_finished
 
         if not overwrite:
             refuse_finished(job_folder(target, self.job), target)
@@ -133,7 +133,7 @@ class Blocks:
             OptionError: There is a job to continue.
         """
         if self._begun(target):
-            from nanogs.scale.folder import job_folder
+            from nanogs.pipeline.folder import job_folder
 
             raise OptionError(
                 f"{job_folder(target, self.job)} holds a job in blocks, and this model fits into"

@@ -15,8 +15,8 @@ from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.job import Job, NanPolicy, prepare_job
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search
-from nanogs.pipeline.stages import simplify_stages
 from nanogs.pipeline.target import Goal
+from nanogs.pipeline.weights import simplify_stages
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport

@@ -8,9 +8,9 @@ import numpy as np
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
+from nanogs.pipeline.in_memory import Build, deliver
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.run import Build, deliver
-from nanogs.pipeline.stages import RESULTS, SIZES, delivery_stages, write_weight
+from nanogs.pipeline.weights import RESULTS, SIZES, delivery_stages, write_weight
 from nanogs.progress import Stage, Tracker
 from nanogs.report import SizeProbeReport
 from nanogs.splats import Splats

@@ -23,7 +23,7 @@ from nanogs.report import SimplifyReport, StopReason
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
-    from nanogs.pipeline.run import Build
+    from nanogs.pipeline.in_memory import Build
     from nanogs.raster.camera import Camera
 
 NanPolicy = Literal["drop", "error"]
@@ -82,7 +82,7 @@ class Job:
             clock: Gets the seconds of each stage.
             progress: Told of each stage.
         """
-        from nanogs.pipeline.run import build_forest
+        from nanogs.pipeline.in_memory import build_forest
 
         assert isinstance(self.parameters, ForestParameters)  # noqa: S101 - the caller's choice
         return build_forest(
@@ -108,7 +108,7 @@ class Job:
             return lambda target, clock, progress: simplify_as_published(
                 self.splats, self.rows, target, chosen, threads, clock, progress
             )
-        from nanogs.pipeline.run import deliver
+        from nanogs.pipeline.in_memory import deliver
 
         if smallest == len(self.rows):
             whole = Outcome(self.splats.take(self.rows), (), StopReason.TARGET)
@@ -186,7 +186,7 @@ def import_stages(chosen: Parameters) -> None:
     if isinstance(chosen, PaperParameters):
         import nanogs.pipeline.published
     else:
-        import nanogs.pipeline.run  # noqa: F401
+        import nanogs.pipeline.in_memory  # noqa: F401
 
 
 def usable_rows(splats: Splats, nan: NanPolicy) -> I32:

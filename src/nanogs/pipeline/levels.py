@@ -11,8 +11,8 @@ from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.job import Deliver, Job, NanPolicy, prepare_job
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
-from nanogs.pipeline.stages import delivery_stages, level_stage, levels_stages
 from nanogs.pipeline.target import Goal, target_count
+from nanogs.pipeline.weights import delivery_stages, level_stage, levels_stages
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport
 from nanogs.splats import Splats, refuse_misaligned_elements

@@ -3,7 +3,7 @@
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.slices import SLICE_PAIRS
 from nanogs.pipeline.presets import renders
-from nanogs.pipeline.stages import fit_parameters
+from nanogs.pipeline.weights import fit_parameters
 from nanogs.protocol import PIXELS, VIEWS
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from nanogs.clock import StageClock
+from nanogs.pipeline.in_memory import Build, deliver
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.run import Build, deliver
-from nanogs.pipeline.stages import COUNTS, delivery_stages
+from nanogs.pipeline.weights import COUNTS, delivery_stages
 from nanogs.progress import Stage, Tracker
 from nanogs.protocol import VIEWS
 from nanogs.report import ProbeReport, StopReason

@@ -1,0 +1,105 @@
+"""The splats of a block, put together from sorted segments."""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F64, I64, U64, Array
+from nanogs.method.nodes import Nodes, activate_nodes, without_coverages
+from nanogs.method.visibility import visible_weights
+from nanogs.pipeline.frame import Frame
+from nanogs.pipeline.partition import Partition
+from nanogs.splats import Splats
+from nanogs.store.columns import CODES, read_rows
+from nanogs.store.scratch import Scratch
+from nanogs.store.tables import Record, Table
+
+
+def read_block(
+    scratch: Scratch,
+    segments: Sequence[Record],
+    partition: Partition,
+    block: int,
+    columns: Mapping[str, Array],
+    at: int = 0,
+    rows: I64 | None = None,
+) -> int:
+    """Fill columns with the splats of a block, segment after segment.
+
+    Args:
+        scratch: Where the segments are.
+        segments: Their records.
+        partition: What is in each block.
+        block: Which.
+        columns: What to fill, by the names in the tables.
+        at: The first row to fill.
+        rows: Ascending rows of the block to read; all by default.
+
+    Returns:
+        The row after the last one filled.
+    """
+    start, found = 0, []
+    for record, piece in zip(segments, partition.pieces(block), strict=True):
+        stop = start + piece.stop - piece.start
+        if rows is None:
+            wanted: I64 | slice = piece
+            count = stop - start
+        else:
+            inside = rows[np.searchsorted(rows, start) : np.searchsorted(rows, stop)]
+            wanted, count = inside - start + piece.start, len(inside)
+        if count:
+            found.append((record, at, wanted))
+        start, at = stop, at + count
+
+    def fill(place: tuple[Record, int, I64 | slice]) -> None:
+        record, at, wanted = place
+        with Table(scratch, record) as table:
+            read_rows(table, columns, at, wanted)
+
+    if scratch.at_once == 1:
+        for each in found:
+            fill(each)
+    else:
+        with ThreadPoolExecutor(scratch.at_once) as pool:
+            list(pool.map(fill, found))
+    return at
+
+
+def morton_rows(codes: U64) -> I64:
+    """(N,) rows in Morton order, ties by row."""
+    return np.argsort(codes, kind="stable")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """How splats are weighed that views show.
+
+    Attributes:
+        visible: (N,) how visible each is.
+        hidden: Weight of what is not seen at all, over that of what is in full sight.
+        typical: What weights are multiples of, square scene units.
+    """
+
+    visible: F64
+    hidden: float
+    typical: float
+
+
+def leaves_of(
+    splats: Splats, rows: I64, frame: Frame, seen: Seen | None = None, *, bare: bool = False
+) -> Nodes:
+    """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
+    nodes = activate_nodes(splats, rows, frame.centre(), frame.dilation(), frame.thinnest)
+    if seen is None:
+        weights = nodes.coverages / frame.coverage
+    else:
+        weights = visible_weights(nodes.coverages, seen.visible[rows], seen.hidden) / seen.typical
+    np.maximum(weights, 1e-9, out=nodes.weights)
+    return without_coverages(nodes) if bare else nodes
+
+
+def with_codes(columns: dict[str, Array], count: int) -> dict[str, Array]:
+    """The columns and that of the Morton codes, to be filled with them."""
+    return columns | {CODES: np.empty(count, np.uint64)}

@@ -1,0 +1,97 @@
+"""Scales and Morton cells that all blocks of a scene share, from evenly spread rows."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64, U64
+from nanogs.errors import ModelError
+from nanogs.method.extent import Dilation, dilation
+from nanogs.method.gaussians import scene_origin
+from nanogs.method.nodes import activate_nodes, thinnest_axis
+from nanogs.method.order import code_box, codes_in
+from nanogs.pipeline.rows import sample
+from nanogs.pipeline.settings import Settings
+from nanogs.pipeline.unpack import Unpacked
+from nanogs.splats import Splats
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The units in which blocks are comparable.
+
+    Attributes:
+        origin: Taken off the centres, scene units.
+        anchors: x, y, z relative to the origin and radius of each of those of `Dilation`.
+        per_radius: As `Dilation` has it.
+        thinnest: Axis of any node, scene units.
+        coverage: Of a typical splat, square scene units; weights are over this.
+        corner: Lowest corner of the box of Morton cells, relative to the origin.
+        width: Of that box, scene units.
+    """
+
+    origin: tuple[float, ...]
+    anchors: tuple[tuple[float, ...], ...]
+    per_radius: float
+    thinnest: float
+    coverage: float
+    corner: tuple[float, ...]
+    width: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; floats keep every digit in JSON."""
+        return asdict(self)
+
+    def centre(self) -> F64:
+        """(3,) the origin."""
+        return np.array(self.origin)
+
+    def dilation(self) -> Dilation:
+        """The dilation that rasterisers add to splats."""
+        rows = np.array(self.anchors)
+        return Dilation(np.ascontiguousarray(rows[:, :3]), rows[:, 3].copy(), self.per_radius)
+
+    def codes(self, splats: Splats) -> U64:
+        """(N,) Morton codes of the centres."""
+        return codes_in(splats.means - self.centre(), np.array(self.corner), self.width)
+
+
+def frame_of(data: Mapping[str, Any]) -> Frame:
+    """A frame from what `to_dict` made of it, by way of JSON."""
+    fixed: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+    fixed["anchors"] = tuple(map(tuple, data["anchors"]))
+    return Frame(**fixed)
+
+
+def survey(settings: Settings, unpacked: Unpacked | None = None) -> Frame:
+    """Look at some of the rows of all inputs.
+
+    Args:
+        settings: The job.
+        unpacked: The files that have been unpacked, if any.
+
+    Raises:
+        FormatError: They cannot be read.
+        ModelError: No splat among them is usable.
+    """
+    some = sample(settings, unpacked)
+    if len(some) == 0:
+        raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
+    origin = scene_origin(some.means)
+    means = some.means - origin
+    added = dilation(means, some.opacities(), some.render_mode, settings.parameters.pixels)
+    thinnest = thinnest_axis(some.scales(), means, added.least)
+    nodes = activate_nodes(some, np.arange(len(some)), origin, added, thinnest)
+    coverage = float(nodes.coverages.mean())
+    corner, width = code_box(means)
+    return Frame(
+        origin=tuple(map(float, origin)),
+        anchors=tuple(map(tuple, np.column_stack((added.anchors, added.radii)).tolist())),
+        per_radius=added.per_radius,
+        thinnest=thinnest,
+        coverage=coverage if coverage > 0 else 1.0,
+        corner=tuple(map(float, corner)),
+        width=width,
+    )

@@ -1,0 +1,92 @@
+"""The report of a job."""
+
+import time
+from dataclasses import asdict
+from itertools import pairwise
+
+from nanogs.clock import StageClock
+from nanogs.filters import FilterReport, filter_of
+from nanogs.findings import join_findings, of_plain
+from nanogs.pipeline.fitting import fit_report, notes_on_fits
+from nanogs.pipeline.look import shown_share
+from nanogs.pipeline.run import Done
+from nanogs.pipeline.settings import Settings
+from nanogs.pipeline.target import Goal
+from nanogs.pipeline.trials import candidates_of
+from nanogs.pipeline.work import Task
+from nanogs.report import BlocksReport, SimplifyReport, StopReason
+from nanogs.store.columns import count_of
+
+
+def report_of(
+    preset: str,
+    goal: Goal,
+    done: Done,
+    count: int,
+    clock: StageClock,
+    start: float,
+    level: int = 0,
+) -> SimplifyReport:
+    """Report what was asked, delivered and spent.
+
+    Args:
+        preset: Its name.
+        goal: What was asked.
+        done: What the job did.
+        count: Splats delivered.
+        clock: The seconds of its stages.
+        start: `time.perf_counter()` at the start.
+        level: Of the result.
+    """
+    work = done.work
+    settings, partition = work.settings, work.partition
+    target = int(work.record(Task("budget", 0, level)).facts["target"])
+    segments = work.segments()
+    settled = work.of_blocks("settle", level) if settings.parameters.rounds else []
+    own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
+    looked = [*work.views.notes] if settings.looks else []
+    looked += notes_on_fits(work, level) if settings.fits else []
+    return SimplifyReport(
+        preset=preset,
+        parameters=asdict(settings.parameters),
+        input_count=settings.splats,
+        asked_ratio=goal.ratio,
+        asked_count=target,
+        dropped_nonfinite=sum(int(record.facts["dropped"]) for record in segments),
+        pruned=0,
+        prune_threshold=0.0,
+        prune_limited=False,
+        passes=(),
+        achieved_count=count,
+        stop=StopReason.TARGET if count == target else StopReason.NO_PROGRESS,
+        seconds=clock.seconds,
+        total_seconds=time.perf_counter() - start,
+        threads=work.threads,
+        shown=shown_share(work) if work.looks else None,
+        candidates=candidates_of(work.of_job("choose", level)) if work.measures else (),
+        refit=fit_report(work, level) if settings.fits else None,
+        notes=tuple(dict.fromkeys([*settings.layout.notes, *own_notes, *looked])),
+        blocks=BlocksReport(
+            blocks=partition.blocks,
+            largest=max(partition.count(block) for block in range(partition.blocks)),
+            allowed=settings.block,
+            segments=len(segments),
+            seen=sum(int(record.facts["seen"]) for record in settled),
+            handed=sum(count_of(record) for record in settled),
+            resumed=done.kept,
+            read=settings.read,
+            filters=_filter_reports(settings),
+        ),
+    )
+
+
+def _filter_reports(settings: Settings) -> tuple[FilterReport, ...]:
+    """How many splats each filter of a job took."""
+    if settings.filters is None:
+        return ()
+    filters = [filter_of(*plain) for plain in settings.filters.plain]
+    counts = pairwise((settings.read, *settings.filters.left))
+    return tuple(
+        FilterReport(each.name, each.argument, before - left, left)
+        for each, (before, left) in zip(filters, counts, strict=True)
+    )

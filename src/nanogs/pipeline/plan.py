@@ -1,0 +1,163 @@
+"""How many blocks a job takes, how much memory and disk, and about how long; computed, not tried.
+
+No Numba here: `--dry-run` uses it.
+"""
+
+from dataclasses import dataclass, replace
+from math import ceil
+
+from nanogs.errors import OptionError
+from nanogs.memory import LIBRARIES
+from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.encoding import encoding_of
+from nanogs.pipeline.memory_blocks import block_stages, scratch_bytes
+from nanogs.pipeline.presets import renders
+from nanogs.pipeline.settings import Chunks
+from nanogs.pipeline.unpack import Cost
+from nanogs.source import Layout
+from nanogs.store.columns import row_bytes
+
+_KEYS = 96  # bytes a row of a segment: codes, order, centres and scales in the making
+_SEGMENT = 1 << 21  # rows; more make sorting no faster
+_LEAST = 4096  # splats of a block
+_SHARE = 0.95  # of the memory is planned with
+# A splat, of one processor (`docs/scale.md`); for each further level; for looking and choosing; and
+# for each step of a fit.
+_SECONDS, _LEVEL_SECONDS, _LOOKED, _STEP = 6.5e-6, 2.5e-6, 1.5e-5, 5e-7
+
+
+@dataclass(frozen=True, slots=True)
+class ScalePlan:
+    """Blocks, memory, disk and time that a job takes.
+
+    Attributes:
+        splats: Rows of all inputs.
+        block: Most splats of a block.
+        segment: Most rows that are sorted at a time.
+        blocks: About how many blocks.
+        memory: The most that a process takes, bytes, Python and its libraries included.
+        scratch: Intermediate files at the end, bytes, the result among them.
+        seconds: About how long, of one processor like that it was measured on.
+    """
+
+    splats: int
+    block: int
+    segment: int
+    blocks: int
+    memory: int
+    scratch: int
+    seconds: float
+
+    def unpacking(self, cost: Cost, max_memory: int | None) -> "ScalePlan":
+        """Add what it takes to unpack the inputs first.
+
+        Args:
+            cost: Of that.
+            max_memory: Bytes that a process may take; not needed where blocks are given.
+
+        Raises:
+            OptionError: That is too little.
+        """
+        if max_memory is not None and cost.memory > _room(max_memory):
+            raise OptionError(
+                f"{_must_be(_least(cost.memory), max_memory)} to unpack {cost.path}; raise it, or"
+                " convert the file to .ply."
+            )
+        memory = max(self.memory, LIBRARIES + cost.memory if cost.memory else 0)
+        return replace(self, memory=memory, scratch=self.scratch + cost.scratch)
+
+
+def plan_blocks(
+    splats: int,
+    layout: Layout,
+    parameters: ForestParameters,
+    shares: tuple[float, ...],
+    max_memory: int | None,
+    block: int | None = None,
+    chunks: Chunks | None = None,
+) -> ScalePlan:
+    """Blocks as large as the memory allows.
+
+    Args:
+        splats: Rows of all inputs.
+        layout: Of their columns.
+        parameters: Of the method.
+        shares: What the results keep of the splats.
+        max_memory: Bytes that a process may take; not needed where `block` is given.
+        block: Splats of a block, in place of what memory allows.
+        chunks: Of the results, or None where each is one file.
+
+    Raises:
+        OptionError: The memory is too little for any block.
+    """
+    row, share = row_bytes(layout), max(shares)
+    encoding = encoding_of(row, layout.sh_degree, chunks, splats, shares)
+    if block is None:
+        room = _room(max_memory or 0)
+        block = encoding.most(room, _largest_block(room, splats, layout, parameters, share))
+        if block < min(_LEAST, splats):
+            least = _least(
+                max(held_bytes(_LEAST, splats, layout, parameters, share), encoding.held(_LEAST))
+            )
+            raise OptionError(
+                f"{_must_be(least, max_memory or 0)} for blocks of this model, of which"
+                f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries{encoding.remedy()}"
+            )
+    segment = max(min(block, _SEGMENT), 1)
+    blocks = -(-splats // max(block - block // 16, 1))
+    held = min(block, splats)
+    tasks = held_bytes(held, splats, layout, parameters, share)
+    return ScalePlan(
+        splats=splats,
+        block=block,
+        segment=segment,
+        blocks=blocks,
+        memory=LIBRARIES + int(max(tasks, segment * (row + _KEYS), encoding.held(held))),
+        scratch=scratch_bytes(
+            splats, block, blocks, layout, parameters, shares, encoded=chunks is not None
+        ),
+        seconds=splats * _seconds(parameters, len(shares)) + encoding.seconds,
+    )
+
+
+def _seconds(parameters: ForestParameters, levels: int) -> float:
+    """Of one processor, for a splat."""
+    looked = _LOOKED * renders(parameters) + _STEP * parameters.steps
+    return _SECONDS + levels * looked + (levels - 1) * _LEVEL_SECONDS
+
+
+def _room(max_memory: int) -> float:
+    """Bytes that are there for splats, of those that a process may take."""
+    return _SHARE * max_memory - LIBRARIES
+
+
+def _must_be(least: float, allowed: int) -> str:
+    """The beginning of a sentence about a limit, which the user or the system has set."""
+    return (
+        f"`max_memory`, or without it what is free, is {allowed / 1e6:,.0f} MB and must be at least"
+        f" {ceil(least / 1e6):,} MB"
+    )
+
+
+def _least(held: float) -> float:
+    """Bytes that a process must be allowed to take for so many of splats."""
+    return (LIBRARIES + held) / _SHARE
+
+
+def held_bytes(
+    block: int, splats: int, layout: Layout, parameters: ForestParameters, share: float
+) -> int:
+    """Most bytes that any task of a block holds, the libraries apart; see `block_stages`."""
+    return max(block_stages(block, splats, layout, parameters, share).values())
+
+
+def _largest_block(
+    room: float, splats: int, layout: Layout, parameters: ForestParameters, share: float
+) -> int:
+    """Splats of the largest block whose tasks have room, 0 for none."""
+    low, high = 0, 2 * splats  # blocks of more than all splats: one
+    while low < high:
+        middle = (low + high + 1) // 2
+        fits = held_bytes(middle, splats, layout, parameters, share) <= room
+        low, high = (middle, high) if fits else (low, middle - 1)
+    return low

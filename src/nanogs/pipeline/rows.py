@@ -1,0 +1,200 @@
+"""The model of a job: its input files as parts of one scene, filtered, and read by segments."""
+
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
+from pathlib import Path
+
+import numpy as np
+
+from nanogs.errors import ModelError, OptionError
+from nanogs.filters import Filter, filter_of, refuse_whole
+from nanogs.frames import change_between
+from nanogs.io import open as open_model
+from nanogs.pipeline.asked import AUTOMATIC, Asked
+from nanogs.pipeline.inputs import Inputs, input_file
+from nanogs.pipeline.settings import Access, InputFile, Segment, Settings, Sieve
+from nanogs.pipeline.unpack import Unpacked
+from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
+from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
+
+SPAN, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # of the rows that stand for all
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """Changes to a model besides making it smaller.
+
+    Attributes:
+        filters: What leaves out splats first, such as `nanogs.filters.box(low, high)`.
+        sh_degree: The highest that stays, or None for all.
+        frame: From and to which results are turned, or None.
+        asked: The views that were asked for.
+    """
+
+    filters: Sequence[Filter] = ()
+    sh_degree: int | None = None
+    frame: tuple[str, str] | None = None
+    asked: Asked = AUTOMATIC
+
+    def check(self) -> None:
+        """Refuse what cannot be done in blocks.
+
+        Raises:
+            OptionError: A filter has to see the whole model, or is of a kind that no job records,
+                or there is no such degree or frame.
+        """
+        refuse_whole(self.filters)
+        if any(each.plain is None for each in self.filters):
+            raise OptionError(
+                "A job takes the filters of nanogs.filters alone; apply others to the model first."
+            )
+        if self.sh_degree is not None and not 0 <= self.sh_degree <= MAX_SH_DEGREE:
+            raise OptionError(
+                f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {self.sh_degree}."
+            )
+        if self.frame is not None:
+            change_between(*self.frame)
+
+
+NOTHING = Changes()
+
+
+def look_at(
+    paths: Sequence[Path], changes: Changes = NOTHING
+) -> tuple[tuple[InputFile, ...], Layout]:
+    """The files, and the columns of their splats; no row is read.
+
+    Raises:
+        FormatError: One of them cannot be read.
+        ModelError: They do not make one scene.
+    """
+    sources = [open_model(path) for path in paths]
+    layout = joined_layout(sources)
+    if changes.sh_degree is not None and changes.sh_degree < layout.sh_degree:
+        note = f"Spherical harmonics above degree {changes.sh_degree} were dropped first."
+        layout = replace(layout, sh_degree=changes.sh_degree, notes=(*layout.notes, note))
+    return tuple(map(input_file, sources)), layout
+
+
+def sift(files: Sequence[InputFile], layout: Layout, filters: Sequence[Filter]) -> Sieve | None:
+    """Apply filters to all rows of files and count what is left; None without filters.
+
+    Raises:
+        FormatError: One of the files cannot be read.
+        ModelError: Nothing is left.
+    """
+    if not filters:
+        return None
+    with Inputs(files, None) as inputs:
+        left = Filtered(Joined(inputs.parts, layout), filters)
+        plain = tuple(each.plain for each in filters if each.plain is not None)
+        return Sieve(plain, tuple(report.left for report in left.reports), left.kept)
+
+
+def refuse_large_whole(files: Sequence[InputFile], rows: int) -> None:
+    """Refuse files that cannot be read in parts and have more rows than a segment may have.
+
+    Raises:
+        OptionError: There is one.
+    """
+    for file in files:
+        if file.splats > rows and file.access is Access.WHOLE:
+            raise OptionError(
+                f"{file.path}: files of this kind are not read in parts, and this one is too large"
+                " to be read whole within the memory given; convert it to .ply, or raise"
+                " `max_memory`."
+            )
+
+
+def segments_of(count: int, rows: int) -> tuple[Segment, ...]:
+    """So many rows in segments of about equal size, of at most `rows`."""
+    parts = -(-count // rows)
+    bounds = [count * part // parts for part in range(parts + 1)]
+    return tuple(Segment(*pair) for pair in pairwise(bounds))
+
+
+@contextmanager
+def opened(settings: Settings, unpacked: Unpacked | None = None) -> Iterator[Source]:
+    """The model of a job; its files must be the same before and after.
+
+    Args:
+        settings: The job.
+        unpacked: The files that have been unpacked, if any.
+
+    Raises:
+        FormatError: A file cannot be read, or has changed since the job began.
+    """
+    with Inputs(settings.inputs, unpacked) as inputs:
+        source: Source = Joined(inputs.parts, settings.layout)
+        if settings.filters is not None:
+            filters = [filter_of(*plain) for plain in settings.filters.plain]
+            source = Filtered(source, filters, settings.filters.kept)
+        yield source
+        inputs.check()
+
+
+def read_segment(settings: Settings, segment: Segment, unpacked: Unpacked | None = None) -> Splats:
+    """The splats of a segment, usable ones only, with the columns of the job.
+
+    Args:
+        settings: The job.
+        segment: Which.
+        unpacked: The files that have been unpacked, if any.
+
+    Raises:
+        FormatError: The file cannot be read, or has changed since the job began.
+        ModelError: A splat holds a NaN or an infinite value, and that is to be an error.
+    """
+    with opened(settings, unpacked) as source:
+        splats = source.read(segment.start, segment.stop)
+    finite = splats.finite()
+    if finite.all():
+        return splats
+    if settings.nan == "error":
+        where = _place(settings, segment.start + int(np.argmin(finite)))
+        raise ModelError(
+            f'{where} holds a NaN or an infinite value; leave such splats out with `nan="drop"`.'
+        )
+    return splats.take(finite)
+
+
+def _place(settings: Settings, row: int) -> str:
+    """A row of the model, to begin a sentence."""
+    if settings.filters is not None:
+        return f"Row {row} of those that filters leave"
+    ends = [0, *accumulate(file.splats for file in settings.inputs)]
+    number = bisect_right(ends, row) - 1
+    return f"{settings.inputs[number].path}: row {row - ends[number]}"
+
+
+def sample(
+    settings: Settings,
+    unpacked: Unpacked | None = None,
+    *,
+    rows: int | None = None,
+    span: int = SPAN,
+) -> Splats:
+    """Evenly spread stretches of the usable rows of all inputs, without higher harmonics.
+
+    Args:
+        settings: The job.
+        unpacked: The files that have been unpacked, if any.
+        rows: How many in all, about; by default some 260,000, and no more than a block, so that
+            memory for a block is enough.
+        span: Rows of a stretch.
+
+    Raises:
+        FormatError: As for `read_segment`.
+    """
+    parts = []
+    bare = replace(settings.layout, sh_degree=0, extras=())
+    rows = rows or min(max(settings.block // SPAN, _LEAST_SPANS), _MOST_SPANS) * SPAN
+    every = -(-settings.splats // rows)
+    with opened(settings, unpacked) as source:
+        for start in range(0, source.count, span * every):
+            part = source.read(start, min(start + span, source.count))
+            parts.append(fitted(part.take(part.finite()), bare))
+    return concatenate(parts)

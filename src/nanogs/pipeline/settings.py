@@ -1,0 +1,227 @@
+"""A job as plain data: all that decides the bytes of its result."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from enum import StrEnum
+from typing import Any
+
+from nanogs.errors import FormatError
+from nanogs.filters import Plain
+from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.asked import AUTOMATIC, Asked
+from nanogs.pipeline.presets import renders
+from nanogs.source import Layout
+
+# Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
+MOST_SEEN = 0.1
+SOG, TILES = "streamed sog", "3d tiles"  # levels in chunks, as `lod.layout` names them
+VERSION = 3  # of the job folder; one of another version is not continued
+
+
+class Access(StrEnum):
+    """How the rows of a file are come by."""
+
+    ROWS = "rows"  # any of them without the others
+    PACKED = "packed"  # once the columns are unpacked, which a file of few rows is not
+    WHOLE = "whole"  # all of them at once
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file as it was when the job began.
+
+    Attributes:
+        path: Absolute.
+        bytes: Its size; with those of the files that it names, where it is a description.
+        modified: Nanoseconds since 1970; of the last of them.
+        splats: Rows in it.
+        access: How they are read.
+    """
+
+    path: str
+    bytes: int
+    modified: int
+    splats: int
+    access: Access
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Consecutive rows of what filters leave of all inputs: what is sorted at a time."""
+
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True, slots=True)
+class Sieve:
+    """The rows that filters leave of the inputs.
+
+    Attributes:
+        plain: Kind and numbers of each, as `filters.Filter.plain` has them.
+        left: Splats after each.
+        kept: Splats of each page of `source.base.PAGE_ROWS` rows after all.
+    """
+
+    plain: tuple[Plain, ...]
+    left: tuple[int, ...]
+    kept: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Chunks:
+    """How the results lie, where they are levels in chunks.
+
+    Attributes:
+        layout: `SOG` or `TILES`.
+        most: Splats of the finest level in a chunk, at most.
+        spz: Whether they are packed as SPZ: contents of 3D Tiles alone.
+    """
+
+    layout: str
+    most: int
+    spz: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """The settings of a job.
+
+    Attributes:
+        inputs: The files, parts of one scene.
+        layout: The columns of their splats.
+        segments: All rows of all files.
+        ratios: Of the results, finest first; empty where counts are asked for.
+        counts: Splats of the results, or empty.
+        nan: "drop" or "error".
+        block: Most splats of a block.
+        parameters: Of the forest.
+        chunks: Of the results, or None where each is one file.
+        filters: What they leave of the files; None without any.
+        frame: From and to which results are turned, or None.
+        asked: The views that were asked for.
+    """
+
+    inputs: tuple[InputFile, ...]
+    layout: Layout
+    segments: tuple[Segment, ...]
+    ratios: tuple[float, ...]
+    counts: tuple[int, ...]
+    nan: str
+    block: int
+    parameters: ForestParameters
+    chunks: Chunks | None = None
+    filters: Sieve | None = None
+    frame: tuple[str, str] | None = None
+    asked: Asked = AUTOMATIC
+
+    @property
+    def splats(self) -> int:
+        """Rows that filters leave of all inputs."""
+        return self.filters.left[-1] if self.filters else self.read
+
+    @property
+    def read(self) -> int:
+        """Rows of all inputs."""
+        return sum(file.splats for file in self.inputs)
+
+    @property
+    def every(self) -> int:
+        """Rows of a sorted segment that one code of its digest stands for.
+
+        Two of every segment are what a block's count can be off by: a sixteenth of a block at most.
+        """
+        return max(min(256, self.block // (32 * len(self.segments))), 1)
+
+    @property
+    def unpacked(self) -> tuple[int, ...]:
+        """Numbers of the files that are unpacked: packed ones of more rows than a segment."""
+        longest = max(segment.stop - segment.start for segment in self.segments)
+        return tuple(
+            number
+            for number, file in enumerate(self.inputs)
+            if file.access is Access.PACKED and file.splats > longest
+        )
+
+    @property
+    def looks(self) -> bool:
+        """Whether the scene is looked at."""
+        return renders(self.parameters)
+
+    @property
+    def measures(self) -> bool:
+        """Whether results are chosen by how they look."""
+        return self.parameters.measure
+
+    @property
+    def fits(self) -> bool:
+        """Whether results are fitted to what views show."""
+        return self.parameters.steps > 0
+
+    @property
+    def levels(self) -> int:
+        """How many results there are."""
+        return len(self.ratios) or len(self.counts)
+
+    @property
+    def chunked(self) -> Chunks:
+        """The chunks of results that have them."""
+        assert self.chunks is not None, "tasks of chunks are for jobs that have them"  # noqa: S101
+        return self.chunks
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as `json.dumps` takes it."""
+        return {"version": VERSION, **asdict(self)}
+
+
+def settings_of(data: Mapping[str, Any]) -> Settings:
+    """Settings from what `Settings.to_dict` made of them, by way of JSON.
+
+    Raises:
+        FormatError: They are damaged, or of another version.
+    """
+    try:
+        if data["version"] != VERSION:
+            raise FormatError(
+                "The job was begun by another version of nanogs; remove its folder and begin anew."
+            )
+        layout = dict(data["layout"])
+        layout["extras"] = tuple((str(name), str(kind)) for name, kind in layout["extras"])
+        return Settings(
+            inputs=tuple(
+                InputFile(**{**each, "access": Access(each["access"])}) for each in data["inputs"]
+            ),
+            layout=Layout(**{k: _frozen(v) for k, v in layout.items()}),
+            segments=tuple(Segment(**each) for each in data["segments"]),
+            ratios=tuple(map(float, data["ratios"])),
+            counts=tuple(map(int, data["counts"])),
+            nan=str(data["nan"]),
+            block=int(data["block"]),
+            parameters=ForestParameters(**data["parameters"]),
+            chunks=Chunks(**data["chunks"]) if data.get("chunks") else None,
+            filters=_sieve_of(data["filters"]) if data.get("filters") else None,
+            frame=(*data["frame"],) if data.get("frame") else None,
+            asked=Asked(**{k: _frozen(v) for k, v in data["asked"].items()}),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise FormatError(
+            f"The job's manifest is damaged ({error}); remove its folder and begin anew."
+        ) from None
+
+
+def _sieve_of(data: Mapping[str, Any]) -> Sieve:
+    filters = tuple((str(kind), tuple(map(float, values))) for kind, values in data["plain"])
+    return Sieve(filters, tuple(map(int, data["left"])), tuple(map(int, data["kept"])))
+
+
+def differences(before: Settings, now: Settings) -> list[str]:
+    """Names of what differs between two jobs."""
+    return [
+        each.name
+        for each in fields(Settings)
+        if getattr(before, each.name) != getattr(now, each.name)
+    ]
+
+
+def _frozen(value: Any) -> Any:  # noqa: ANN401 - any field's
+    return tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else value

@@ -1,0 +1,142 @@
+"""Reassignment across borders: a block's splats move between its groups and those near it.
+
+Each block does the rounds for its own splats and for those of its halo, which see the same groups
+wherever the halo is deep enough; what counts of the outcome are its own splats. So every splat is
+counted once, whatever the neighbours found. One that ends in another block's group is handed over.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F64, I32, I64, Array
+from nanogs.method.nodes import Nodes
+from nanogs.method.reassign import reassign
+from nanogs.pipeline.cuts import LABELS
+from nanogs.pipeline.halo import Halo
+from nanogs.store.scratch import Scratch
+from nanogs.store.tables import Record, Sorted, write_table
+
+GROUP = "group"
+GONE = -1  # the label of a splat that was handed over
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A block and its halo: its own splats and groups first, those of the halo after them.
+
+    Attributes:
+        leaves: A node for each splat.
+        labels: (V,) int32, the group of each leaf.
+        own: Splats of the block itself.
+        groups: Groups of the block itself.
+        halo: The others.
+    """
+
+    leaves: Nodes
+    labels: I32
+    own: int
+    groups: int
+    halo: Sequence[Halo]
+
+
+def settled(view: View, rounds: int, threads: int) -> I32:
+    """Reassign, and find the group in which each of the block's splats ends.
+
+    Args:
+        view: What the block sees.
+        rounds: Of reassignment, at most.
+        threads: Threads for the nearest-neighbour query.
+
+    Returns:
+        (N,) int32, the group of each row in the view; every group of the block keeps one of the
+        block's own.
+    """
+    own = view.leaves.rows < view.own
+    rows = view.leaves.rows[own]
+    before, after = np.empty(view.own, np.int32), np.empty(view.own, np.int32)
+    weights = np.empty(view.own)
+    before[rows], weights[rows] = view.labels[own], view.leaves.weights[own]
+    total = view.groups + sum(len(each.groups) for each in view.halo)
+    after[rows] = reassign(view.leaves, view.labels, total, rounds, threads)[own]
+    keep_every_group(after, before, weights, view.groups)
+    return after
+
+
+def keep_every_group(after: I32, before: I32, weights: F64, groups: int) -> None:
+    """Refill empty groups in place: each takes back its heaviest former member that can be spared.
+
+    Only what is not the last one of its new group can be; where no former member can, the heaviest
+    of all others is taken.
+
+    Args:
+        after: (N,) the group of each splat; those from `groups` on are other blocks'.
+        before: (N,) what they were, all below `groups`, and none of these empty.
+        weights: (N,) of each splat.
+        groups: Groups of the block.
+    """
+    sizes = np.bincount(after, minlength=groups)
+    sizes[groups:] = len(after) + 1  # other blocks see to their own
+    for group in np.flatnonzero(sizes[:groups] == 0):
+        rows = np.flatnonzero((before == group) & (sizes[after] > 1))
+        if len(rows) == 0:  # N is at least the number of groups, so one can be spared
+            rows = np.flatnonzero(sizes[after] > 1)
+        row = rows[np.argmax(weights[rows])]
+        sizes[after[row]] -= 1
+        sizes[group] += 1
+        after[row] = group
+
+
+def write_settled(
+    scratch: Scratch,
+    name: str,
+    after: I32,
+    view: View,
+    columns: dict[str, Array],
+) -> Record:
+    """Write the labels of a block's rows, and the rows that it hands over, block by block.
+
+    Args:
+        scratch: Where to.
+        name: Of the table.
+        after: (N,) the group of each row in the view.
+        view: What the block sees.
+        columns: Of the view's splats, codes among them.
+    """
+    start = view.groups
+    rows: list[I64] = [np.empty(0, np.int64)]
+    groups: list[I64] = [np.empty(0, np.int64)]
+    handed: dict[str, list[int]] = {}
+    count = 0
+    for each in view.halo:
+        gone = np.flatnonzero((after >= start) & (after < start + len(each.groups)))
+        if len(gone):
+            rows.append(gone)
+            groups.append(each.groups[after[gone] - start])
+            handed[str(each.block)] = [count, count + len(gone)]
+            count += len(gone)
+        start += len(each.groups)
+    labels = np.where(after < view.groups, after, GONE).astype(np.int32)
+    taken = np.concatenate(rows)
+    table: dict[str, Array | Sorted] = {LABELS: labels, GROUP: np.concatenate(groups)}
+    table |= {key: Sorted(column, taken) for key, column in columns.items()}
+    facts = {"handed": handed, "seen": len(view.leaves) - view.own}
+    return write_table(scratch, name, table, facts)
+
+
+def view_of(leaves: Nodes, labels: I32, own: int, groups: int, halo: Sequence[Halo]) -> View:
+    """A view from labels by row.
+
+    Args:
+        leaves: A node for each splat; rows are own ones first, then those of each halo.
+        labels: (N,) the group of each of the block's own rows.
+        own: N.
+        groups: Groups of the block.
+        halo: What it sees of others.
+    """
+    by_row, start = [labels], groups
+    for each in halo:
+        by_row.append(each.labels + np.int32(start))
+        start += len(each.groups)
+    return View(leaves, np.concatenate(by_row)[leaves.rows], own, groups, halo)

@@ -1,0 +1,185 @@
+"""A job on disk: begun or continued under its lock, brought to an end, and taken away."""
+
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nanogs.clock import StageClock
+from nanogs.defaults import PATIENCE
+from nanogs.errors import NanogsError, OutputError
+from nanogs.pipeline.ending import Ending
+from nanogs.pipeline.folder import (
+    MANIFEST,
+    SCRATCH,
+    forget,
+    locked,
+    read_manifest,
+    write_manifest,
+)
+from nanogs.pipeline.run import Done, Executor, Here, run_tasks
+from nanogs.pipeline.settings import Settings, differences
+from nanogs.pipeline.stages import job_stages
+from nanogs.pipeline.workers import workers_of
+from nanogs.progress import WAITING, Progress, Tracker
+from nanogs.store.scratch import Scratch, is_url, open_scratch
+from nanogs.threads import use_threads
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor as Pool
+
+    from distributed import Client
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Where:
+    """Who does the tasks of a job.
+
+    Attributes:
+        threads: In this process, or in each worker; None takes all.
+        executor: A Dask client or a `concurrent.futures.Executor`; None for this process.
+        patience: Seconds to wait for workers where a cluster has none.
+    """
+
+    threads: int | None = None
+    executor: "Client | Pool | None" = None
+    patience: float = PATIENCE
+
+    def runner(self, progress: Tracker) -> Executor:
+        """Who does tasks.
+
+        Args:
+            progress: Told where there is no worker.
+
+        Raises:
+            OptionError: `executor` is none.
+        """
+        if self.executor is None:
+            return Here()
+        waiting = partial(progress.aside, WAITING)
+        return workers_of(self.executor, self.threads, self.patience, waiting)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockJob:
+    """A job to be done, and where its files are until then.
+
+    Attributes:
+        settings: What decides the results.
+        folder: Of the job.
+        scratch: Folder or URL of the intermediate files, or None for one in the job folder.
+        ending: What is made of the tasks' files.
+    """
+
+    settings: Settings
+    folder: Path
+    scratch: str | None
+    ending: Ending
+
+    def run(
+        self, where: Where, clock: StageClock, told: Progress | None, *, resume: bool
+    ) -> tuple[Done, list[int]]:
+        """Do what is left of the job.
+
+        Args:
+            where: To do its tasks.
+            clock: Gets the seconds of each stage.
+            told: Called with each step, "wait" in place of a stage while a cluster has no worker.
+            resume: Whether a job that was begun is continued.
+
+        Returns:
+            What was done, and the splats of each result.
+
+        Raises:
+            NanogsError: The job is another one, cannot be done, or is in use.
+        """
+        progress = Tracker(told, job_stages(self.settings))
+        with locked(self.folder), _telling_of(self.folder):
+            place = self._found(resume=resume)
+            resumed = place is not None
+            runner = where.runner(progress)
+            with use_threads(where.threads) as threads:
+                scratch = open_scratch(place or self._new_place())
+                scratch.prepare()
+                if resumed:
+                    scratch.tidy()
+                else:  # last of all, so that nothing is left of what could not be begun
+                    write_manifest(self.folder, self.settings, scratch.place)
+                done = run_tasks(
+                    scratch, self.settings, runner, threads, clock, progress, resumed=resumed
+                )
+                progress.begin("write")
+                with clock.time("write"):
+                    counts = self.ending.finish(done, self.folder, progress)
+            self._remove(scratch)
+        progress.finish()
+        return done, counts
+
+    def _found(self, *, resume: bool) -> str | None:
+        """The scratch of the job that a run before has begun, or None for a new one.
+
+        Raises:
+            NanogsError: There is one that is not to be continued, or a new one would end in vain.
+        """
+        found = read_manifest(self.folder)
+        if found is None:
+            self.ending.check(self.folder, resume=resume)
+            return None
+        if not resume:
+            raise OutputError(
+                f"{self.folder} holds a job that was not finished; `resume=True` continues it, or"
+                " remove the folder to begin anew."
+            )
+        before, place = found
+        other = differences(before, self.settings)
+        if other or _above(place) != self._above():
+            what = ", ".join(other) or "scratch"
+            raise OutputError(
+                f"{self.folder} holds another job (its {what} differ); resume it with the same"
+                " inputs and options, or remove the folder."
+            )
+        self.ending.check_begun(self.folder)
+        return place
+
+    def _above(self) -> str:
+        """The folder or URL in which the job's own folder of intermediate files is."""
+        if self.scratch is None:
+            return str(self.folder.resolve())
+        if is_url(self.scratch):
+            return self.scratch.rstrip("/")
+        return str(Path(self.scratch).absolute())
+
+    def _new_place(self) -> str:
+        """One of its own for each job: what others keep beside it is not taken for the job's."""
+        name = SCRATCH if self.scratch is None else f"nanogs-{secrets.token_hex(8)}"
+        return f"{self._above()}/{name}"
+
+    def _remove(self, scratch: Scratch) -> None:
+        """Take away everything; the notes of results go last, with which they are known again."""
+        scratch.remove()
+        for left in self.folder.glob(".nanogs-*.tmp"):
+            left.unlink(missing_ok=True)
+        forget(self.folder)
+
+
+@contextmanager
+def _telling_of(folder: Path) -> Iterator[None]:
+    """Note on an error of the system, such as too little memory, that a job was kept."""
+    try:
+        yield
+    except NanogsError:
+        raise
+    except Exception as error:
+        if (folder / MANIFEST).exists():
+            error.add_note(
+                f"What is done is kept in {folder}: `resume=True` goes on from there; remove the"
+                " folder to begin anew, as with another `max_memory`."
+            )
+        raise
+
+
+def _above(place: str) -> str:
+    return place.rpartition("/")[0] if is_url(place) else str(Path(place).parent)

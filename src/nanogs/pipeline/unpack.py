@@ -1,0 +1,159 @@
+"""Unpacking: the columns of a packed file, in the scratch, where any of their rows can be read.
+
+Some formats hold columns that are compressed as a whole, so that a row of theirs cannot be read
+without all before it. What is written is what they hold, not what it stands for: a fifth as much.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nanogs._types import Array
+from nanogs.io.parts import Packed
+from nanogs.pipeline.inputs import check_unchanged, open_unchanged
+from nanogs.pipeline.settings import InputFile, Settings
+from nanogs.source import Layout, Source
+from nanogs.splats import Splats
+from nanogs.store.scratch import Scratch
+from nanogs.store.tables import Record, Streamed, Table, write_table
+
+NOTES = "notes"
+
+
+@dataclass(frozen=True, slots=True)
+class Unpacked:
+    """The input files that have been unpacked.
+
+    Attributes:
+        scratch: Where their columns are.
+        records: By number of the file.
+    """
+
+    scratch: Scratch
+    records: Mapping[int, Record]
+
+    def opened(self, number: int, packed: Packed) -> "UnpackedSource":
+        """The columns of a file, opened to read rows of it.
+
+        Args:
+            number: Of the file.
+            packed: What it is.
+        """
+        return UnpackedSource(packed, Table(self.scratch, self.records[number]))
+
+
+class UnpackedSource(Source):
+    """A packed file whose columns are in a table."""
+
+    def __init__(self, packed: Packed, table: Table) -> None:
+        self._packed, self._table = packed, table
+        self.name = packed.name
+
+    @property
+    def count(self) -> int:
+        """Number of splats."""
+        return self._packed.count
+
+    @property
+    def columns(self) -> Layout:
+        """The columns; see `Source`."""
+        return self._packed.columns
+
+    def _span(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        splats = self._packed.decode(self._table.read, start, stop)
+        return replace(splats, notes=[*splats.notes, *self._table.record.facts[NOTES]])
+
+    def close(self) -> None:
+        """Close the table."""
+        self._table.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Memory and disk that unpacking takes.
+
+    Attributes:
+        scratch: Bytes of the columns of all files.
+        memory: Bytes, of the file that takes most.
+        path: Of that file.
+    """
+
+    scratch: int = 0
+    memory: int = 0
+    path: str = ""
+
+
+def cost_of(settings: Settings) -> Cost:
+    """Memory and disk that unpacking will take, from headers.
+
+    Raises:
+        FormatError: A file cannot be read.
+    """
+    cost = Cost()
+    for number in settings.unpacked:
+        file = settings.inputs[number]
+        packed = _packed(file)
+        scratch = cost.scratch + sum(column.bytes for column in packed.stored.values())
+        most = max((cost.memory, cost.path), (packed.memory, file.path))
+        cost = Cost(scratch, *most)
+    return cost
+
+
+def unpack(scratch: Scratch, name: str, file: InputFile) -> Record:
+    """Write the columns of a file, which are never held whole.
+
+    Args:
+        scratch: Where to.
+        name: Of the table.
+        file: To unpack.
+
+    Raises:
+        FormatError: It cannot be read, is damaged, or has changed since the job began.
+        OutputError: The table cannot be written.
+    """
+    notes: list[str] = []
+    columns = streamed(_packed(file), notes, lambda: check_unchanged(file))
+    return write_table(scratch, name, columns, {NOTES: notes})
+
+
+def _packed(file: InputFile) -> Packed:
+    source = open_unchanged(file)
+    assert isinstance(source, Packed), "only those are unpacked"  # noqa: S101
+    return source
+
+
+def streamed(
+    packed: Packed, notes: list[str], at_end: Callable[[], None] = lambda: None
+) -> dict[str, Streamed]:
+    """The columns of a file, to be written one after the other in this order.
+
+    Args:
+        packed: The file.
+        notes: Gets what is to be said of it.
+        at_end: Called when all has been read.
+    """
+    pieces = _then(packed.unpack(notes), at_end)
+    last = [*packed.stored][-1]
+    return {
+        name: Streamed(
+            np.dtype(column.kind),
+            column.shape,
+            pieces if name == last else _first(pieces, column.shape[0]),
+        )
+        for name, column in packed.stored.items()
+    }
+
+
+def _first(pieces: Iterator[Array], rows: int) -> Iterator[Array]:
+    """So many rows of what comes; the last column takes all, and the checks at its end with it."""
+    while rows:
+        piece = next(pieces)
+        rows -= len(piece)
+        yield piece
+
+
+def _then(pieces: Iterator[Array], at_end: Callable[[], None]) -> Iterator[Array]:
+    yield from pieces
+    at_end()

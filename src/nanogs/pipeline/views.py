@@ -1,0 +1,132 @@
+"""The views of a job in blocks: chosen once, for the whole scene, and cut to what a block shows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nanogs._types import Bool
+from nanogs.errors import ModelError
+from nanogs.fit.views import choose_cameras
+from nanogs.kernels.blocks import TILE
+from nanogs.kernels.project import HIDDEN, unpack_box
+from nanogs.method.visibility import DECIDING, roaming_views
+from nanogs.pipeline.asked import camera_of, plain_camera
+from nanogs.pipeline.cameras import fit_cameras
+from nanogs.pipeline.coarse import coarse_scene
+from nanogs.pipeline.memory_blocks import FINE
+from nanogs.pipeline.rows import sample
+from nanogs.raster.camera import Camera, spread
+from nanogs.raster.rendering import PreparedSplats, project
+
+if TYPE_CHECKING:
+    from nanogs.pipeline.work import Work
+
+SAMPLE, SPAN = 1 << 18, 32  # rows of the original that cameras are placed by, in stretches
+LEAST = 2 * TILE  # pixels along a side of a part of a view
+STRAYS = 0.002  # of a block's splats that may lie beside its part of a view, on each side
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """The cameras of a job.
+
+    Attributes:
+        kept: Those that are looked from, some of which decide and the others are fitted to.
+        further: More to fit to.
+        roaming: Small ones that only say what is hidden.
+        notes: What the user should know, one sentence each.
+    """
+
+    kept: tuple[Camera, ...]
+    further: tuple[Camera, ...]
+    roaming: tuple[Camera, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def deciding(self) -> list[Camera]:
+        """Those by which results are chosen."""
+        return spread(self.kept, deciding_count(len(self.kept)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; floats keep every digit in JSON."""
+        return {
+            "kept": [plain_camera(camera) for camera in self.kept],
+            "further": [plain_camera(camera) for camera in self.further],
+            "roaming": [plain_camera(camera) for camera in self.roaming],
+            "notes": list(self.notes),
+        }
+
+
+def deciding_count(views: int) -> int:
+    """How many of so many views decide."""
+    return min(max(1, views // DECIDING), max(1, views // 4))
+
+
+def views_of(data: Mapping[str, Any]) -> Views:
+    """Views from what `to_dict` made of them, by way of JSON."""
+    kept, further, roaming = (
+        tuple(camera_of(each) for each in data[kind]) for kind in ("kept", "further", "roaming")
+    )
+    return Views(kept, further, roaming, tuple(data["notes"]))
+
+
+def choose_views(work: "Work") -> Views:
+    """Choose the views of the whole scene, from rows spread over it; or those asked for.
+
+    Args:
+        work: The job, the coarse level done.
+    """
+    parameters = work.settings.parameters
+    some = sample(work.settings, work.unpacked(), rows=SAMPLE, span=SPAN)
+    asked = work.settings.asked
+    notes: tuple[str, ...] = ()
+    try:
+        given = asked.given() or fit_cameras(
+            some, asked.source, asked.up, parameters.views, parameters.view_size
+        )
+        kept, further = choose_cameras(
+            some, given, parameters.views, parameters.further if parameters.steps else 0,
+            parameters.view_size,
+        )  # fmt: skip
+    except ModelError as error:
+        return Views((), (), (), (f"Nothing was measured: {error}",))
+    roaming: list[Camera] = []
+    if parameters.roaming and not given:
+        scene = coarse_scene(work, FINE) or work.block(0)[0]
+        roaming, notes = roaming_views(scene, parameters.roaming)
+    return Views(tuple(kept), tuple(further), tuple(roaming), notes)
+
+
+def parts_of(own: PreparedSplats, shown: Bool, cameras: Sequence[Camera]) -> list[Camera | None]:
+    """The part of each view in which splats are drawn; None where they are not.
+
+    Args:
+        own: N splats, of a block.
+        shown: (N,) those that count.
+        cameras: Whole views.
+    """
+    return [_part(own, shown, camera) for camera in cameras]
+
+
+def _part(own: PreparedSplats, shown: Bool, camera: Camera) -> Camera | None:
+    boxes = project(own, camera, sh_degree=0).boxes
+    boxes = boxes[shown & (boxes != HIDDEN)]
+    if len(boxes) == 0:
+        return None
+    corner_and_size: tuple[Any, ...] = unpack_box(boxes)
+    x, y, across, down = corner_and_size
+    left, right = _between(x, x + across, camera.width)
+    top, bottom = _between(y, y + down, camera.height)
+    return camera.cropped(left, top, right - left, bottom - top)
+
+
+def _between(first: Any, last: Any, size: int) -> tuple[int, int]:  # noqa: ANN401 - arrays
+    """Pixels of the tiles in which nearly all boxes are, at least `LEAST` of them."""
+    low = int(np.quantile(first, STRAYS, method="lower")) * TILE
+    high = min(int(np.quantile(last, 1 - STRAYS, method="higher")) * TILE, size)
+    if high - low < LEAST:
+        low = max(min(low, (size - LEAST) // TILE * TILE), 0)
+        high = min(max(high, low + LEAST), size)
+    return low, high

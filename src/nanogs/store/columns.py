@@ -1,0 +1,81 @@
+"""Splats as the columns of a table, and back."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import I64, Array
+from nanogs.source import Layout
+from nanogs.splats import RenderMode, Splats
+from nanogs.store.tables import Record, Sorted, Table
+
+_OWN = ("means", "log_scales", "quats", "opacity_logits", "sh")
+_EXTRA = "extra:"
+CODES = "codes"
+
+
+def columns_of(splats: Splats) -> dict[str, Array]:
+    """Every column of the splats by name."""
+    own: dict[str, Array] = {name: getattr(splats, name) for name in _OWN}
+    return own | {_EXTRA + name: column for name, column in splats.extras.items()}
+
+
+def sorted_columns(splats: Splats, rows: I64) -> dict[str, Array | Sorted]:
+    """The columns of some rows, in their order, taken when they are written."""
+    return {name: Sorted(column, rows) for name, column in columns_of(splats).items()}
+
+
+def row_bytes(layout: Layout) -> int:
+    """Bytes of a splat in memory and in a table."""
+    return sum(np.dtype(kind).itemsize * size for kind, size in _kinds(layout).values())
+
+
+def _kinds(layout: Layout) -> dict[str, tuple[str, int]]:
+    coefficients = (layout.sh_degree + 1) ** 2
+    kinds = {
+        "means": ("<f8" if layout.double_means else "<f4", 3),
+        "log_scales": ("<f4", 3),
+        "quats": ("<f4", 4),
+        "opacity_logits": ("<f4", 1),
+        "sh": ("<f4", 3 * coefficients),
+    }
+    return kinds | {_EXTRA + name: (kind, 1) for name, kind in layout.extras}
+
+
+def empty_columns(layout: Layout, count: int) -> dict[str, Array]:
+    """Make columns to be filled."""
+    coefficients = (layout.sh_degree + 1) ** 2
+    shapes: dict[str, tuple[int, ...]] = {
+        "means": (3,), "log_scales": (3,), "quats": (4,), "sh": (coefficients, 3)
+    }  # fmt: skip
+    return {
+        name: np.empty((count, *shapes.get(name, ())), kind)
+        for name, (kind, _) in _kinds(layout).items()
+    }
+
+
+def splats_of(columns: Mapping[str, Array], layout: Layout) -> Splats:
+    """Splats of these columns, which are not copied."""
+    own: dict[str, Any] = {name: columns[name] for name in _OWN}
+    extras = {name: columns[_EXTRA + name] for name, _ in layout.extras}
+    return Splats(
+        **own,
+        extras=extras,
+        render_mode=RenderMode(layout.render_mode),
+        comments=layout.comments,
+    )
+
+
+def read_rows(table: Table, columns: Mapping[str, Array], at: int, rows: I64 | slice) -> None:
+    """Fill columns, from row `at` on, with rows of a table: a slice, or ascending ones."""
+    for name, column in columns.items():
+        if isinstance(rows, slice):
+            table.read_into(name, rows.start, column[at : at + rows.stop - rows.start])
+        else:
+            table.take_into(name, rows, column[at : at + len(rows)])
+
+
+def count_of(record: Record) -> int:
+    """Rows of a table of splats."""
+    return record.columns["means"].shape[0]

@@ -1,0 +1,161 @@
+"""Intermediate files of a job: in a folder, or at a URL (`remote`).
+
+Files appear whole or not at all. They are not forced to the disk: after a power cut, a resumed job
+finds by their checksums which of them never arrived.
+"""
+
+import contextlib
+import hashlib
+import secrets
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import BinaryIO, Protocol, cast
+
+import numpy as np
+
+from nanogs._types import Array
+from nanogs.io.atomic import output_error
+
+SUFFIXES = (".npy", ".json", ".tmp")
+_CHUNK = 1 << 22
+
+
+class Scratch(Protocol):
+    """Files by name."""
+
+    @property
+    def place(self) -> str:
+        """The folder or URL, as `open_scratch` takes it."""
+
+    @property
+    def at_once(self) -> int:
+        """How many files are read at a time: far ones let each of them wait."""
+
+    def prepare(self) -> None:
+        """Make the folder. Only the caller does: a worker that does not see it must not make one.
+
+        Raises:
+            OutputError: Nothing can be written there.
+        """
+
+    def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
+        """Write a file, whole or not at all; its bytes and their SHA-256.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+
+    def open(self, name: str, size: int | None = None) -> BinaryIO:
+        """A file to read and seek in.
+
+        Args:
+            name: Of the file.
+            size: Its bytes, where they are known.
+
+        Raises:
+            OSError: It is not there.
+        """
+
+    def remove(self) -> None:
+        """Take away all files that `write` made, and the folder, and the one around it if empty."""
+
+    def tidy(self) -> None:
+        """Take away what killed writers left."""
+
+
+class FolderScratch:
+    """A folder of this machine, or one that all workers share."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @property
+    def place(self) -> str:
+        """The folder or URL."""
+        return str(self.folder)
+
+    @property
+    def at_once(self) -> int:
+        """As `Scratch` says."""
+        return 1
+
+    def prepare(self) -> None:
+        """As `Scratch` says."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise output_error(self.folder, error) from error
+
+    def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
+        """As `Scratch` says."""
+        temporary = self.folder / f"{name}.{secrets.token_hex(4)}.tmp"
+        try:
+            with temporary.open("xb", buffering=0) as file:
+                written = write_hashed(cast("BinaryIO", file), parts)
+            temporary.replace(self.folder / name)
+        except OSError as error:
+            raise output_error(self.folder / name, error) from error
+        finally:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+        return written
+
+    def open(self, name: str, size: int | None = None) -> BinaryIO:  # noqa: ARG002
+        """As `Scratch` says."""
+        return cast("BinaryIO", (self.folder / name).open("rb", buffering=0))
+
+    def remove(self) -> None:
+        """As `Scratch` says."""
+        for path in self._files(SUFFIXES):
+            path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # unless something else is in it
+            self.folder.rmdir()
+            self.folder.parent.rmdir()
+
+    def tidy(self) -> None:
+        """As `Scratch` says."""
+        for path in self._files((".tmp",)):
+            path.unlink(missing_ok=True)
+
+    def _files(self, suffixes: tuple[str, ...]) -> Iterator[Path]:
+        if self.folder.is_dir():
+            yield from [path for path in self.folder.iterdir() if path.suffix in suffixes]
+
+
+def open_scratch(place: str) -> Scratch:
+    """The files at a folder or URL.
+
+    Raises:
+        OptionError: What reaches that kind of URL is not installed.
+    """
+    if not is_url(place):
+        return FolderScratch(Path(place))
+    from nanogs.store.remote import UrlScratch
+
+    return UrlScratch(place)
+
+
+def is_url(place: str) -> bool:
+    """Whether a place is one that fsspec reaches."""
+    return "://" in place
+
+
+def hash_file(file: BinaryIO) -> tuple[int, str]:
+    """Bytes of an open file from here on, and their SHA-256."""
+    digest, count = hashlib.sha256(), 0
+    while chunk := file.read(_CHUNK):
+        digest.update(chunk)
+        count += len(chunk)
+    return count, digest.hexdigest()
+
+
+def write_hashed(file: BinaryIO, parts: Iterable[Array]) -> tuple[int, str]:
+    """Write parts one after the other; their bytes, and the SHA-256 of these."""
+    digest, count = hashlib.sha256(), 0
+    for part in parts:
+        data = part.reshape(-1).view(np.uint8).data
+        digest.update(data)
+        count += len(data)
+        while data:
+            data = data[file.write(data) :]
+    return count, digest.hexdigest()
