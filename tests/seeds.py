@@ -28,7 +28,7 @@ import torchfiles
 from builders import random_splats
 from damage import TEXT, change_json, mutate
 from nanogs import io
-from nanogs.io import gltf_spz
+from nanogs.io.gltf import packed_write as gltf_spz
 from nanogs.splats import RenderMode
 from plyfiles import BASE, ENCODINGS, ply, vertex
 

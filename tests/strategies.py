@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from nanogs.io.ply_header import TYPE_NAMES
+from nanogs.io.ply.header import TYPE_NAMES
 from nanogs.splats import ExtraElement, RenderMode, Splats
 
 NAMES = st.sampled_from(["nx", "ny", "nz", "label", "red", "confidence", "f_rest_x", "segment_id"])

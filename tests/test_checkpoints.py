@@ -14,7 +14,7 @@ from builders import random_splats
 from damage import mutate, outcome
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
-from nanogs.io import checkpoint
+from nanogs.io.checkpoint import read as checkpoint
 from nanogs.io.sniff import sniff
 from strategies import assert_same, splats
 from torchfiles import File, Raw, call, captured, gsplat, name, nerfstudio, pickled
@@ -117,7 +117,7 @@ EXPLOITS = {
     "inst": exploit(b"(X\x0b\x00\x00\x00touch pwnedios\nsystem\n"),
     "stack_global": exploit(pickled("os"), pickled("system"), b"\x93"),
     "dotted": exploit(pickled("collections"), pickled("OrderedDict.__init__"), b"\x93"),
-    "ours": exploit(call(name("nanogs.io.torch_file", "TorchFile"), "a.pt")),
+    "ours": exploit(call(name("nanogs.io.checkpoint.torch_file", "TorchFile"), "a.pt")),
 }
 
 

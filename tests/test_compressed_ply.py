@@ -13,10 +13,10 @@ from builders import random_splats
 from conftest import scene_path
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
-from nanogs.io import compressed_ply_write
-from nanogs.io.compressed_ply_write import morton_order
-from nanogs.io.ply_header import read_header
-from nanogs.io.ply_rows import iter_blocks
+from nanogs.io.compressed_ply import write as compressed_ply_write
+from nanogs.io.compressed_ply.write import morton_order
+from nanogs.io.ply.header import read_header
+from nanogs.io.ply.rows import iter_blocks
 from nanogs.splats import ExtraElement, RenderMode
 from plyfiles import ply, vertex
 from strategies import splats

@@ -376,12 +376,12 @@ def test_memory_that_runs_out_before_a_job_is_begun_names_none(
 
 
 def test_memory_that_runs_out_halfway_leaves_nothing(scene, tmp_path, monkeypatch, capsys):
-    import nanogs.io.ply_write
+    import nanogs.io.ply.write
 
     def run_out(*_args, **_options):
         raise MemoryError
 
-    monkeypatch.setattr(nanogs.io.ply_write, "write", run_out)
+    monkeypatch.setattr(nanogs.io.ply.write, "write", run_out)
     monkeypatch.setattr("nanogs.cli.convert_run.save", run_out)
     assert command("convert", scene, tmp_path / "a.ply") == 2
     assert "error: Memory ran out; free some" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from builders import random_splats
 from damage import outcome
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
-from nanogs.io import gltf_write
+from nanogs.io.gltf import write as gltf_write
 from nanogs.sh import basis
 from nanogs.splats import ExtraElement, RenderMode
 from npm_packages import node, package
@@ -191,8 +191,8 @@ def test_the_fallback_colour_is_linear(tmp_path):
 def test_blocks_agree(tmp_path, monkeypatch):
     model = random_splats(100, degree=2)
     io.save(model, tmp_path / "a.glb")
-    monkeypatch.setattr("nanogs.io.gltf_write.BLOCK_ROWS", 7)
-    monkeypatch.setattr("nanogs.io.gltf_primitives.BLOCK_ROWS", 11)
+    monkeypatch.setattr("nanogs.io.gltf.write.BLOCK_ROWS", 7)
+    monkeypatch.setattr("nanogs.io.gltf.primitives.BLOCK_ROWS", 11)
     io.save(model, tmp_path / "b.glb")
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
     assert_same_splats(model, io.load(tmp_path / "b.glb"))

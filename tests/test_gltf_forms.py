@@ -11,7 +11,7 @@ import pytest
 from builders import random_splats
 from nanogs import io
 from nanogs.errors import FormatError
-from nanogs.io import gltf_spz
+from nanogs.io.gltf import packed_write as gltf_spz
 from nanogs.io.parts import Whole
 from nanogs.sh import basis
 from nanogs.splats import RenderMode

@@ -34,7 +34,7 @@ def described(tmp_path, model, name="a.ply"):
 def small_blocks(monkeypatch):
     """Blocks of three rows, so that a few splats make several."""
     monkeypatch.setattr("nanogs.source.base.BLOCK_ROWS", 3)
-    monkeypatch.setattr("nanogs.io.ply_rows.BLOCK_ROWS", 3)
+    monkeypatch.setattr("nanogs.io.ply.rows.BLOCK_ROWS", 3)
 
 
 @SHARED

@@ -38,8 +38,8 @@ ahead bench cli __main__
 UP = {
     ("splats", "gsplat_arrays"): "`from_gsplat` and `to_gsplat` are methods; what they do is apart",
     ("splats", "summary"): "a notebook shows a model, with its picture, through `_repr_html_`",
-    ("io.html_write", "view"): "a page in which a model moves is a format to write",
-    ("io.html_write", "views"): "and it opens on a view that is found from the model",
+    ("io.html", "view"): "a page in which a model moves is a format to write",
+    ("io.html", "views"): "and it opens on a view that is found from the model",
 }
 
 # What a part may import of ours, where that is less than all below it.
@@ -76,7 +76,7 @@ class Import(NamedTuple):
 
 
 def name_of(path: Path) -> str:
-    """A module's name without the package's, such as `io.ply`, and `io` for `io/__init__.py`."""
+    """A module's name without the package's, such as `io.splat`, and `io` for `io/__init__.py`."""
     return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 

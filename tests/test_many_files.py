@@ -9,8 +9,8 @@ import nanogs
 from builders import random_splats
 from launch import run
 from nanogs.errors import FormatError, OptionError
-from nanogs.io import sog_write
 from nanogs.io.collect import Pair, collect, pair_up
+from nanogs.io.sog import write as sog_write
 
 
 def names(folder):

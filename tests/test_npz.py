@@ -12,7 +12,8 @@ from builders import random_splats
 from damage import mutate, outcome
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
-from nanogs.io import npz, registry
+from nanogs.io import registry
+from nanogs.io.npz import read as npz
 from nanogs.splats import ExtraElement, RenderMode
 from strategies import assert_same, splats
 

@@ -15,8 +15,9 @@ from builders import random_splats
 from conftest import scene_path
 from nanogs import io
 from nanogs.errors import FormatError
-from nanogs.io import parts, registry, sog_packed
+from nanogs.io import parts, registry
 from nanogs.io.parts import Packed, Whole
+from nanogs.io.sog import packed as sog_packed
 from partfiles import in_parts, whole
 from strategies import assert_same, splats
 

@@ -10,8 +10,9 @@ import pytest
 import launch
 import nanogs
 from builders import random_splats
-from nanogs.io import registry, spz_write
+from nanogs.io import registry
 from nanogs.io.sniff import sniff
+from nanogs.io.spz import write as spz_write
 
 
 def run(*arguments, data=b"", **kwargs):

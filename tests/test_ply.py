@@ -64,14 +64,14 @@ def test_encodings_agree(load, encoding):
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_models_longer_than_a_block(load, monkeypatch, encoding):
     whole = load(ply(("vertex", vertex(100))))
-    monkeypatch.setattr("nanogs.io.ply_rows.BLOCK_ROWS", 7)
+    monkeypatch.setattr("nanogs.io.ply.rows.BLOCK_ROWS", 7)
     assert_same(whole, load(ply(("vertex", vertex(100)), encoding=encoding)))
 
 
 def test_writer_longer_than_a_block(load, resave, monkeypatch):
     model = load(ply(("vertex", vertex(100))))
     whole = resave(model)
-    monkeypatch.setattr("nanogs.io.ply_write.BLOCK_ROWS", 7)
+    monkeypatch.setattr("nanogs.io.ply.write.BLOCK_ROWS", 7)
     assert resave(model) == whole
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
-from nanogs.io import ply as reader
-from nanogs.io import ply_rows
+from nanogs.io.ply import read as reader
+from nanogs.io.ply import rows as ply_rows
 from plyfiles import BASE, ENCODINGS, ply, vertex
 
 GOOD = ply(("vertex", vertex()))

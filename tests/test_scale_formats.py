@@ -12,7 +12,8 @@ from builders import random_splats
 from conftest import scene_path
 from launch import run as run_command
 from nanogs.errors import FormatError, OptionError
-from nanogs.io import sog_packed, spz
+from nanogs.io.sog import packed as sog_packed
+from nanogs.io.spz import read as spz
 from nanogs.pipeline import rows as source
 from nanogs.pipeline import run, stages
 from nanogs.pipeline.in_blocks import block_parameters, plan_job

@@ -36,7 +36,7 @@ def array(text, name, width):
 @SHARED
 @given(model=splats(max_n=9))
 def test_every_number_comes_back(tmp_path, monkeypatch, model):
-    monkeypatch.setattr("nanogs.io.usda_write.BLOCK_ROWS", 4)
+    monkeypatch.setattr("nanogs.io.usda.write.BLOCK_ROWS", 4)
     text = written(tmp_path / "a.usda", model)
     coefficients = "float3[] radiance:sphericalHarmonicsCoefficients"
     assert np.array_equal(array(text, "point3f[] positions", 3), model.means.astype(np.float32))

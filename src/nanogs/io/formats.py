@@ -2,29 +2,27 @@
 
 from functools import partial
 
-from nanogs.io import (
-    checkpoint,
-    compressed_ply_write,
-    gltf,
-    gltf_write,
-    html_write,
-    ksplat,
-    npz,
-    npz_packed,
-    ply,
-    ply_write,
-    sog_packed,
-    sog_write,
-    splat,
-    spz,
-    spz_write,
-    tileset,
-    usda,
-    usda_write,
-)
+from nanogs.io import html as html_write
+from nanogs.io import splat
+from nanogs.io.checkpoint import read as checkpoint
+from nanogs.io.compressed_ply import write as compressed_ply_write
 from nanogs.io.format import Format, WriteOption, unread
+from nanogs.io.gltf import read as gltf
+from nanogs.io.gltf import tileset
+from nanogs.io.gltf import write as gltf_write
+from nanogs.io.ksplat import read as ksplat
+from nanogs.io.npz import packed as npz_packed
+from nanogs.io.npz import read as npz
 from nanogs.io.parts import Whole
+from nanogs.io.ply import read as ply
+from nanogs.io.ply import write as ply_write
 from nanogs.io.registry import LEVELS, TILESET
+from nanogs.io.sog import packed as sog_packed
+from nanogs.io.sog import write as sog_write
+from nanogs.io.spz import read as spz
+from nanogs.io.spz import write as spz_write
+from nanogs.io.usda import read as usda
+from nanogs.io.usda import write as usda_write
 
 _SPZ_FRAME = (
     "not stated in the file; y up (rub) by the specification, though many files have y down (rdf)"

@@ -3,7 +3,7 @@
 import zipfile
 from pathlib import Path
 
-from nanogs.io.torch_file import LEGACY_START
+from nanogs.io.checkpoint.torch_file import LEGACY_START
 
 _MAGIC = (
     (b"ply\n", ".ply"),  # a compressed one too: the header tells them apart

@@ -1,7 +1,7 @@
 """Writing streamed SOG: a `lod-meta.json` over SOG models, each of some cells of one level.
 
 Specification: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/streamed-sog/
-Its reader is `io.sog_levels`. A viewer chooses a level for each leaf of the tree and loads the
+Its reader is `io.sog.levels`. A viewer chooses a level for each leaf of the tree and loads the
 models that hold it; leaves near each other share a model, since the palettes of small ones take
 more room.
 """
@@ -129,7 +129,7 @@ def encode(level: SortedLevel, most: int, prefix: str) -> Iterator[Model]:
         most: Splats of a model.
         prefix: How names of folders begin.
     """
-    from nanogs.io import sog_write  # here, as `--help` does without
+    from nanogs.io.sog import write as sog_write
 
     for number, (first, end) in enumerate(_runs(level.counts, most)):
         part, leaves = level.take(first, end)
@@ -197,7 +197,7 @@ class StreamedSog:
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """Name the parts of a model that the files leave out, one sentence each."""
-        from nanogs.io import sog_write
+        from nanogs.io.sog import write as sog_write
 
         return sog_write.losses(splats)
 
@@ -212,7 +212,7 @@ def write_model(folder: Path, model: Model) -> int:
 
 def made_files(folder: Path) -> frozenset[str] | None:
     """The files of a streamed SOG folder that nanogs wrote; None for other folders."""
-    from nanogs.io import sog_write
+    from nanogs.io.sog import write as sog_write
 
     data = read_own(folder / NAME, "asset", "generator")
     if data is None:

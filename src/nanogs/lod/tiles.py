@@ -2,11 +2,12 @@
 
 Specification: https://docs.ogc.org/cs/22-025r4/22-025r4.html. Tiles of the coarsest level come
 first; each is replaced by its children, which are of the next finer level and fill its cell. The
-tileset's frame is that of 3D Tiles, z up; a viewer turns glTF's y there, and `gltf_write` turns the
-y of the model, which points down, to glTF's. Nothing is known of the scene's place on Earth, so the
+tileset's frame is that of 3D Tiles, z up; a viewer turns glTF's y there, and `io.gltf` turns the y
+of the model, which points down, to glTF's. Nothing is known of the scene's place on Earth, so the
 root's transform is the identity; whoever knows the place writes it there.
 
-Contents are packed as SPZ, which is all that CesiumJS 1.145 draws (see `gltf_spz`), or plain.
+Contents are packed as SPZ, which is all that CesiumJS 1.145 draws (see `packed_write` there), or
+plain.
 """
 
 import io
@@ -34,9 +35,9 @@ _WIDTH = 4.0
 
 
 def _plain_losses(splats: Splats) -> tuple[str, ...]:
-    """Name what `gltf_write` leaves out, and the comments, which would be in every tile."""
+    """Name what `io.gltf.write` leaves out, and the comments, which would be in every tile."""
     from nanogs.io import limits
-    from nanogs.io.gltf_primitives import MAX_DEGREE
+    from nanogs.io.gltf.primitives import MAX_DEGREE
 
     found = limits.left_out(splats, ".glb", max_degree=MAX_DEGREE)
     return (*found, *limits.rounded(splats, ".glb"))
@@ -54,9 +55,10 @@ class Form:
 @cache
 def form_of(*, plain: bool) -> Form:
     """How contents are made, packed as SPZ or not."""
-    from nanogs.io import gltf_spz, gltf_write  # here, as `--help` does without
-    from nanogs.io.gltf_primitives import PACKED
-    from nanogs.io.gltf_scene import EXTENSION
+    from nanogs.io.gltf import packed_write as gltf_spz
+    from nanogs.io.gltf import write as gltf_write
+    from nanogs.io.gltf.primitives import PACKED
+    from nanogs.io.gltf.scene import EXTENSION
 
     if plain:
         return Form(gltf_write.write, _plain_losses, {"extensionsUsed": [EXTENSION]})

@@ -13,7 +13,7 @@ import numpy as np
 
 from nanogs._types import F64, I64
 from nanogs.findings import Finding, Names
-from nanogs.io import sog_write
+from nanogs.io.sog import write as sog_write
 from nanogs.lod import streamed_sog, tiles
 from nanogs.lod.boxes import Box
 from nanogs.lod.cells import Cells, divide

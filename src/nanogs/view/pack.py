@@ -15,8 +15,8 @@ import numpy as np
 from nanogs._types import F64, F
 from nanogs.errors import ModelError
 from nanogs.formatting import counted, undrawn
-from nanogs.io import spz_write
-from nanogs.io.spz import SCALE_LOW
+from nanogs.io.spz import write as spz_write
+from nanogs.io.spz.read import SCALE_LOW
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.opening import Opening
 

@@ -1,0 +1,199 @@
+"""Checkpoints of trainers: gsplat's `.pt`, nerfstudio's `.ckpt`, Inria's `chkpnt*.pth`.
+
+gsplat (examples/simple_trainer.py) saves `splats`: means, scales (logarithms), quats (wxyz),
+opacities (logits), sh0 and shN. nerfstudio (models/splatfacto.py) has features_dc and features_rest
+in their place, below `pipeline` as `_model.gauss_params.<name>`, once `_model.<name>`; trained
+without harmonics, its features_dc are logits of the colours. The
+reference trainer (scene/gaussian_model.py, capture) saves a tuple: the degree it has come to, xyz,
+features_dc, features_rest, scaling, rotation, opacity and what its optimiser needs. Only what is
+needed is read; the state of optimisers, most of a checkpoint, is not.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F32, Array
+from nanogs.errors import FormatError, ModelError
+from nanogs.io.checkpoint.torch_file import TorchFile
+from nanogs.io.checkpoint.torch_pickle import Tensor
+from nanogs.io.info import FileInfo
+from nanogs.io.ply.header import printable
+from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
+from nanogs.stored import alphas, base_colour
+
+FRAME = "that of the training, as stored; nerfstudio and gsplat turn scenes to have z up by default"
+_SHAPED = ("scales", "quats", "opacities")
+_COLOURS = (("sh0", "shN"), ("features_dc", "features_rest"))
+_LEARNED = ("features", "colors")  # gsplat's appearance model makes colours of these
+_MOST_CONTAINERS = 200
+# What `capture` puts behind the degree; the names are those that a model has here.
+_CAPTURED = ("means", "sh0", "shN", "scales", "quats", "opacities")
+_RANK = re.compile(r"(.*_rank)[0-9]+(\.[^.]+)")
+_KINDS = {"f4": "float", "f8": "double", "f2": "float16", "bf": "bfloat16"}
+
+
+def read(path: Path) -> Splats:
+    """Read a checkpoint.
+
+    Raises:
+        FormatError: It is damaged, names code, or holds no splats of a known trainer.
+    """
+    file = TorchFile(path)
+    found = _find(path, file.content)
+    arrays = {name: _floats(path, name, file.array(tensor)) for name, tensor in found.items()}
+    count = len(arrays["means"])
+    try:
+        return Splats(
+            means=arrays["means"],
+            log_scales=arrays["scales"].astype(np.float32),
+            quats=arrays["quats"].astype(np.float32),
+            opacity_logits=arrays["opacities"].astype(np.float32).reshape(count),
+            sh=_harmonics(arrays, count),
+            notes=_other_ranks(path),
+        )
+    except (ModelError, ValueError) as error:
+        raise FormatError(f"{path}: {error} Save the splats again.") from None
+
+
+def inspect(path: Path) -> FileInfo:
+    """Describe a checkpoint without reading its numbers.
+
+    Raises:
+        FormatError: As for `read`, except for what only the numbers show.
+    """
+    file = TorchFile(path)
+    found = _find(path, file.content)
+    rest = [tensor for name, tensor in found.items() if name in ("shN", "features_rest")]
+    coefficients = 1 + (rest[0].shape[1] if rest and len(rest[0].shape) == 3 else 0)
+    degrees = {(degree + 1) ** 2: degree for degree in range(MAX_SH_DEGREE + 1)}
+    if coefficients not in degrees:
+        raise FormatError(
+            f"{path}: {coefficients} coefficients of harmonics are those of no degree from 0 to"
+            f" {MAX_SH_DEGREE}; save the splats again."
+        )
+    return FileInfo(
+        path=path,
+        format="checkpoint",
+        encoding=file.encoding,
+        file_bytes=file.file_bytes,
+        splats=found["means"].shape[0] if found["means"].shape else 0,
+        sh_degree=degrees[coefficients],
+        double_means=found["means"].storage.kind == "f8",
+        properties=tuple((n, _KINDS.get(t.storage.kind, t.storage.kind)) for n, t in found.items()),
+        extras=(),
+        elements=(),
+        render_mode=RenderMode.DEFAULT,
+        comments=(),
+    )
+
+
+def _find(path: Path, content: Any) -> dict[str, Tensor]:  # noqa: ANN401 - whatever was saved
+    """The tensors of the one model in a saved object, by their last names."""
+    if captured := _captured(content):
+        if captured["scales"].shape[1:] == (2,):
+            raise FormatError(
+                f"{path} has two scales a splat: flat 2DGS splats cannot be merged as ellipsoids;"
+                " export the model with a third scale."
+            )
+        return captured
+    tensors = dict(_flatten(content, "", set()))
+    models = [found for name in tensors if (found := _model(tensors, name))]
+    if len(models) == 1:
+        return models[0]
+    if models:
+        raise FormatError(f"{path} holds {len(models)} models; save one of them alone.")
+    lasts = {name.rpartition(".")[2] for name in tensors}
+    if "means" in lasts and lasts & set(_LEARNED):
+        raise FormatError(
+            f"{path}: its colours come from a network (appearance optimisation), which no file of"
+            " splats can hold; train without it, or export the splats."
+        )
+    shown = ", ".join(printable(name) for name in sorted(tensors)[:6]) or "none"
+    raise FormatError(
+        f"{path} holds no splats as gsplat, nerfstudio or the reference trainer save them (its"
+        f" tensors: {shown}); export the splats as .ply."
+    )
+
+
+def _captured(content: Any) -> dict[str, Tensor] | None:  # noqa: ANN401
+    """The tensors of what `capture` gives, alone or with the iteration; None for all else."""
+    for given in (content, content[0] if isinstance(content, tuple) and content else None):
+        if not isinstance(given, tuple) or len(given) <= len(_CAPTURED):
+            continue
+        degree, tensors = given[0], given[1 : 1 + len(_CAPTURED)]
+        if type(degree) is int and all(isinstance(each, Tensor) for each in tensors):
+            return dict(zip(_CAPTURED, tensors, strict=True))
+    return None
+
+
+def _flatten(value: Any, prefix: str, seen: set[int]) -> Iterator[tuple[str, Tensor]]:  # noqa: ANN401
+    """The tensors in nested dictionaries and tuples, each once: they may hold each other."""
+    if isinstance(value, Tensor):
+        yield prefix, value
+    elif isinstance(value, dict) and id(value) not in seen and len(seen) < _MOST_CONTAINERS:
+        seen.add(id(value))
+        for key, entry in value.items():
+            if isinstance(key, str):  # those of optimisers are numbers
+                yield from _flatten(entry, f"{prefix}.{key}" if prefix else key, seen)
+    elif isinstance(value, tuple | list) and id(value) not in seen and len(seen) < _MOST_CONTAINERS:
+        seen.add(id(value))
+        for place, entry in enumerate(value):
+            yield from _flatten(entry, f"{prefix}.{place}" if prefix else str(place), seen)
+
+
+def _model(tensors: Mapping[str, Tensor], means: str) -> dict[str, Tensor] | None:
+    prefix, _, last = means.rpartition(".")
+    if last != "means":
+        return None
+
+    def near(name: str) -> Tensor | None:
+        return tensors.get(f"{prefix}.{name}" if prefix else name)
+
+    found: dict[str, Tensor] = {"means": tensors[means]}
+    for first, rest in _COLOURS:
+        colours = {name: tensor for name in (first, rest) if (tensor := near(name))}
+        shaped = {name: tensor for name in _SHAPED if (tensor := near(name))}
+        if first in colours and len(shaped) == len(_SHAPED):
+            return found | shaped | colours
+    return None
+
+
+def _floats(path: Path, name: str, array: Array) -> Array:
+    if array.dtype.kind != "f":
+        raise FormatError(f"{path}: {name} is {array.dtype}, not floats; save the splats again.")
+    return array if name == "means" and array.dtype == np.float64 else array.astype(np.float32)
+
+
+def _harmonics(arrays: Mapping[str, Array], count: int) -> F32:
+    """(N, K, 3)."""
+    if "sh0" in arrays:
+        base, rest = arrays["sh0"], arrays.get("shN")
+    else:
+        base, rest = arrays["features_dc"], arrays.get("features_rest")
+        if rest is None or rest.size == 0:
+            base = base_colour(alphas(base))
+    parts = [base.reshape(count, 1, 3)]
+    if rest is not None and rest.size:
+        parts.append(rest.reshape(count, -1, 3))
+    return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+def _other_ranks(path: Path) -> list[str]:
+    """A note where a training on several devices has left other parts beside this one."""
+    match = _RANK.fullmatch(path.name)
+    if match is None:
+        return []
+    others = [
+        file.name
+        for file in sorted(path.parent.iterdir())
+        if (other := _RANK.fullmatch(file.name))
+        and other.groups() == match.groups()
+        and file.name != path.name
+    ]
+    if not others:
+        return []
+    return [f"The splats of other devices are in other files: {', '.join(others[:6])}."]

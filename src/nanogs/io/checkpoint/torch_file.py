@@ -1,0 +1,228 @@
+"""Tensors from a file of `torch.save`, without PyTorch; `torch_pickle` reads the pickles in it.
+
+Since PyTorch 1.6 such a file is a zip: `<name>/data.pkl`, a pickle of the saved object, and
+`<name>/data/<key>`, the storages that its tensors are parts of. Before, and for those who ask for
+it, it is five pickles one after the other (a number, a version, facts about the system, the object,
+the keys of the storages) and then the storages: a count of 8 bytes and the numbers of each.
+
+Layout: https://github.com/pytorch/pytorch, torch/serialization.py.
+"""
+
+import math
+import pickle
+import struct
+import warnings
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal, NoReturn, Protocol
+
+import numpy as np
+
+from nanogs._types import Array
+from nanogs.errors import FormatError
+from nanogs.io.checkpoint.torch_pickle import Storage, Tensor, end_of_pickle, unpickled
+from nanogs.io.files import input_size, unreadable
+from nanogs.io.ply.header import printable
+
+# An object takes up to 72 times its bytes in the pickle; a tensor has 130, a model some ten.
+_MAX_PICKLE = 1 << 21
+_LEGACY_MAGIC, _LEGACY_VERSION = 0x1950A86A20F9469CFC6C, 1001
+LEGACY_START = b"\x80\x02\x8a\nl\xfc\x9cF"
+_COUNT = struct.Struct("<q")
+_DAMAGE = (
+    OSError,
+    zipfile.BadZipFile,
+    NotImplementedError,
+    RuntimeError,  # an encrypted member, or a pickle nested too deeply
+    pickle.UnpicklingError,
+    EOFError,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    struct.error,
+    TypeError,
+    ValueError,
+)
+
+
+class _Container(Protocol):
+    """How the object and the storages lie in a file."""
+
+    content: Any
+    order: Literal["<", ">"]
+    encoding: str
+
+    def numbers(self, storage: Storage, size: int) -> bytes:
+        """The bytes of a storage, of so many at most."""
+
+
+class TorchFile:
+    """A file of `torch.save`.
+
+    Attributes:
+        content: The saved object: dictionaries, lists and numbers, with a `Tensor` for each tensor.
+        encoding: `zip`, or `binary_little_endian` or `binary_big_endian` of an old one.
+
+    Raises:
+        FormatError: It is none, is damaged, or names code.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.file_bytes = input_size(path)
+        try:
+            with path.open("rb") as file:
+                start = file.read(len(LEGACY_START))
+        except OSError as error:
+            raise unreadable(path, error) from error
+        if not start.startswith((b"PK\x03\x04", LEGACY_START)):
+            raise FormatError(
+                f"{path} begins neither like a zip file nor like an old file of torch.save; give"
+                " the checkpoint itself."
+            )
+        try:
+            kind = _Zip if start.startswith(b"PK") else _Legacy
+            with warnings.catch_warnings():  # of odd escapes in texts, which are damage
+                warnings.simplefilter("ignore")
+                self._file: _Container = kind(path, self.file_bytes)
+        except _DAMAGE as error:
+            self._damaged(error)
+        self.content, self.encoding = self._file.content, self._file.encoding
+
+    def array(self, tensor: Tensor) -> Array:
+        """The numbers of a tensor; bfloat16 becomes float32.
+
+        Raises:
+            FormatError: Its storage is missing, or does not hold so many.
+        """
+        kind = tensor.storage.kind
+        dtype = _dtype(kind).newbyteorder(self._file.order)
+        self._check(tensor)
+        try:
+            data = self._file.numbers(tensor.storage, tensor.storage.size * dtype.itemsize)
+            numbers = np.frombuffer(data, dtype, tensor.storage.size)[tensor.offset :]
+        except _DAMAGE as error:
+            self._damaged(error)
+        if 0 in tensor.shape:
+            numbers = numbers[:0].reshape(tensor.shape)
+        else:
+            steps = [step * dtype.itemsize for step in tensor.strides]
+            numbers = np.lib.stride_tricks.as_strided(numbers, tensor.shape, steps, writeable=False)
+        if kind == "bf":
+            return (numbers.astype("<u4") << 16).view("<f4")
+        return np.array(numbers, np.dtype(kind))
+
+    def _check(self, tensor: Tensor) -> None:
+        """Every number must lie in the storage, and there be no more than it has."""
+        spans = zip(tensor.shape, tensor.strides, strict=True)
+        last = tensor.offset + sum((size - 1) * step for size, step in spans)
+        count = math.prod(tensor.shape)
+        if count and (last >= tensor.storage.size or count > tensor.storage.size):
+            raise FormatError(
+                f"{self.path}: a tensor of {tensor.shape} does not fit its {tensor.storage.size}"
+                " numbers; save the checkpoint again."
+            )
+
+    def _damaged(self, error: Exception) -> NoReturn:
+        reason = printable(str(error))[:120] or type(error).__name__
+        raise FormatError(
+            f"{self.path} is damaged or no file of torch.save ({reason}); save it again."
+        ) from error
+
+
+def _dtype(kind: str) -> "np.dtype[Any]":
+    return np.dtype("u2" if kind == "bf" else kind)
+
+
+class _Zip:
+    """The members of a zip."""
+
+    encoding = "zip"
+
+    def __init__(self, path: Path, _size: int) -> None:
+        self._path = path
+        with zipfile.ZipFile(path) as archive:
+            self._members = {info.filename: info for info in archive.infolist()}
+            self._root = self._find_root()
+            self.order = self._byte_order(archive)
+            data = self._read(archive, "data.pkl", _MAX_PICKLE)
+        self.content = unpickled(data, path)
+
+    def numbers(self, storage: Storage, size: int) -> bytes:
+        """The bytes of a storage; see `_Container`."""
+        with zipfile.ZipFile(self._path) as archive:
+            return self._read(archive, f"data/{storage.key}", size)
+
+    def _find_root(self) -> str:
+        found = [name for name in self._members if name.endswith("/data.pkl")]
+        if len(found) != 1:
+            raise FormatError(
+                f"{self._path} holds no data.pkl, so it is no file of torch.save; give the"
+                " checkpoint itself."
+            )
+        return found[0].removesuffix("data.pkl")
+
+    def _byte_order(self, archive: zipfile.ZipFile) -> Literal["<", ">"]:
+        if f"{self._root}byteorder" not in self._members:
+            return "<"
+        return ">" if self._read(archive, "byteorder", 8) == b"big" else "<"
+
+    def _read(self, archive: zipfile.ZipFile, name: str, limit: int) -> bytes:
+        info = self._members[self._root + name]
+        if info.file_size > limit or info.compress_type != zipfile.ZIP_STORED:
+            raise ValueError(f"{printable(name)} is packed or has {info.file_size} bytes")
+        return archive.read(info)
+
+
+class _Legacy:
+    """Pickles and storages one after the other."""
+
+    def __init__(self, path: Path, size: int) -> None:
+        self._path = path
+        with path.open("rb") as file:
+            data = file.read(_MAX_PICKLE)
+        magic, at = self._next(data, 0)
+        version, at = self._next(data, at)
+        if (magic, version) != (_LEGACY_MAGIC, _LEGACY_VERSION):
+            raise ValueError(f"version {version}")
+        system, at = self._next(data, at)
+        self.order: Literal["<", ">"] = "<" if system.get("little_endian", True) else ">"
+        self.encoding = f"binary_{'little' if self.order == '<' else 'big'}_endian"
+        storages: dict[str, Storage] = {}
+        self.content, at = self._next(data, at, storages)
+        keys, at = self._next(data, at)
+        kinds = {key: storage.kind for key, storage in storages.items()}
+        self._places = dict(self._located(keys, kinds, at, size))
+
+    def numbers(self, storage: Storage, size: int) -> bytes:
+        """The bytes of a storage; see `_Container`."""
+        start, count = self._places[storage.key]
+        if count != storage.size:
+            raise ValueError(f"a storage of {count} numbers in place of {storage.size}")
+        with self._path.open("rb") as file:
+            file.seek(start)
+            return file.read(size)
+
+    def _next(
+        self, data: bytes, start: int, storages: dict[str, Storage] | None = None
+    ) -> tuple[Any, int]:
+        """Read the pickle that begins at a place; its contents, and the place after it."""
+        end = end_of_pickle(data, start)
+        return unpickled(data[start:end], self._path, storages), end
+
+    def _located(
+        self, keys: list[str], kinds: dict[str, str], at: int, size: int
+    ) -> Iterator[tuple[str, tuple[int, int]]]:
+        """The first byte and the numbers of each storage by its key."""
+        with self._path.open("rb") as file:
+            for key in keys:
+                file.seek(at)
+                (count,) = _COUNT.unpack(file.read(_COUNT.size))
+                at += _COUNT.size
+                end = at + count * _dtype(kinds[key]).itemsize
+                if not at <= end <= size:
+                    raise ValueError(f"a storage of {count} numbers ends behind the file")
+                yield key, (at, count)
+                at = end

@@ -1,0 +1,213 @@
+"""The pickles in files of `torch.save`, read without running what they name.
+
+A pickle can call whatever it names. Here it can name a few things only, none of which is run: a
+tensor becomes a description of itself, what else PyTorch and NumPy leave in checkpoints an empty
+stand-in, and any other name refuses the file.
+
+Layout: https://github.com/pytorch/pytorch, torch/serialization.py and torch/_utils.py.
+"""
+
+import io
+import pickle
+import pickletools
+from collections import OrderedDict
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from nanogs.errors import FormatError
+from nanogs.io.ply.header import printable
+
+_STORAGES = {
+    "FloatStorage": "f4",
+    "DoubleStorage": "f8",
+    "HalfStorage": "f2",
+    "BFloat16Storage": "bf",
+    "LongStorage": "i8",
+    "IntStorage": "i4",
+    "ShortStorage": "i2",
+    "CharStorage": "i1",
+    "ByteStorage": "u1",
+    "BoolStorage": "?",
+}
+_STAND_INS = {
+    ("torch", "Size"),
+    ("torch", "device"),
+    ("torch._utils", "_rebuild_qtensor"),
+    *(("torch", f"{kind}{bits}") for kind in ("int", "float") for bits in (8, 16, 32, 64)),
+    ("torch", "bfloat16"),
+    ("torch", "bool"),
+    ("torch", "uint8"),
+    ("_codecs", "encode"),
+    ("numpy", "dtype"),
+    ("numpy", "ndarray"),
+    *((f"numpy.{core}.multiarray", "scalar") for core in ("core", "_core")),
+    *((f"numpy.{core}.multiarray", "_reconstruct") for core in ("core", "_core")),
+}
+_MAX_WEIGHT = 10_000_000  # objects in an object
+
+
+class Storage(NamedTuple):  # and not a dataclass: a pickle could set the fields of one
+    """Numbers of one type, by the name that the file has for them."""
+
+    key: str
+    kind: str
+    size: int
+
+
+class Tensor(NamedTuple):
+    """A tensor as its file describes it; `TorchFile.array` reads its numbers."""
+
+    storage: Storage
+    offset: int
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+
+
+class _StandIn:
+    """Takes the place of an object that is of no use here; ignores all that it is given."""
+
+    __slots__ = ()
+
+    def __init__(self, *_given: object) -> None:
+        pass
+
+    def __setstate__(self, _state: object) -> None:
+        pass
+
+
+def unpickled(data: bytes, path: Path, storages: dict[str, Storage] | None = None) -> Any:  # noqa: ANN401 - whatever was saved
+    """The object of a pickle, with a `Tensor` for each tensor.
+
+    Args:
+        data: The pickle.
+        path: Its file, for the message.
+        storages: Gets all that it refers to, by their keys.
+
+    Raises:
+        FormatError: It names code.
+        Exception: Whatever `pickle` raises of one that is damaged.
+    """
+    _check_weights(data)
+    return _Unpickler(data, path, {} if storages is None else storages).load()
+
+
+def end_of_pickle(data: bytes, start: int) -> int:
+    """The place after a pickle that begins at another place.
+
+    Raises:
+        Exception: Whatever `pickletools` raises of one that is damaged or cut short.
+    """
+    stream = io.BytesIO(data)
+    stream.seek(start)
+    for _ in pickletools.genops(stream):
+        pass
+    return stream.tell()
+
+
+def _check_weights(data: bytes) -> None:
+    """Refuse a pickle that would take far more than its bytes do: room, or time.
+
+    The unpickler makes room for the highest place in its memo, however high it is. A tuple of two
+    times one tuple, and so on, has few bytes, and hashing it takes for ever; so the stack is walked
+    with the number of objects in each entry in its place, those met twice counted twice.
+
+    Raises:
+        ValueError: A place or an object is too large; LookupError if the stack runs empty.
+    """
+    stack: list[int | None] = []  # None is a mark
+    memo: dict[int, int | None] = {}
+    for opcode, argument, _ in pickletools.genops(data):
+        if opcode.name.endswith("PUT") or opcode.name == "MEMOIZE":
+            place = len(memo) if argument is None else int(str(argument))
+            if place > len(data):
+                raise ValueError(f"a place {place} in {len(data)} bytes")
+            memo[place] = stack[-1]
+        elif opcode.name.endswith("GET"):
+            stack.append(memo[int(str(argument))])
+        elif opcode.name == "MARK":
+            stack.append(None)
+        elif opcode.name == "DUP":
+            stack.append(stack[-1])
+        else:
+            weight = 1 + _take(stack, [kind.name for kind in opcode.stack_before])
+            if weight > _MAX_WEIGHT:
+                raise ValueError("objects nested in each other many times over")
+            stack += [weight] * len(opcode.stack_after)
+
+
+def _take(stack: list[int | None], kinds: list[str]) -> int:
+    """Take what an opcode takes from the stack; the objects in it."""
+    total = 0
+    if "mark" in kinds:
+        while (top := stack.pop()) is not None:
+            total += top
+        kinds = kinds[: kinds.index("mark")]
+    return total + sum(stack.pop() or 0 for _ in kinds)
+
+
+class _Unpickler(pickle.Unpickler):
+    """Builds descriptions, and refuses every name that is not expected."""
+
+    def __init__(self, data: bytes, path: Path, storages: dict[str, Storage]) -> None:
+        super().__init__(io.BytesIO(data))
+        self._path, self._storages = path, storages
+
+    def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401 - a stand-in
+        if module == "torch" and name in _STORAGES:
+            return name
+        if (module, name) == ("collections", "OrderedDict"):
+            return OrderedDict
+        if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
+            return _TENSOR
+        if (module, name) == ("torch._utils", "_rebuild_parameter"):
+            return _PARAMETER
+        if (module, name) in _STAND_INS:
+            return _StandIn
+        named = printable(f"{module}.{name}")[:80]
+        raise FormatError(
+            f"{self._path} names {named}, which no tensors need and which could run code of the"
+            " file, so it is refused; save the state dictionary alone."
+        )
+
+    def persistent_load(self, pid: Any) -> Storage:  # noqa: ANN401 - a tuple of torch's
+        _, kind, key, _, count = pid[:5]
+        if not (isinstance(key, str) and isinstance(count, int)):
+            raise TypeError("a storage without a name or a size")
+        if pid[5:] not in ((), (None,)):
+            raise ValueError("a storage that is part of another")
+        self._storages[key] = Storage(key, _STORAGES[kind], count)
+        return self._storages[key]
+
+
+class _MakeTensor:
+    """Stand in for PyTorch's function; no plain function, whose attributes a pickle could set."""
+
+    __slots__ = ()
+
+    def __call__(
+        self,
+        storage: Storage,
+        offset: int,
+        shape: Iterable[int],
+        strides: Iterable[int],
+        *_: object,
+    ) -> Tensor:
+        sizes, steps = tuple(shape), tuple(strides)
+        if not isinstance(storage, Storage) or len(sizes) != len(steps):
+            raise TypeError("a tensor without a storage")
+        if any(type(number) is not int or number < 0 for number in (offset, *sizes, *steps)):
+            raise ValueError("a tensor of an impossible shape")
+        return Tensor(storage, offset, sizes, steps)
+
+
+class _MakeParameter:
+    """A parameter is the tensor in it."""
+
+    __slots__ = ()
+
+    def __call__(self, tensor: Tensor, *_: object) -> Tensor:
+        return tensor
+
+
+_TENSOR, _PARAMETER = _MakeTensor(), _MakeParameter()

@@ -1,0 +1,1 @@
+"""PlayCanvas' `.compressed.ply`: splats packed in chunks."""

@@ -1,0 +1,236 @@
+"""Reading PlayCanvas' `.compressed.ply`: 16 bytes a splat, in chunks of 256 with common bounds.
+
+Layout: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/ply/
+Positions and log-scales are 11-10-11 bits between the chunk's bounds, colours 8 bits, rotations
+the three smaller parts in 10 bits each; an optional element `sh` holds a byte a coefficient.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64, U32, Array
+from nanogs.errors import FormatError
+from nanogs.formatting import counted
+from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.info import FileInfo
+from nanogs.io.parts import FileSource, Whole
+from nanogs.io.ply import columns, render_tag
+from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes
+from nanogs.io.ply.rows import iter_blocks, iter_span
+from nanogs.splats import ExtraElement, Splats, empty_arrays
+from nanogs.stored import base_colour, logit
+
+CHUNK_ROWS = 256
+PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+BOUNDS = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
+BOUNDS += [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
+COLOUR_BOUNDS = [f"{end}_{channel}" for end in ("min", "max") for channel in "rgb"]
+_OWN = ("chunk", "vertex", "sh")
+
+
+def is_compressed(header: Header) -> bool:
+    """Whether the header is one of this layout, whatever the file is called."""
+    vertex = header.element("vertex")
+    packed = vertex is not None and "packed_position" in vertex.names and "x" not in vertex.names
+    return packed and header.element("chunk") is not None
+
+
+def open_compressed(header: Header) -> FileSource:
+    """A file whose header and size have been checked.
+
+    Raises:
+        FormatError: An element does not have the properties or rows of this layout.
+    """
+    source = _Chunks(header)
+    if header.encoding != "ascii":
+        return source
+    return Whole(header.path, lambda _path: source.info, lambda _path: source.load())
+
+
+class _Chunks(FileSource):
+    """The rows of a file in chunks."""
+
+    def __init__(self, header: Header) -> None:
+        super().__init__(header.path)
+        self._header, self._degree = header, _check(header)
+
+    @property
+    def info(self) -> FileInfo:
+        """The description, from the header."""
+        header, vertex = self._header, _element(self._header, "vertex")
+        return FileInfo(
+            path=header.path,
+            format="compressed.ply",
+            encoding=header.encoding,
+            file_bytes=header.file_bytes,
+            splats=vertex.count,
+            sh_degree=self._degree,
+            double_means=False,
+            properties=tuple((p.name, TYPE_NAMES[str(p.code)]) for p in vertex.properties),
+            extras=tuple(name for name in vertex.names if name not in PACKED),
+            elements=tuple((e.name, e.count) for e in header.elements if e.name not in _OWN),
+            render_mode=render_tag.render_mode(header.comments),
+            comments=header.printable_comments(),
+        )
+
+    @property
+    def elements(self) -> tuple[tuple[str, int], ...]:
+        """The further elements; see `Source`."""
+        return tuple((e.name, e.count) for e in _kept(self._header) if e.name not in _OWN)
+
+    def read_elements(self) -> tuple[ExtraElement, ...]:
+        """The further elements; see `Source`."""
+        return tuple(self.load().elements) if self.elements else ()
+
+    def load(self) -> Splats:
+        """The whole model, from one pass over the file."""
+        rows = {e.name: np.empty(e.count, e.dtype()) for e in _kept(self._header)}
+        for block in iter_blocks(self._header):
+            rows[block.element.name][block.rows] = block.values
+        return _splats(self._header, rows, self._degree)
+
+    def _span(self, start: int, stop: int) -> Splats:
+        """Some rows, from the chunks that they are in; see `Source`."""
+        first = start // CHUNK_ROWS
+        spans = dict.fromkeys(("vertex", "sh") if self._degree else ("vertex",), (start, stop))
+        spans["chunk"] = first, -(-stop // CHUNK_ROWS)
+        rows = {e.name: np.empty(0, e.dtype()) for e in _kept(self._header)}
+        for name, (low, high) in spans.items():
+            element = _element(self._header, name)
+            rows[name] = np.empty(high - low, element.dtype())
+            for block in iter_span(self._header, element, low, high):
+                rows[name][block.rows] = block.values
+        return _splats(self._header, rows, self._degree, start - first * CHUNK_ROWS)
+
+
+def _splats(header: Header, rows: dict[str, Array], degree: int, skipped: int = 0) -> Splats:
+    """The model of some rows, of whose first chunk so many are left out."""
+    comments = [*header.comments, *header.obj_info]
+    vertex = rows["vertex"]
+    return Splats(
+        **_decoded(rows, degree, skipped),
+        extras={
+            name: vertex[name].copy()
+            for name in _element(header, "vertex").names
+            if name not in PACKED
+        },
+        render_mode=render_tag.render_mode(comments),
+        comments=comments,
+        elements=[ExtraElement(name, r) for name, r in rows.items() if name not in _OWN],
+        notes=header_notes(header),
+    )
+
+
+def _element(header: Header, name: str) -> Element:
+    return next(element for element in header.elements if element.name == name)
+
+
+def _kept(header: Header) -> list[Element]:
+    return [e for e in header.elements if e.properties and not e.lists()]
+
+
+def _check(header: Header) -> int:
+    """Check the elements of the layout against each other; the SH degree."""
+    chunk, vertex = _element(header, "chunk"), _element(header, "vertex")
+    _check_types(header, vertex, list(PACKED), "u4")
+    _check_types(header, chunk, BOUNDS, "f4")
+    if any(name in chunk.names for name in COLOUR_BOUNDS):
+        _check_types(header, chunk, COLOUR_BOUNDS, "f4")
+    needed = -(-vertex.count // CHUNK_ROWS)
+    if chunk.count != needed:
+        needs = counted(vertex.count, "splat needs", "splats need")
+        raise _error(header, f"{needs} {counted(needed, 'chunk')}, not {chunk.count:,}")
+    sh = header.element("sh")
+    if sh is None:
+        return 0
+    degree = columns.sh_degree(sh.names, f"{header.path}: element 'sh'")
+    _check_types(header, sh, columns.rest_names(degree), "u1")
+    if sh.count != vertex.count:
+        raise _error(
+            header, f"'sh' has {counted(sh.count, 'row')} for {counted(vertex.count, 'splat')}"
+        )
+    if len(sh.names) != len(columns.rest_names(degree)):
+        raise _error(header, "element 'sh' has properties other than f_rest")
+    return degree
+
+
+def _check_types(header: Header, element: Element, names: list[str], code: str) -> None:
+    codes = {prop.name: prop.code for prop in element.properties}
+    for name in names:
+        if codes.get(name) != code:
+            kind = TYPE_NAMES[code]
+            raise _error(header, f"element {element.name!r} needs a property {name} of type {kind}")
+
+
+def _error(header: Header, what: str) -> FormatError:
+    return FormatError(f"{header.path} (compressed PLY): {what}; export the file again.")
+
+
+def _decoded(rows: dict[str, Array], degree: int, skipped: int) -> dict[str, Any]:
+    """The arrays of `Splats`, computed in float64 block by block and rounded once."""
+    n = len(rows["vertex"])
+    out = empty_arrays(n, degree)
+    for start in range(0, n, BLOCK_ROWS):
+        span = slice(start, min(start + BLOCK_ROWS, n))
+        vertex = rows["vertex"][span]
+        chunk = rows["chunk"][(skipped + np.arange(span.start, span.stop)) // CHUNK_ROWS]
+        out["means"][span] = _between(chunk, "{}_{}", "xyz", _unit_11_10_11(vertex[PACKED[0]]))
+        out["quats"][span] = _quats(vertex[PACKED[1]])
+        out["log_scales"][span] = _between(
+            chunk, "{}_scale_{}", "xyz", _unit_11_10_11(vertex[PACKED[2]])
+        )
+        rgba = _unit_8888(vertex[PACKED[3]])
+        out["opacity_logits"][span] = logit(rgba[:, 3])
+        out["sh"][span, 0] = base_colour(_colour(chunk, rgba[:, :3]))
+        if degree:
+            out["sh"][span, 1:] = _higher(rows["sh"][span], degree)
+    return out
+
+
+def _unit_11_10_11(packed: U32) -> F64:
+    parts = (packed >> 21) / 2047.0, (packed >> 11 & 1023) / 1023.0, (packed & 2047) / 2047.0
+    return np.stack(parts, axis=1)
+
+
+def _unit_8888(packed: U32) -> F64:
+    return np.stack([(packed >> shift & 255) / 255.0 for shift in (24, 16, 8, 0)], axis=1)
+
+
+def _between(chunk: Array, pattern: str, axes: str, t: F64) -> F64:
+    low, high = (
+        np.stack([chunk[pattern.format(end, axis)].astype(np.float64) for axis in axes], axis=1)
+        for end in ("min", "max")
+    )
+    with np.errstate(invalid="ignore", over="ignore"):  # bounds may be infinite
+        result: F64 = low * (1 - t) + high * t
+    return result
+
+
+def _colour(chunk: Array, rgb: F64) -> F64:
+    """Files written before the colour bounds existed hold colours from 0 to 1."""
+    names = chunk.dtype.names or ()
+    return _between(chunk, "{}_{}", "rgb", rgb) if "min_r" in names else rgb
+
+
+def _quats(packed: U32) -> F64:
+    """(R, 4) wxyz: the two top bits say which part was the largest and is left out."""
+    largest = packed >> 30
+    small = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], axis=1)
+    small = (small / 1023.0 - 0.5) * np.sqrt(2.0)
+    left_out = np.sqrt(np.maximum(0, 1 - (small**2).sum(axis=1)))
+    quats = np.empty((len(packed), 4))
+    for index in range(4):
+        rows = largest == index
+        quats[rows] = np.insert(small[rows], index, left_out[rows], axis=1)
+    return quats
+
+
+def _higher(sh: Array, degree: int) -> F64:
+    """(R, K - 1, 3): bytes are the middles of 256 steps over [-4, 4], the ends exact."""
+    stored = np.stack([sh[name] for name in columns.rest_names(degree)], axis=1)
+    unit = (stored + 0.5) / 256
+    unit[stored == 0] = 0
+    unit[stored == 255] = 1
+    result: F64 = ((unit - 0.5) * 8).reshape(len(sh), 3, -1).transpose(0, 2, 1)
+    return result

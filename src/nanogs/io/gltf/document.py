@@ -1,0 +1,268 @@
+"""A glTF document: its JSON, object by object, and the accessors into its buffers.
+
+https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html. A buffer lies in the file itself, in a
+`data:` URI, or in a file of the same folder or below it; nothing else is ever read.
+"""
+
+import base64
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.errors import FormatError
+from nanogs.io.files import input_size
+from nanogs.io.gltf.rows import Accessor
+from nanogs.io.section import Section
+from nanogs.io.uris import local_path
+
+# Python takes up to 25 times a JSON text's size; those of splats have some 10 KB.
+MAX_JSON_BYTES = 4 << 20
+DATA = "data:"
+_KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_AGAIN = "export or download it again."
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """An object in the JSON chunk, and where it stands there, for messages."""
+
+    path: Path
+    where: str
+    data: dict[str, Any]
+
+    def error(self, what: str) -> FormatError:
+        """The error that something about this object is not as it must be."""
+        return FormatError(f"{self.path}: {self.where} {what}; {_AGAIN}")
+
+    def integer(self, key: str, default: int | None = None) -> int:
+        """A number that counts something or is an index.
+
+        Raises:
+            FormatError: It is missing without a default, or no integer from 0 on.
+        """
+        value = self.data.get(key, default)
+        if type(value) is not int or value < 0:
+            raise self.error(f"has no count or index {key!r}, but {_shown(value)}")
+        return value
+
+    def text(self, key: str, default: str = "") -> str:
+        """A string, or the default where there is none.
+
+        Raises:
+            FormatError: It is no string.
+        """
+        value = self.data.get(key, default)
+        if not isinstance(value, str):
+            raise self.error(f"has no text {key!r}, but {_shown(value)}")
+        return value
+
+    def part(self, key: str) -> "Part":
+        """An object; an empty one where there is none.
+
+        Raises:
+            FormatError: It is no object.
+        """
+        value = self.data.get(key, {})
+        if not isinstance(value, dict):
+            raise self.error(f"has no object {key!r}, but {_shown(value)}")
+        return Part(self.path, f"{self.where}.{key}", value)
+
+    def items(self, key: str) -> list[Any]:
+        """An array; an empty one where there is none.
+
+        Raises:
+            FormatError: It is no array.
+        """
+        value = self.data.get(key, [])
+        if not isinstance(value, list):
+            raise self.error(f"has no array {key!r}, but {_shown(value)}")
+        return value
+
+    def indices(self, key: str) -> list[int]:
+        """An array of indices.
+
+        Raises:
+            FormatError: It is no array, or holds something else.
+        """
+        values = self.items(key)
+        for value in values:
+            if type(value) is not int or value < 0:
+                raise self.error(f"has {_shown(value)} among the indices {key!r}")
+        return values
+
+    def at(self, key: str, index: int) -> "Part":
+        """The object at an index of an array.
+
+        Raises:
+            FormatError: The array is too short, or holds something else there.
+        """
+        values = self.items(key)
+        if index >= len(values) or not isinstance(values[index], dict):
+            raise self.error(f"has no object {index} in {key!r}, which is referred to")
+        return Part(self.path, f"{key}[{index}]", values[index])
+
+    def numbers(self, key: str, default: tuple[float, ...]) -> F64:
+        """As many finite numbers as the default has.
+
+        Raises:
+            FormatError: There are others.
+        """
+        values = self.data.get(key, list(default))
+        good = isinstance(values, list) and len(values) == len(default)
+        if not good or not all(type(value) in (int, float) for value in values):
+            raise self.error(f"needs {len(default)} numbers {key!r}")
+        try:
+            array = np.array(values, np.float64)
+        except OverflowError:
+            array = np.full(len(default), np.inf)
+        if not np.isfinite(array).all():
+            raise self.error(f"needs finite numbers {key!r}")
+        return array
+
+
+def _shown(value: object) -> str:
+    text = ascii(value)
+    return text if len(text) <= 40 else text[:40] + "..."
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A file's JSON and where its buffers lie.
+
+    Attributes:
+        path: The file.
+        root: All of its JSON.
+        body: The buffer in the file itself, which is that of no URI; None in a text file.
+        lifted: What was in the place of `data:` URIs by what stands there now.
+    """
+
+    path: Path
+    root: Part
+    body: Section | None = None
+    lifted: dict[str, bytes] = field(default_factory=dict)
+    _buffers: dict[int, Section] = field(default_factory=dict)
+
+    @property
+    def file_bytes(self) -> int:
+        """Bytes of the file and of those beside it that have been referred to."""
+        return sum(map(input_size, self.paths()))
+
+    def paths(self) -> list[Path]:
+        """The file, and those beside it that have been referred to."""
+        return [*dict.fromkeys([self.path, *(each.path for each in self._buffers.values())])]
+
+    def buffers(self) -> dict[int, Section]:
+        """The buffers that have been referred to, by their index."""
+        return self._buffers
+
+    def accessor(self, index: int, components: int) -> Accessor:
+        """An accessor of rows of so many numbers, every count and offset checked.
+
+        Raises:
+            FormatError: It has another type, lies elsewhere, or leads outside its buffer.
+        """
+        part = self.root.at("accessors", index)
+        kind = _KINDS.get(part.integer("componentType"))
+        if kind is None or _COMPONENTS.get(part.text("type")) != components:
+            raise part.error(f"needs {components} components of 8 or 16 bits or of type float")
+        if "bufferView" not in part.data or "sparse" in part.data:
+            raise part.error("is sparse or without a buffer view, which nanogs does not read")
+        view = self.root.at("bufferViews", part.integer("bufferView"))
+        buffer, start, end = self._span(view)
+        width = components * np.dtype(kind).itemsize
+        stride = view.integer("byteStride", width)
+        count = part.integer("count")
+        offset = start + part.integer("byteOffset", 0)
+        if count < 1 or stride < width or offset + (count - 1) * stride + width > end:
+            raise part.error(f"with {count} rows does not fit into its buffer view")
+        normalized = part.data.get("normalized") is True
+        return Accessor(count, components, kind, normalized, buffer, offset, stride, (start, end))
+
+    def view(self, index: int) -> Section:
+        """The bytes of a buffer view.
+
+        Raises:
+            FormatError: There is none, or it leads outside its buffer.
+        """
+        buffer, start, end = self._span(self.root.at("bufferViews", index))
+        return self._buffers[buffer].part(start, end - start)
+
+    def _span(self, view: Part) -> tuple[int, int, int]:
+        """The buffer of a buffer view, its first byte there, and the one after its last."""
+        if packed := [name for name in view.part("extensions").data if "compression" in name]:
+            raise view.error(f"is packed with {packed[0]}, which nanogs does not read")
+        number = view.integer("buffer")
+        buffer = self.root.at("buffers", number)
+        if number not in self._buffers:
+            self._buffers[number] = self._located(buffer, first=number == 0)
+        start, length = view.integer("byteOffset", 0), view.integer("byteLength")
+        if start + length > min(buffer.integer("byteLength"), self._buffers[number].size):
+            raise view.error("does not fit into its buffer")
+        return number, start, start + length
+
+    def _located(self, buffer: Part, *, first: bool) -> Section:
+        """Find where a buffer lies."""
+        uri = buffer.text("uri")
+        if not uri:
+            if self.body is None or not first:
+                raise buffer.error("has no URI")
+            return self.body
+        if uri.startswith(DATA):
+            data = _decoded(buffer, self.lifted.get(uri) or uri.encode("utf-8", "replace"))
+            return Section(self.path, 0, len(data), data)
+        path = local_path(self.path.parent, uri, f"{self.path}: {buffer.where}.uri")
+        return Section(path, 0, input_size(path))
+
+
+def _decoded(buffer: Part, uri: bytes) -> bytes:
+    """Decode a `data:` URI."""
+    head, comma, payload = uri.partition(b",")
+    if not comma or not head.endswith(b";base64"):
+        raise buffer.error("has a data: URI that is not in base64")
+    try:
+        return base64.b64decode(payload.replace(b"\\/", b"/"), validate=True)
+    except ValueError:
+        raise buffer.error("has a data: URI that is damaged") from None
+
+
+def damaged(path: Path, what: str) -> FormatError:
+    """The error for a file that contradicts itself."""
+    return FormatError(f"{path}: {what}; {_AGAIN}")
+
+
+def check_length(path: Path, size: int) -> None:
+    """Refuse JSON that is too long to be read.
+
+    Raises:
+        FormatError: As said.
+    """
+    if size > MAX_JSON_BYTES:
+        raise FormatError(
+            f"{path}: its JSON has {size} bytes, and nanogs reads up to {MAX_JSON_BYTES}; export"
+            " the splats alone."
+        )
+
+
+def parsed(path: Path, text: bytes) -> Part:
+    """The JSON of a document.
+
+    Raises:
+        FormatError: It is none.
+    """
+    try:
+        data = json.loads(text.decode("utf-8"), parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        reason = str(error) if isinstance(error, json.JSONDecodeError) else type(error).__name__
+        raise damaged(path, f"its JSON cannot be read ({reason})") from None
+    if not isinstance(data, dict):
+        raise damaged(path, "its JSON is no object")
+    return Part(path, "glTF", data)
+
+
+def _refuse(name: str) -> NoReturn:
+    raise ValueError(name)

@@ -1,0 +1,102 @@
+"""The containers of glTF: binary (`.glb`), whose chunks are JSON and a buffer, and text (`.gltf`).
+
+https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sections 3.6 (binary data) and 4 (GLB).
+The first bytes tell which of the two a file is, whatever it is called. The `data:` URIs of a text
+file, most of its bytes, are taken out before its JSON is read, which has a limit.
+"""
+
+import struct
+from pathlib import Path
+
+from nanogs.errors import FormatError
+from nanogs.io.files import input_size, unreadable
+from nanogs.io.gltf.document import DATA, Document, check_length, damaged, parsed
+from nanogs.io.section import Section
+
+MAGIC = b"glTF"
+JSON_CHUNK, BODY_CHUNK = b"JSON", b"BIN\0"
+_CHUNK = struct.Struct("<I4s")
+_OPENING = b'"data:'
+_LONG = 256  # of a URI; shorter ones stay in the JSON
+
+
+def read_document(path: Path) -> Document:
+    """Read the JSON of a file and find its buffers.
+
+    Raises:
+        FormatError: The file cannot be read, is damaged, or its JSON is too long.
+    """
+    size = input_size(path)
+    try:
+        with path.open("rb") as file:
+            start = file.read(64)
+        if start.lstrip().startswith(b"{"):
+            return _read_text(path, path.read_bytes())
+        return _read_glb(path, size)
+    except OSError as error:
+        raise unreadable(path, error) from error
+
+
+def _read_text(path: Path, text: bytes) -> Document:
+    rest, lifted = _lift(text)
+    check_length(path, len(rest))
+    root = parsed(path, rest)
+    version = root.part("asset").text("version", "2.0")
+    if version.partition(".")[0] != "2":
+        raise FormatError(f"{path}: nanogs reads glTF 2.0, not {version!a}; export it as 2.0.")
+    return Document(path, root, lifted=lifted)
+
+
+def _lift(text: bytes) -> tuple[bytes, dict[str, bytes]]:
+    """The text with a name in the place of every long `data:` URI, and the URIs by these names."""
+    pieces, lifted, done = list[bytes](), dict[str, bytes](), 0
+    at = text.find(_OPENING)
+    while at >= 0 and (end := text.find(b'"', at + 1)) >= 0:
+        if end - at > _LONG:
+            name = f"{DATA}{len(lifted)}"
+            pieces += [text[done:at], f'"{name}"'.encode()]
+            lifted[name], done = text[at + 1 : end], end + 1
+        at = text.find(_OPENING, end + 1)
+    return b"".join([*pieces, text[done:]]), lifted
+
+
+def _read_glb(path: Path, size: int) -> Document:
+    with path.open("rb") as file:
+        _check_header(path, file.read(12), size)
+        length, kind = _chunk(path, file.read(_CHUNK.size), file.tell(), size)
+        if kind != JSON_CHUNK:
+            raise damaged(path, f"its first chunk is {kind!r} and not JSON")
+        check_length(path, length)
+        root = parsed(path, file.read(length))
+        at = file.tell()
+        length, kind = 0, BODY_CHUNK
+        if at < size:
+            length, kind = _chunk(path, file.read(_CHUNK.size), at + _CHUNK.size, size)
+    if kind != BODY_CHUNK:  # an unknown chunk, which is to be ignored
+        length = 0
+    return Document(path, root, Section(path, at + _CHUNK.size, length))
+
+
+def _check_header(path: Path, header: bytes, size: int) -> None:
+    if header[:4] != MAGIC:
+        raise FormatError(
+            f"{path} does not begin with 'glTF', nor is it JSON, so it is no glTF file; give it the"
+            " suffix of its real format."
+        )
+    if len(header) < 12:
+        raise damaged(path, "it ends inside its header")
+    version, length = struct.unpack("<II", header[4:])
+    if version != 2:
+        raise FormatError(f"{path}: nanogs reads glTF 2.0, not {version}; export it as 2.0.")
+    if length != size:
+        raise damaged(path, f"its header says {length} bytes, but it has {size}")
+
+
+def _chunk(path: Path, header: bytes, at: int, size: int) -> tuple[int, bytes]:
+    """Length and type of a chunk whose contents begin at a byte of the file."""
+    if len(header) < _CHUNK.size:
+        raise damaged(path, "it ends inside the header of a chunk")
+    length, kind = _CHUNK.unpack(header)
+    if at + length > size:
+        raise damaged(path, f"it is cut short: of a chunk's {length} bytes {size - at} are there")
+    return length, kind

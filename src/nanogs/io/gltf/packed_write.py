@@ -1,0 +1,98 @@
+"""Writing `.glb` whose splats are packed as SPZ: KHR_gaussian_splatting_compression_spz_2.
+
+Specification: https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos, a draft. It is the only
+form of splats that CesiumJS draws (as of 1.145), so where the two disagree this follows CesiumJS:
+the numbers in the SPZ data are those of the mesh as they are, whereas by the draft they would be
+turned by half a turn about y. The attributes are those that the draft names; their accessors have
+no data of their own.
+"""
+
+import io
+import json
+import struct
+from typing import Any, BinaryIO
+
+from nanogs._version import __version__
+from nanogs.io.gltf.glb import BODY_CHUNK, JSON_CHUNK, MAGIC
+from nanogs.io.gltf.primitives import MAX_DEGREE, PACKED, attribute, coefficients
+from nanogs.io.gltf.read import COLOUR_SPACE
+from nanogs.io.gltf.scene import EXTENSION
+from nanogs.io.spz import write as spz_write
+from nanogs.splats import Splats
+
+_FLOAT, _BYTE = 5126, 5121
+# The half turn about z, y down to y up; as a matrix, since CesiumJS reads no other transform here.
+_HALF_TURN = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+
+
+def write(splats: Splats, file: BinaryIO) -> None:
+    """Write a model of SH degree up to 3; `losses` says what does not go in.
+
+    Raises:
+        OutputError: A value is NaN or infinite, or a centre is too far out; nothing has been
+            written then.
+        OSError: The system refuses to write.
+    """
+    splats = splats.with_sh_degree(MAX_DEGREE)
+    packed = io.BytesIO()
+    spz_write.write(splats, packed)
+    body = _padded(packed.getvalue(), b"\0")
+    document = _document(splats, len(packed.getvalue()))
+    text = _padded(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), b" ")
+    file.write(MAGIC + struct.pack("<II", 2, 12 + 8 + len(text) + 8 + len(body)))
+    file.write(struct.pack("<I", len(text)) + JSON_CHUNK + text)
+    file.write(struct.pack("<I", len(body)) + BODY_CHUNK + body)
+
+
+def losses(splats: Splats) -> tuple[str, ...]:
+    """Name what the file leaves out or clamps, one sentence each."""
+    cut = splats.with_sh_degree(MAX_DEGREE)
+    found = spz_write.losses(cut)
+    if cut.sh_degree == splats.sh_degree:
+        return found
+    return (
+        f"Spherical harmonics above degree {MAX_DEGREE} are left out, .glb holds no more.",
+        *found,
+    )
+
+
+def _padded(data: bytes, fill: bytes) -> bytes:
+    return data + fill * (-len(data) % 4)
+
+
+def _document(splats: Splats, size: int) -> dict[str, Any]:
+    """The JSON of a model that takes `size` bytes as SPZ."""
+    bounds = {"min": splats.means.min(axis=0).tolist(), "max": splats.means.max(axis=0).tolist()}
+    columns: list[tuple[str, int, str, dict[str, Any]]] = [
+        ("POSITION", _FLOAT, "VEC3", bounds),
+        ("COLOR_0", _BYTE, "VEC4", {"normalized": True}),
+        (attribute("ROTATION"), _FLOAT, "VEC4", {}),
+        (attribute("SCALE"), _FLOAT, "VEC3", {}),
+        *((name, _FLOAT, "VEC3", {}) for name in coefficients(splats.sh_degree)[1:]),
+    ]
+    splatting = {
+        "kernel": "ellipse",
+        "colorSpace": COLOUR_SPACE,
+        "extensions": {PACKED: {"bufferView": 0}},
+    }
+    primitive = {
+        "mode": 0,
+        "attributes": {name: index for index, (name, *_) in enumerate(columns)},
+        "extensions": {EXTENSION: splatting},
+    }
+    accessors = [
+        {"componentType": component, "count": len(splats), "type": kind} | more
+        for _, component, kind, more in columns
+    ]
+    return {
+        "asset": {"version": "2.0", "generator": f"nanogs {__version__}"},
+        "extensionsUsed": [EXTENSION, PACKED],
+        "extensionsRequired": [EXTENSION, PACKED],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "matrix": _HALF_TURN}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": [{"buffer": 0, "byteLength": size}],
+        "buffers": [{"byteLength": size}],
+    }

@@ -1,0 +1,209 @@
+"""The splats of one glTF primitive: in accessors, or packed as SPZ.
+
+The packed ones follow KHR_gaussian_splatting_compression_spz_2, a draft, as CesiumJS reads it: the
+numbers in the SPZ data are those of the mesh as they are; see `packed_write`.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.gltf.colours import to_display
+from nanogs.io.gltf.document import Document, Part
+from nanogs.io.gltf.rows import Accessor, Body
+from nanogs.io.gltf.scene import EXTENSION, Placed, Pose
+from nanogs.io.spz import read as spz
+from nanogs.io.spz.header import Header, read_header
+from nanogs.splats import RenderMode
+from nanogs.stored import logit
+
+MAX_DEGREE = 3
+PACKED = "KHR_gaussian_splatting_compression_spz_2"
+_POINTS = 0
+_TYPE_NAMES = {"i1": "char", "u1": "uchar", "<i2": "short", "<u2": "ushort", "<f4": "float"}
+
+
+def attribute(name: str) -> str:
+    """The name of one of the extension's attributes."""
+    return f"{EXTENSION}:{name}"
+
+
+def coefficients(degree: int) -> list[str]:
+    """Names of the attributes with the coefficients up to a degree, in the order of `Splats.sh`."""
+    return [
+        attribute(f"SH_DEGREE_{level}_COEF_{n}")
+        for level in range(degree + 1)
+        for n in range(2 * level + 1)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """A primitive whose splats lie in accessors, by attribute; any rows can be read.
+
+    Attributes:
+        pose: From the primitive to the frame of `.ply` files.
+        linear: Whether its colours are linear light.
+        accessors: By attribute.
+        degree: SH degree.
+    """
+
+    pose: Pose
+    linear: bool
+    accessors: dict[str, Accessor]
+    degree: int
+
+    encoding = "binary_little_endian"
+    mode = RenderMode.DEFAULT
+
+    @property
+    def count(self) -> int:
+        """Splats."""
+        return self.accessors["POSITION"].count
+
+    def properties(self) -> tuple[tuple[str, str], ...]:
+        """Name and type of each column."""
+        return tuple((name, _TYPE_NAMES[a.kind]) for name, a in self.accessors.items())
+
+    def holds_logarithms(self, body: Body) -> bool:
+        """Whether some scale is below 0, which linear ones are not."""
+        scales = self.accessors[attribute("SCALE")]
+        for start in range(0, scales.count, BLOCK_ROWS):
+            if (scales.values(body, start, min(start + BLOCK_ROWS, scales.count)) < 0).any():
+                return True
+        return False
+
+    def decode(self, body: Body, out: dict[str, Any], first: int, logarithms: bool) -> None:
+        """Fill arrays with rows from a first one on, block by block."""
+        count = len(out["means"])
+        for start in range(0, count, BLOCK_ROWS):
+            span = slice(start, min(start + BLOCK_ROWS, count))
+
+            def block(name: str, span: slice = span) -> F64:
+                accessor = self.accessors[name]
+                values = accessor.values(body, first + span.start, first + span.stop)
+                return accessor.decoded(values)
+
+            means, quats = block("POSITION"), block(attribute("ROTATION"))[:, [3, 0, 1, 2]]
+            scales = block(attribute("SCALE"))
+            for i, name in enumerate(coefficients(self.degree)):
+                out["sh"][span, i] = block(name)
+            out["opacity_logits"][span] = logit(block(attribute("OPACITY"))[:, 0])
+            part = {name: array[span] for name, array in out.items()}
+            _place(self, part, means, quats, scales if logarithms else np.log(scales))
+
+
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """A primitive whose splats are packed as SPZ; they are read all at once.
+
+    Attributes:
+        pose: From the primitive to the frame of `.ply` files.
+        linear: Whether its colours are linear light.
+        header: Of the SPZ data.
+    """
+
+    pose: Pose
+    linear: bool
+    header: Header
+
+    @property
+    def encoding(self) -> str:
+        """How the columns are packed."""
+        return spz.encoding(self.header)
+
+    @property
+    def mode(self) -> RenderMode:
+        """The model's properties as the SPZ data have them."""
+        return spz.render_mode(self.header)
+
+    @property
+    def count(self) -> int:
+        """Splats."""
+        return self.header.count
+
+    @property
+    def degree(self) -> int:
+        """SH degree."""
+        return self.header.degree
+
+    def properties(self) -> tuple[tuple[str, str], ...]:
+        """Name and type of each column."""
+        return spz.properties(self.header)
+
+    def decode_all(self, out: dict[str, Any]) -> tuple[str, ...]:
+        """Fill arrays with all rows; what is to be said of them."""
+        splats = spz.SpzSource(self.header.path, self.header).load()
+        out["sh"][:, : splats.sh.shape[1]] = splats.sh
+        out["opacity_logits"][:] = splats.opacity_logits
+        stored = (splats.means, splats.quats, splats.log_scales)
+        for start in range(0, len(splats), BLOCK_ROWS):
+            span = slice(start, start + BLOCK_ROWS)
+            part = {name: array[span] for name, array in out.items()}
+            _place(self, part, *(column[span].astype(np.float64) for column in stored))
+        return tuple(splats.notes)
+
+
+Primitive = Rows | Packed
+
+
+def primitive_of(document: Document, placed: Placed, linear: bool) -> Primitive:
+    """Check a primitive of splats against the file.
+
+    Raises:
+        FormatError: Something is missing, leads elsewhere, or contradicts something else.
+    """
+    splatting = placed.primitive.part("extensions").part(EXTENSION)
+    packed = [name for name in splatting.part("extensions").data if "compression" in name]
+    if packed and packed != [PACKED]:
+        raise placed.primitive.error(
+            f"is packed with {packed[0][:80]!a}, which nanogs does not read"
+        )
+    if placed.primitive.integer("mode", 4) != _POINTS:
+        raise placed.primitive.error("with splats must be of mode 0, points")
+    if packed:
+        view = splatting.part("extensions").part(PACKED).integer("bufferView")
+        return Packed(placed.pose, linear, read_header(document.view(view)))
+    return _rows(document, placed, linear)
+
+
+def _rows(document: Document, placed: Placed, linear: bool) -> Rows:
+    """Check the attributes of a primitive against each other and against the file."""
+    attributes = placed.primitive.part("attributes")
+    degree = _degree(attributes)
+    sizes = {"POSITION": 3, attribute("ROTATION"): 4, attribute("SCALE"): 3}
+    sizes |= {attribute("OPACITY"): 1} | dict.fromkeys(coefficients(degree), 3)
+    if missing := [name for name in sizes if name not in attributes.data]:
+        raise attributes.error(f"lacks {missing[0]}")
+    accessors = {
+        name: document.accessor(attributes.integer(name), size) for name, size in sizes.items()
+    }
+    if len({accessor.count for accessor in accessors.values()}) > 1:
+        raise attributes.error("have different counts")
+    return Rows(placed.pose, linear, accessors, degree)
+
+
+def _degree(attributes: Part) -> int:
+    """The highest degree of which there is an attribute; that none is missing is checked later."""
+    for degree in range(MAX_DEGREE, 0, -1):
+        names = set(coefficients(degree)) - set(coefficients(degree - 1))
+        if names & set(attributes.data):
+            return degree
+    return 0
+
+
+def _place(
+    primitive: Primitive, out: dict[str, Any], means: F64, quats: F64, log_scales: F64
+) -> None:
+    """Fill rows with what is placed; turn and encode the colours in them."""
+    pose = primitive.pose
+    if primitive.linear:
+        out["sh"][:] = to_display(out["sh"])
+    if not pose.is_identity():
+        means, quats = pose.means(means), pose.quats(quats)
+        log_scales = log_scales + np.log(pose.scale)
+        out["sh"][:] = pose.harmonics(out["sh"])
+    out["means"][:], out["quats"][:], out["log_scales"][:] = means, quats, log_scales

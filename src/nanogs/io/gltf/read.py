@@ -1,0 +1,251 @@
+"""Reading glTF with KHR_gaussian_splatting: linear scales and alpha, rotations xyzw, y-up.
+
+Specification: https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting,
+the release candidate of 2026 (its editorial review is pull request 2567). Scales are linear and
+not negative there; drafts before it stored logarithms, which files in the wild still hold. A scene
+is turned into the frame of `.ply` files, half a turn about z from glTF's, its node transforms
+applied. The render mode and the comments of a PLY file, for which the extension has no place,
+travel in the primitive's `extras`.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.errors import FormatError
+from nanogs.findings import Finding
+from nanogs.formatting import counted
+from nanogs.io.files import check_expansion, splat_bytes
+from nanogs.io.gltf import rows as gltf_rows
+from nanogs.io.gltf.colours import LINEAR
+from nanogs.io.gltf.document import Document, Part
+from nanogs.io.gltf.glb import read_document
+from nanogs.io.gltf.primitives import (
+    MAX_DEGREE,
+    PACKED,
+    Packed,
+    Primitive,
+    Rows,
+    attribute,
+    coefficients,
+    primitive_of,
+)
+from nanogs.io.gltf.scene import EXTENSION, placed_splats
+from nanogs.io.info import FileInfo
+from nanogs.io.parts import FileSource, Whole
+from nanogs.splats import RenderMode, Splats, empty_arrays
+
+COLOUR_SPACE = "srgb_rec709_display"
+MODE_KEY, COMMENTS_KEY = "SplatRenderMode", "comments"
+_UNDERSTOOD = (EXTENSION, PACKED, "KHR_mesh_quantization")
+_IGNORED = "KHR_materials_"  # splats have no material
+_DERIVED = ("COLOR_0", "NORMAL")  # for viewers that know no splats
+_LOGARITHMS = "Scales are negative, so they were read as logarithms, as early drafts had."
+_LINEAR = (
+    f"Colours in linear light ({LINEAR}) became those of a display ({COLOUR_SPACE}), as which"
+    " splats are blended too."
+)
+
+
+@dataclass(slots=True)
+class _Scene:
+    """All primitives of a file, and what is to be said about them."""
+
+    document: Document
+    primitives: list[Primitive] = field(default_factory=list)
+    comments: list[str] = field(default_factory=list)
+    modes: set[RenderMode] = field(default_factory=set)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def count(self) -> int:
+        return sum(primitive.count for primitive in self.primitives)
+
+    @property
+    def degree(self) -> int:
+        return max(primitive.degree for primitive in self.primitives)
+
+    @property
+    def mode(self) -> RenderMode:
+        return min(self.modes, key=list(RenderMode).index)
+
+    @property
+    def packed(self) -> bool:
+        return any(isinstance(primitive, Packed) for primitive in self.primitives)
+
+
+def read_placed(path: Path, above: F64) -> Splats:
+    """Read the splats of a file in a scene that places it.
+
+    Args:
+        path: The file.
+        above: (4, 4) float64: from the file's frame to that of the scene, both y up.
+
+    Raises:
+        FormatError: As for `open_gltf`, or the place mirrors or shears the splats.
+    """
+    return _Rows(_scene(path, above)).load()
+
+
+def open_gltf(path: Path) -> FileSource:
+    """The splats of a `.glb` or `.gltf` file, one primitive after the other.
+
+    Raises:
+        FormatError: The file cannot be read, is damaged, holds no splats or only such as are
+            packed in an unknown way, or refers to files elsewhere.
+    """
+    rows = _Rows(_scene(path, np.eye(4)))
+    if not rows.packed:
+        return rows
+    return Whole(path, lambda _path: rows.info, lambda _path: rows.load())
+
+
+class _Rows(FileSource):
+    """The splats of all primitives, one after the other."""
+
+    def __init__(self, scene: _Scene) -> None:
+        super().__init__(scene.document.path)
+        self._scene, self.packed = scene, scene.packed
+
+    @cached_property
+    def _logarithms(self) -> bool:
+        with self._body() as body, np.errstate(invalid="ignore"):
+            plain = [each for each in self._scene.primitives if isinstance(each, Rows)]
+            return any(each.holds_logarithms(body) for each in plain)
+
+    @cached_property
+    def info(self) -> FileInfo:
+        """The description, from the JSON and the headers of what is packed."""
+        scene = self._scene
+        first = scene.primitives[0]
+        return FileInfo(
+            path=self.path,
+            format=self.path.suffix.lower().lstrip("."),
+            encoding=first.encoding,
+            file_bytes=scene.document.file_bytes,
+            splats=scene.count,
+            sh_degree=scene.degree,
+            double_means=False,
+            properties=first.properties(),
+            extras=(),
+            elements=(),
+            render_mode=scene.mode,
+            comments=tuple(scene.comments),
+        )
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """The file, and those beside it that it refers to; see `FileSource`."""
+        path = self.path
+        return (path, *(p for p in self._scene.document.paths() if p != path))
+
+    @contextmanager
+    def _body(self) -> Iterator[gltf_rows.Body]:
+        document = self._scene.document
+        with gltf_rows.opened(document.path, document.buffers()) as body:
+            yield body
+
+    def _span(self, start: int, stop: int) -> Splats:
+        """Some rows, or, of a file that holds packed ones, all; see `Source`."""
+        scene, n = self._scene, stop - start
+        out = empty_arrays(n, scene.degree)
+        out["sh"][:] = 0
+        notes = list(scene.notes)
+        first = 0
+        # Whatever bits there are: NaN, infinity, zero scales.
+        with self._body() as body, np.errstate(all="ignore"):
+            for primitive in scene.primitives:
+                end = first + primitive.count
+                low, high = max(start, first), min(stop, end)
+                part = {name: array[low - start : high - start] for name, array in out.items()}
+                if isinstance(primitive, Packed):
+                    notes += primitive.decode_all(part)
+                elif low < high:
+                    primitive.decode(body, part, low - first, self._logarithms)
+                first = end
+        notes += [_LOGARITHMS] if self._logarithms else []
+        if wrong := int(np.isnan(out["opacity_logits"]).sum()):
+            notes.append(
+                Finding("{:opacity is|opacities are} not from 0 to 1 and became NaN.", wrong)
+            )
+        return Splats(
+            **out, render_mode=scene.mode, comments=scene.comments, notes=list(dict.fromkeys(notes))
+        )
+
+
+def _scene(path: Path, above: F64) -> _Scene:
+    """The primitives of a file, every count in it checked against the file's size."""
+    document = read_document(path)
+    for name in document.root.items("extensionsRequired"):
+        if name not in _UNDERSTOOD and not str(name).startswith(_IGNORED):
+            raise FormatError(
+                f"{path} requires the extension {ascii(name)[:80]}, which nanogs does not read;"
+                " export it without."
+            )
+    placed, others = placed_splats(document, above)
+    scene = _Scene(document)
+    for each in placed:
+        linear = _colour_space(scene, each.primitive)
+        primitive = primitive_of(document, each, linear)
+        scene.primitives.append(primitive)
+        _describe(scene, each.primitive, primitive.mode)
+        _check_memory(scene)
+    if len(scene.modes) > 1:
+        scene.notes.append(f"The primitives have several render modes; {scene.mode} was taken.")
+    if others:
+        scene.notes.append(f"{others} primitives of meshes were left out.")
+    return scene
+
+
+def _check_memory(scene: _Scene) -> None:
+    """Accessors may share their bytes; what comes of it must stay in proportion to the file."""
+    size, model = scene.document.file_bytes, scene.count * splat_bytes(scene.degree)
+    if scene.packed:
+        check_expansion(str(scene.document.path), model, size)
+    elif model > 4 * size:
+        raise scene.document.root.error(
+            f"describes {counted(scene.count, 'splat')}, more than four times as much as its"
+            f" {counted(size, 'byte holds', 'bytes hold')}"
+        )
+
+
+def _colour_space(scene: _Scene, primitive: Part) -> bool:
+    """Whether the colours of a primitive are linear light."""
+    splatting = primitive.part("extensions").part(EXTENSION)
+    space = splatting.text("colorSpace", COLOUR_SPACE)
+    if space == LINEAR:
+        scene.notes.append(_LINEAR)
+    elif space != COLOUR_SPACE:
+        scene.notes.append(f"The colour space {space[:40]!a} is unknown: read as {COLOUR_SPACE}.")
+    return space == LINEAR
+
+
+def _describe(scene: _Scene, primitive: Part, mode: RenderMode) -> None:
+    """Note what a primitive says about itself beside its numbers."""
+    kernel = primitive.part("extensions").part(EXTENSION).text("kernel", "ellipse")
+    if kernel != "ellipse":
+        scene.notes.append(f"The kernel {kernel[:40]!a} is unknown and was read as ellipse.")
+    known = {"POSITION", attribute("ROTATION"), attribute("SCALE"), attribute("OPACITY")}
+    known |= {*coefficients(MAX_DEGREE), *_DERIVED}
+    left_out = [name for name in primitive.part("attributes").data if name not in known]
+    if left_out:
+        scene.notes.append(f"The attribute {left_out[0][:40]!a} was left out.")
+    extras = primitive.data.get("extras")
+    extras = extras if isinstance(extras, dict) else {}  # may be anything, by specification
+    stated = extras.get(MODE_KEY, mode)
+    known_mode = stated in list(RenderMode)
+    if not known_mode:
+        scene.notes.append(f"The render mode {ascii(stated)[:40]} is unknown and was not carried.")
+    scene.modes.add(RenderMode(stated) if known_mode else RenderMode.DEFAULT)
+    comments = extras.get(COMMENTS_KEY)
+    if isinstance(comments, list):
+        scene.comments += [text for text in comments if _is_line(text)]
+
+
+def _is_line(text: object) -> bool:
+    return isinstance(text, str) and "\n" not in text and not text.endswith("\r")

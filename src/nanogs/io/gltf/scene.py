@@ -1,0 +1,184 @@
+"""Node transforms of a glTF scene, and turning splats by them.
+
+A node's transform is similar (uniform positive scale, rotation, translation) or is refused: other
+ones shear the splats. Spherical harmonics turn with the rotation, as the extension asks for.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F32, F64
+from nanogs.errors import FormatError
+from nanogs.io.gltf.document import Document, Part
+from nanogs.sh import basis
+from nanogs.stored import quaternions
+
+EXTENSION = "KHR_gaussian_splatting"
+# glTF is y-up, a 3DGS file y-down by habit: half a turn about z leads from one to the other.
+HALF_TURN = (0.0, 0.0, 1.0, 0.0)  # xyzw
+_TO_PLY = np.diag([-1.0, -1.0, 1.0, 1.0])
+_IDENTITY = tuple(np.eye(4).ravel().tolist())
+_MAX_PRIMITIVES = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A similarity: x -> scale · rotation x + shift.
+
+    Attributes:
+        rotation: (3, 3) float64, orthonormal with determinant 1.
+        scale: Above 0.
+        shift: (3,) float64, scene units.
+    """
+
+    rotation: F64
+    scale: float
+    shift: F64
+
+    def is_identity(self) -> bool:
+        """Whether it leaves every bit as it is."""
+        same = np.array_equal(self.rotation, np.eye(3)) and self.scale == 1
+        return bool(same and not self.shift.any())
+
+    def means(self, means: F64) -> F64:
+        """(R, 3) float64: centres, transformed."""
+        turned: F64 = self.scale * means @ self.rotation.T + self.shift
+        return turned
+
+    def quats(self, quats: F64) -> F64:
+        """(R, 4) float64 wxyz: rotations, followed by this one."""
+        w, *v = quaternions(self.rotation[None])[0]
+        axis = np.array(v)
+        real, imaginary = quats[:, :1], quats[:, 1:]
+        return np.concatenate(
+            [
+                w * real - imaginary @ axis[:, None],
+                w * imaginary + real * axis + np.cross(axis, imaginary),
+            ],
+            axis=1,
+        )
+
+    def harmonics(self, sh: F32) -> F64:
+        """(R, K, 3): coefficients whose colours are the old ones, seen from the turned side."""
+        degree = int(sh.shape[1] ** 0.5) - 1
+        rng = np.random.default_rng(0)
+        directions = rng.normal(size=(8 * sh.shape[1], 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        turned = basis(directions @ self.rotation, degree)  # what the old ones see: R^T d
+        matrix = np.linalg.lstsq(basis(directions, degree), turned, rcond=None)[0].round(12)
+        result: F64 = np.einsum("jk,rkc->rjc", matrix, sh.astype(np.float64))
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A primitive of splats and the pose that leads from it to the frame of `.ply` files."""
+
+    primitive: Part
+    pose: Pose
+
+
+def placed_splats(document: Document, above: F64) -> tuple[list[Placed], int]:
+    """The primitives of splats in the scene, and how many others there are.
+
+    Args:
+        document: The file.
+        above: (4, 4) float64: what is done to the scene, in its own frame, after its nodes.
+
+    Raises:
+        FormatError: There is none, the nodes are no tree, or a transform is not similar.
+    """
+    found, others = [], 0
+    for node, matrix in _nodes(document.root, above):
+        if "mesh" not in node.data:
+            continue
+        mesh = document.root.at("meshes", node.integer("mesh"))
+        for number in range(len(mesh.items("primitives"))):
+            primitive = mesh.at("primitives", number)
+            if EXTENSION not in primitive.part("extensions").data:
+                others += 1
+                continue
+            found.append(Placed(primitive, pose_of(matrix, node.error)))
+            if len(found) > _MAX_PRIMITIVES:
+                raise node.error(f"is one of too many: nanogs reads {_MAX_PRIMITIVES} primitives")
+    if not found:
+        raise _without_splats(document)
+    return found, others
+
+
+def _without_splats(document: Document) -> FormatError:
+    used = [name for name in document.root.items("extensionsUsed") if isinstance(name, str)]
+    other = [name for name in used if "splat" in name and name != EXTENSION]
+    if other:
+        what = f"stores splats with {other[0][:80]!a}, which nanogs does not read; export it with"
+        return FormatError(f"{document.path} {what} {EXTENSION}.")
+    return FormatError(
+        f"{document.path} holds no primitive with {EXTENSION} in its scene, so it is a mesh or"
+        " point cloud; export the splats."
+    )
+
+
+def _nodes(root: Part, above: F64) -> Iterator[tuple[Part, F64]]:
+    """The nodes of the scene with their global matrices; parents first."""
+    if not root.items("scenes"):
+        raise root.error("has no scene")
+    scene = root.at("scenes", root.integer("scene", 0))
+    waiting = [(index, above) for index in reversed(scene.indices("nodes"))]
+    seen: set[int] = set()
+    while waiting:
+        index, above = waiting.pop()
+        node = root.at("nodes", index)
+        if index in seen:
+            raise node.error("has two parents or is its own, and nodes must be a tree")
+        seen.add(index)
+        with np.errstate(all="ignore"):  # `_pose` refuses what overflowed
+            matrix = above @ _local(node)
+        yield node, matrix
+        waiting += [(child, matrix) for child in reversed(node.indices("children"))]
+
+
+def _local(node: Part) -> F64:
+    """(4, 4) matrix of one node."""
+    if "matrix" in node.data:
+        return node.numbers("matrix", _IDENTITY).reshape(4, 4).T
+    x, y, z, w = node.numbers("rotation", (0.0, 0.0, 0.0, 1.0))
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, :3] *= node.numbers("scale", (1.0, 1.0, 1.0))
+    matrix[:3, 3] = node.numbers("translation", (0.0, 0.0, 0.0))
+    return matrix
+
+
+def pose_of(matrix: F64, error: Callable[[str], FormatError]) -> Pose:
+    """Decompose a matrix that leads to y up, followed by the turn into the frame of `.ply` files.
+
+    Args:
+        matrix: (4, 4) float64.
+        error: Makes the error of what is wrong with it.
+
+    Raises:
+        FormatError: It is no similarity.
+    """
+    with np.errstate(all="ignore"):
+        matrix = _TO_PLY @ matrix
+        linear = matrix[:3, :3]
+        scale = float(np.cbrt(np.linalg.det(linear)))
+        rotation = linear / scale
+        skew = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if not (np.isfinite(matrix).all() and np.isfinite(scale) and scale > 0):
+        raise error("mirrors or flattens its splats, or is too large")
+    if not skew <= 1e-4:  # nor NaN
+        raise error("scales its splats differently along the axes; apply its transform first")
+    left, _, right = np.linalg.svd(rotation)
+    rotation = left @ right
+    whole = rotation.round()
+    if np.abs(rotation - whole).max() < 1e-12:
+        rotation = whole
+    scale = 1.0 if abs(scale - 1) < 1e-12 else scale
+    return Pose(rotation, scale, matrix[:3, 3])

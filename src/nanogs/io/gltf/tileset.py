@@ -1,0 +1,265 @@
+"""Reading 3D Tiles: a `tileset.json` over glTF files with splats.
+
+Specification: https://docs.ogc.org/cs/22-025r4/22-025r4.html. Tiles are a tree. With `REPLACE`, a
+tile's children stand in its place, finer; with `ADD`, they come on top of it. A level is the whole
+scene as a viewer would draw it that goes no deeper than some depth: level 0 goes to the leaves,
+level 1 one step less, and so on up to the first tiles with contents. Where a tile has no content,
+those below it stand for it.
+
+The tileset's frame is z up. Transforms of tiles are applied but for the root's, which says where on
+Earth the scene is: far from the origin, where single precision is coarser than a splat.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.errors import FormatError, OptionError
+from nanogs.io.container import Folder
+from nanogs.io.files import input_size
+from nanogs.io.gltf import read as gltf
+from nanogs.io.info import FileInfo
+from nanogs.io.json_fields import numbers, parse, refused, rows, table
+from nanogs.io.parts import Whole
+from nanogs.io.sog.levels import common_mode, joined_notes
+from nanogs.io.uris import local_path
+from nanogs.splats import Splats, concatenate
+
+MAX_BYTES = 8 << 20  # of a tileset.json; a tile has some 300 bytes for 10 K splats or more
+_MAX_TILESETS = 1000
+_IDENTITY = np.eye(4)
+_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from glTF's y up
+_PLACE = "The place of the scene on Earth, the transform of its root, was left out."
+
+
+@dataclass(frozen=True, slots=True)
+class _Tile:
+    """A tile as far as it matters here.
+
+    Attributes:
+        depth: Steps from the root.
+        contents: Its files, which hold splats.
+        above: (4, 4) float64: from the frame of the contents to that of the tileset, both y up.
+        adds: Whether it stays where its children are drawn.
+        children: Whether it has any.
+    """
+
+    depth: int
+    contents: tuple[Path, ...]
+    above: F64
+    adds: bool
+    children: tuple["_Tile", ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Tileset:
+    """A tree of tiles, and what is to be said about it."""
+
+    path: Path
+    root: _Tile
+    notes: tuple[str, ...]
+
+    def levels(self) -> int:
+        """The number of levels."""
+        depths = [tile.depth for tile in _all(self.root) if tile.contents]
+        if not depths:
+            raise FormatError(f"{self.path} names no content; export the tileset again.")
+        return max(depths) - min(depths) + 1
+
+    def level(self, number: int) -> list[_Tile]:
+        """The tiles with contents of a level, in the order of the file.
+
+        Raises:
+            OptionError: There is no such level.
+        """
+        count = self.levels()
+        if not 0 <= number < count:
+            raise OptionError(
+                f"{self.path} has levels 0 to {count - 1}; level {number} is not among them."
+            )
+        deepest = max(tile.depth for tile in _all(self.root) if tile.contents)
+        return list(_drawn(self.root, deepest - number))
+
+
+def open_level(path: Path, level: int = 0) -> "TilesLevel":
+    """A level of a `tileset.json`; 0 is the finest.
+
+    Raises:
+        OptionError: There is no such level.
+        FormatError: A file is missing or damaged, holds no splats, or lies outside of the folder.
+    """
+    tileset = _read(path)
+    return TilesLevel(tileset, level, tileset.level(level))
+
+
+class TilesLevel(Whole):
+    """The tiles of a level, one after the other."""
+
+    def __init__(self, tileset: _Tileset, level: int, tiles: list[_Tile]) -> None:
+        super().__init__(tileset.path, self._describe, self._joined)
+        self._tileset, self._level, self._tiles = tileset, level, tiles
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """The tileset and the contents of the level; see `FileSource`."""
+        contents = [file for tile in self._tiles for file in tile.contents]
+        return [self.path, *(each for file in contents for each in gltf.open_gltf(file).files)]
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Splats of each level, by what the contents say of themselves; see `FileSource`."""
+        tileset = self._tileset
+        every = {file for tile in _all(tileset.root) for file in tile.contents}
+        counts = {file: gltf.open_gltf(file).count for file in every}
+        drawn = (tileset.level(number) for number in range(tileset.levels()))
+        return tuple(sum(counts[f] for tile in level for f in tile.contents) for level in drawn)
+
+    def _describe(self, path: Path) -> FileInfo:
+        """The description, from those of the contents."""
+        infos = [gltf.open_gltf(file).info for tile in self._tiles for file in tile.contents]
+        widest = max(infos, key=lambda info: info.sh_degree)
+        return replace(
+            widest,
+            path=path,
+            format="3d tiles",
+            file_bytes=input_size(path) + sum(info.file_bytes for info in infos),
+            splats=sum(info.splats for info in infos),
+            render_mode=common_mode({info.render_mode for info in infos}),
+            comments=tuple(dict.fromkeys(line for info in infos for line in info.comments)),
+        )
+
+    def _joined(self, _path: Path) -> Splats:
+        tileset = self._tileset
+        models = [gltf.read_placed(f, tile.above) for tile in self._tiles for f in tile.contents]
+        which = f"Level {self._level} was read, of {tileset.levels()} from 0, the finest, on."
+        notes = joined_notes([model.notes for model in models], [which, *tileset.notes])
+        mode = common_mode({model.render_mode for model in models})
+        comments = dict.fromkeys(line for model in models for line in model.comments)
+        joined = concatenate(models)
+        return replace(joined, render_mode=mode, comments=list(comments), notes=notes)
+
+
+def _all(root: _Tile) -> Iterator[_Tile]:
+    waiting = [root]
+    while waiting:
+        tile = waiting.pop()
+        yield tile
+        waiting += reversed(tile.children)
+
+
+def _drawn(root: _Tile, depth: int) -> Iterator[_Tile]:
+    """The tiles with contents that are drawn by a viewer which goes no deeper."""
+    waiting = [root]
+    while waiting:
+        tile = waiting.pop()
+        stays = tile.depth == depth and tile.contents
+        refined = bool(tile.children) and not stays
+        if tile.contents and (tile.adds or not refined):
+            yield tile
+        if refined:
+            waiting += reversed(tile.children)
+
+
+class _Reader:
+    """Reads a tileset and those that it names, each file once."""
+
+    def __init__(self) -> None:
+        self._seen: set[Path] = set()
+        self._tilesets = 0
+
+    def root(self, path: Path) -> dict[str, Any]:
+        """The root tile of a `tileset.json`."""
+        self._tilesets += 1
+        if self._tilesets > _MAX_TILESETS:
+            raise refused(str(path), f"is one of more than {_MAX_TILESETS} tilesets")
+        if input_size(path) > MAX_BYTES:
+            raise refused(str(path), f"has more than {MAX_BYTES} bytes")
+        data = parse(Folder(path.parent).read(path.name, MAX_BYTES), str(path))
+        return table(data.get("root"), f"{path}, root")
+
+    def tile(self, data: dict[str, Any], place: "_Place") -> _Tile:
+        """A tile and all below it.
+
+        Raises:
+            FormatError: It is not as 3D Tiles have it, or names files twice or elsewhere.
+        """
+        where = f"{place.path}, tile"
+        if "implicitTiling" in data:
+            raise refused(where, "is tiled implicitly, which nanogs does not read")
+        adds = _adds(data.get("refine"), place.adds, where)
+        inner = replace(place, above=place.above @ _transform(data, where), adds=adds)
+        contents, below = [], []
+        for file in self._contents(data, place.path):
+            if file.name.lower().endswith(".json"):
+                outer = replace(inner, path=file)
+                below.append(self.tile(self.root(file), outer))
+            else:
+                contents.append(file)
+        step = replace(inner, depth=place.depth + 1)
+        children = rows(data.get("children") or [], f"{where}, children")
+        below += [self.tile(table(child, where), step) for child in children]
+        above = _Z_UP.T @ inner.above @ _Z_UP
+        return _Tile(place.depth, tuple(contents), above, adds, tuple(below))
+
+    def _contents(self, data: dict[str, Any], path: Path) -> Iterator[Path]:
+        given = [data["content"]] if data.get("content") is not None else []
+        given += rows(data.get("contents") or [], f"{path}, contents")
+        for content in given:
+            where = f"{path}, content"
+            entry = table(content, where)
+            file = local_path(path.parent, entry.get("uri", entry.get("url")), where)
+            if file in self._seen:
+                raise refused(where, f"names {file.name} twice")
+            self._seen.add(file)
+            if file.suffix.lower() not in (".glb", ".gltf", ".json"):
+                raise refused(where, f"names {file.name}, where glTF files are needed")
+            yield file
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """The place of a tile.
+
+    Attributes:
+        path: The tileset that it is in.
+        depth: Steps from the root.
+        above: (4, 4) float64: from the frame of its parent to that of the tileset, both z up.
+        adds: Whether its parent's refinement adds.
+    """
+
+    path: Path
+    depth: int
+    above: F64
+    adds: bool
+
+
+def _read(path: Path) -> _Tileset:
+    """Read and check a `tileset.json`."""
+    reader = _Reader()
+    root = dict(reader.root(path))
+    placed = not np.array_equal(_transform(root, f"{path}, tile"), _IDENTITY)
+    root.pop("transform", None)
+    try:
+        tree = reader.tile(root, _Place(path, 0, _IDENTITY, adds=False))
+    except RecursionError:
+        raise refused(str(path), "has tiles in each other without end") from None
+    return _Tileset(path, tree, (_PLACE,) if placed else ())
+
+
+def _transform(data: dict[str, Any], where: str) -> F64:
+    """(4, 4) of one tile; its columns lie one after the other in the file."""
+    if data.get("transform") is None:
+        return _IDENTITY
+    return numbers(data["transform"], f"{where}, transform", 16).reshape(4, 4).T
+
+
+def _adds(value: object, inherited: bool, where: str) -> bool:
+    if value is None:
+        return inherited
+    if value not in ("ADD", "REPLACE"):
+        raise refused(f"{where}, refine", "must be ADD or REPLACE")
+    return value == "ADD"

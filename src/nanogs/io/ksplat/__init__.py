@@ -1,0 +1,1 @@
+"""`.ksplat` of GaussianSplats3D."""

@@ -1,0 +1,1 @@
+"""`.npz`: the arrays of a model as they are, for NumPy."""

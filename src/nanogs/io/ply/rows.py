@@ -1,0 +1,216 @@
+"""The body of a PLY file as blocks of structured rows, whatever its encoding."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from nanogs._types import F64, Array
+from nanogs.errors import FormatError
+from nanogs.formatting import counted
+from nanogs.io.files import BLOCK_ROWS, unreadable
+from nanogs.io.parts import fill, row_blocks
+from nanogs.io.ply.header import Element, Header
+
+_MAX_TOKEN = 400  # characters; the longest double in plain decimals has about 330
+_AGAIN = "export or download it again."
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Consecutive rows of one element, with the file's own byte order."""
+
+    element: Element
+    rows: slice
+    values: Array  # (R,) structured; only until the next block is asked for
+
+
+def check_body(header: Header) -> None:
+    """Compare the counts in the header with the size of the file, before anything is allocated.
+
+    Raises:
+        FormatError: An element holds lists or nothing, or the body is too short or too long.
+    """
+    for element in header.elements:
+        _check_keepable(header.path, element)
+    if header.encoding == "ascii":
+        _check_ascii_size(header)
+    else:
+        _check_binary_size(header)
+
+
+def iter_blocks(header: Header) -> Iterator[Block]:
+    """All rows of all elements in the file's order; call `check_body` first.
+
+    Raises:
+        FormatError: A row of text is not what the header says, or the file cannot be read.
+    """
+    blocks = _ascii_blocks if header.encoding == "ascii" else _binary_blocks
+    try:
+        yield from blocks(header)
+    except OSError as error:
+        raise unreadable(header.path, error) from error
+
+
+def iter_span(header: Header, element: Element, start: int, stop: int) -> Iterator[Block]:
+    """Some rows of one element of a binary file, numbered from 0; call `check_body` first.
+
+    Args:
+        header: Of the file.
+        element: One of its elements.
+        start: The first row.
+        stop: The row after the last.
+
+    Raises:
+        FormatError: The file cannot be read.
+    """
+    offset = header.size
+    for before in header.elements:
+        if before is element:
+            break
+        offset += before.count * before.dtype("<").itemsize if before.count else 0
+    dtype = element.dtype(header.order)
+    at = offset + start * dtype.itemsize
+    for span, values in row_blocks(header.path, dtype, at, stop - start):
+        yield Block(element, span, values)
+
+
+def _check_keepable(path: Path, element: Element) -> None:
+    if element.count == 0:
+        return  # without rows there is nothing to lose
+    if lists := element.lists():
+        raise FormatError(
+            f"{path}: element {element.name!r} has the list property {lists[0]!r}, whose indices"
+            " cannot be kept when splats are merged; export the splats without it."
+        )
+    if not element.properties:
+        raise FormatError(
+            f"{path}: element {element.name!r} has {counted(element.count, 'row')} but no"
+            " properties; correct the header or export the file again."
+        )
+
+
+def _check_binary_size(header: Header) -> None:
+    left = header.file_bytes - header.size
+    for element in header.elements:
+        if element.count == 0:
+            continue
+        row_bytes = element.dtype("<").itemsize
+        if element.count * row_bytes > left:
+            raise FormatError(
+                f"{header.path} is cut short: element {element.name!r} should have"
+                f" {counted(element.count, 'row')} of {counted(row_bytes, 'byte')}, but only"
+                f" {left // row_bytes:,} ({counted(left, 'byte')}) are there; {_AGAIN}"
+            )
+        left -= element.count * row_bytes
+    if left:
+        raise FormatError(
+            f"{header.path}: {counted(left, 'byte follows', 'bytes follow')} the last row, so the"
+            f" header has the wrong count or row size; {_AGAIN}"
+        )
+
+
+def _check_ascii_size(header: Header) -> None:
+    # Each value takes at least a digit and a separator; the last separator may be missing.
+    least = sum(2 * element.count * len(element.properties) for element in header.elements) - 1
+    left = header.file_bytes - header.size
+    if least > left:
+        rows = sum(element.count for element in header.elements)
+        raise FormatError(
+            f"{header.path} is cut short: {counted(rows, 'row of text needs', 'rows of text need')}"
+            f" at least {counted(least, 'byte')}, but only {left:,} are there; {_AGAIN}"
+        )
+
+
+def _spans(count: int) -> Iterator[slice]:
+    for start in range(0, count, BLOCK_ROWS):
+        yield slice(start, min(start + BLOCK_ROWS, count))
+
+
+def _binary_blocks(header: Header) -> Iterator[Block]:
+    """Blocks in one buffer, which the next overwrites: a mapped file would count as memory."""
+    with header.path.open("rb", buffering=0) as file:
+        file.seek(header.size)
+        for element in header.elements:
+            if element.count == 0:
+                continue
+            buffer = np.empty(min(element.count, BLOCK_ROWS), element.dtype(header.order))
+            for span in _spans(element.count):
+                values = buffer[: span.stop - span.start]
+                fill(header.path, file, values)
+                yield Block(element, span, values)
+
+
+def _ascii_blocks(header: Header) -> Iterator[Block]:
+    with header.path.open("rb") as file:
+        file.seek(header.size)
+        for element in header.elements:
+            for span in _spans(element.count):
+                yield Block(element, span, _ascii_rows(header.path, file, element, span))
+        while rest := file.read(1 << 20):
+            if rest.strip():
+                raise FormatError(
+                    f"{header.path}: text follows the last row, so the header has the wrong"
+                    f" count; {_AGAIN}"
+                )
+
+
+def _ascii_rows(path: Path, file: BinaryIO, element: Element, span: slice) -> Array:
+    width = len(element.properties)
+    limit = width * _MAX_TOKEN + 2
+    tokens = [file.readline(limit).split() for _ in range(span.stop - span.start)]
+    for i, row in enumerate(tokens):
+        if len(row) != width:
+            raise FormatError(
+                f"{path}: row {span.start + i + 1} of {element.count} of element"
+                f" {element.name!r} has {len(row)} values instead of {width}; {_AGAIN}"
+            )
+    return _structured(path, element, span, _numbers(path, element, span, tokens))
+
+
+def _numbers(path: Path, element: Element, span: slice, tokens: list[list[bytes]]) -> F64:
+    """(R, P) float64, which holds every PLY type exactly."""
+    try:
+        return np.array([[_number(token) for token in row] for row in tokens], np.float64)
+    except ValueError:
+        pass
+    for i, row in enumerate(tokens):  # a second pass, to name the place
+        for name, token in zip(element.names, row, strict=True):
+            try:
+                _number(token)
+            except ValueError:
+                raise _bad_value(path, element, span.start + i, name, token) from None
+    raise AssertionError("unreachable: a token failed above and passed here")
+
+
+def _number(token: bytes) -> float:
+    if b"_" in token:  # Python reads 1_000 as a number, no PLY writer means it
+        raise ValueError(token)
+    return float(token)
+
+
+def _structured(path: Path, element: Element, span: slice, numbers: F64) -> Array:
+    out = np.empty(len(numbers), element.dtype())
+    for column, prop in zip(numbers.T, element.properties, strict=True):
+        kind = np.dtype(prop.code)
+        if kind.kind in "iu":
+            limits = np.iinfo(kind)
+            good = (column >= limits.min) & (column <= limits.max) & (column == np.floor(column))
+            if not good.all():
+                row = int(np.argmin(good))
+                token = str(column[row]).encode()
+                raise _bad_value(path, element, span.start + row, prop.name, token)
+        with np.errstate(over="ignore"):
+            out[prop.name] = column
+    return out
+
+
+def _bad_value(path: Path, element: Element, row: int, name: str, token: bytes) -> FormatError:
+    kind = next(prop.code for prop in element.properties if prop.name == name)
+    shown = token[:40].decode("ascii", "replace")
+    return FormatError(
+        f"{path}: row {row + 1} of {element.count} of element {element.name!r}: {shown!r} is no"
+        f" value of type {kind} for {name!r}; correct it or export the file again."
+    )

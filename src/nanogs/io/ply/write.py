@@ -1,0 +1,159 @@
+"""Writing 3DGS `.ply` files: binary little-endian, canonical column order, in bounded memory."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import BinaryIO
+
+import numpy as np
+
+from nanogs._types import Array
+from nanogs.errors import OutputError
+from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.ply import columns, render_tag
+from nanogs.io.ply.header import MAX_HEADER_BYTES, TYPE_NAMES, encode
+from nanogs.source import Source, source_of
+from nanogs.splats import Splats
+
+ElementRows = tuple[str, int, Sequence[tuple[str, str]]]
+
+
+def write(model: Splats | Source, file: BinaryIO) -> None:
+    """Write a model, every extra column, element and comment with it, block by block.
+
+    Raises:
+        OutputError: The model holds something that PLY cannot; nothing has been written then.
+        OSError: The system refuses to write.
+    """
+    source = source_of(model)
+    first = replace(source.read(0, min(source.count, 1)), elements=source.read_elements())
+    tables = _tables(first)
+    file.write(_header(first, tables, source.count))
+    for block in source.blocks(BLOCK_ROWS):
+        file.writelines(rows.data for rows in _blocks(_vertex(block)))
+    for name, table in tables.items():
+        if name != "vertex":
+            file.writelines(rows.data for rows in _blocks(table))
+
+
+def file_bytes(splats: Splats, count: int) -> int:
+    """Bytes of the file of a model of `count` splats that is like this one in all else.
+
+    Args:
+        splats: What the columns, comments and further elements are taken from.
+        count: Splats, 1 or more.
+
+    Raises:
+        OutputError: As for `write`.
+    """
+    tables = _tables(splats)
+    rows = {name: len(next(iter(table.values()), ())) for name, table in tables.items()}
+    rows["vertex"] = count
+    header = _header(splats, tables, count)
+    return len(header) + sum(rows[name] * _row_bytes(table) for name, table in tables.items())
+
+
+def _row_bytes(table: Mapping[str, Array]) -> int:
+    return sum(column.dtype.itemsize for column in table.values())
+
+
+def _tables(splats: Splats) -> dict[str, dict[str, Array]]:
+    """The columns of every element by its name, `vertex` first."""
+    tables = {"vertex": _vertex(splats)}
+    for element in splats.elements:
+        if element.name in tables:
+            raise OutputError(f"Two elements are called {element.name!r}; rename one of them.")
+        names = element.rows.dtype.names or ()
+        tables[element.name] = {name: element.rows[name] for name in names}
+    return tables
+
+
+def _vertex(splats: Splats) -> dict[str, Array]:
+    """The columns of the vertex rows, in the order they are written."""
+    if clash := [name for name in splats.extras if columns.is_known(name)]:
+        raise OutputError(f"The extra column {clash[0]!r} has a splat's own name; rename it.")
+    table: dict[str, Array] = {name: splats.means[:, i] for i, name in enumerate(columns.MEANS)}
+    extras = dict(splats.extras)
+    table |= {name: extras.pop(name) for name in columns.NORMALS if name in extras}
+    table |= {name: splats.sh[:, 0, i] for i, name in enumerate(columns.BASE_COLOUR)}
+    for i, name in enumerate(columns.rest_names(splats.sh_degree)):
+        coefficient, channel = columns.sh_place(i, splats.sh_degree)
+        table[name] = splats.sh[:, coefficient, channel]
+    table[columns.OPACITY] = splats.opacity_logits
+    table |= {name: splats.log_scales[:, i] for i, name in enumerate(columns.SCALES)}
+    table |= {name: splats.quats[:, i] for i, name in enumerate(columns.QUATS)}
+    return table | extras
+
+
+def _header(splats: Splats, tables: Mapping[str, Mapping[str, Array]], splat_count: int) -> bytes:
+    elements = []
+    for name, table in tables.items():
+        if not table:
+            raise OutputError(f"Element {name!r} has no columns; leave it out.")
+        count = splat_count if name == "vertex" else len(next(iter(table.values())))
+        elements.append((name, count, [(n, _type(n, c)) for n, c in table.items()]))
+    return header(render_tag.tagged(splats.comments, splats.render_mode), elements)
+
+
+def header(comments: Sequence[str], elements: Iterable[ElementRows]) -> bytes:
+    """The header of a binary little-endian PLY file.
+
+    Args:
+        comments: Comment lines without their keyword.
+        elements: Name, number of rows and (name, PLY type) of each property, in the file's order.
+
+    Raises:
+        OutputError: A name or comment cannot stand in a header, or it would be too long.
+    """
+    lines = [b"ply", b"format binary_little_endian 1.0", *(_comment(text) for text in comments)]
+    for name, count, properties in elements:
+        lines.append(b"element %s %d" % (_word(name), count))
+        lines += [b"property %s %s" % (kind.encode(), _word(n)) for n, kind in properties]
+    text = b"\n".join([*lines, b"end_header", b""])
+    if len(text) > MAX_HEADER_BYTES:
+        raise OutputError(
+            f"The header would have {len(text)} bytes, and no more than {MAX_HEADER_BYTES} can"
+            " be read back; shorten the comments."
+        )
+    return text
+
+
+def _bytes(text: str) -> bytes:
+    try:
+        return encode(text)
+    except UnicodeEncodeError:
+        raise OutputError(f"The text {text[:40]!r} cannot be encoded; change it.") from None
+
+
+def _comment(text: str) -> bytes:
+    if "\n" in text or text.endswith("\r"):
+        raise OutputError(f"The comment {text[:40]!r} holds a line break; split it in two.")
+    return b"comment " + _bytes(text) if text else b"comment"
+
+
+def _word(name: str) -> bytes:
+    word = _bytes(name)
+    if word.split() != [word]:
+        raise OutputError(f"The name {name!r} is empty or holds a space; rename it.")
+    return word
+
+
+def _type(name: str, column: Array) -> str:
+    known = TYPE_NAMES.get(column.dtype.str[1:])
+    if known is None or column.ndim != 1:
+        raise OutputError(
+            f"Column {name!r} is {column.dtype} of {column.ndim} dimensions, which PLY cannot"
+            f" hold; convert it to one of {', '.join(sorted(TYPE_NAMES.values()))}."
+        )
+    return known
+
+
+def _blocks(table: Mapping[str, Array]) -> Iterator[Array]:
+    """(R,) packed little-endian rows, one buffer reused for all of them."""
+    dtype = np.dtype([(n, "<" + c.dtype.str[1:]) for n, c in table.items()])
+    count = len(next(iter(table.values())))
+    buffer = np.empty(min(count, BLOCK_ROWS), dtype)
+    for start in range(0, count, BLOCK_ROWS):
+        block = buffer[: min(BLOCK_ROWS, count - start)]
+        for name, column in table.items():
+            block[name] = column[start : start + BLOCK_ROWS]
+        yield block.view(np.uint8)

@@ -1,0 +1,1 @@
+"""PlayCanvas' SOG: splats in lossless pictures; with levels of detail, streamed SOG."""

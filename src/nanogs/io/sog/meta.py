@@ -1,0 +1,230 @@
+"""The `meta.json` of SOG, PlayCanvas' compressed splats, versions 1 and 2.
+
+Layout: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/ and, for what
+that leaves open and for version 1, https://github.com/playcanvas/splat-transform (MIT). A splat is
+one texel, row by row, in each of these lossless WebP files, named in `meta.json`:
+
+    means.files      low and high bytes of 16-bit codes, a fraction of mins..maxs; the fraction's
+                     value t stands for the coordinate sign(t)(exp|t| - 1)
+    quats.files      RGB the three smaller parts, a byte over ±1/√2 each; A is 252 + the index
+                     (wxyz) of the largest, which is positive; any other A is no rotation
+    scales.files     RGB, log-scales
+    sh0.files        RGB, base colour coefficients; A, opacity
+    shN.files        the palette, then R + 256 G, an index into it; the palette's picture has 64
+                     entries a row, one texel a coefficient, RGB its channels
+
+Version 2 (`version: 2`, `count`) turns bytes into values by codebooks of 256 entries, and A of sh0
+is alpha from 0 to 255. Version 1 (no `version`; the count is `means.shape[0]`) has mins and maxs
+in place of codebooks, by channel except for shN, and A of sh0 is a logit. `model` names the render
+mode. Early files have null in place of the first codebook entry.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F32, F64, I64
+from nanogs.io.json_fields import integer, numbers, plain_name, refused, rows, table
+from nanogs.io.sog.texture import MAX_SIDE
+from nanogs.splats import RenderMode
+from nanogs.stored import logit
+
+MAX_META_BYTES = 1 << 22  # a usual meta.json has 10 to 20 KB
+CODES = 256
+PALETTE_COLUMNS = 64
+PALETTE_MAX = 1 << 16
+MODELS = {
+    "default": RenderMode.DEFAULT,
+    "antialiased": RenderMode.MIP,
+    "2dgs": RenderMode.SURFEL,
+}
+MAX_COUNT = MAX_SIDE**2
+_LAST = (1 << 16) - 1  # of the codes of a coordinate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Meta:
+    """A checked `meta.json`, of either version.
+
+    Attributes:
+        version: 1 or 2.
+        count: Number of splats.
+        files: Names by texture: means_l, means_u, quats, scales, sh0, and shN_centroids and
+            shN_labels where the colour depends on the view.
+        bounds: Two of (3,) float64, logarithms of the coordinates that the first and the last
+            16-bit code stand for.
+        scales: (256, 3) float32, the log-scales that the bytes stand for.
+        sh0: (256, 3) float32, base colour coefficients.
+        logits: (256,) float32, opacity logits.
+        sh_rest: (256,) float32, higher coefficients; empty without them.
+        degree: SH degree, or None where only the palette's width tells.
+        palette: Entries of the palette, or None where only its size tells.
+        render_mode: The rasteriser the model was trained for.
+        notes: What was not understood, for the user.
+    """
+
+    version: int
+    count: int
+    files: Mapping[str, str]
+    bounds: tuple[F64, F64]
+    scales: F32
+    sh0: F32
+    logits: F32
+    sh_rest: F32
+    degree: int | None
+    palette: int | None
+    render_mode: RenderMode
+    notes: tuple[str, ...]
+
+    def coordinates(self) -> F32:
+        """(65536, 3): what each code stands for on each axis, scene units."""
+        return _coordinates(*self.bounds, np.arange(_LAST + 1))
+
+
+def _coordinates(low: F64, high: F64, codes: I64) -> F32:
+    logarithm = low + (high - low) * (codes[:, None] / _LAST)
+    with np.errstate(over="ignore"):
+        values = np.sign(logarithm) * (np.exp(np.abs(logarithm)) - 1)
+        out: F32 = values.astype(np.float32)
+    return out
+
+
+def file_names(data: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    """Names of the files of a parsed `meta.json`, of which nothing else is looked at.
+
+    Raises:
+        FormatError: They are missing, or no plain names.
+    """
+    fields = _Fields(data, where, 2 if data.get("version") == 2 else 1)
+    return tuple(fields.files(rest=data.get("shN") is not None).values())
+
+
+def read_meta(data: Mapping[str, Any], where: str) -> Meta:
+    """Check the parsed contents of a `meta.json`.
+
+    Args:
+        data: The JSON object.
+        where: The file, for messages.
+
+    Raises:
+        FormatError: A field is missing or not as the format has it.
+    """
+    version = data.get("version", 1)
+    if version not in (1, 2) or isinstance(version, bool):
+        raise refused(where, f"has version {str(version)[:20]!r}; nanogs reads 1 and 2")
+    fields = _Fields(data, where, int(version))
+    degree = fields.degree()
+    rest = degree != 0
+    mode, notes = _render_mode(data.get("model", "default"))
+    return Meta(
+        version=int(version),
+        count=fields.count(),
+        files=fields.files(rest),
+        bounds=fields.bounds(),
+        scales=fields.values("scales", 3),
+        sh0=fields.values("sh0", 3),
+        logits=fields.logits(),
+        sh_rest=fields.sh_rest() if rest else np.empty(0, np.float32),
+        degree=degree,
+        palette=fields.palette() if rest else None,
+        render_mode=mode,
+        notes=notes,
+    )
+
+
+def _render_mode(model: object) -> tuple[RenderMode, tuple[str, ...]]:
+    if isinstance(model, str) and model in MODELS:
+        return MODELS[model], ()
+    note = f"The render mode {str(model)[:40]!r} is unknown; the model was read as a usual one."
+    return RenderMode.DEFAULT, (note,)
+
+
+class _Fields:
+    """Access to the fields that the versions spell differently."""
+
+    def __init__(self, data: Mapping[str, Any], where: str, version: int) -> None:
+        self._data, self._where, self._version = data, where, version
+
+    def _table(self, name: str) -> dict[str, Any]:
+        return table(self._data.get(name), self._at(name))
+
+    def _at(self, name: str, field: str = "") -> str:
+        return f"{self._where}, {name}{field and '.'}{field}"
+
+    def count(self) -> int:
+        if self._version == 2:
+            return integer(self._data.get("count"), f"{self._where}, count", 1, MAX_COUNT)
+        at = self._at("means", "shape")
+        shape = rows(self._table("means").get("shape"), at)
+        return integer(shape[0] if shape else None, f"{at}[0]", 1, MAX_COUNT)
+
+    def degree(self) -> int | None:
+        """The SH degree; None where only the palette's width tells."""
+        if self._data.get("shN") is None:
+            return 0
+        given = self._table("shN").get("bands")
+        return None if given is None else integer(given, self._at("shN", "bands"), 0, 3)
+
+    def files(self, rest: bool) -> dict[str, str]:
+        textures: dict[str, tuple[str, ...]] = {"means": ("means_l", "means_u")}
+        textures |= {name: (name,) for name in ("quats", "scales", "sh0")}
+        if rest:
+            textures["shN"] = ("shN_centroids", "shN_labels")
+        out: dict[str, str] = {}
+        for name, own in textures.items():
+            at = self._at(name, "files")
+            given = rows(self._table(name).get("files"), at, len(own))
+            out |= {texture: plain_name(file, at) for texture, file in zip(own, given, strict=True)}
+        return out
+
+    def bounds(self) -> tuple[F64, F64]:
+        low, high = self._bounds("means", 3)
+        if not np.isfinite(_coordinates(low, high, np.array([0, _LAST]))).all():
+            raise refused(self._at("means"), "has bounds beyond single precision")
+        return low, high
+
+    def _bounds(self, name: str, length: int) -> tuple[F64, F64]:
+        own = self._table(name)
+        low = numbers(own.get("mins"), self._at(name, "mins"), length)
+        return low, numbers(own.get("maxs"), self._at(name, "maxs"), length)
+
+    def values(self, name: str, channels: int) -> F32:
+        """(256, channels): what each byte stands for."""
+        if self._version == 2:
+            return np.repeat(self._codebook(name)[:, None], channels, axis=1)
+        return self._between(name, 4 if name == "sh0" else channels)[:, :channels]
+
+    def logits(self) -> F32:
+        if self._version == 1:
+            return self._between("sh0", 4)[:, 3]
+        return logit(np.arange(CODES) / 255).astype(np.float32)
+
+    def sh_rest(self) -> F32:
+        if self._version == 2:
+            return self._codebook("shN")
+        own = self._table("shN")
+        ends = numbers([own.get("mins"), own.get("maxs")], self._at("shN", "mins and maxs"), 2)
+        values = ends[0] + (ends[1] - ends[0]) * (np.arange(CODES) / 255)
+        out: F32 = values.astype(np.float32)
+        return out
+
+    def _codebook(self, name: str) -> F32:
+        at = self._at(name, "codebook")
+        book = rows(self._table(name).get("codebook"), at, CODES)
+        if book[0] is None:  # as PlayCanvas' engine fills the gap
+            known = numbers(book[1:], at, CODES - 1)
+            book = [known[0] + (known[0] - known[-1]) / 255, *known]
+            return np.array(book, np.float32)
+        return numbers(book, at, CODES).astype(np.float32)
+
+    def _between(self, name: str, channels: int) -> F32:
+        low, high = self._bounds(name, channels)
+        fraction = np.arange(CODES)[:, None] / 255
+        out: F32 = (low + (high - low) * fraction).astype(np.float32)
+        return out
+
+    def palette(self) -> int | None:
+        given = self._table("shN").get("count") if self._version == 2 else None
+        return None if given is None else integer(given, self._at("shN", "count"), 1, PALETTE_MAX)

@@ -1,0 +1,300 @@
+"""Writing SOG, version 2: `.sog`, which is one zip, or `meta.json` in a folder of its files.
+
+The layout is described in `meta`. As PlayCanvas' own tool does, splats go in Morton order, so
+that texels side by side are alike, the palette has the same size, and the zip packs nothing twice.
+Codes are rounded to the nearest. The same model gives the same bytes.
+"""
+
+import json
+import math
+import zipfile
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from nanogs._types import F32, F64, I64, U8, U16, U64, Array
+from nanogs._version import __version__
+from nanogs.errors import OutputError
+from nanogs.formatting import counted
+from nanogs.io import limits
+from nanogs.io.folder import atomic_folder
+from nanogs.io.json_fields import is_plain
+from nanogs.io.sog import meta as sog_meta
+from nanogs.io.sog.codebook import codebook, nearest
+from nanogs.io.sog.palette import palette
+from nanogs.io.sog.texture import MAX_SIDE, encode
+from nanogs.progress import Parts, untold
+from nanogs.splats import RenderMode, Splats
+
+MAX_DEGREE = 3
+_BLOCK = 4  # sides of textures are multiples of it
+_GENERATOR = "nanogs"
+_MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
+_VISIBILITY = (1e-3, 1e3)  # of the mean: least and most that a splat counts in the palette
+_FARTHEST = 1e18  # squares of colours that far apart are still float32
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can state
+
+Submit = Callable[[str, U8], None]
+"""Starts the encoding of a texture, by name."""
+
+
+def write(splats: Splats, file: BinaryIO, tell: Parts = untold) -> None:
+    """Write a `.sog` file.
+
+    Args:
+        splats: The model.
+        file: To write to.
+        tell: Told of the parts of what takes long.
+
+    Raises:
+        OutputError: A value is NaN, infinite or beyond what a codebook holds, or there are more
+            splats than a texture holds; nothing has been written then.
+    """
+    files = contents(splats, None, tell)
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
+        for name, data in files.items():
+            entry = zipfile.ZipInfo(name, _EPOCH)
+            entry.create_system = 3  # the same bytes on every system
+            entry.external_attr = 0o644 << 16
+            bundle.writestr(entry, data)
+
+
+def write_folder(splats: Splats, path: Path, *, overwrite: bool = False) -> None:
+    """Write `meta.json` and its textures to a folder, which appears whole or not at all.
+
+    Raises:
+        OutputError: As for `write`, or the folder exists and may not be replaced, or it cannot be
+            made.
+    """
+    with atomic_folder(path, ours, overwrite=overwrite) as folder:
+        write_files(splats, folder)
+
+
+def write_files(splats: Splats, folder: Path, groups: I64 | None = None) -> int:
+    """Write `meta.json` and its textures into a folder that is being filled.
+
+    Args:
+        splats: N splats.
+        folder: Where to; it exists.
+        groups: As `contents` takes them.
+
+    Returns:
+        Bytes written.
+
+    Raises:
+        OutputError: As for `write`.
+    """
+    files = contents(splats, groups)
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    return sum(map(len, files.values()))
+
+
+def contents(splats: Splats, groups: I64 | None = None, tell: Parts = untold) -> dict[str, bytes]:
+    """The contents of `meta.json` and its textures by name.
+
+    Args:
+        splats: N splats.
+        groups: (N,) numbers from 0 on. Splats go in their order, those of one group in Morton
+            order; by default all are one group.
+        tell: Told of the rounds in which the palette is looked for.
+
+    Raises:
+        OutputError: As for `write`.
+    """
+    import numba
+
+    _refuse_unstorable(splats)
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        encoding: dict[str, Future[bytes]] = {}
+
+        def submit(name: str, texels: U8) -> None:
+            encoding[name] = pool.submit(encode, texels)
+
+        meta = _encode(splats, groups, submit, tell)
+        files = {name: future.result() for name, future in encoding.items()}
+    text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
+    return files | {"meta.json": text.encode()}
+
+
+def losses(splats: Splats) -> tuple[str, ...]:
+    """Name what a SOG file cannot hold of a model, one sentence each."""
+    return tuple(limits.left_out(splats, ".sog", max_degree=MAX_DEGREE))
+
+
+def _refuse_unstorable(splats: Splats) -> None:
+    """Refuse a model that the file would hold in part, or with other values."""
+    limits.refuse_unstorable(splats, ".sog")
+    if len(splats) > MAX_SIDE**2 // 2:
+        raise OutputError(
+            f"{len(splats):,} splats are too many for one .sog file; simplify the model."
+        )
+    coefficients = splats.sh[:, : (MAX_DEGREE + 1) ** 2]
+    scales = np.where(np.isneginf(splats.log_scales), 0, splats.log_scales)
+    good = (np.abs(coefficients) <= _FARTHEST).all(axis=(1, 2))
+    good &= (np.abs(scales) <= _FARTHEST).all(axis=1)
+    if not good.all():
+        raise OutputError(
+            f"{counted(int((~good).sum()), 'splat holds', 'splats hold')} colour coefficients or"
+            f" log-scales beyond ±{_FARTHEST:g}, the first in row {int(np.argmin(good))}, and"
+            " .sog cannot hold them beside usual ones; correct them, or write .ply."
+        )
+
+
+def leaps(splats: Splats) -> tuple[int, ...]:
+    """The counts from which on the palette of the higher coefficients is twice as large."""
+    if not splats.sh_degree:
+        return ()
+    return tuple(1 << bit for bit in range(1, sog_meta.PALETTE_MAX.bit_length()))
+
+
+def ours(folder: Path) -> frozenset[str] | None:
+    """The names of a folder that nanogs wrote, or None for other folders."""
+    try:
+        data = json.loads((folder / "meta.json").read_text(encoding="utf-8"))
+        if not str(data["asset"]["generator"]).startswith(_GENERATOR):
+            return None
+        named = [
+            str(name)
+            for own in data.values()
+            if isinstance(own, dict)
+            for name in own.get("files", [])
+        ]
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+    # Plain names only: a description that someone changed must not lead out of its folder.
+    return frozenset({"meta.json", *filter(is_plain, named)})
+
+
+def _encode(splats: Splats, groups: I64 | None, submit: Submit, tell: Parts) -> dict[str, Any]:
+    """Submit every texture; the contents of `meta.json`."""
+    codes, bounds = _codes(splats.means)
+    rows = _morton_order(codes, groups)
+    codes = codes[rows]
+    submit("means_l.webp", _picture((codes & 255).astype(np.uint8)))
+    submit("means_u.webp", _picture((codes >> 8).astype(np.uint8)))
+    submit("quats.webp", _picture(_quats(splats.unit_quats()[rows])))
+    scales = codebook(splats.log_scales[rows])
+    submit("scales.webp", _picture(nearest(splats.log_scales[rows], scales)))
+    colours = codebook(splats.sh[rows, 0])
+    alpha = np.rint(255 * splats.opacities()[rows]).astype(np.uint8)
+    rgba = np.column_stack([nearest(splats.sh[rows, 0], colours), alpha])
+    submit("sh0.webp", _picture(rgba))
+    meta: dict[str, Any] = {
+        "version": 2,
+        "asset": {"generator": f"{_GENERATOR} {__version__}"},
+        "count": len(rows),
+        "model": _MODELS[splats.render_mode],
+        "means": bounds | {"files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": _short(scales), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": _short(colours), "files": ["sh0.webp"]},
+    }
+    if splats.render_mode is RenderMode.DEFAULT:
+        del meta["model"]  # as untagged as the files of older writers
+    if splats.sh_degree:
+        meta["shN"] = _higher(splats, rows, submit, tell)
+    return meta
+
+
+def _codes(means: Array) -> tuple[U16, dict[str, list[float]]]:
+    """(N, 3) codes of the coordinates' signed logarithms, and the bounds that they lie between."""
+    logarithms: F64 = np.log1p(np.abs(means, dtype=np.float64))
+    np.copysign(logarithms, means, out=logarithms)
+    low, high = logarithms.min(axis=0), logarithms.max(axis=0)
+    steps = 65535 / np.where(high > low, high - low, 1)
+    codes: U16 = np.rint((logarithms - low) * steps).astype(np.uint16)
+    return codes, {"mins": low.tolist(), "maxs": high.tolist()}
+
+
+def _morton_order(codes: U16, groups: I64 | None) -> I64:
+    """Rows by their group, then by the interleaved bits of their codes; ties as they come."""
+    key = np.zeros(len(codes), np.uint64)
+    for axis in range(3):
+        key |= _spread(codes[:, axis].astype(np.uint64)) << np.uint64(axis)
+    return np.argsort(key, kind="stable") if groups is None else np.lexsort((key, groups))
+
+
+def _spread(bits: U64) -> U64:
+    """16 bits, each followed by two zeros; the masks double the gaps, as is usual."""
+    for shift, mask in (
+        (16, 0x0000_FF00_00FF),
+        (8, 0x00F0_0F00_F00F),
+        (4, 0x0C30_C30C_30C3),
+        (2, 0x2492_4924_9249),
+    ):
+        bits = (bits | bits << np.uint64(shift)) & np.uint64(mask)
+    return bits
+
+
+def _quats(quats: F32) -> U8:
+    """(N, 4): the three smaller parts of wxyz, the sign such that the largest is positive."""
+    largest = np.abs(quats).argmax(axis=1)
+    rows = np.arange(len(quats))
+    signed = quats * np.where(quats[rows, largest] < 0, -1, 1)[:, None].astype(np.float32)
+    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
+    small = signed[rows[:, None], others].astype(np.float64)
+    out = np.empty((len(quats), 4), np.uint8)
+    out[:, :3] = np.rint(255 * np.clip(small / math.sqrt(2) + 0.5, 0, 1))
+    out[:, 3] = 252 + largest
+    return out
+
+
+def _higher(splats: Splats, rows: I64, submit: Submit, tell: Parts) -> dict[str, Any]:
+    """Submit the palette of the higher coefficients and the labels; their part of `meta.json`."""
+    degree = min(splats.sh_degree, MAX_DEGREE)
+    coefficients = (degree + 1) ** 2 - 1
+    points = splats.sh[rows, 1 : coefficients + 1].reshape(len(rows), -1)
+    found = palette(points, _palette_size(len(rows)), _visibility(splats.take(rows)), tell)
+    book = codebook(found.entries)
+    count = len(found.entries)
+    height = -(-count // sog_meta.PALETTE_COLUMNS)
+    texels = np.zeros((height * sog_meta.PALETTE_COLUMNS, coefficients, 3), np.uint8)
+    texels[:count] = nearest(found.entries, book).reshape(count, coefficients, 3)
+    submit("shN_centroids.webp", texels.reshape(height, -1, 3))
+    labels = found.labels.astype(np.uint16)
+    nothing = np.zeros(len(labels), np.uint8)
+    submit(
+        "shN_labels.webp",
+        _picture(np.column_stack([labels & 255, labels >> 8, nothing]).astype(np.uint8)),
+    )
+    return {
+        "count": count,
+        "bands": degree,
+        "codebook": _short(book),
+        "files": ["shN_centroids.webp", "shN_labels.webp"],
+    }
+
+
+def _visibility(splats: Splats) -> F64:
+    """(N,) how much a splat's colour counts: alpha times area, within limits.
+
+    Views come nearer to the original by several dB than with all splats alike.
+    """
+    scales = np.sort(splats.scales().astype(np.float64), axis=1)
+    mass: F64 = splats.opacities() * scales[:, 1] * scales[:, 2]
+    typical = float(mass.mean()) or 1.0
+    return np.clip(mass / typical, *_VISIBILITY)
+
+
+def _palette_size(count: int) -> int:
+    """The greatest power of two up to the count, and up to what 16 bits name."""
+    return min(sog_meta.PALETTE_MAX, 1 << (count.bit_length() - 1))
+
+
+def _picture(texels: U8) -> U8:
+    """(N, C) bytes as an almost square picture, filled up with zeros."""
+    count, channels = texels.shape
+    width = _BLOCK * math.ceil(math.sqrt(count) / _BLOCK)
+    height = _BLOCK * math.ceil(count / width / _BLOCK)
+    out = np.zeros((height * width, channels), np.uint8)
+    out[:count] = texels
+    return out.reshape(height, width, channels)
+
+
+def _short(values: F32) -> list[float]:
+    """Numbers with no more digits than single precision needs."""
+    return [float(str(value)) for value in values]

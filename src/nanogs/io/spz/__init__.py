@@ -1,0 +1,1 @@
+"""Niantic's `.spz`: columns of bytes, packed by gzip or zstd."""

@@ -1,0 +1,174 @@
+"""Contents of an `.spz` file: columns and extension records, inflated a piece at a time.
+
+The layout is in `header`. No more is ever inflated than the header's count allows.
+"""
+
+import struct
+from collections.abc import Callable, Iterator
+from itertools import accumulate
+from typing import TYPE_CHECKING, BinaryIO, cast
+
+from nanogs.formatting import counted
+from nanogs.io.spz.header import (
+    EXTENSIONS,
+    HEADER,
+    LAST_GZIP,
+    LEGACY_HEADER,
+    TOC_ENTRY,
+    Header,
+    Inflater,
+    Plain,
+    damaged,
+    opened,
+)
+
+if TYPE_CHECKING:
+    from zstandard import ZstdDecompressionReader
+
+_CHUNK = 1 << 20
+_MAX_EXTENSIONS = 1 << 20
+_MAX_WINDOW = 1 << 27
+_FRAME_HEADER = 18  # bytes of the largest of zstd
+_KNOWN_RECORDS = {0xADBE0002: "limits of the camera", 0xADBE0003: "coordinate system"}
+
+
+def body_pieces(header: Header, notes: list[str]) -> Iterator[bytes]:
+    """The columns one after the other, in pieces of whole rows, a megabyte at most.
+
+    Args:
+        header: Of the file.
+        notes: Gets what beside the columns was left out.
+
+    Raises:
+        FormatError: The file cannot be read, or holds more or less than its header counts.
+    """
+    with opened(header.section) as file:
+        yield from (_plain if header.version <= LAST_GZIP else _streams)(header, file, notes)
+
+
+def window_bytes(header: Header) -> int:
+    """Bytes that a decoder of the columns holds, as the first frame of each stream states it.
+
+    Raises:
+        FormatError: The file cannot be read, or a stream is damaged.
+    """
+    import zstandard
+
+    if header.version <= LAST_GZIP:
+        return 1 << 15  # of gzip
+    largest = 0
+    with opened(header.section) as file:
+        for _, at, size in _places(header, file):
+            file.seek(at)
+            frame = zstandard.get_frame_parameters(file.read(min(size, _FRAME_HEADER)))
+            largest = max(largest, min(frame.window_size, _MAX_WINDOW))
+    return largest
+
+
+def _plain(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
+    """The columns of versions 1 to 3; the extension records come after them."""
+    inflater = (Inflater if header.gzip else Plain)(header.path, file)
+    inflater.read(LEGACY_HEADER.size)
+    for width in header.columns().values():
+        for size in _pieces(header, width):
+            piece = inflater.read(size)
+            if len(piece) < size:
+                raise damaged(header, f"the columns end before {counted(header.count, 'splat')}")
+            yield piece
+    allowed = _MAX_EXTENSIONS if header.flags & EXTENSIONS else 0
+    records = inflater.read(allowed + 1)
+    if len(records) > allowed:
+        raise damaged(header, f"more data than {counted(header.count, 'splat has', 'splats have')}")
+    if inflater.trailing():
+        raise damaged(header, "something follows its data")
+    notes += _extension_notes(header, records)
+
+
+def _pieces(header: Header, width: int) -> Iterator[int]:
+    """Bytes of the pieces of a column."""
+    step = _CHUNK // width
+    for start in range(0, header.count, step):
+        yield width * min(step, header.count - start)
+
+
+def _streams(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
+    """The columns of version 4; the extension records come before them."""
+    places = _places(header, file)
+    for (name, width), (_, at, size) in zip(header.columns().items(), places, strict=True):
+        short = damaged(header, f"its {name} do not expand to {width * header.count:,} bytes")
+        file.seek(at)
+        reader = _expander(_Span(file, size))
+        for wanted in _pieces(header, width):
+            piece = _drain(reader.read, wanted)
+            if len(piece) < wanted:
+                raise short
+            yield piece
+        if reader.read(1):
+            raise short
+    file.seek(HEADER.size)
+    records = file.read(header.toc - HEADER.size) if header.flags & EXTENSIONS else b""
+    notes += _extension_notes(header, records)
+
+
+def _drain(read: Callable[[int], bytes], size: int) -> bytes:
+    """Up to `size` bytes; fewer only at the end."""
+    out = bytearray()
+    while len(out) < size and (piece := read(size - len(out))):
+        out += piece
+    return bytes(out)
+
+
+class _Span:
+    """Some bytes of an open file, from its present place on, as a file."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file, self._left = file, size
+
+    def read(self, size: int) -> bytes:
+        """The next bytes."""
+        data = self._file.read(min(size, self._left))
+        self._left -= len(data)
+        return data
+
+
+def _places(header: Header, file: BinaryIO) -> list[tuple[str, int, int]]:
+    """Name, offset and compressed size of each stream."""
+    sizes = _contents(header, file)
+    ends = accumulate(sizes, initial=header.toc + len(sizes) * TOC_ENTRY.size)
+    return list(zip(header.columns(), ends, sizes, strict=False))
+
+
+def _contents(header: Header, file: BinaryIO) -> list[int]:
+    """The compressed size of each stream, everything in the table checked."""
+    expected = [width * header.count for width in header.columns().values()]
+    end = header.toc + len(expected) * TOC_ENTRY.size
+    if header.streams != len(expected) or header.toc < HEADER.size or end > header.file_bytes:
+        raise damaged(header, f"a table of {header.streams} streams at byte {header.toc}")
+    file.seek(header.toc)
+    entries = list(TOC_ENTRY.iter_unpack(file.read(end - header.toc)))
+    if len(entries) != len(expected) or [plain for _, plain in entries] != expected:
+        raise damaged(header, "the sizes of its streams do not fit its count of splats")
+    if end + sum(packed for packed, _ in entries) != header.file_bytes:
+        raise damaged(header, "its streams do not end where the file does")
+    return [packed for packed, _ in entries]
+
+
+def _expander(source: _Span) -> "ZstdDecompressionReader":
+    import zstandard
+
+    decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW)
+    return decompressor.stream_reader(cast("BinaryIO", source), read_across_frames=True)
+
+
+def _extension_notes(header: Header, records: bytes) -> list[str]:
+    """A note that names the extension records, whose payload is not carried."""
+    names, at = [], 0
+    while at + 8 <= len(records):
+        kind, length = struct.unpack_from("<II", records, at)
+        names.append(_KNOWN_RECORDS.get(kind, f"0x{kind:08X}"))
+        at += 8 + length
+    if at != len(records):
+        raise damaged(header, "an extension record is cut short")
+    if not names:
+        return []
+    return [f"Extension records of the .spz file were left out: {', '.join(names)}."]

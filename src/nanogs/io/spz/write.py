@@ -1,0 +1,196 @@
+"""Writing `.spz` (Niantic), version 2 to 4; `header` and `read` have the layout.
+
+Coefficients of degree 1 keep 5 bits and higher ones 4, as the reference writer has it: the fewer
+values a byte takes, the better it compresses. Unlike there, the fraction bits follow the scene,
+so that a small one keeps its detail and a large one does not wrap around.
+"""
+
+import gzip
+import math
+from collections.abc import Iterable
+from typing import BinaryIO
+
+import numpy as np
+
+from nanogs._types import F32, F64, U8
+from nanogs.errors import OutputError
+from nanogs.findings import Finding
+from nanogs.io import limits
+from nanogs.io.by_column import Encoder, encoded_columns
+from nanogs.io.spz.header import (
+    ANTIALIASED,
+    HEADER,
+    LEGACY_HEADER,
+    MAGIC,
+    TOC_ENTRY,
+    column_widths,
+)
+from nanogs.io.spz.read import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
+from nanogs.source import Source, source_of
+from nanogs.splats import RenderMode, Splats
+from nanogs.stored import rounded_bytes
+
+SUFFIX = ".spz"
+SH_BITS = (5, 4)  # kept of a coefficient of degree 1, and of a higher one
+USUAL_FRACTION_BITS = 12
+_FIXED_MAX = (1 << 23) - 1
+_SIGNIFICANT_BITS = 16
+_GZIP_LEVEL, _ZSTD_LEVEL = 6, 12  # the reference writer's
+
+
+def write(model: Splats | Source, file: BinaryIO, *, version: int = 3) -> None:
+    """Write a model, axes as they are; `losses` says what does not go in.
+
+    Args:
+        model: The model; of a source, no more than a column is held, and that as it is written.
+        file: Open for binary writing.
+        version: 3 (gzip); 4 (zstd), which fewer readers know; or 2 (gzip), which more know, with
+            rotations of less precision.
+
+    Raises:
+        OutputError: A value is NaN or infinite, or a centre is too far out; nothing has been
+            written then.
+        OSError: The system refuses to write.
+    """
+    source = source_of(model)
+    bits, (degree, count) = fraction_bits(source), (source.columns.sh_degree, source.count)
+    flags = ANTIALIASED if source.columns.render_mode == RenderMode.MIP else 0
+    start = (MAGIC, version, count, degree, bits, flags)
+    columns = encoded_columns(source, _encoders(degree, bits, version))
+    if version in (2, 3):
+        with gzip.GzipFile("", "wb", _GZIP_LEVEL, file, mtime=0) as stream:
+            stream.write(LEGACY_HEADER.pack(*start, 0))
+            for column in columns:
+                for block in column:
+                    stream.write(block)
+    elif version == 4:
+        widths = list(column_widths(version, degree).values())
+        packed = [_compressed(column) for column in columns]
+        file.write(HEADER.pack(*start, len(packed), HEADER.size))
+        sizes = zip(packed, widths, strict=True)
+        file.writelines(TOC_ENTRY.pack(len(column), w * count) for column, w in sizes)
+        file.writelines(packed)
+    else:
+        raise OutputError(f".spz version {version} is not written; choose 2, 3 or 4.")
+
+
+def losses(splats: Splats) -> tuple[str, ...]:
+    """Name what the file leaves out or clamps, one sentence each."""
+    step = 0.5 / SCALE_STEPS
+    low, high = SCALE_LOW, SCALE_LOW + 255 / SCALE_STEPS
+    scales, colours, rest = splats.log_scales, splats.sh[:, 0], splats.sh[:, 1:]
+    widest = 0.5 / COLOUR_SCALE
+    half = (_buckets(splats.sh_degree) / 2 / SH_STEPS)[:, None]
+    out = limits.left_out(splats, SUFFIX)
+    out += limits.lost_mode(splats, SUFFIX, RenderMode.MIP)
+    out += limits.clamped(
+        (scales < low - step) | (scales > high + step),
+        f"log-scales outside {low:g} to {high:.2f}, the range of {SUFFIX}",
+    )
+    out += limits.clamped(
+        np.abs(colours) > widest * (1 + 1 / 255),
+        f"base colours outside ±{widest:.2f}, the range of {SUFFIX}",
+    )
+    out += limits.clamped(
+        (rest < -1 - half) | (rest > 1 - 1 / SH_STEPS + half),
+        f"higher SH coefficients outside ±1, the range of {SUFFIX}",
+    )
+    bits = _bits(_reach([splats]))
+    if 0 <= bits < USUAL_FRACTION_BITS:
+        text = "Centres are rounded to 1/{}, since the scene is so large."
+        out.append(Finding(text, 1 << bits, min))
+    return tuple(out)
+
+
+def fraction_bits(model: Splats | Source) -> int:
+    """Bits behind the binary point: 12 as usual, fewer for large scenes and more for small ones.
+
+    Raises:
+        OutputError: A value is NaN or infinite, or a centre is too far out for whole numbers of 24
+            bits.
+    """
+    reach = _reach(limits.storable(source_of(model), SUFFIX))
+    if (bits := _bits(reach)) < 0:
+        raise OutputError(
+            f"A centre is {reach:g} from the origin along an axis, but {SUFFIX} ends at"
+            f" {_FIXED_MAX:,}; move the model to the origin or scale it down."
+        )
+    return bits
+
+
+def _reach(blocks: Iterable[Splats]) -> float:
+    """The largest coordinate of all centres, without its sign; NaN if one of them is."""
+    return float(np.max([np.abs(block.means).max(initial=0) for block in blocks], initial=0))
+
+
+def _bits(reach: float) -> int:
+    """Fraction bits, see `fraction_bits`; negative where a centre is too far out or not finite."""
+    if not reach <= _FIXED_MAX:
+        return -1
+    exponent = math.frexp(reach)[1]  # reach < 2^exponent
+    bits = min(max(USUAL_FRACTION_BITS, _SIGNIFICANT_BITS - exponent), 23 - exponent, 20)
+    return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
+
+
+def _encoders(degree: int, bits: int, version: int) -> list[Encoder]:
+    """Functions that encode a block of rows, one for each column of the file."""
+    rotations = _xyz_rotations if version == 2 else _rotations
+    encoders: list[Encoder] = [
+        lambda block: _positions(block.means, bits),
+        lambda block: rounded_bytes(block.opacities() * 255),
+        lambda block: rounded_bytes((block.sh[:, 0] * np.float64(COLOUR_SCALE) + 0.5) * 255),
+        lambda block: rounded_bytes((block.log_scales - np.float64(SCALE_LOW)) * SCALE_STEPS),
+        lambda block: rotations(block.unit_quats()),
+    ]
+    if degree:
+        buckets = _buckets(degree)[:, None]
+        encoders.append(lambda block: _coefficients(block.sh[:, 1:], buckets))
+    return encoders
+
+
+def _compressed(column: Iterable[bytes]) -> bytes:
+    """One column as a zstd frame that states its size and has a checksum."""
+    import zstandard
+
+    plain = b"".join(column)
+    return zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_checksum=True).compress(plain)
+
+
+def _positions(means: F32 | F64, bits: int) -> U8:
+    """(R, 9): three little-endian 24-bit integers."""
+    fixed = np.rint(np.ldexp(means.astype(np.float64), bits)).astype("<i4")
+    wide: U8 = fixed[:, :, None].view(np.uint8)
+    return wide[:, :, :3]
+
+
+def _xyz_rotations(quats: F32) -> U8:
+    """(R, 3) from unit wxyz: x, y and z of the two that turn alike with w positive."""
+    xyz = np.where(quats[:, :1] < 0, -quats[:, 1:], quats[:, 1:]).astype(np.float64)
+    return rounded_bytes((xyz + 1) * 127.5)
+
+
+def _rotations(quats: F32) -> U8:
+    """(R, 4) from unit wxyz: the largest part's place, then sign and magnitude of the others."""
+    xyzw = quats[:, [1, 2, 3, 0]].astype(np.float64)
+    largest = np.abs(xyzw).argmax(axis=1)
+    # -q turns like q: with the largest part positive, its sign needs no bit.
+    xyzw = np.where(np.take_along_axis(xyzw, largest[:, None], axis=1) < 0, -xyzw, xyzw)
+    others = np.arange(4) != largest[:, None]
+    small = xyzw[others].reshape(-1, 3)
+    magnitude = np.rint(np.minimum(np.abs(small) / np.sqrt(0.5), 1) * MAGNITUDE).astype(np.uint32)
+    parts = magnitude | (small < 0).astype(np.uint32) << 9
+    packed = largest.astype(np.uint32) << 30 | parts[:, 0] << 20 | parts[:, 1] << 10 | parts[:, 2]
+    result: U8 = packed.astype("<u4")[:, None].view(np.uint8)
+    return result
+
+
+def _buckets(degree: int) -> F64:
+    """(K - 1,): the distance of the bytes that each higher coefficient may take."""
+    per_band = [2.0 ** (8 - SH_BITS[band > 1]) for band in range(1, degree + 1)]
+    return np.repeat(per_band, [2 * band + 1 for band in range(1, degree + 1)])
+
+
+def _coefficients(sh: F32, buckets: F64) -> U8:
+    """(R, 3 (K - 1)): the nearest multiple of the bucket, which includes 128 for zero."""
+    nearest = np.rint(sh.astype(np.float64) * SH_STEPS / buckets) * buckets + 128
+    return rounded_bytes(nearest).reshape(len(sh), -1)

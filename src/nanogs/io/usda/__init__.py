@@ -1,0 +1,1 @@
+"""OpenUSD as text, `.usda`."""

@@ -1,0 +1,224 @@
+"""Reading OpenUSD as text, `.usda`: prims of type ParticleField3DGaussianSplat.
+
+The schema is named in `write`. Transforms of a prim and of those that it is in are applied,
+and the stage is turned into the frame of `.ply` files, from y up or from z up.
+"""
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64, Array
+from nanogs.errors import FormatError
+from nanogs.findings import negative_scales
+from nanogs.formatting import counted
+from nanogs.io.files import BLOCK_ROWS, input_size, unreadable
+from nanogs.io.gltf.scene import pose_of
+from nanogs.io.info import FileInfo
+from nanogs.io.usda.text import Layer, Prim, read_layer
+from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats, concatenate, empty_arrays
+from nanogs.stored import logit
+
+PRIM = "ParticleField3DGaussianSplat"
+DEGREE = "radiance:sphericalHarmonicsDegree"
+COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
+_WIDTHS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, COEFFICIENTS: 3}
+_BRACKETS = bytes.maketrans(b"(),[]\r\n\t", b" " * 8)
+_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z up
+_AXES = {"rotateX": 0, "rotateY": 1, "rotateZ": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """A prim of splats, and where its numbers lie."""
+
+    prim: Prim
+    spans: dict[str, tuple[int, int]]
+    count: int
+    degree: int
+
+
+def read(path: Path) -> Splats:
+    """Read the splats of all prims, one after the other.
+
+    Raises:
+        FormatError: The file cannot be read, is damaged, holds no splats, or transforms them in a
+            way that no splat stays one.
+    """
+    layer = _layer(path)
+    return concatenate([_decoded(layer, each) for each in _fields(layer)])
+
+
+def inspect(path: Path) -> FileInfo:
+    """Describe a file by the places of its numbers.
+
+    Raises:
+        FormatError: As for `read`, except for what only the numbers show.
+    """
+    layer = _layer(path)
+    fields = list(_fields(layer))
+    return FileInfo(
+        path=path,
+        format="usda",
+        encoding="ascii",
+        file_bytes=len(layer.text),
+        splats=sum(each.count for each in fields),
+        sh_degree=max(each.degree for each in fields),
+        double_means=False,
+        properties=tuple((name, "float") for name in _WIDTHS),
+        extras=(),
+        elements=(),
+        render_mode=RenderMode.DEFAULT,
+        comments=(),
+    )
+
+
+def _layer(path: Path) -> Layer:
+    input_size(path)
+    try:
+        return read_layer(path, path.read_bytes())
+    except OSError as error:
+        raise unreadable(path, error) from error
+
+
+def _fields(layer: Layer) -> Iterator[_Field]:
+    found = False
+    for prim in layer.prims:
+        if prim.kind == PRIM:
+            found = True
+            yield _field(layer, prim)
+    if not found:
+        raise FormatError(
+            f"{layer.path} holds no {PRIM}, so it has no splats; export the splats themselves."
+        )
+
+
+def _field(layer: Layer, prim: Prim) -> _Field:
+    """The places of a prim's numbers; the schema has each in half precision too."""
+    spans = {}
+    for name in _WIDTHS:
+        span = prim.values.get(name) or prim.values.get(f"{name}h")
+        if span is None:
+            raise layer.error(f"the prim {prim.name[:40]!a} lacks {name}")
+        spans[name] = span
+    degree = float(_numbers(layer, prim, DEGREE, 1)[0]) if DEGREE in prim.values else 3.0
+    if degree not in range(MAX_SH_DEGREE + 1):
+        raise layer.error(f"{DEGREE} of {prim.name[:40]!a} is none from 0 to {MAX_SH_DEGREE}")
+    count = layer.text.count(b"(", *spans["positions"])
+    if count == 0:
+        raise layer.error(f"the prim {prim.name[:40]!a} holds no splats")
+    return _Field(prim, spans, count, int(degree))
+
+
+def _decoded(layer: Layer, given: _Field) -> Splats:
+    """The splats of one prim, in the frame of `.ply` files."""
+    columns = {name: _column(layer, given, name) for name in _WIDTHS}
+    out = empty_arrays(given.count, given.degree)
+    pose = pose_of(_placed(layer, given.prim), layer.error)
+    scales, alphas = columns["scales"], columns["opacities"][:, 0]
+    with np.errstate(all="ignore"):
+        out["log_scales"][:] = np.log(scales) + np.log(pose.scale)
+        out["opacity_logits"][:] = logit(alphas)
+        for start in range(0, given.count, BLOCK_ROWS):
+            span = slice(start, start + BLOCK_ROWS)
+            means, quats = columns["positions"][span], columns["orientations"][span]
+            out["sh"][span] = columns[COEFFICIENTS][span]
+            if not pose.is_identity():
+                means, quats = pose.means(means), pose.quats(quats)
+                out["sh"][span] = pose.harmonics(out["sh"][span])
+            out["means"][span], out["quats"][span] = means, quats
+    notes = negative_scales(int((scales < 0).any(axis=1).sum()))
+    if wrong := int(np.isnan(out["opacity_logits"]).sum()):
+        notes.append(f"{wrong} opacities are not from 0 to 1 and became NaN.")
+    return Splats(**out, notes=notes)
+
+
+def _column(layer: Layer, given: _Field, name: str) -> Array:
+    """(N, width), or (N, K, 3) of the coefficients."""
+    numbers = _parsed(layer, given.spans[name], name)
+    each = _WIDTHS[name] * ((given.degree + 1) ** 2 if name == COEFFICIENTS else 1)
+    if len(numbers) != given.count * each:
+        raise layer.error(
+            f"{name} of {given.prim.name[:40]!a} has {counted(len(numbers), 'number')}, where"
+            f" {counted(given.count, 'splat has', 'splats have')} {given.count * each:,}"
+        )
+    shape = (-1, 3) if name == COEFFICIENTS else (_WIDTHS[name],)
+    return numbers.reshape(given.count, *shape)
+
+
+def _numbers(layer: Layer, prim: Prim, name: str, count: int) -> F64:
+    """So many finite numbers of an attribute."""
+    numbers = _parsed(layer, prim.values[name], name)
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise layer.error(f"{name} of {prim.name[:40]!a} needs {count} finite numbers")
+    return numbers
+
+
+def _parsed(layer: Layer, span: tuple[int, int], name: str) -> F64:
+    """All numbers of a value, whatever brackets they are in."""
+    text = layer.text[slice(*span)].translate(_BRACKETS)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # what cannot be read to its end
+            return np.fromstring(text, np.float64, sep=" ") if text.strip() else np.empty(0)
+    except (ValueError, DeprecationWarning):
+        raise layer.error(f"{name} holds something that is no number") from None
+
+
+def _placed(layer: Layer, prim: Prim) -> F64:
+    """(4, 4) float64: from a prim to the stage, y up."""
+    up = layer.metadata.get("upAxis", "Y")
+    if up not in ("Y", "Z"):
+        raise layer.error(f"its upAxis {up[:40]!a} is none")
+    matrix = np.eye(4)
+    inner: Prim | None = prim
+    while inner is not None:
+        with np.errstate(all="ignore"):  # `pose_of` refuses what overflowed
+            matrix = _local(layer, inner) @ matrix
+        inner = inner.parent
+    return _Y_UP @ matrix if up == "Z" else matrix
+
+
+def _local(layer: Layer, prim: Prim) -> F64:
+    """(4, 4) of one prim: the operations in their order, the last of them done first."""
+    span = prim.values.get("xformOpOrder")
+    text = layer.text[slice(*span)].decode("utf-8", "replace") if span else ""
+    matrix = np.eye(4)
+    for entry in filter(None, (part.strip(" \t\r\n\"'[]") for part in text.split(","))):
+        operation = _OPERATIONS.get(entry.partition(":")[2].partition(":")[0])
+        if not entry.startswith("xformOp:") or operation is None or entry not in prim.values:
+            raise layer.error(f"the transform {entry[:40]!a} of {prim.name[:40]!a} is not known")
+        width, make = operation
+        matrix = matrix @ make(_numbers(layer, prim, entry, width))
+    return matrix
+
+
+def _translation(numbers: F64) -> F64:
+    matrix = np.eye(4)
+    matrix[:3, 3] = numbers
+    return matrix
+
+
+def _rotation(axis: int) -> Callable[[F64], F64]:
+    def turn(degrees: F64) -> F64:
+        angle = np.radians(degrees[0])
+        one, other = (axis + 1) % 3, (axis + 2) % 3
+        matrix = np.eye(4)
+        matrix[one, one] = matrix[other, other] = np.cos(angle)
+        matrix[other, one], matrix[one, other] = np.sin(angle), -np.sin(angle)
+        return matrix
+
+    return turn
+
+
+# How many numbers each takes, and the matrix that these make; USD writes matrices for rows.
+_OPERATIONS: dict[str, tuple[int, Callable[[F64], Any]]] = {
+    "translate": (3, _translation),
+    "scale": (3, lambda numbers: np.diag([*numbers, 1.0])),
+    "transform": (16, lambda numbers: numbers.reshape(4, 4).T),
+    **{name: (1, _rotation(axis)) for name, axis in _AXES.items()},
+}
