@@ -15,7 +15,7 @@ ROOT = Path(nanogs.__file__).parent
 # From the bottom up, and in a line from left to right: each may import what is before it. A folder
 # stands for all modules in it.
 ORDER = """
-_version _types errors formatting findings quantities defaults stored protocol sh charts
+_version _types errors ranges formatting findings quantities defaults stored protocol sh charts
 progress clock cleanup threads spread
 kernels
 bar neighbours

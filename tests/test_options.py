@@ -1,9 +1,13 @@
 """What options take, what is said of values they do not take, and what the help shows."""
 
+import math
 import re
 import shlex
+from dataclasses import dataclass
+from typing import Annotated
 
 import pytest
+import typer
 from typer.main import get_command
 
 import nanogs
@@ -11,8 +15,13 @@ from builders import random_splats
 from nanogs.cli import options
 from nanogs.cli.app import app
 from nanogs.cli.examples import EXAMPLES
+from nanogs.cli.groups import with_options
 from nanogs.errors import OptionError
+from nanogs.fit.parameters import RefitParameters
+from nanogs.method.paper.parameters import PaperParameters
+from nanogs.method.parameters import ForestParameters
 from nanogs.quantities import as_bytes, parse_bytes
+from nanogs.ranges import check_ranges, known_parameters, parameter
 from test_cli import assert_refused
 from test_comfort import run
 
@@ -123,3 +132,71 @@ def test_every_example_can_be_parsed(name):
         program, command, *arguments = shlex.split(example)
         assert (program, command) == ("nanogs", name)
         COMMANDS[name].make_context(name, arguments)
+
+
+def test_every_parameter_with_a_help_is_an_option():
+    """Its help, its default and its range are said once: where the parameter is."""
+    kinds = {"simplify": (ForestParameters, PaperParameters), "refit": (RefitParameters,)}
+    kinds["lod"] = kinds["simplify"]
+    for command, owners in kinds.items():
+        options = {param.name: param for param in COMMANDS[command].params}
+        for name, known in (known_parameters(owners[0]) | known_parameters(owners[-1])).items():
+            assert (name in options) == bool(known.help), name
+            assert not known.help or options[name].help == known.help
+    assert COMMANDS["refit"].make_context("refit", ["a", "b", "c"]).params["size"] == 512
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Parameters with a range of each kind."""
+
+    share: float = parameter(0.5, 0, 1, above=True)
+    count: int = parameter(3, 1)
+    width: int = parameter(64, 16, 8192, unit=" pixels")
+    rate: float = parameter(1.0, above=True)
+
+    def __post_init__(self):
+        check_ranges(self)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"share": 0}, "share must be above 0, at most 1, not 0."),
+        ({"share": 1.5}, "share must be above 0, at most 1, not 1.5."),
+        ({"count": 0}, "count must be 1 or more, not 0."),
+        ({"width": 8193}, "width must be from 16 to 8192 pixels, not 8193."),
+        ({"rate": 0.0}, "rate must be above 0, not 0."),
+        ({"rate": math.inf}, "rate must be a finite number, not inf."),
+        ({"share": math.nan}, "share must be a finite number, not nan."),
+    ],
+)
+def test_a_range_is_checked_and_said(given, words):
+    assert Cut(share=1, count=1, width=16) == Cut(share=1.0, count=1, width=16)
+    with pytest.raises(OptionError) as refused:
+        Cut(**given)
+    assert str(refused.value) == words
+
+
+@dataclass(frozen=True)
+class Inner:
+    """Options in a group, another group among them."""
+
+    deep: Annotated[int, typer.Option(help="Deep.")] = 1
+    cut: Annotated[dict, {"k": (Annotated[int | None, typer.Option()], None)}] = None
+
+
+def test_a_group_stands_for_its_options():
+    got = []
+
+    @with_options
+    def command(*, name: Annotated[str, typer.Argument()], inner: Inner):
+        """Do it."""
+        got.append((name, inner))
+
+    app = typer.Typer()
+    app.command()(command)
+    for words in (["x"], ["x", "--deep", "4", "--k", "2"]):
+        get_command(app)(words, standalone_mode=False)
+    assert got == [("x", Inner(1, {})), ("x", Inner(4, {"k": 2}))]
+    assert command.__doc__ == "Do it."

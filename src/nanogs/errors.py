@@ -65,13 +65,3 @@ def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.6) -> str:
     known = {choice.lower(): choice for choice in choices}
     close = difflib.get_close_matches(word.lower(), known, n=1, cutoff=cutoff)
     return f" (did you mean {known[close[0]]!r}?)" if close else ""
-
-
-def require(ok: bool, name: str, value: float, expected: str) -> None:
-    """Refuse a parameter that is not as expected.
-
-    Raises:
-        OptionError: It is not; the sentence says its name, what is expected, and the value.
-    """
-    if not ok:
-        raise OptionError(f"{name} must be {expected}, not {value:g}.")

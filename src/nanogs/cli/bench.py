@@ -120,9 +120,8 @@ def bench(
         seed=seed,
         threads=threads,
     )
-    direction = options.parse_direction(up)
     scenes = _scenes(models or [], scene or [], dataset or [], model_pattern)
-    scenes = [replace(one, up=direction) for one in scenes]
+    scenes = [replace(one, up=up) for one in scenes]
     _show(scenes, settings, out, overwrite=overwrite, json=json, quiet=quiet)
 
 

@@ -5,11 +5,14 @@ from typing import Annotated
 
 import typer
 
+from nanogs.cli import options
+
 _PANEL = "Models larger than memory, and several machines"
 
 MaxMemory = Annotated[
-    str | None,
+    int | None,
     typer.Option(
+        parser=options.parse_memory,
         help="Memory that a process may take, e.g. 4GB: a model that needs more is simplified in"
         " blocks.",
         metavar="SIZE",

@@ -72,7 +72,6 @@ def compare(
 
     pixels = options.parse_sizes(sizes)
     color = None if background is None else options.parse_background(background)
-    direction = options.parse_direction(up)
     extras = [name.strip() for name in metrics.split(",") if name.strip()]
     if report:
         check_writable(report, overwrite=overwrite)
@@ -87,10 +86,10 @@ def compare(
         comparison = compare_files(
             options.parse_named(reference),
             [options.parse_named(test) for test in tests],
-            cameras=cameras, views=views, sizes=pixels, up=direction,
+            cameras=cameras, views=views, sizes=pixels, up=up,
             background=color, extras=extras, photos=photos, images=images, split=split,
             report=report, interactive=interactive, overwrite=overwrite, progress=progress,
-            max_memory=options.parse_memory(max_memory) if max_memory else None,
+            max_memory=max_memory,
         )  # fmt: skip
     if json:
         print_json(comparison.to_dict())

@@ -60,8 +60,7 @@ def convert(
     def run_one(pair: "Pair", progress: "Progress") -> dict[str, Any]:
         frames = (Y_UP, TRAINED) if turn else framing.frames_of(pair, asked)
         check_writable(pair.target, **saving)
-        allowed = options.parse_memory(max_memory) if max_memory else None
-        refuse_too_large(pair, level, filters, allowed)
+        refuse_too_large(pair, level, filters, max_memory)
         return convert_file(
             pair, filters, sh_degree, frames, level=level, saving=saving, told=progress
         )

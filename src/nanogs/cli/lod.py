@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from nanogs.cli import blocks, file_options, method, options
+from nanogs.cli.groups import with_options
 from nanogs.cli.importing import uncollected
 from nanogs.defaults import CHUNK, PATIENCE
 from nanogs.errors import OptionError
@@ -15,7 +16,9 @@ from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
 _LEVELS = "0.5,0.25,0.1,0.01"
 
 
+@with_options
 def lod(
+    *,
     paths: Annotated[
         list[Path],
         typer.Argument(
@@ -73,19 +76,9 @@ def lod(
         bool, typer.Option("--verbose", "-v", help="Show how each level was made.")
     ] = False,
     dry_run: method.DryRun = False,
-    views: method.Views = None,
+    overrides: Annotated[dict[str, Any], method.PARAMETERS],
     cameras: options.Cameras = "auto",
     up: options.Up = None,
-    k: method.K = None,
-    lambda_app: method.LambdaApp = None,
-    balance: method.Balance = None,
-    rounds: method.Rounds = None,
-    steps: method.Steps = None,
-    tau: method.Tau = None,
-    samples: method.Samples = None,
-    seed: method.Seed = None,
-    lambda_geo: method.LambdaGeo = None,
-    merge_cap: method.MergeCap = None,
     crop: file_options.Crop = None,
     min_opacity: file_options.MinOpacity = None,
     drop_floaters: file_options.DropFloaters = False,
@@ -114,11 +107,6 @@ def lod(
         from nanogs.lod.layout import check_options, output_of
         from nanogs.pipeline.levels import check_ratios
 
-    overrides: dict[str, Any] = {
-        "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,
-        "steps": steps, "views": views, "tau": tau, "samples": samples, "seed": seed,
-        "lambda_geo": lambda_geo, "merge_cap": merge_cap,
-    }  # fmt: skip
     # Whatever can be refused is refused before minutes of computing.
     chosen = parameters(preset, overrides)
     ratios = options.parse_ratios(_LEVELS if levels is None else levels)
@@ -130,18 +118,17 @@ def lod(
     output = output_of(target, level_format)
     turn = framing.frames_of(Pair(parts[0], output.model), framing.parse_frames(frame))
     check_options(output.layout, chunk, plain=plain)
-    direction = method.check_views(preset, chosen, views, cameras, up)
+    method.refuse_views(preset, chosen, overrides, cameras, up)
     asked = too_large.parse_blocks(
         paths, max_memory, join=join, job=job, resume=resume, scratch=scratch,
         workers=workers, scheduler=scheduler, patience=patience,
     )  # fmt: skip
-    given = {name: value for name, value in overrides.items() if value is not None}
-    given |= {"preset": preset, "nan": nan.value, "chunk": chunk, "plain": plain}
+    given = overrides | {"preset": preset, "nan": nan.value, "chunk": chunk, "plain": plain}
     request = lod_request.Request(
         parts=parts, output=output, ratios=ratios, preset=preset, chosen=chosen, reading=read,
         blocks=asked, given=given | {"layout": output.layout}, turn=turn, measure=measure,
         cameras=cameras,
-        up=direction, threads=threads, overwrite=overwrite, json=json, quiet=quiet,
+        up=up, threads=threads, overwrite=overwrite, json=json, quiet=quiet,
     )  # fmt: skip
     plan = lod_request.plan_levels(request)
     if dry_run:

@@ -1,13 +1,17 @@
-"""Options of the method, shared by the commands that simplify."""
+"""Options of `simplify` and `lod`: the method, its parameters, and how the work is done."""
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from nanogs.cli import options
+from nanogs.cli.groups import Fields
+from nanogs.method.paper.parameters import PaperParameters
+from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.cameras import refuse_unused_views
 from nanogs.pipeline.presets import PRESETS, SUMMARIES, Parameters
+from nanogs.ranges import known_parameters
 
 _ALL = "Parameters of every preset (each replaces the preset's value)"
 _FOREST = "Parameters of the presets default, fast and best"
@@ -25,12 +29,26 @@ def _summaries() -> str:
     return "\n\n".join(f"{name}: {text}." for name, text in SUMMARIES.items())
 
 
-def _defaults(parameter: str) -> str:
-    """The values of a parameter where something is rendered: "20, 40 in best"."""
-    usual, best = (getattr(PRESETS[preset], parameter) for preset in ("default", "best"))
-    return f"{usual}, {best} in best"
+def _defaults(name: str) -> str | bool:
+    """The values of a parameter where presets that render differ: "28, 224 in best"."""
+    usual, best = (getattr(PRESETS[preset], name, None) for preset in ("default", "best"))
+    return usual == best or f"{usual}, {best} in best"
 
 
+def _parameters() -> Fields:
+    """An option for each parameter of a method that has one; None leaves the preset's value."""
+    forest, paper = known_parameters(ForestParameters), known_parameters(PaperParameters)
+    types = get_type_hints(PaperParameters) | get_type_hints(ForestParameters)
+    found: Fields = {}
+    for name, known in (forest | paper).items():
+        panel = _ALL if name in forest and name in paper else _FOREST if name in forest else _PAPER
+        option = options.of_parameter(name, known, panel, _defaults(name))
+        if known.help:
+            found[name] = (Annotated[types[name] | None, option], None)
+    return found
+
+
+PARAMETERS = _parameters()
 Preset = Annotated[
     str,
     typer.Option(
@@ -55,67 +73,19 @@ DryRun = Annotated[
     bool,
     typer.Option("--dry-run", help="Say what would be done and how much memory it takes."),
 ]
-Steps = Annotated[
-    int | None,
-    typer.Option(
-        "--steps",
-        min=0,
-        help="Steps of fitting the result to renders of the original; 0 fits nothing.",
-        show_default=_defaults("steps"),
-        rich_help_panel=_FOREST,
-    ),
-]
-Views = Annotated[
-    int | None,
-    typer.Option(
-        "--views",
-        min=1,
-        help="Views of the original to render.",
-        show_default=_defaults("views"),
-        rich_help_panel=options.VIEWS,
-    ),
-]
-K = Annotated[int | None, typer.Option(help="Neighbours in the graph.", rich_help_panel=_ALL)]
-LambdaApp = Annotated[
-    float | None, typer.Option(help="Weight of the colours.", rich_help_panel=_ALL)
-]
-Balance = Annotated[
-    float | None,
-    typer.Option(
-        help="From groups of equal size (0) to groups of equal error (1).",
-        rich_help_panel=_FOREST,
-    ),
-]
-Rounds = Annotated[
-    int | None,
-    typer.Option(help="Rounds of reassignment after the cut.", rich_help_panel=_FOREST),
-]
-Tau = Annotated[float | None, typer.Option(help="Prune alpha below this.", rich_help_panel=_PAPER)]
-Samples = Annotated[
-    int | None, typer.Option(help="Samples in the divergence.", rich_help_panel=_PAPER)
-]
-Seed = Annotated[int | None, typer.Option(help="Seed of the samples.", rich_help_panel=_PAPER)]
-LambdaGeo = Annotated[
-    float | None, typer.Option(help="Weight of the geometry.", rich_help_panel=_PAPER)
-]
-MergeCap = Annotated[
-    float | None, typer.Option(help="Largest share merged in a pass.", rich_help_panel=_PAPER)
-]
 
 
-def check_views(
+def refuse_views(
     preset: str,
     chosen: Parameters,
-    views: int | None,
+    overrides: dict[str, Any],
     cameras: str,
-    up: str | None,
-) -> tuple[float, float, float] | None:
-    """The up direction asked for; views are refused where the preset renders nothing.
+    up: options.Direction | None,
+) -> None:
+    """Refuse views where the preset renders nothing.
 
     Raises:
-        OptionError: Views are given and nothing is rendered, or the direction is none.
+        OptionError: Views are given, and nothing is rendered.
     """
-    direction = options.parse_direction(up)
-    given = views is not None or cameras != "auto" or direction is not None
+    given = "views" in overrides or cameras != "auto" or up is not None
     refuse_unused_views(preset, chosen, given=given)
-    return direction

@@ -2,12 +2,66 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from nanogs.errors import OptionError
 from nanogs.quantities import MULTIPLES, multiple, parse_bytes
+from nanogs.ranges import Parameter
+
+
+class Direction(NamedTuple):
+    """A direction in scene coordinates."""
+
+    x: float
+    y: float
+    z: float
+
+
+def parse_direction(text: str) -> Direction:
+    """A direction from `x,y,z`.
+
+    Raises:
+        OptionError: It is not three numbers, or all are zero.
+    """
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise OptionError(f"A direction is three numbers like 0,-1,0, not {text!r}.") from None
+    if x == y == z == 0:
+        raise OptionError("A direction cannot be 0,0,0.")
+    return Direction(x, y, z)
+
+
+_LEAST_MEMORY = 10**6  # bytes: what is less was meant in another unit
+
+
+def parse_memory(text: str) -> int:
+    """Bytes of memory, as `quantities.parse_bytes` has it.
+
+    Raises:
+        OptionError: It is no such size, or below a megabyte.
+    """
+    size = parse_bytes(text)
+    if size < _LEAST_MEMORY:
+        raise OptionError(
+            f"--max-memory {text} is {size:,} B, too little for any model; name the unit too, as in"
+            " --max-memory 4GB."
+        )
+    return size
+
+
+def parse_count(text: str | int) -> int:
+    """A number of splats from `100000`, `100k` or `1.5M`; k, M and G count in thousands.
+
+    Raises:
+        OptionError: It is no such number, or no whole one.
+    """
+    value = multiple(str(text), MULTIPLES)
+    if value is None or value.denominator != 1:
+        raise OptionError(f"A count is a whole number like 100000, 100k or 1.5M, not {text!r}.")
+    return int(value)
 
 
 def complete_format(start: str) -> list[str]:
@@ -52,8 +106,9 @@ Cameras = Annotated[
     ),
 ]
 Up = Annotated[
-    str | None,
+    Direction | None,
     typer.Option(
+        parser=parse_direction,
         help="Up direction of automatic views: x,y,z; by default away from the ground, or 0,-1,0.",
         metavar="X,Y,Z",
         rich_help_panel=VIEWS,
@@ -108,8 +163,9 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Replace what
 Json = Annotated[bool, typer.Option("--json", help="As JSON on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 MaxMemory = Annotated[
-    str | None,
+    int | None,
     typer.Option(
+        parser=parse_memory,
         help="Memory that may be taken, e.g. 4GB: what needs more is refused before it begins.",
         metavar="SIZE",
         show_default="what is free",
@@ -121,6 +177,18 @@ Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show
 def count(about: str) -> Any:  # noqa: ANN401 - as typer has it
     """The option --count of a command; `about` is what its help says."""
     return typer.Option("--count", "-n", parser=parse_count, metavar="COUNT", help=about)
+
+
+def of_parameter(
+    name: str, known: Parameter, panel: str | None = None, shown: str | bool = True
+) -> Any:  # noqa: ANN401 - as typer has it
+    """The option of a parameter, from what its field says; `shown` tells its default."""
+    return typer.Option(
+        f"--{(known.option or name).replace('_', '-')}",
+        help=known.help,
+        rich_help_panel=VIEWS if known.views else panel,
+        show_default=shown,
+    )
 
 
 def parse_pixels(text: str) -> tuple[int, int]:
@@ -144,24 +212,6 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
         OptionError: One is no size.
     """
     return [parse_pixels(part) for part in text.split(",")]
-
-
-_LEAST_MEMORY = 10**6  # bytes: what is less was meant in another unit
-
-
-def parse_memory(text: str) -> int:
-    """Bytes of memory, as `quantities.parse_bytes` has it.
-
-    Raises:
-        OptionError: It is no such size, or below a megabyte.
-    """
-    size = parse_bytes(text)
-    if size < _LEAST_MEMORY:
-        raise OptionError(
-            f"--max-memory {text} is {size:,} B, too little for any model; name the unit too, as in"
-            " --max-memory 4GB."
-        )
-    return size
 
 
 def parse_ratio(text: str) -> float:
@@ -193,18 +243,6 @@ def parse_ratios(text: str) -> tuple[float, ...]:
         ) from None
 
 
-def parse_count(text: str | int) -> int:
-    """A number of splats from `100000`, `100k` or `1.5M`; k, M and G count in thousands.
-
-    Raises:
-        OptionError: It is no such number, or no whole one.
-    """
-    value = multiple(str(text), MULTIPLES)
-    if value is None or value.denominator != 1:
-        raise OptionError(f"A count is a whole number like 100000, 100k or 1.5M, not {text!r}.")
-    return int(value)
-
-
 def parse_background(text: str) -> tuple[float, float, float]:
     """RGB in [0, 1] from `black`, `white` or `#rrggbb`.
 
@@ -217,23 +255,6 @@ def parse_background(text: str) -> tuple[float, float, float]:
         raise OptionError(f"The background must be black, white or #rrggbb, not {text!r}.")
     red, green, blue = (int(part, 16) / 255 for part in match.groups())
     return red, green, blue
-
-
-def parse_direction(text: str | None) -> tuple[float, float, float] | None:
-    """A direction from `x,y,z`; None stays None.
-
-    Raises:
-        OptionError: It is not three numbers, or all are zero.
-    """
-    if text is None:
-        return None
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        raise OptionError(f"A direction is three numbers like 0,-1,0, not {text!r}.") from None
-    if x == y == z == 0:
-        raise OptionError("A direction cannot be 0,0,0.")
-    return x, y, z
 
 
 def parse_named(text: str) -> tuple[str, Path]:

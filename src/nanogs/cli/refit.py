@@ -2,41 +2,40 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
 from nanogs.cli import options
+from nanogs.cli.groups import Fields, with_options
 from nanogs.fit.parameters import RefitParameters
 from nanogs.formatting import counted
+from nanogs.ranges import known_parameters
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from nanogs.progress import Stage
 
-_DEFAULTS = RefitParameters()
+_DEFAULTS, _TYPES = RefitParameters(), get_type_hints(RefitParameters)
+_PARAMETERS: Fields = {
+    name: (Annotated[_TYPES[name], options.of_parameter(name, known)], getattr(_DEFAULTS, name))
+    for name, known in known_parameters(RefitParameters).items()
+    if known.help
+}
 
 
+@with_options
 def refit(
+    *,
     original: Annotated[Path, typer.Argument(metavar="ORIGINAL", help="The model to look like.")],
     small: Annotated[
         Path, typer.Argument(metavar="SMALL", help="The model to fit, from any tool.")
     ],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
-    views: options.Views = _DEFAULTS.views,
-    pixels: Annotated[
-        int,
-        typer.Option(
-            help="Pixels along the longer side of a view; larger cameras are reduced to it.",
-            rich_help_panel=options.VIEWS,
-        ),
-    ] = _DEFAULTS.size,
     cameras: options.Cameras = "auto",
     up: options.Up = None,
-    rounds: Annotated[
-        int, typer.Option(help="Rounds of steps; more take longer and fit better.")
-    ] = _DEFAULTS.rounds,
+    given: Annotated[dict[str, Any], _PARAMETERS],
     overwrite: options.Overwrite = False,
     threads: options.Threads = None,
     max_memory: options.MaxMemory = None,
@@ -56,18 +55,16 @@ def refit(
     from nanogs.memory import allowed_memory, refuse_too_large
     from nanogs.needs import refit_bytes
 
-    chosen = RefitParameters(views=views, size=pixels, rounds=rounds)
-    chosen.check()
-    direction = options.parse_direction(up)
+    chosen = RefitParameters(**given)
     check_writable(target, overwrite=overwrite)
     refuse_too_large(
         f"Fitting {small}",
-        refit_bytes(inspect(original), inspect(small), pixels**2, chosen.kept + chosen.held),
-        allowed_memory(options.parse_memory(max_memory) if max_memory else None),
+        refit_bytes(inspect(original), inspect(small), chosen.size**2, chosen.kept + chosen.held),
+        allowed_memory(max_memory),
         "free some, or take fewer or smaller views (--views, --pixels)",
     )
     run = _refit_files(
-        original, small, target, cameras, direction, chosen, threads, overwrite, quiet or json
+        original, small, target, cameras, up, chosen, threads, overwrite, quiet or json
     )
     if json:
         print_json(run)

@@ -58,7 +58,6 @@ def render(
     width, height = options.parse_pixels(pixels)
     # Straight alpha is taken from a rendering over black.
     color = options.parse_background("black" if transparent else background)
-    direction = options.parse_direction(up)
     from nanogs.progress import Stage, Tracker
     from nanogs.threads import use_threads
     from nanogs.views.cameras import cameras_for
@@ -67,7 +66,7 @@ def render(
     refuse_too_large(
         f"Rendering {source}",
         render_bytes(inspect(source), width * height),
-        allowed_memory(options.parse_memory(max_memory) if max_memory else None),
+        allowed_memory(max_memory),
         "free some, or render smaller pictures (--pixels) or a smaller model",
     )
     stages = [Stage("read", 1.0), Stage("cameras", 0.5), Stage("render", 0.3 * count)]
@@ -76,7 +75,7 @@ def render(
         progress.begin("read")
         splats = load(source)
         progress.begin("cameras")
-        chosen = cameras_for(splats, cameras, count=count, width=width, height=height, up=direction)
+        chosen = cameras_for(splats, cameras, count=count, width=width, height=height, up=up)
         written, notes = render_images(
             splats, chosen, target, background=color, transparent=transparent, depth=depth,
             overwrite=overwrite, progress=progress.passing(),

@@ -6,13 +6,16 @@ from typing import Annotated, Any
 import typer
 
 from nanogs.cli import blocks, file_options, method, options
+from nanogs.cli.groups import with_options
 from nanogs.cli.importing import uncollected
 from nanogs.defaults import PATIENCE
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
 from nanogs.quantities import parse_bytes
 
 
+@with_options
 def simplify(
+    *,
     paths: file_options.Paths,
     ratio: Annotated[
         float | None,
@@ -59,19 +62,9 @@ def simplify(
     out_format: file_options.FormatOption = None,
     read_as: file_options.From = None,
     write_as: file_options.To = None,
-    views: method.Views = None,
+    overrides: Annotated[dict[str, Any], method.PARAMETERS],
     cameras: options.Cameras = "auto",
     up: options.Up = None,
-    k: method.K = None,
-    lambda_app: method.LambdaApp = None,
-    balance: method.Balance = None,
-    rounds: method.Rounds = None,
-    steps: method.Steps = None,
-    tau: method.Tau = None,
-    samples: method.Samples = None,
-    seed: method.Seed = None,
-    lambda_geo: method.LambdaGeo = None,
-    merge_cap: method.MergeCap = None,
     crop: file_options.Crop = None,
     min_opacity: file_options.MinOpacity = None,
     drop_floaters: file_options.DropFloaters = False,
@@ -92,16 +85,11 @@ def simplify(
         from nanogs.cli.simplify_run import Request, plan_one, run_one
         from nanogs.pipeline.target import Goal
 
-    overrides: dict[str, Any] = {
-        "k": k, "lambda_app": lambda_app, "balance": balance, "rounds": rounds,
-        "steps": steps, "views": views, "tau": tau, "samples": samples, "seed": seed,
-        "lambda_geo": lambda_geo, "merge_cap": merge_cap,
-    }  # fmt: skip
     # Whatever can be refused is refused here, before minutes of computing.
     parts = [paths[0], paths[-1]] if join else paths
     pairs = many.plan_pairs(parts, out_dir, out_format)
-    given = {name: value for name, value in overrides.items() if value is not None}
     chosen = parameters(preset, overrides)
+    method.refuse_views(preset, chosen, overrides, cameras, up)
     request = Request(
         goal=Goal(ratio, count, None if size is None else parse_bytes(size), psnr),
         preset=preset,
@@ -112,8 +100,8 @@ def simplify(
         saving={"overwrite": overwrite, "format_options": {"spz_version": spz_version}},
         frames=framing.parse_frames(frame),
         cameras=cameras,
-        up=method.check_views(preset, chosen, views, cameras, up),
-        given=given | {"preset": preset, "nan": nan.value, "threads": threads},
+        up=up,
+        given=overrides | {"preset": preset, "nan": nan.value, "threads": threads},
         json=json,
         quiet=quiet or json,
         folder_later=out_dir is not None and not out_dir.exists(),

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nanogs.cli import options
 from nanogs.cli.simplify_report import Plan
 from nanogs.cli.streams import DASH
 from nanogs.errors import NotEnoughMemoryError, OptionError
@@ -144,7 +143,7 @@ class Blocks:
 
 def parse_blocks(
     paths: Sequence[Path],
-    max_memory: str | None,
+    max_memory: int | None,
     *,
     join: bool,
     job: Path | None,
@@ -159,17 +158,16 @@ def parse_blocks(
     Raises:
         OptionError: The options do not go together.
     """
-    allowed = None if max_memory is None else options.parse_memory(max_memory)
     if workers is not None and scheduler is not None:
         raise OptionError("Give --workers or --scheduler, not both.")
-    if (allowed is not None or join) and DASH in paths:
+    if (max_memory is not None or join) and DASH in paths:
         raise OptionError("With --max-memory or --join models are files; name them in place of -.")
     if join and len(paths) < 2:
         raise OptionError("--join takes the parts of a scene and OUT; this is one path.")
     rest = {"scratch": scratch, "patience": patience}
     joined, piped = tuple(paths[:-1]) if join else (), DASH in paths
     return Blocks(
-        allowed_memory(allowed), allowed, piped, joined, job, resume, workers, scheduler, rest
+        allowed_memory(max_memory), max_memory, piped, joined, job, resume, workers, scheduler, rest
     )
 
 

@@ -70,7 +70,6 @@ def view(
 
     width, height = options.parse_pixels(pixels)
     color = options.parse_background(background)
-    direction = options.parse_direction(up)
     inputs = [options.parse_named(text) for text in models]
     if len(inputs) > 2:
         raise OptionError(f"A page shows one model or two, and these are {len(inputs)}.")
@@ -79,9 +78,9 @@ def view(
     check_writable(page, overwrite=overwrite)
     with shown(quiet=quiet or json) as progress, _threads(threads, len(inputs) > 1 and psnr):
         report = view_files(
-            inputs, page, cameras=cameras, views=views, width=width, height=height, up=direction,
+            inputs, page, cameras=cameras, views=views, width=width, height=height, up=up,
             background=color, psnr=psnr, level=level, overwrite=overwrite, progress=progress,
-            max_memory=options.parse_memory(max_memory) if max_memory else None,
+            max_memory=max_memory,
         )  # fmt: skip
     if json:
         print_json(report.to_dict())

@@ -58,7 +58,6 @@ def refit(
     """
     begin, clock = time.perf_counter(), StageClock()
     chosen = parameters or RefitParameters()
-    chosen.check()
     large, given = as_splats(original, "the original"), as_splats(small, "the small model")
     _refuse_unusable(large, "original")
     _refuse_unusable(given, "small")

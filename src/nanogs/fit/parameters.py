@@ -1,9 +1,8 @@
 """Parameters of a refit; every number is without unit, so none depends on a scene's scale."""
 
-import math
 from dataclasses import dataclass
 
-from nanogs.errors import OptionError
+from nanogs.ranges import check_ranges, parameter
 
 KEPT = 64  # views in memory at the most: of 512 pixels 67 MB
 
@@ -32,18 +31,25 @@ class RefitParameters:
         seed: Order of the views.
     """
 
-    views: int = 320
-    validation: int = 6
-    size: int = 512
-    rounds: int = 5
-    steps: int = 64
-    rate: float = 1.0
-    damping: float = 0.1
-    floor: float = 0.02
-    ridge: float = 0.02
-    band_ridge: float = 0.3
+    views: int = parameter(320, 1, views=True, help="Number of automatic views.")
+    validation: int = parameter(6, 1)
+    size: int = parameter(
+        512, 16, 8192, unit=" pixels", option="pixels", views=True,
+        help="Pixels along the longer side of a view; larger cameras are reduced to it.",
+    )  # fmt: skip
+    rounds: int = parameter(5, 1, help="Rounds of steps; more take longer and fit better.")
+    steps: int = parameter(64, 1)
+    rate: float = parameter(1.0, above=True)
+    damping: float = parameter(0.1)
+    floor: float = parameter(0.02, above=True)
+    ridge: float = parameter(0.02)
+    band_ridge: float = parameter(0.3)
     halves: bool = False
-    seed: int = 0
+    seed: int = parameter(0)
+
+    def __post_init__(self) -> None:
+        """Refuse values that mean nothing."""
+        check_ranges(self)
 
     @property
     def kept(self) -> int:
@@ -54,25 +60,3 @@ class RefitParameters:
     def held(self) -> int:
         """Views that decide: a third of those fitted to where these are few."""
         return min(self.validation, max(1, self.views // 3))
-
-    def check(self) -> None:
-        """Refuse what makes no sense.
-
-        Raises:
-            OptionError: A parameter is out of range.
-        """
-        for name in ("views", "validation", "rounds", "steps"):
-            if getattr(self, name) < 1:
-                raise OptionError(f"{name} must be 1 or more, not {getattr(self, name)}.")
-        if not 16 <= self.size <= 8192:
-            raise OptionError(f"A view size is from 16 to 8192 pixels, not {self.size}.")
-        if self.seed < 0:
-            raise OptionError(f"seed must be 0 or more, not {self.seed}.")
-        for name in ("rate", "floor"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise OptionError(f"{name} must be a finite number above 0, not {value}.")
-        for name in ("damping", "ridge", "band_ridge"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise OptionError(f"{name} must be a finite number from 0 on, not {value}.")

@@ -1,9 +1,8 @@
 """Parameters of the default method."""
 
-import math
 from dataclasses import dataclass
 
-from nanogs.errors import require
+from nanogs.ranges import check_ranges, parameter
 
 USUAL_BALANCE = 0.8  # the safest where nothing is measured
 BALANCES = (0.5, 1.0)  # one between them is hardly ever better than both
@@ -39,34 +38,27 @@ class ForestParameters:
         view_size: Pixels along the longer side of a view.
     """
 
-    k: int = 8
-    lambda_app: float = 1.0
-    balance: float = USUAL_BALANCE
-    rounds: int = 2
-    pixels: float = 512.0
-    hidden: float = 0.03
-    growth: float = 1.25
+    k: int = parameter(8, 1, help="Neighbours in the graph.")
+    lambda_app: float = parameter(1.0, help="Weight of the colours.")
+    balance: float = parameter(
+        USUAL_BALANCE, 0, 1, help="From groups of equal size (0) to groups of equal error (1)."
+    )
+    rounds: int = parameter(2, help="Rounds of reassignment after the cut.")
+    pixels: float = parameter(512.0, above=True)
+    hidden: float = parameter(0.03, 0, 1, above=True)
+    growth: float = parameter(1.25, 1)
     measure: bool = True
-    steps: int = 28
-    views: int = 14
-    further: int = 0
-    roaming: int = 0
-    view_size: int = 896
+    steps: int = parameter(
+        28, help="Steps of fitting the result to renders of the original; 0 fits nothing."
+    )
+    views: int = parameter(14, 1, views=True, help="Views of the original to render.")
+    further: int = parameter(0)
+    roaming: int = parameter(0)
+    view_size: int = parameter(896, 16, 8192, unit=" pixels")
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
-        require(self.k >= 1, "k", self.k, "at least 1")
-        require(0 <= self.lambda_app < math.inf, "lambda_app", self.lambda_app, "0 or more")
-        require(0 <= self.balance <= 1, "balance", self.balance, "from 0 to 1")
-        require(self.rounds >= 0, "rounds", self.rounds, "0 or more")
-        require(0 < self.pixels < math.inf, "pixels", self.pixels, "above 0, and finite")
-        require(0 < self.hidden <= 1, "hidden", self.hidden, "above 0, at most 1")
-        require(1 <= self.growth < math.inf, "growth", self.growth, "1 or more, and finite")
-        require(self.steps >= 0, "steps", self.steps, "0 or more")
-        require(self.views >= 1, "views", self.views, "at least 1")
-        require(self.further >= 0, "further", self.further, "0 or more")
-        require(self.roaming >= 0, "roaming", self.roaming, "0 or more")
-        require(16 <= self.view_size <= 8192, "view_size", self.view_size, "16 to 8192 pixels")
+        check_ranges(self)
 
     @property
     def balances(self) -> tuple[float, ...]:

@@ -1,9 +1,9 @@
 """Parameters of the published method (arXiv 2603.16103)."""
 
-import math
 from dataclasses import dataclass
 
-from nanogs.errors import OptionError, require
+from nanogs.errors import OptionError
+from nanogs.ranges import check_ranges, parameter
 
 GRAPHS = ("knn", "random")
 
@@ -24,24 +24,17 @@ class PaperParameters:
         merge_cap: Largest share of the splats that may be merged away in one pass.
     """
 
-    tau: float = 0.1
-    k: int = 16
+    tau: float = parameter(0.1, 0, 1, help="Prune alpha below this.")
+    k: int = parameter(16, 1, help="Neighbours in the graph.")
     graph: str = "knn"
-    samples: int = 1
-    seed: int = 0
-    lambda_geo: float = 1.0
-    lambda_app: float = 1.0
-    merge_cap: float = 0.5
+    samples: int = parameter(1, 1, help="Samples in the divergence.")
+    seed: int = parameter(0, help="Seed of the samples.")
+    lambda_geo: float = parameter(1.0, help="Weight of the geometry.")
+    lambda_app: float = parameter(1.0, help="Weight of the colours.")
+    merge_cap: float = parameter(0.5, 0, 0.5, above=True, help="Largest share merged in a pass.")
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
-        require(0 <= self.tau <= 1, "tau", self.tau, "an opacity from 0 to 1")
-        require(self.k >= 1, "k", self.k, "at least 1")
+        check_ranges(self)
         if self.graph not in GRAPHS:
             raise OptionError(f"graph must be {' or '.join(GRAPHS)}, not {self.graph!r}.")
-        require(self.samples >= 1, "samples", self.samples, "at least 1")
-        require(self.seed >= 0, "seed", self.seed, "0 or more")
-        for name in ("lambda_geo", "lambda_app"):
-            value = getattr(self, name)
-            require(0 <= value < math.inf, name, value, "0 or more, and finite")
-        require(0 < self.merge_cap <= 0.5, "merge_cap", self.merge_cap, "above 0, at most 0.5")

@@ -1,0 +1,80 @@
+"""Parameters as fields of dataclasses: their default, range, and what the command says of them."""
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from nanogs.errors import OptionError
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """What is known of a parameter beside its name, its type and its default.
+
+    Attributes:
+        low: The least value.
+        high: The largest; infinity itself is refused in any case.
+        above: Whether `low` itself is refused.
+        unit: What follows the range, such as " pixels".
+        help: Of the command's option; empty where it has none.
+        option: The option's name, where it is not the parameter's.
+        views: Whether the option is about views.
+    """
+
+    low: float
+    high: float
+    above: bool
+    unit: str
+    help: str
+    option: str
+    views: bool
+
+    def expected(self, value: float) -> str:
+        """What a value has to be, to follow "must be"; empty where it is so."""
+        if not math.isfinite(value):
+            return "a finite number"
+        enough = value > self.low if self.above else value >= self.low
+        if enough and value <= self.high:
+            return ""
+        if math.isinf(self.high):
+            return f"above {self.low:g}" if self.above else f"{self.low:g} or more"
+        if self.above:
+            return f"above {self.low:g}, at most {self.high:g}"
+        return f"from {self.low:g} to {self.high:g}{self.unit}"
+
+
+def parameter(
+    default: float,
+    low: float = 0,
+    high: float = math.inf,
+    *,
+    above: bool = False,
+    unit: str = "",
+    help: str = "",  # noqa: A002 - as the option has it
+    option: str = "",
+    views: bool = False,
+) -> Any:  # noqa: ANN401 - as `dataclasses.field` has it
+    """A field of a dataclass with a range; see `Parameter`."""
+    known = Parameter(low, high, above, unit, help, option, views)
+    return field(default=default, metadata={"parameter": known})
+
+
+def known_parameters(kind: Any) -> dict[str, Parameter]:  # noqa: ANN401 - any dataclass
+    """What is known of the parameters of a dataclass, or of an instance of one, by name."""
+    found = {each.name: each.metadata.get("parameter") for each in fields(kind)}
+    return {name: known for name, known in found.items() if known}
+
+
+def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
+    """Refuse values out of their range.
+
+    Args:
+        chosen: Parameters, whose fields are made by `parameter`.
+
+    Raises:
+        OptionError: One is; the sentence says its name, what is expected, and the value.
+    """
+    for name, known in known_parameters(chosen).items():
+        value = getattr(chosen, name)
+        if expected := known.expected(value):
+            raise OptionError(f"{name} must be {expected}, not {value:g}.")
