@@ -23,8 +23,9 @@ def in_parts(path):
         with TemporaryDirectory() as folder:
             scratch, notes = FolderScratch(Path(folder)), []
             record = write_table(scratch, "u", streamed(source, notes), {NOTES: notes})
-            with Unpacked(scratch, {0: record}).opened(0, source) as rows:
-                yield lambda start, stop: replace(rows.read(start, stop), elements=())
+            Unpacked(scratch, {0: record}).give(0, source)
+            yield lambda start, stop: replace(source.read(start, stop), elements=())
+            source.close()  # before its columns are gone
 
 
 def whole(path):

@@ -26,7 +26,7 @@ def saved(model, path):
 
 
 def write_arrays(path, model, **changes):
-    arrays = {name: getattr(model, name) for name in npz._REQUIRED} | changes
+    arrays = {name: getattr(model, name) for name in npz.REQUIRED} | changes
     np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
 
 
@@ -63,7 +63,7 @@ def test_numpy_reads_it_without_pickle(tmp_path):
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 def test_reads_what_numpy_writes(tmp_path, save):
     model = random_splats(50, degree=2)
-    arrays = {name: getattr(model, name) for name in npz._REQUIRED}
+    arrays = {name: getattr(model, name) for name in npz.REQUIRED}
     arrays["quats"] = np.asfortranarray(arrays["quats"])
     arrays["means"] = arrays["means"].astype(">f4")
     save(tmp_path / "a.npz", **arrays, camera=np.eye(4))
@@ -185,7 +185,7 @@ def repacked(rng, data):
 def test_damaged_files_give_a_format_error_or_a_model(tmp_path, damage, save):
     rng, path = np.random.default_rng(5), tmp_path / "fuzz.npz"
     model = random_splats(20, extras={"label": np.arange(20)})
-    arrays = {name: getattr(model, name) for name in npz._REQUIRED}
+    arrays = {name: getattr(model, name) for name in npz.REQUIRED}
     save(path, **arrays, render_mode=np.array("mip"), **{"extra:label": np.arange(20)})
     seed = path.read_bytes()
     outcomes = {"model": 0, "refused": 0}

@@ -123,9 +123,10 @@ def test_what_a_packed_file_is_unpacked_to_goes_with_the_source(tmp_path):
     nanogs.save(model_of(), tmp_path / "a.spz")
     source = nanogs.open(tmp_path / "a.spz")
     source.read(1, 2)
-    held = source._unpacked.file
+    held = source._unpacked.columns
     source.close()
-    assert held.closed
+    with pytest.raises(ValueError, match="closed file"):
+        held("alphas", 0, 1)
     assert len(source.read(1, 3)) == 2  # it is unpacked anew
     source.close()
 

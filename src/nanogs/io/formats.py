@@ -11,8 +11,8 @@ from nanogs.io.gltf import read as gltf
 from nanogs.io.gltf import tileset
 from nanogs.io.gltf import write as gltf_write
 from nanogs.io.ksplat import read as ksplat
-from nanogs.io.npz import packed as npz_packed
-from nanogs.io.npz import read as npz
+from nanogs.io.npz import write as npz_write
+from nanogs.io.npz.read import NpzFile
 from nanogs.io.parts import Whole
 from nanogs.io.ply import read as ply
 from nanogs.io.ply import write as ply_write
@@ -44,7 +44,7 @@ FORMATS = (
     ),
     Format(".ply", ply.open_ply, ply_write.write, ply_write.file_bytes, streams=True),
     Format(".splat", splat.SplatFile, splat.write, splat.file_bytes, splat.losses, streams=True),
-    Format(".npz", npz_packed.open_npz, npz.write, npz.file_bytes, npz.losses, streams=True),
+    Format(".npz", NpzFile, npz_write.write, npz_write.file_bytes, npz_write.losses, streams=True),
     Format(
         ".spz",
         spz.open_spz,

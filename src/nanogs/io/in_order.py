@@ -7,7 +7,7 @@ from weakref import finalize
 import numpy as np
 
 from nanogs._types import I64, Array
-from nanogs.source import InMemory, Layout, Source
+from nanogs.source import InMemory, Source
 from nanogs.splats import RenderMode, Splats
 
 _COLUMNS = ("means", "log_scales", "quats", "opacity_logits", "sh")
@@ -32,16 +32,7 @@ class _Taken(Source):
 
     def __init__(self, source: Source, order: I64) -> None:
         self._source, self._order = source, order
-
-    @property
-    def count(self) -> int:
-        """Number of splats."""
-        return len(self._order)
-
-    @property
-    def columns(self) -> Layout:
-        """The columns of the model."""
-        return self._source.columns
+        self.count, self.columns = len(order), source.columns
 
     def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
@@ -53,6 +44,7 @@ class _Sorted(Source):
 
     def __init__(self, source: Source, order: I64) -> None:
         self._source = source
+        self.count, self.columns = source.count, source.columns
         self._rows = max(_LEAST_ROWS, -(-len(order) // _MOST_BUCKETS))
         first = source.read(0, 1)
         columns = [(n, getattr(first, n).dtype, getattr(first, n).shape[1:]) for n in _COLUMNS]
@@ -61,16 +53,6 @@ class _Sorted(Source):
         finalize(self, self._file.close)
         self._last: tuple[int, Array] | None = None
         self._fill(order)
-
-    @property
-    def count(self) -> int:
-        """Number of splats."""
-        return self._source.count
-
-    @property
-    def columns(self) -> Layout:
-        """The columns of the model."""
-        return self._source.columns
 
     def _fill(self, order: I64) -> None:
         places = np.empty_like(order)

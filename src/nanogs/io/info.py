@@ -42,12 +42,12 @@ class FileInfo:
     file_bytes: int
     splats: int
     sh_degree: int
-    double_means: bool
-    properties: tuple[tuple[str, str], ...]
-    extras: tuple[str, ...]
-    elements: tuple[tuple[str, int], ...]
-    render_mode: RenderMode
-    comments: tuple[str, ...]
+    double_means: bool = False
+    properties: tuple[tuple[str, str], ...] = ()
+    extras: tuple[str, ...] = ()
+    elements: tuple[tuple[str, int], ...] = ()
+    render_mode: RenderMode = RenderMode.DEFAULT
+    comments: tuple[str, ...] = ()
 
     @property
     def layout(self) -> Layout:

@@ -9,6 +9,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from math import prod
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -38,12 +39,12 @@ class FileSource(Source):
     def __repr__(self) -> str:
         return f"<Source {self.name}>"
 
-    @property
-    @abstractmethod
+    @cached_property
     def info(self) -> FileInfo:
         """The file's description of itself."""
+        raise NotImplementedError
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of splats."""
         return self.info.splats
@@ -96,17 +97,17 @@ class Packed(FileSource):
     for those who call `unpack` and `decode` themselves.
     """
 
-    _unpacked: "_Unpacked | None" = None
+    _unpacked: "UnpackedColumns | None" = None
 
-    @property
-    @abstractmethod
+    @cached_property
     def stored(self) -> Mapping[str, Column]:
         """The columns that are unpacked, by name, in the order they come."""
+        raise NotImplementedError
 
-    @property
-    @abstractmethod
+    @cached_property
     def memory(self) -> int:
         """Bytes that unpacking takes at most, the libraries aside."""
+        raise NotImplementedError
 
     @abstractmethod
     def unpack(self, notes: list[str]) -> Iterator[Array]:
@@ -142,8 +143,13 @@ class Packed(FileSource):
         if self._unpacked is None:
             if (start, stop) == (0, self.count):
                 return self.load()
-            self._unpacked = _Unpacked(self)
-        return self._unpacked.read(start, stop)
+            self._unpacked = _unpacked(self)
+        splats = self.decode(self._unpacked.columns, start, stop)
+        return replace(splats, notes=[*splats.notes, *self._unpacked.notes])
+
+    def use(self, unpacked: "UnpackedColumns") -> None:
+        """Read rows from columns that have been unpacked before; `close` closes them."""
+        self._unpacked = unpacked
 
     def load(self) -> Splats:
         """The whole model, its columns unpacked in memory."""
@@ -158,9 +164,9 @@ class Packed(FileSource):
         return replace(splats, notes=[*splats.notes, *notes])
 
     def close(self) -> None:
-        """Remove the temporary file."""
+        """Close the unpacked columns; those in a temporary file are gone then."""
         if self._unpacked is not None:
-            self._unpacked.file.close()
+            self._unpacked.close()
             self._unpacked = None
 
 
@@ -173,38 +179,46 @@ def fill_rows(out: Array, pieces: Iterator[Array]) -> None:
         at += len(piece)
 
 
-class _Unpacked:
-    """The columns of a packed file, one after the other in a temporary file without a name."""
+@dataclass(frozen=True, slots=True)
+class UnpackedColumns:
+    """The columns of a packed file where rows of them can be read.
 
-    def __init__(self, packed: Packed) -> None:
-        self._packed, self._notes = packed, list[str]()
-        self._places: dict[str, int] = {}
-        at = 0
-        for name, column in packed.stored.items():
-            self._places[name], at = at, at + column.bytes
-        try:
-            self.file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed below
-            finalize(self, self.file.close)  # if `Packed` does not do it before
-            for piece in packed.unpack(self._notes):
-                self.file.write(np.ascontiguousarray(piece).data)
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise OutputError(
-                f"{packed.path} cannot be unpacked into a temporary file ({reason}); free some"
-                " space, or name another place in TMPDIR."
-            ) from error
+    Attributes:
+        columns: Reads them.
+        notes: What is to be said of the file as a whole.
+        close: Closes what holds them.
+    """
 
-    def read(self, start: int, stop: int) -> Splats:
-        splats = self._packed.decode(self._column, start, stop)
-        return replace(splats, notes=[*splats.notes, *self._notes])
+    columns: ColumnReader
+    notes: Sequence[str]
+    close: Callable[[], None]
 
-    def _column(self, name: str, start: int, stop: int) -> Array:
-        column = self._packed.stored[name]
-        out = np.empty((stop - start, *column.shape[1:]), column.kind)
-        row = out.itemsize * prod(column.shape[1:])
-        self.file.seek(self._places[name] + start * row)
-        fill(self._packed.path, self.file, out)  # type: ignore[arg-type]
+
+def _unpacked(packed: Packed) -> UnpackedColumns:
+    """The columns, one after the other in a temporary file without a name."""
+    ends = accumulate((column.bytes for column in packed.stored.values()), initial=0)
+    places = dict(zip(packed.stored, ends, strict=False))
+    notes: list[str] = []
+    try:
+        file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed with the source
+        finalize(packed, file.close)  # if `Packed` does not do it before
+        for piece in packed.unpack(notes):
+            file.write(np.ascontiguousarray(piece).data)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(
+            f"{packed.path} cannot be unpacked into a temporary file ({reason}); free some"
+            " space, or name another place in TMPDIR."
+        ) from error
+
+    def column(name: str, start: int, stop: int) -> Array:
+        shape = packed.stored[name].shape
+        out = np.empty((stop - start, *shape[1:]), packed.stored[name].kind)
+        file.seek(places[name] + start * out.itemsize * prod(shape[1:]))
+        fill(packed.path, file, out)  # type: ignore[arg-type]
         return out
+
+    return UnpackedColumns(column, notes, file.close)
 
 
 class Whole(FileSource):

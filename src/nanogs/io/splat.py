@@ -18,7 +18,7 @@ from nanogs.io.files import input_size
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, row_blocks
 from nanogs.source import Source, source_of
-from nanogs.splats import RenderMode, Splats, empty_arrays
+from nanogs.splats import Splats, empty_arrays
 from nanogs.stored import SH_C0, alphas, base_colour, logit, rounded_bytes
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
@@ -37,25 +37,15 @@ class SplatFile(FileSource):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         n = _count(path)
-        self._info = FileInfo(
+        self.info = FileInfo(
             path=path,
             format="splat",
             encoding="binary_little_endian",
             file_bytes=n * _ROW.itemsize,
             splats=n,
             sh_degree=0,
-            double_means=False,
             properties=_PROPERTIES,
-            extras=(),
-            elements=(),
-            render_mode=RenderMode.DEFAULT,
-            comments=(),
         )
-
-    @property
-    def info(self) -> FileInfo:
-        """The description, from the size of the file."""
-        return self._info
 
     def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""

@@ -1,7 +1,7 @@
 """The input files of a job: what they were when it began, and whether they still are."""
 
 from collections.abc import Sequence
-from contextlib import ExitStack
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -79,7 +79,6 @@ class Inputs:
     def __init__(self, files: Sequence[InputFile], unpacked: "Unpacked | None") -> None:
         self.parts = [_Input(self, number, file) for number, file in enumerate(files)]
         self._files, self._unpacked = files, unpacked
-        self._stack = ExitStack()
         self._last: tuple[int, Source] | None = None
         self._read: set[int] = set()
 
@@ -92,11 +91,9 @@ class Inputs:
         if self._last is None or self._last[0] != number:
             self.close()
             source = open_unchanged(self._files[number])
-            found: Source = self._stack.enter_context(source)
-            if self._unpacked is not None and number in self._unpacked.records:
-                assert isinstance(source, Packed), "only those are unpacked"  # noqa: S101
-                found = self._stack.enter_context(self._unpacked.opened(number, source))
-            self._last = number, found
+            if self._unpacked is not None:
+                self._unpacked.give(number, source)
+            self._last = number, source
             self._read.add(number)
         return self._last[1]
 
@@ -111,8 +108,9 @@ class Inputs:
 
     def close(self) -> None:
         """Close the file that is open."""
-        self._last = None
-        self._stack.close()
+        if self._last is not None:
+            self._last[1].close()
+            self._last = None
 
     def __enter__(self) -> Self:
         return self
@@ -125,15 +123,10 @@ class _Input(Source):
     """One of the files."""
 
     def __init__(self, inputs: Inputs, number: int, file: InputFile) -> None:
-        self._inputs, self._number, self._file = inputs, number, file
-        self.name = file.path
+        self._inputs, self._number = inputs, number
+        self.name, self.count = file.path, file.splats
 
-    @property
-    def count(self) -> int:
-        """Number of splats."""
-        return self._file.splats
-
-    @property
+    @cached_property
     def columns(self) -> Layout:
         """The columns; see `Source`."""
         return self._inputs.of(self._number).columns

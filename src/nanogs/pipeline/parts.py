@@ -45,17 +45,8 @@ class Parts(Source):
         self._work = work
         self._records = work.delivered(level)
         self._ends = [0, *accumulate(map(count_of, self._records))]
+        self.count, self.columns = self._ends[-1], work.settings.layout
         self._table: Table | None = None
-
-    @property
-    def count(self) -> int:
-        """Splats of all blocks."""
-        return self._ends[-1]
-
-    @property
-    def columns(self) -> Layout:
-        """The columns of the job."""
-        return self._work.settings.layout
 
     def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""

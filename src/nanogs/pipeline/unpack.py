@@ -5,16 +5,14 @@ without all before it. What is written is what they hold, not what it stands for
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from nanogs._types import Array
-from nanogs.io.parts import Packed
+from nanogs.io.parts import FileSource, Packed, UnpackedColumns
 from nanogs.pipeline.inputs import check_unchanged, open_unchanged
 from nanogs.pipeline.settings import InputFile, Settings
-from nanogs.source import Layout, Source
-from nanogs.splats import Splats
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Streamed, Table, write_table
 
@@ -33,41 +31,17 @@ class Unpacked:
     scratch: Scratch
     records: Mapping[int, Record]
 
-    def opened(self, number: int, packed: Packed) -> "UnpackedSource":
-        """The columns of a file, opened to read rows of it.
+    def give(self, number: int, source: FileSource) -> None:
+        """Give a file its columns, if it has been unpacked.
 
         Args:
             number: Of the file.
-            packed: What it is.
+            source: The file.
         """
-        return UnpackedSource(packed, Table(self.scratch, self.records[number]))
-
-
-class UnpackedSource(Source):
-    """A packed file whose columns are in a table."""
-
-    def __init__(self, packed: Packed, table: Table) -> None:
-        self._packed, self._table = packed, table
-        self.name = packed.name
-
-    @property
-    def count(self) -> int:
-        """Number of splats."""
-        return self._packed.count
-
-    @property
-    def columns(self) -> Layout:
-        """The columns; see `Source`."""
-        return self._packed.columns
-
-    def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
-        splats = self._packed.decode(self._table.read, start, stop)
-        return replace(splats, notes=[*splats.notes, *self._table.record.facts[NOTES]])
-
-    def close(self) -> None:
-        """Close the table."""
-        self._table.close()
+        if number in self.records:
+            assert isinstance(source, Packed), "only those are unpacked"  # noqa: S101
+            table = Table(self.scratch, self.records[number])
+            source.use(UnpackedColumns(table.read, table.record.facts[NOTES], table.close))
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -51,19 +52,21 @@ class Source(ABC):
 
     Attributes:
         name: What it is called in messages.
+        elements: Name and number of rows of each further PLY element.
     """
 
-    name = "the model"
+    name: str = "the model"
+    elements: tuple[tuple[str, int], ...] = ()
 
-    @property
-    @abstractmethod
+    @cached_property
     def count(self) -> int:
         """Number of splats."""
+        raise NotImplementedError
 
-    @property
-    @abstractmethod
+    @cached_property
     def columns(self) -> Layout:
         """The columns; no row is read for them."""
+        raise NotImplementedError
 
     def read(self, start: int, stop: int) -> Splats:
         """Some rows.
@@ -128,11 +131,6 @@ class Source(ABC):
         step = rows or BLOCK_ROWS
         for start in range(0, self.count, step):
             yield self.read(start, min(start + step, self.count))
-
-    @property
-    def elements(self) -> tuple[tuple[str, int], ...]:
-        """Name and number of rows of each further PLY element."""
-        return ()
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
         """The further PLY elements with their rows.

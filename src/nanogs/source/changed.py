@@ -11,7 +11,7 @@ from nanogs._types import I64
 from nanogs.filters import Filter, FilterReport, apply, refuse_empty, refuse_whole
 from nanogs.frames import change_between, change_frame
 from nanogs.source import base
-from nanogs.source.base import Layout, Source, joined_rows
+from nanogs.source.base import Source, joined_rows
 from nanogs.splats import ExtraElement, Splats, refuse_misaligned
 
 
@@ -19,23 +19,13 @@ class _Changed(Source):
     """A source whose rows are changed when they are read."""
 
     def __init__(self, source: Source) -> None:
-        self._source = source
-        self.name = source.name
+        self._source, self.name = source, source.name
+        self.columns, self.elements = source.columns, source.elements
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of splats."""
         return self._source.count
-
-    @property
-    def columns(self) -> Layout:
-        """The columns; see `Source`."""
-        return self._source.columns
-
-    @property
-    def elements(self) -> tuple[tuple[str, int], ...]:
-        """The elements of the source; see `Source`."""
-        return self._source.elements
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
         """The elements of the source; see `Source`."""
@@ -83,12 +73,7 @@ class Reduced(_Changed):
     def __init__(self, source: Source, degree: int) -> None:
         super().__init__(source)
         self._degree = degree
-
-    @property
-    def columns(self) -> Layout:
-        """The columns that stay."""
-        before = self._source.columns
-        return replace(before, sh_degree=min(before.sh_degree, self._degree))
+        self.columns = replace(self.columns, sh_degree=min(self.columns.sh_degree, degree))
 
     def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
@@ -168,7 +153,7 @@ class Filtered(_Changed):
     def _ends(self) -> I64:
         return np.concatenate(([0], np.cumsum(self.kept, dtype=np.int64)))
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Splats that are left."""
         return int(self._ends[-1])

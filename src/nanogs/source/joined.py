@@ -27,19 +27,10 @@ class Joined(Source):
 
     def __init__(self, parts: Sequence[Source], layout: Layout | None = None) -> None:
         self._parts = parts
-        self._layout = layout or joined_layout(parts)
+        self.columns = layout or joined_layout(parts)
         self._ends = [0, *accumulate(part.count for part in parts)]
+        self.count = self._ends[-1]
         self.name = ", ".join(part.name for part in parts)
-
-    @property
-    def count(self) -> int:
-        """Splats of all parts."""
-        return self._ends[-1]
-
-    @property
-    def columns(self) -> Layout:
-        """The columns that the parts are brought to."""
-        return self._layout
 
     def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
@@ -47,13 +38,13 @@ class Joined(Source):
         for part, (first, end) in zip(self._parts, pairwise(self._ends), strict=True):
             low, high = max(start, first), min(stop, end)
             if low < high or (start == stop == first):
-                found.append(fitted(part.read(low - first, high - first), self._layout))
+                found.append(fitted(part.read(low - first, high - first), self.columns))
         return joined_rows(found)
 
     def load(self) -> Splats:
         """The whole model, with the notes of all parts."""
-        splats = joined_rows([fitted(part.load(), self._layout) for part in self._parts])
-        notes = dict.fromkeys([*self._layout.notes, *splats.notes])
+        splats = joined_rows([fitted(part.load(), self.columns) for part in self._parts])
+        notes = dict.fromkeys([*self.columns.notes, *splats.notes])
         return replace(splats, notes=tuple(notes))
 
     def close(self) -> None:

@@ -13,18 +13,9 @@ class InMemory(Source):
     """A model that is held whole, as a source; what is read are views of it."""
 
     def __init__(self, splats: Splats) -> None:
-        self._splats = splats
-
-    @property
-    def count(self) -> int:
-        """Number of splats."""
-        return len(self._splats)
-
-    @property
-    def columns(self) -> Layout:
-        """The columns of the model."""
-        splats = self._splats
-        return Layout(
+        self._splats, self.count = splats, len(splats)
+        self.elements = tuple((element.name, len(element.rows)) for element in splats.elements)
+        self.columns = Layout(
             sh_degree=splats.sh_degree,
             double_means=splats.means.dtype == np.float64,
             extras=tuple((name, column.dtype.str) for name, column in splats.extras.items()),
@@ -40,11 +31,6 @@ class InMemory(Source):
     def _take(self, rows: I64) -> Splats:
         """Rows by number; see `Source`."""
         return replace(self._splats.take(rows), notes=())
-
-    @property
-    def elements(self) -> tuple[tuple[str, int], ...]:
-        """The elements of the model; see `Source`."""
-        return tuple((element.name, len(element.rows)) for element in self._splats.elements)
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
         """The elements of the model; see `Source`."""

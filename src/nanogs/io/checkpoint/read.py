@@ -22,7 +22,7 @@ from nanogs.io.checkpoint.torch_file import TorchFile
 from nanogs.io.checkpoint.torch_pickle import Tensor
 from nanogs.io.info import FileInfo
 from nanogs.io.ply.header import printable
-from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
+from nanogs.splats import MAX_SH_DEGREE, Splats
 from nanogs.stored import alphas, base_colour
 
 FRAME = "that of the training, as stored; nerfstudio and gsplat turn scenes to have z up by default"
@@ -84,10 +84,6 @@ def inspect(path: Path) -> FileInfo:
         sh_degree=degrees[coefficients],
         double_means=found["means"].storage.kind == "f8",
         properties=tuple((n, _KINDS.get(t.storage.kind, t.storage.kind)) for n, t in found.items()),
-        extras=(),
-        elements=(),
-        render_mode=RenderMode.DEFAULT,
-        comments=(),
     )
 
 

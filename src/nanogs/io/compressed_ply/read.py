@@ -54,30 +54,21 @@ class _Chunks(FileSource):
     def __init__(self, header: Header) -> None:
         super().__init__(header.path)
         self._header, self._degree = header, _check(header)
-
-    @property
-    def info(self) -> FileInfo:
-        """The description, from the header."""
-        header, vertex = self._header, _element(self._header, "vertex")
-        return FileInfo(
+        vertex = _element(header, "vertex")
+        self.elements = tuple((e.name, e.count) for e in _kept(header) if e.name not in _OWN)
+        self.info = FileInfo(
             path=header.path,
             format="compressed.ply",
             encoding=header.encoding,
             file_bytes=header.file_bytes,
             splats=vertex.count,
             sh_degree=self._degree,
-            double_means=False,
             properties=tuple((p.name, TYPE_NAMES[str(p.code)]) for p in vertex.properties),
             extras=tuple(name for name in vertex.names if name not in PACKED),
             elements=tuple((e.name, e.count) for e in header.elements if e.name not in _OWN),
             render_mode=render_tag.render_mode(header.comments),
             comments=header.printable_comments(),
         )
-
-    @property
-    def elements(self) -> tuple[tuple[str, int], ...]:
-        """The further elements; see `Source`."""
-        return tuple((e.name, e.count) for e in _kept(self._header) if e.name not in _OWN)
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
         """The further elements; see `Source`."""

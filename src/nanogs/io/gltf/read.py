@@ -111,32 +111,24 @@ class _Rows(FileSource):
     def __init__(self, scene: _Scene) -> None:
         super().__init__(scene.document.path)
         self._scene, self.packed = scene, scene.packed
-
-    @cached_property
-    def _logarithms(self) -> bool:
-        with self._body() as body, np.errstate(invalid="ignore"):
-            plain = [each for each in self._scene.primitives if isinstance(each, Rows)]
-            return any(each.holds_logarithms(body) for each in plain)
-
-    @cached_property
-    def info(self) -> FileInfo:
-        """The description, from the JSON and the headers of what is packed."""
-        scene = self._scene
         first = scene.primitives[0]
-        return FileInfo(
+        self.info = FileInfo(
             path=self.path,
             format=self.path.suffix.lower().lstrip("."),
             encoding=first.encoding,
             file_bytes=scene.document.file_bytes,
             splats=scene.count,
             sh_degree=scene.degree,
-            double_means=False,
             properties=first.properties(),
-            extras=(),
-            elements=(),
             render_mode=scene.mode,
             comments=tuple(scene.comments),
         )
+
+    @cached_property
+    def _logarithms(self) -> bool:
+        with self._body() as body, np.errstate(invalid="ignore"):
+            plain = [each for each in self._scene.primitives if isinstance(each, Rows)]
+            return any(each.holds_logarithms(body) for each in plain)
 
     @property
     def files(self) -> Sequence[Path]:

@@ -22,7 +22,7 @@ from nanogs.formatting import counted
 from nanogs.io.info import FileInfo
 from nanogs.io.ksplat.header import AGAIN, TYPE_NAMES, Headers, Section, columns, read_headers
 from nanogs.io.parts import FileSource, row_blocks
-from nanogs.splats import RenderMode, Splats, empty_arrays
+from nanogs.splats import Splats, empty_arrays
 from nanogs.stored import base_colour, logit
 
 _CENTRE = np.dtype([("centre", "<f4", 3)])
@@ -38,27 +38,16 @@ class KsplatFile(FileSource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._headers = read_headers(path)
-
-    @property
-    def info(self) -> FileInfo:
-        """The description, from the headers."""
-        file = self._headers
-        return FileInfo(
-            path=self.path,
+        self._headers = file = read_headers(path)
+        stored = columns(file.mode, file.degree)
+        self.info = FileInfo(
+            path=path,
             format="ksplat",
             encoding="binary_little_endian",
             file_bytes=file.file_bytes,
             splats=file.splats,
             sh_degree=file.degree,
-            double_means=False,
-            properties=tuple(
-                (name, TYPE_NAMES[kind]) for name, kind in columns(file.mode, file.degree)
-            ),
-            extras=(),
-            elements=(),
-            render_mode=RenderMode.DEFAULT,
-            comments=(),
+            properties=tuple((name, TYPE_NAMES[kind]) for name, kind in stored),
         )
 
     def _span(self, start: int, stop: int) -> Splats:

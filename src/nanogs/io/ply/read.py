@@ -1,8 +1,7 @@
 """Reading 3DGS `.ply` files: any encoding, any column order, by name."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -42,13 +41,15 @@ class _Ply(FileSource):
     def __init__(self, header: Header) -> None:
         super().__init__(header.path)
         self._header, self._vertex = header, _Vertex(header, rows=0)
-
-    @property
-    def info(self) -> FileInfo:
-        """The description, from the header."""
-        header, vertex = self._header, self._vertex
-        return FileInfo(
-            path=self.path,
+        vertex = self._vertex
+        self._kept = [
+            element
+            for element in header.elements
+            if element is not vertex.element and element.properties and not element.lists()
+        ]
+        self.elements = tuple((element.name, element.count) for element in self._kept)
+        self.info = FileInfo(
+            path=header.path,
             format="ply",
             encoding=header.encoding,
             file_bytes=header.file_bytes,
@@ -62,29 +63,12 @@ class _Ply(FileSource):
             comments=header.printable_comments(),
         )
 
-    @property
-    def count(self) -> int:
-        """Number of splats."""
-        return self._vertex.element.count
-
-    @property
-    def elements(self) -> tuple[tuple[str, int], ...]:
-        """The further elements; see `Source`."""
-        return tuple((element.name, element.count) for element in self._kept())
-
-    def _kept(self) -> list[Element]:
-        return [
-            element
-            for element in self._header.elements
-            if element is not self._vertex.element and element.properties and not element.lists()
-        ]
-
     def _rows(self, blocks: Iterable[Block], count: int) -> Splats:
         """The splats of blocks with so many rows in all; elements come without theirs."""
         vertex = _Vertex(self._header, rows=count)
         for block in blocks:
             vertex.put(block)
-        return vertex.splats([ExtraElement(e.name, np.empty(0, e.dtype())) for e in self._kept()])
+        return vertex.splats([ExtraElement(e.name, np.empty(0, e.dtype())) for e in self._kept])
 
     def _filled(self, elements: dict[str, Array]) -> Iterator[Block]:
         """The rows of all splats; those of elements go to arrays."""
@@ -96,13 +80,13 @@ class _Ply(FileSource):
 
     def load(self) -> Splats:
         """The whole model, from one pass over the file."""
-        found = {e.name: np.empty(e.count, e.dtype()) for e in self._kept()}
+        found = {e.name: np.empty(e.count, e.dtype()) for e in self._kept}
         splats = self._rows(self._filled(found), self.count)
         return replace(splats, elements=[ExtraElement(n, rows) for n, rows in found.items()])
 
     def read_elements(self) -> tuple[ExtraElement, ...]:
         """The further elements; see `Source`."""
-        found = {e.name: np.empty(e.count, e.dtype()) for e in self._kept()}
+        found = {e.name: np.empty(e.count, e.dtype()) for e in self._kept}
         for _ in self._filled(found) if found else ():
             pass
         return tuple(ExtraElement(name, rows) for name, rows in found.items())
@@ -123,17 +107,8 @@ class _Text(_Ply, Packed):
     def __init__(self, header: Header) -> None:
         super().__init__(header)
         self._row = self._vertex.element.dtype()
-
-    @cached_property
-    def stored(self) -> Mapping[str, Column]:
-        """The one column; see `Packed`."""
-        return {"vertex": Column("|u1", (self.count, self._row.itemsize))}
-
-    @property
-    def memory(self) -> int:
-        """Bytes that the numbers of a block take as text."""
-        widest = max(len(each.properties) for each in self._header.elements)
-        return BLOCK_ROWS * widest * _TOKEN
+        self.stored = {"vertex": Column("|u1", (self.count, self._row.itemsize))}
+        self.memory = BLOCK_ROWS * max(len(e.properties) for e in header.elements) * _TOKEN
 
     def unpack(self, _notes: list[str]) -> Iterator[Array]:
         """The one column; see `Packed`."""

@@ -112,12 +112,8 @@ def describe(path: Path, meta: Meta, degree: int, file_bytes: int) -> FileInfo:
         file_bytes=file_bytes,
         splats=meta.count,
         sh_degree=degree,
-        double_means=False,
         properties=_PROPERTIES + (_PALETTE_PROPERTY if degree else ()),
-        extras=(),
-        elements=(),
         render_mode=meta.render_mode,
-        comments=(),
     )
 
 

@@ -60,31 +60,17 @@ class SpzSource(Packed):
         super().__init__(path)
         self._header = header
         self._widths = header.columns()
-
-    @cached_property
-    def info(self) -> FileInfo:
-        """The description, from the header."""
-        header = self._header
-        return FileInfo(
-            path=self.path,
+        self.stored = {n: Column("|u1", (header.count, w)) for n, w in self._widths.items()}
+        self.info = FileInfo(
+            path=path,
             format="spz",
             encoding=encoding(header),
             file_bytes=header.file_bytes,
             splats=header.count,
             sh_degree=header.degree,
-            double_means=False,
             properties=properties(header),
-            extras=(),
-            elements=(),
             render_mode=render_mode(header),
-            comments=(),
         )
-
-    @cached_property
-    def stored(self) -> Mapping[str, Column]:
-        """The columns; see `Packed`."""
-        count = self._header.count
-        return {name: Column("|u1", (count, width)) for name, width in self._widths.items()}
 
     @cached_property
     def memory(self) -> int:

@@ -20,7 +20,7 @@ from nanogs.io.files import BLOCK_ROWS, input_size, unreadable
 from nanogs.io.gltf.scene import pose_of
 from nanogs.io.info import FileInfo
 from nanogs.io.usda.text import Layer, Prim, read_layer
-from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats, concatenate, empty_arrays
+from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate, empty_arrays
 from nanogs.stored import logit
 
 PRIM = "ParticleField3DGaussianSplat"
@@ -68,12 +68,7 @@ def inspect(path: Path) -> FileInfo:
         file_bytes=len(layer.text),
         splats=sum(each.count for each in fields),
         sh_degree=max(each.degree for each in fields),
-        double_means=False,
         properties=tuple((name, "float") for name in _WIDTHS),
-        extras=(),
-        elements=(),
-        render_mode=RenderMode.DEFAULT,
-        comments=(),
     )
 
 
