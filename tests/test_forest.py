@@ -15,7 +15,7 @@ from nanogs.clock import StageClock
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.method import forest as growth
 from nanogs.method import parameters, reassign
-from nanogs.method.choose import choose_model, quality
+from nanogs.method.choose import quality
 from nanogs.method.cut import cut, merge_scores
 from nanogs.method.forest import Forest, grow_forest
 from nanogs.method.growth import blocked
@@ -30,8 +30,10 @@ from nanogs.method.nodes import (
 from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.store import MOST_OPAQUE, store_groups
-from nanogs.pipeline import in_memory as pipeline_run
+from nanogs.pipeline import trials
 from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.run import build, deliver
+from nanogs.pipeline.whole import Whole, whole_settings
 from nanogs.progress import Tracker, untold
 from nanogs.report import PassReport, StopReason
 from nanogs.sh import basis
@@ -409,35 +411,51 @@ def test_a_group_that_all_leave_is_filled_again():
     ([10, 20, 30, 35, 36, 37, 37], 3, [1.5, 1.8, 2.1], 5),
     ([10, 20, 30, 35, 36, 37, 38], 3, [1.5, 1.8, 2.1], 6),
 ])  # fmt: skip
-def test_the_best_judged_is_chosen_and_marked_once(qualities, usual, growths, winner):
-    regrouped, scores = [], iter(qualities)
+def test_the_best_judged_is_chosen_and_marked_once(monkeypatch, qualities, usual, growths, winner):
+    """The qualities are handed out in the order in which stages ask for them."""
+    scene, worths = tried_scene(), iter(qualities)
+    known = {}
 
-    def regroup(labels):
-        regrouped.append(int(labels[0]))
-        return labels + 100
+    def report(_scene, _level, stage, candidate, number=0):
+        if (stage, number) not in known:
+            known[stage, number] = next(worths)
+        return dataclasses.replace(candidate, quality=known[stage, number])
 
-    chosen, reports = choose_model(
-        regroup,
-        lambda balance: np.array([round(10 * balance)], np.int32),
-        lambda labels: lambda growth: (int(labels[0]), growth),
-        lambda _model: (next(scores), 0.0),
-        (0.5, 0.8, 1.0),
-        1.1,
-    )
+    monkeypatch.setattr(trials, "_report", report)
+    trials.pick_balance(scene, "pick-0-00000", 0)
     balances = [0.5, 0.8, 1.0]
     leader = int(np.argmax(qualities[:3]))
-    count = len(growths)
-    assert next(scores, None) is None
-    assert regrouped == [round(10 * balances[leader])]
+    assert scene.balance(0) == leader
+    step = 0
+    while trials.grows_on(scene, 0, step):
+        trials.candidates(scene, 0, step + 1)
+        step += 1
+    trials.choose(scene, "choose-0-00000", 0)
+    reports, count = trials.reports_of(scene, 0), len(growths)
+    assert next(worths, None) is None
+    assert step == count
     assert [report.balance for report in reports] == [*balances, *[balances[leader]] * (1 + count)]
     assert [r.reassigned for r in reports] == [False] * 3 + [True] + [usual == 3] * count
     assert [report.growth for report in reports] == [1.1] * 4 + growths
     assert [report.chosen for report in reports] == [place == winner for place in range(4 + count)]
-    expected = round(10 * balances[leader]) + (100 if usual == 3 else 0)
-    model = (balances[winner] * 10 if winner < 3 else expected, reports[winner].growth)
-    assert chosen.model == model
-    assert int(chosen.labels[0]) == model[0]
-    assert chosen.report == dataclasses.replace(reports[winner], chosen=False)
+    chosen = scene.chosen(0)
+    assert (chosen.reassigned, chosen.growth) == (
+        reports[winner].reassigned, reports[winner].growth
+    )  # fmt: skip
+
+
+class Tried(Whole):
+    """A scene of three balances, of which nothing is drawn."""
+
+    balances = (0.5, 0.8, 1.0)
+
+    def tries(self, _level):
+        return True
+
+
+def tried_scene():
+    splats, method = random_splats(8), parameters.ForestParameters(growth=1.1)
+    return Tried(splats, np.arange(8), whole_settings(splats, method), 1)
 
 
 def test_a_fiftieth_of_ssim_is_worth_a_decibel():
@@ -542,12 +560,11 @@ def test_a_changed_scene_is_simplified_alike(preset, change):
 
 def test_the_stages_of_one_forest_answer_many_counts():
     splats = random_splats(200)
-    parameters = PRESETS["fast"]
-    clock = StageClock()
-    rows = np.arange(200)
-    build = pipeline_run.build_forest(splats, rows, parameters, None, 1, clock, Tracker(None, []))
+    clock, rows = StageClock(), np.arange(200)
+    scene = Whole(splats, rows, whole_settings(splats, PRESETS["fast"]), 1)
+    build(scene, clock, Tracker(None, []))
     for count in (1, 7, 100, 199, 200):
-        outcome = pipeline_run.deliver(build, count, clock, Tracker(None, []))
+        outcome = deliver(scene, count, clock, Tracker(None, []))
         alone, _ = nanogs.simplify(splats, count=count, preset="fast")
         assert model_bytes(outcome.splats) == model_bytes(alone)
-    assert all(isinstance(one, PassReport) for one in build.forest.passes)
+    assert all(isinstance(one, PassReport) for one in scene.forest.passes)

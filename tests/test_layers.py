@@ -57,7 +57,6 @@ NOT = {
 }
 # Where that does not hold yet, or need not.
 STILL = {
-    ("method.choose", "nanogs.progress"): "candidates are told of one by one",
     ("method.forest", "nanogs.progress"): "passes are told of one by one",
     ("method.visibility", "nanogs.progress"): "views are told of one by one",
     ("method.paper.passes", "nanogs.progress"): "passes are told of one by one",

@@ -9,12 +9,12 @@ import pytest
 
 import nanogs
 from launch import run
+from looking import looked
 from nanogs.cli.simplify_run import _judge
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import ModelError
 from nanogs.io.collect import Pair
 from nanogs.method.parameters import ForestParameters
-from nanogs.method.visibility import look
 from nanogs.protocol import Protocol
 from nanogs.scoring.held_out import held_out
 from nanogs.views.automatic import automatic_cameras
@@ -117,8 +117,8 @@ def test_nothing_is_learnt_from_the_views_that_judge():
     scene = make_scene(500)
     judging = automatic_cameras(scene, split="test")
     learning = automatic_cameras(scene, 40, split="fit", habit=False)
-    views = look(scene, None, ForestParameters(views=14, view_size=768, further=20, roaming=4))
-    learning += [view.camera for view in views.fitting] + list(views.further)
-    learning += [view.camera for group in views.deciding for view in group.targets]
+    views = looked(scene, None, ForestParameters(views=14, view_size=768, further=20, roaming=4))
+    learning += [view.camera for view in views.fitting] + list(views.views.further)
+    learning += [view.camera for group in views.groups for view in group.targets]
     places = {tuple(camera.position.round(6)) for camera in learning}
     assert not any(tuple(camera.position.round(6)) in places for camera in judging)

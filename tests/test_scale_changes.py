@@ -113,7 +113,7 @@ def test_another_filter_or_frame_is_another_job(parts, tmp_path):
     given = blocks_for(parts) | {"ratio": 0.3, "resume": True}
 
     def crash(step):
-        if step.stage == "forest":
+        if step.stage == "grow":
             raise RuntimeError
 
     with pytest.raises(RuntimeError):

@@ -24,6 +24,7 @@ from nanogs.pipeline.settings import differences, settings_of
 from nanogs.pipeline.stored_job import BlockJob
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.views import LEAST, Views, deciding_count, parts_of, views_of
+from nanogs.pipeline.work import Work
 from nanogs.progress import untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, render, together
@@ -132,7 +133,7 @@ def test_a_scene_that_shows_nothing_is_cut_as_if_nothing_looked(splats, tmp_path
 
 def test_where_nothing_is_measured_nothing_is_weighed_by_what_is_seen(scene, tmp_path, monkeypatch):
     """As in memory; before the fit, the result is that of the same method without it."""
-    monkeypatch.setattr(fitting, "_fitted", lambda _work, part, *_: (part, None))
+    monkeypatch.setattr(Work, "fit_views", lambda *_: None)
     given = BLOCKS | {"preset": "fast", "ratio": 0.2}
     nanogs.simplify_blocks(scene, tmp_path / "a.ply", **given)
     nanogs.simplify_blocks(scene, tmp_path / "b.ply", **(given | {"steps": 0}))

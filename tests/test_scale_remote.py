@@ -155,7 +155,7 @@ def test_a_scheduler_that_is_killed_ends_the_run_and_the_job_goes_on_anywhere(
     assert records(out) >= 3
     assert not out.exists()
     with pytest.raises(CrashError):  # some of it here
-        nanogs.simplify_blocks(scene, out, resume=True, progress=crash_at("forest", 2), **GIVEN)
+        nanogs.simplify_blocks(scene, out, resume=True, progress=crash_at("grow", 2), **GIVEN)
     with scheduler() as (_, address):  # and the rest by a worker that comes late
         child = started(scene, out, "--scheduler", address, "--resume", "--patience", "1")
         text = ended(child, code=2)
@@ -210,7 +210,7 @@ def test_how_a_task_ended_is_said():
         (BrokenProcessPool(), OutputError, "^1 worker ended"),
         (KilledWorker("a", None, 3), OutputError, "^4 workers ended"),
         (ModuleNotFoundError("No module named 'nanogs'"), OptionError, "cannot load nanogs"),
-        (MemoryError(), OutputError, "forest-0-00002 failed on a worker .MemoryError"),
+        (MemoryError(), OutputError, "grow-0-00002 failed on a worker .MemoryError"),
         (FormatError("It is damaged."), FormatError, "^It is damaged.$"),
         (ZeroDivisionError("a defect"), ZeroDivisionError, "a defect"),
     ]
@@ -221,7 +221,7 @@ def test_how_a_task_ended_is_said():
         else:
             future.cancel()
         with pytest.raises(kind, match=said):
-            check(future, Task("forest", 2))
+            check(future, Task("grow", 2))
 
 
 def test_a_worker_says_what_it_does_not_see(tmp_path):
@@ -389,7 +389,7 @@ def test_resume_says_what_it_finds(scene, tmp_path, expected):
 def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expected):
     out = tmp_path / "small.ply"
     with pytest.raises(CrashError):
-        nanogs.simplify_blocks(scene, out, progress=crash_at("forest", 1), **GIVEN)
+        nanogs.simplify_blocks(scene, out, progress=crash_at("grow", 1), **GIVEN)
     out.write_text("mine")
     before = records(out)
     with pytest.raises(OutputError, match="exists already; pass overwrite=True"):
@@ -416,9 +416,7 @@ def test_a_relative_scratch_is_found_from_elsewhere(scene, tmp_path, expected, m
     monkeypatch.chdir(tmp_path / "here")
     out = tmp_path / "small.ply"
     with pytest.raises(CrashError):
-        nanogs.simplify_blocks(
-            scene, out, scratch="shared", progress=crash_at("forest", 1), **GIVEN
-        )
+        nanogs.simplify_blocks(scene, out, scratch="shared", progress=crash_at("grow", 1), **GIVEN)
     place = json.loads((tmp_path / "small.ply.job" / "job.json").read_text())["scratch"]
     assert place.startswith(str(tmp_path / "here" / "shared" / "nanogs-"))
     monkeypatch.chdir(tmp_path)

@@ -162,7 +162,7 @@ def test_workers_make_the_same_bytes_and_may_be_lost(scene, tmp_path, client):
 
     def progress(step):
         told.append((step.stage, step.done, step.parts))
-        if (step.stage, step.done) == ("forest", 1):
+        if (step.stage, step.done) == ("grow", 1):
             os.kill(workers.pop(), signal.SIGKILL)
 
     nanogs.simplify_blocks(scene, there, ratio=0.1, executor=client, progress=progress, **BLOCK)
@@ -191,7 +191,7 @@ def test_processes_make_the_same_bytes_and_one_that_is_lost_ends_the_run(scene, 
     others = set(active_children())
 
     def progress(step):
-        if (step.stage, step.done) == ("forest", 1):
+        if (step.stage, step.done) == ("grow", 1):
             (set(active_children()) - others).pop().kill()
 
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:

@@ -7,6 +7,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from looking import judged, looked
 from nanogs.errors import ModelError
 from nanogs.method import visibility
 from nanogs.method.parameters import ForestParameters
@@ -38,13 +39,13 @@ def box_with_something_inside():
 
 def test_what_is_hidden_counts_little_and_what_no_view_holds_counts_whole():
     splats = box_with_something_inside()
-    views = visibility.look(splats, None, looking())
+    views = looked(splats, None, looking())
     assert views.visible[-1] < 0.005
     assert np.median(views.visible[:-1]) > 0.05  # the splats of a wall hide each other too
     assert (views.visible <= 1).all()
     away = [dataclasses.replace(camera, world_to_camera=np.diag([-1.0, 1, -1, 1])
             @ camera.world_to_camera) for camera in automatic_cameras(splats, 1)]  # fmt: skip
-    assert (visibility.look(splats, away, looking()).visible == 1).all()
+    assert (looked(splats, away, looking()).visible == 1).all()
 
 
 def test_the_report_says_what_share_of_the_model_is_seen():
@@ -68,22 +69,22 @@ def test_weights_of_hidden_splats_are_a_hundredth():
 
 def test_the_original_is_judged_as_perfect_and_one_view_in_six_decides():
     splats = box_with_something_inside()
-    views = visibility.look(splats, None, looking(views=12))
+    views = looked(splats, None, looking(views=12))
     names = [f"fit_{i:03}" for i in range(12)]
-    [group] = views.deciding
+    [group] = views.groups
     assert [view.camera.name for view in group.targets] == [names[3], names[9]]
     assert [view.camera.name for view in views.fitting] == names[:3] + names[4:9] + names[10:]
-    psnr, ssim = visibility.judge(splats, views)
+    psnr, ssim = judged(splats, views)
     assert psnr > 57  # views are kept as 8 bits a channel
     assert ssim > 0.999
-    assert visibility.judge(splats.take(np.arange(100)), views)[0] < 30
+    assert judged(splats.take(np.arange(100)), views)[0] < 30
 
 
 def test_the_users_cameras_are_the_ones_looked_through():
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=1000, height=500)
-    views = visibility.look(splats, cameras, looking(view_size=256))
-    both = [*views.deciding[0].targets, *views.fitting]
+    views = looked(splats, cameras, looking(view_size=256))
+    both = [*views.groups[0].targets, *views.fitting]
     assert {(view.camera.width, view.camera.height) for view in both} == {(256, 128)}
     assert {view.image.shape for view in both} == {(128, 256, 4)}
     assert len(both) == 3
@@ -92,19 +93,19 @@ def test_the_users_cameras_are_the_ones_looked_through():
 def test_further_views_are_others_than_those_looked_at():
     splats = box_with_something_inside()
     for cameras in (None, automatic_cameras(splats, 20, width=64, height=64)):
-        views = visibility.look(splats, cameras, looking(views=6, view_size=48, further=9))
-        every = [view for group in views.deciding for view in group.targets] + list(views.fitting)
-        looked = [view.camera for view in every]
-        assert (len(looked), len(views.further)) == (6, 9)
-        assert len({camera.name for camera in (*looked, *views.further)}) == 15
-        assert {camera.width for camera in (*looked, *views.further)} == {48}
-    few = visibility.look(splats, cameras[:7], looking(views=6, view_size=48, further=9))
-    assert len(few.further) == 1
+        views = looked(splats, cameras, looking(views=6, view_size=48, further=9))
+        every = [view for group in views.groups for view in group.targets] + list(views.fitting)
+        cameras_of = [view.camera for view in every]
+        assert (len(cameras_of), len(views.views.further)) == (6, 9)
+        assert len({camera.name for camera in (*cameras_of, *views.views.further)}) == 15
+        assert {camera.width for camera in (*cameras_of, *views.views.further)} == {48}
+    few = looked(splats, cameras[:7], looking(views=6, view_size=48, further=9))
+    assert len(few.views.further) == 1
 
 
 def test_a_lone_view_decides_and_nothing_is_fitted():
     splats = random_splats(300)
-    assert len(visibility.look(splats, None, looking(views=1)).deciding) == 1
+    assert len(looked(splats, None, looking(views=1)).groups) == 1
     _, report = nanogs.simplify(splats, ratio=0.5, views=1)
     assert report.refit is None
     assert any("not fitted" in note for note in report.notes)
@@ -134,8 +135,7 @@ def test_hidden_splats_are_merged_first():
 def test_nothing_visible_is_said_and_the_count_still_met():
     splats = random_splats(100)
     splats.opacity_logits[:] = -7  # alpha 0.0009
-    with pytest.raises(ModelError):
-        visibility.look(splats, None, looking())
+    assert looked(splats, None, looking()).views.kept == ()
     small, report = nanogs.simplify(splats, count=13)
     assert len(small) == 13
     assert report.stop == StopReason.TARGET
@@ -148,13 +148,13 @@ def test_what_can_be_seen_from_free_space_is_not_hidden():
     """Cameras around see the box alone; one that stands in it sees what it holds."""
     splats = box_with_something_inside()
     around = automatic_cameras(splats, 5, width=48, height=48, habit=False)
-    assert visibility.look(splats, around, looking(roaming=8)).notes == ()
-    alone = visibility.look(splats, None, looking(views=5, view_size=48))
-    wandered = visibility.look(splats, None, looking(views=5, view_size=48, roaming=8))
+    assert looked(splats, around, looking(roaming=8)).views.notes == ()
+    alone = looked(splats, None, looking(views=5, view_size=48))
+    wandered = looked(splats, None, looking(views=5, view_size=48, roaming=8))
     assert (wandered.visible >= alone.visible).all()
     assert (wandered.visible > alone.visible).any()
     assert (alone.missed | ~wandered.missed).all()
-    for name in ("deciding", "fitting"):
+    for name in ("groups", "fitting"):
         assert len(getattr(wandered, name)) == len(getattr(alone, name))
 
 
@@ -163,7 +163,5 @@ def test_it_is_said_where_fewer_roaming_views_are_found(monkeypatch):
         raise ModelError("none")
 
     monkeypatch.setattr(visibility, "roaming_cameras", none)
-    views = visibility.look(
-        box_with_something_inside(), None, looking(views=3, view_size=32, roaming=2)
-    )
-    assert views.notes == ("Of 2 roaming views to look from 0 were found.",)
+    views = looked(box_with_something_inside(), None, looking(views=3, view_size=32, roaming=2))
+    assert views.views.notes == ("Of 2 roaming views to look from 0 were found.",)

@@ -27,7 +27,7 @@ from nanogs.pipeline.job import import_stages, usable_rows
 from nanogs.pipeline.presets import Parameters, renders
 from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.target import Goal
-from nanogs.pipeline.weights import measure_stage, simplify_stages, write_weight
+from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import Judged
 from nanogs.splats import Splats
@@ -242,6 +242,8 @@ def _judge(
 
 def _stages(plan: Plan, request: Request, target: Path) -> list[Stage]:
     """The stages to come: reading, filters, the method's own ones, writing."""
+    from nanogs.pipeline.stages import simplify_stages
+
     splats, suffix = plan.info.splats, target.suffix
     method = simplify_stages(plan.parameters, plan.goal, splats, plan.count, suffix)
     write = Stage("write", write_weight(suffix, plan.count or splats // 10))

@@ -2,21 +2,15 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.errors import ModelError
-from nanogs.fit.groups import Group, split
-from nanogs.fit.targets import Target, as_target
-from nanogs.fit.views import choose_cameras
 from nanogs.formatting import counted
-from nanogs.method.parameters import ForestParameters
-from nanogs.metrics import psnr, ssim
-from nanogs.progress import Parts, each, untold
+from nanogs.progress import Parts, untold
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render
+from nanogs.raster.rendering import PreparedSplats, Rendering, render
 from nanogs.splats import Splats
 from nanogs.views.roam import roaming_cameras
 
@@ -24,71 +18,6 @@ LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; a third of t
 SHOWN = 0.01  # of a splat that reaches the views, from which it counts as shown
 SMALL = 128  # pixels of a roaming view
 DECIDING = 6  # one view in so many also decides: what is chosen, and whether a fit is kept
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OriginalViews:
-    """The original as some views show it.
-
-    Attributes:
-        visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
-            which it lies; 1 for one that lies in none.
-        missed: (N,) bool, the splats that lie in no view.
-        deciding: Views to choose by and to judge a fit by, at least one, in groups.
-        fitting: Views to fit to; none of the others.
-        further: Cameras of more views to fit to, which are not rendered yet.
-        notes: What the user should know, one sentence each.
-    """
-
-    visible: F64
-    missed: Bool
-    deciding: tuple[Group, ...]
-    fitting: tuple[Target, ...]
-    further: tuple[Camera, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
-def look(
-    splats: Splats,
-    cameras: Sequence[Camera] | None,
-    parameters: ForestParameters,
-    tell: Parts = untold,
-) -> OriginalViews:
-    """Render the original once.
-
-    Args:
-        splats: N splats.
-        cameras: The views; None for automatic ones.
-        parameters: `views`, `view_size`, `further` and `roaming` are used; roaming views only where
-            no cameras are given.
-        tell: Told of the views rendered.
-
-    Raises:
-        ModelError: No splat is visible.
-    """
-    count, further = parameters.views, parameters.further if parameters.steps else 0
-    looked, rest = choose_cameras(splats, cameras, count, further, parameters.view_size)
-    wandering = 0 if cameras else parameters.roaming
-    prepared = prepare(splats)
-    light = Light(len(splats))
-    views: list[Target] = []
-    total = len(looked) + wandering
-    for camera in each(looked, lambda done, _: tell(done, total)):
-        # Distances tell near views from far ones where the user gave both; automatic ones differ
-        # little in theirs.
-        view = render(prepared, camera, contributions=True, depth=bool(cameras))
-        light.add(view)
-        views.append(as_target(view, camera))
-    fitting, deciding = split(views, max(1, len(views) // DECIDING))
-    notes: tuple[str, ...] = ()
-    anywhere: Light | None = None
-    if wandering:
-        found, notes = roaming_views(
-            splats, wandering, lambda done, _: tell(len(looked) + done, total)
-        )
-        anywhere = light_in(prepared, found)
-    visible, missed = visibility_of(light, anywhere)
-    return OriginalViews(visible, missed, deciding, fitting, tuple(rest), notes)
 
 
 class Light:
@@ -175,21 +104,3 @@ def shown_share(coverages: F64, visible: F64, missed: Bool) -> float:
 def shown_coverage(coverages: F64, visible: F64, missed: Bool) -> float:
     """Sum of the footprints that views show; the arguments are those of `shown_share`."""
     return float(coverages[(visible >= SHOWN) & ~missed].sum())
-
-
-def judge(small: Splats, views: OriginalViews) -> tuple[float, float]:
-    """Mean PSNR (dB, at most 100) and mean SSIM of the luma of a result on the views that decide.
-
-    Args:
-        small: The result.
-        views: From `look`.
-    """
-    prepared = prepare(small)
-    scores = []
-    for view in (view for group in views.deciding for view in group.targets):
-        wanted = view.image[..., :3] / np.float32(255)
-        shown = render(prepared, view.camera).shown()
-        grey = ssim(wanted @ LUMA, shown @ LUMA)
-        scores.append((min(psnr(wanted, shown), 100.0), grey))
-    means = np.mean(scores, axis=0)
-    return float(means[0]), float(means[1])

@@ -16,7 +16,6 @@ from nanogs.pipeline.job import Job, NanPolicy, prepare_job
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search
 from nanogs.pipeline.target import Goal
-from nanogs.pipeline.weights import simplify_stages
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
@@ -89,6 +88,7 @@ def simplify(
     refuse_searches(goal, preset, path)
     splats = as_splats(model)
     # Here and not above: this brings Numba, which `--help` and `info` do without.
+    from nanogs.pipeline.stages import simplify_stages
     from nanogs.threads import use_threads
 
     with use_threads(threads) as threads_used, drawn(progress) as tell:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs._types import F64, I64, U64, Array
+from nanogs._types import F64, I32, I64, U64, Array
 from nanogs.method.nodes import Nodes, activate_nodes, without_coverages
 from nanogs.method.visibility import visible_weights
 from nanogs.pipeline.frame import Frame
@@ -88,7 +88,7 @@ class Seen:
 
 
 def leaves_of(
-    splats: Splats, rows: I64, frame: Frame, seen: Seen | None = None, *, bare: bool = False
+    splats: Splats, rows: I64 | I32, frame: Frame, seen: Seen | None = None, *, bare: bool = False
 ) -> Nodes:
     """A node for each of the rows, in units that all blocks share; bare ones have no coverages."""
     nodes = activate_nodes(splats, rows, frame.centre(), frame.dilation(), frame.thinnest)

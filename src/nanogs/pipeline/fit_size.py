@@ -8,9 +8,11 @@ import numpy as np
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
-from nanogs.pipeline.in_memory import Build, deliver
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.weights import RESULTS, SIZES, delivery_stages, write_weight
+from nanogs.pipeline.run import deliver, plain
+from nanogs.pipeline.stages import delivery_stages
+from nanogs.pipeline.weights import RESULTS, SIZES, write_weight
+from nanogs.pipeline.whole import Whole
 from nanogs.progress import Stage, Tracker
 from nanogs.report import SizeProbeReport
 from nanogs.splats import Splats
@@ -156,7 +158,7 @@ def guess_count(splats: Splats, size: int, encode: Encode) -> int:
 
 
 def fit_size(
-    build: Build,
+    scene: Whole,
     size: int,
     guess: int,
     encode: Encode,
@@ -164,13 +166,13 @@ def fit_size(
     progress: Tracker,
     leaps: Sequence[int] = (),
 ) -> Outcome:
-    """The largest result of a build that is found to fit, and takes most of the size.
+    """The largest result of a model that is found to fit, and takes most of the size.
 
     The count is looked for among results as one cut has them; of what is delivered, chosen by
     measurement or fitted, few are made.
 
     Args:
-        build: The model and its forest.
+        scene: The model, looked at, and its forest.
         size: Bytes that the file may have.
         guess: Count to begin with.
         encode: Bytes of a model's file.
@@ -183,16 +185,16 @@ def fit_size(
     """
     best: list[Outcome] = []  # the latest that fits, and so the largest; one at a time
 
-    def search(build: Build, expected: int, guess: int, enough: float | None = None) -> Fitted:
+    def search(scene: Whole, expected: int, guess: int, enough: float | None = None) -> Fitted:
         tried = 0
 
         def bytes_of(count: int) -> int:
             nonlocal tried
-            stages = delivery_stages(build.parameters, len(build.leaves), count)
+            stages = delivery_stages(scene.settings.parameters, len(scene.usable), count)
             encoding = Stage("encode", write_weight(".sog", count))
             probe = progress.within(tried, expected, [*stages, encoding])
             tried += 1
-            outcome = deliver(build, count, clock, probe)
+            outcome = deliver(scene, count, clock, probe)
             probe.begin("encode")
             with clock.time("encode"):
                 size_of = encode(outcome.splats)
@@ -200,18 +202,17 @@ def fit_size(
                 best[:] = [replace(outcome, achieved_size=size_of)]
             return size_of
 
-        forest = build.forest
+        forest = scene.forest
         return search_fit(bytes_of, size, guess, forest.fewest, forest.splats, enough, leaps)
 
-    parameters = replace(build.parameters, steps=0)
     progress.begin("search")
-    found = search(replace(build, views=None, parameters=parameters), SIZES, guess)
+    found = search(plain(scene), SIZES, guess)
     probes = found.probes
-    if build.views is not None:
+    if scene.looks:
         best.clear()
         progress.begin("deliver")
-        found = search(build, RESULTS, found.count, ENOUGH * min(size, found.bytes))
+        found = search(scene, RESULTS, found.count, ENOUGH * min(size, found.bytes))
         probes += found.probes
     found = replace(found, probes=probes)
-    leap = found.leap(size, build.forest.splats)
+    leap = found.leap(size, scene.forest.splats)
     return replace(best[0], size_probes=probes, notes=(*best[0].notes, *leap))

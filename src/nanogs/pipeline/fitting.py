@@ -4,7 +4,7 @@ The surroundings are the same coarse level in the original's pictures and in tho
 that a part learns its own errors alone, and those of two neighbours are not made good twice.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,18 +14,14 @@ from nanogs.fit.groups import Group
 from nanogs.fit.report import GroupReport, RefitReport, RefitStop
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.method.visibility import SHOWN
-from nanogs.pipeline.coarse import surroundings
-from nanogs.pipeline.look import looks_at
-from nanogs.pipeline.memory_blocks import ROUGH
-from nanogs.pipeline.parts import read_part
+from nanogs.pipeline.scene import FitViews, Scene
+from nanogs.pipeline.seen import looks_at
 from nanogs.pipeline.views import deciding_count, parts_of
 from nanogs.pipeline.weights import fit_parameters
-from nanogs.progress import untold
 from nanogs.raster.camera import Camera, spread
 from nanogs.raster.rendering import prepare, together
-from nanogs.splats import Splats
-from nanogs.store.columns import columns_of, count_of
-from nanogs.store.tables import Record, write_table
+from nanogs.store.columns import count_of
+from nanogs.store.tables import Record
 
 if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
@@ -42,19 +38,27 @@ class _Seen:
     further: list[Camera]
 
 
-def fit_part(work: "Work", name: str, block: int, level: int) -> Record:
-    """Write a block's part as it is after the fit, and what was gained.
+def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
+    """Keep a block's part as it is after the fit, or as it was where too few views show it.
 
     Args:
-        work: The job, the part done.
-        name: Of the table.
+        scene: With that part of the result.
+        name: Of what is kept.
         block: Its number.
         level: Of the result.
     """
-    part = read_part(work.scratch, work.settings.layout, work.of_block("part", block, level))
-    fitted, report = _fitted(work, part, block, level)
-    facts = {"gained": [report.psnr_before, report.psnr_after] if report else None}
-    return write_table(work.scratch, name, columns_of(fitted), facts)
+    part, views = scene.part(block, level), scene.fit_views(block, level)
+    if views is None:
+        return scene.keep_fit(name, level, part, None)
+    parameters = replace(
+        fit_parameters(scene.settings.parameters),
+        views=len(views.fitting),
+        validation=sum(len(group.targets) for group in views.deciding),
+    )
+    fitted, report = fit_to_views(
+        part, views.fitting, views.deciding, parameters, views.count, scene.threads, scene.tell
+    )
+    return scene.keep_fit(name, level, fitted, report)
 
 
 def fit_report(work: "Work", level: int) -> RefitReport | None:
@@ -99,23 +103,26 @@ def notes_on_fits(work: "Work", level: int) -> list[str]:
     return [f"{left:,} of {len(records):,} blocks {were} not fitted: too few views show them."]
 
 
-def _fitted(
-    work: "Work", part: Splats, block: int, level: int
-) -> tuple[Splats, RefitReport | None]:
-    """The fitted part; or the same one, and None, where too few views show it."""
+def fit_views(work: "Work", block: int, level: int) -> FitViews | None:
+    """The parts of views that show a block, to fit it to and to decide; None for too few.
+
+    Args:
+        work: The job, the part done.
+        block: Its number.
+        level: Of the result.
+    """
     found = work.members(block, level, reassigned=work.chosen(level).reassigned)
     if found.visible is None:  # the scene shows nothing
-        return part, None
-    own, count, visible = prepare(found.splats), len(found.splats), found.visible
+        return None
+    own, count, shown = prepare(found.splats), len(found.splats), found.visible >= SHOWN
     del found
-    views = work.views
     looked = looks_at(work, block)
-    kept = parts_of(own, visible >= SHOWN, [camera for camera, _ in looked])
-    further = parts_of(own, visible >= SHOWN, views.further)
+    kept = parts_of(own, shown, [camera for camera, _ in looked])
+    further = parts_of(own, shown, work.views.further)
     seen = _sorted(kept, further, [light for _, light in looked])
     if not seen.fitting:
-        return part, None
-    others = surroundings(work, block, ROUGH)
+        return None
+    others = work.surroundings(block)
     original = together(own, others)
     del own
     fitting = Fitting(
@@ -125,11 +132,7 @@ def _fitted(
         others,
     )
     held = tuple(make_target(original, camera, depth=False) for camera in seen.deciding)
-    del original
-    return fit_to_views(
-        part, fitting, [Group("views", held)], fit_parameters(work.settings.parameters), count,
-        work.threads, untold,
-    )  # fmt: skip
+    return FitViews(fitting, [Group("views", held)], count)
 
 
 def _sorted(kept: list[Camera | None], further: list[Camera | None], light: list[float]) -> _Seen:

@@ -23,7 +23,7 @@ from nanogs.report import SimplifyReport, StopReason
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
-    from nanogs.pipeline.in_memory import Build
+    from nanogs.pipeline.whole import Whole
     from nanogs.raster.camera import Camera
 
 NanPolicy = Literal["drop", "error"]
@@ -74,20 +74,22 @@ class Job:
             "free some, or use nanogs.simplify_blocks, which works on files block by block",
         )  # fmt: skip
 
-    def build(self, threads: int, clock: StageClock, progress: Tracker) -> "Build":
-        """The forest that any count is cut from; for presets that grow one.
+    def build(self, threads: int, clock: StageClock, progress: Tracker) -> "Whole":
+        """Look at the model and grow its forest, from which any count is made; where one is grown.
 
         Args:
             threads: Threads in use.
             clock: Gets the seconds of each stage.
             progress: Told of each stage.
         """
-        from nanogs.pipeline.in_memory import build_forest
+        from nanogs.pipeline.run import build
+        from nanogs.pipeline.whole import Whole, whole_settings
 
         assert isinstance(self.parameters, ForestParameters)  # noqa: S101 - the caller's choice
-        return build_forest(
-            self.splats, self.rows, self.parameters, self.cameras, threads, clock, progress
-        )
+        settings = whole_settings(self.splats, self.parameters)
+        scene = Whole(self.splats, self.rows, settings, threads, self.cameras)
+        build(scene, clock, progress)
+        return scene
 
     def deliverer(
         self, smallest: int, threads: int, clock: StageClock, progress: Tracker
@@ -108,13 +110,13 @@ class Job:
             return lambda target, clock, progress: simplify_as_published(
                 self.splats, self.rows, target, chosen, threads, clock, progress
             )
-        from nanogs.pipeline.in_memory import deliver
+        from nanogs.pipeline.run import deliver
 
         if smallest == len(self.rows):
             whole = Outcome(self.splats.take(self.rows), (), StopReason.TARGET)
             return lambda _target, _clock, _progress: whole
-        build = self.build(threads, clock, progress)
-        return lambda target, clock, progress: deliver(build, target, clock, progress)
+        scene = self.build(threads, clock, progress)
+        return lambda target, clock, progress: deliver(scene, target, clock, progress)
 
     def report(
         self,
@@ -186,7 +188,7 @@ def import_stages(chosen: Parameters) -> None:
     if isinstance(chosen, PaperParameters):
         import nanogs.pipeline.published
     else:
-        import nanogs.pipeline.in_memory  # noqa: F401
+        import nanogs.pipeline.run  # noqa: F401
 
 
 def usable_rows(splats: Splats, nan: NanPolicy) -> I32:

@@ -8,12 +8,11 @@ from nanogs.clock import StageClock
 from nanogs.filters import FilterReport, filter_of
 from nanogs.findings import join_findings, of_plain
 from nanogs.pipeline.fitting import fit_report, notes_on_fits
-from nanogs.pipeline.look import shown_share
 from nanogs.pipeline.run import Done
+from nanogs.pipeline.seen import shown_share
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.target import Goal
-from nanogs.pipeline.trials import candidates_of
-from nanogs.pipeline.work import Task
+from nanogs.pipeline.trials import reports_of
 from nanogs.report import BlocksReport, SimplifyReport, StopReason
 from nanogs.store.columns import count_of
 
@@ -40,12 +39,13 @@ def report_of(
     """
     work = done.work
     settings, partition = work.settings, work.partition
-    target = int(work.record(Task("budget", 0, level)).facts["target"])
+    target = work.target(level)
     segments = work.segments()
-    settled = work.of_blocks("settle", level) if settings.parameters.rounds else []
+    merged = work.merges(level)
+    settled = work.of_blocks("settle", level) if merged and settings.parameters.rounds else []
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
     looked = [*work.views.notes] if settings.looks else []
-    looked += notes_on_fits(work, level) if settings.fits else []
+    looked += notes_on_fits(work, level) if work.fits(level) else []
     return SimplifyReport(
         preset=preset,
         parameters=asdict(settings.parameters),
@@ -63,8 +63,8 @@ def report_of(
         total_seconds=time.perf_counter() - start,
         threads=work.threads,
         shown=shown_share(work) if work.looks else None,
-        candidates=candidates_of(work.of_job("choose", level)) if work.measures else (),
-        refit=fit_report(work, level) if settings.fits else None,
+        candidates=reports_of(work, level) if work.tries(level) else (),
+        refit=fit_report(work, level) if work.fits(level) else None,
         notes=tuple(dict.fromkeys([*settings.layout.notes, *own_notes, *looked])),
         blocks=BlocksReport(
             blocks=partition.blocks,

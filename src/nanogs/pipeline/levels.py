@@ -12,7 +12,7 @@ from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.job import Deliver, Job, NanPolicy, prepare_job
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
 from nanogs.pipeline.target import Goal, target_count
-from nanogs.pipeline.weights import delivery_stages, level_stage, levels_stages
+from nanogs.pipeline.weights import level_stage
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport
 from nanogs.splats import Splats, refuse_misaligned_elements
@@ -100,6 +100,8 @@ def judged_levels(
     refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
     counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
     job.refuse_too_large(counts[0], max_memory, judged=judged)
+    from nanogs.pipeline.stages import levels_stages
+
     stages = levels_stages(job.parameters, len(job.rows), counts)
     return _drawn(job, tuple(ratios), threads, progress, stages)
 
@@ -165,6 +167,8 @@ def _level(
     start: float,
     progress: Tracker,
 ) -> tuple[Splats, SimplifyReport]:
+    from nanogs.pipeline.stages import delivery_stages
+
     target = target_count(len(job.rows), ratio, None)
     stages = delivery_stages(job.parameters, len(job.rows), target)
     outcome = deliver(target, clock, progress.within(0, 1, stages))

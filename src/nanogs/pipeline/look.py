@@ -1,109 +1,67 @@
-"""What the views show of each block, with all others before and behind it."""
+"""The views of a scene, and what they show of each block, with all others before and behind it."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from nanogs._types import F64
+from nanogs.errors import ModelError
 from nanogs.fit.views import choose_cameras
-from nanogs.method.visibility import (
-    Light,
-    light_in,
-    shown_coverage,
-    visibility_of,
-    visible_weights,
-)
-from nanogs.pipeline.asked import camera_of, plain_camera
-from nanogs.pipeline.blocks import leaves_of
-from nanogs.pipeline.coarse import surroundings
-from nanogs.pipeline.memory_blocks import FINE
-from nanogs.pipeline.views import parts_of
-from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import prepare, render, together
-from nanogs.splats import Splats
-from nanogs.store.tables import Record, write_table
+from nanogs.method.visibility import Light, light_in, roaming_views, visibility_of
+from nanogs.pipeline.scene import Lit, Scene
+from nanogs.pipeline.views import Views
+from nanogs.raster.lens import lens_notes
+from nanogs.raster.rendering import prepare, together
+from nanogs.store.tables import Record
 
 if TYPE_CHECKING:
-    from nanogs.pipeline.work import Work
-
-VISIBLE = "visible"
-DISTANT = 0.2  # of a view's pixels, in a smaller part of which a block is too far away
+    from nanogs.raster.camera import Camera
 
 
-def look_at_block(work: "Work", name: str, block: int) -> Record:
-    """Write how visible each of a block's splats is, and how much of the block each view shows.
+def choose_views(scene: Scene) -> Views:
+    """Choose the views of the whole scene, or take those asked for.
 
     Args:
-        work: The job, its views chosen.
-        name: Of the table.
-        block: Its number.
+        scene: With its coarse levels, if it has other blocks.
     """
-    own, rows = work.block(block, work.settings.layout.bare())  # what hides has no need of colours
-    views, n = work.views, len(own)
-    cameras = [*views.kept, *closer_views(work, own)]
-    scene = together(prepare(own), surroundings(work, block, FINE))
-    looked, light = Light(len(scene)), []
-    for camera in cameras:
-        view = render(scene, camera, contributions=True, sh_degree=0)
+    parameters, some = scene.settings.parameters, scene.sample()
+    try:
+        given = scene.given_cameras(some)
+        kept, further = choose_cameras(
+            some, given, parameters.views, parameters.further if parameters.steps else 0,
+            parameters.view_size,
+        )  # fmt: skip
+    except ModelError as error:
+        return Views((), (), (), (f"Nothing was measured: {error}",))
+    roaming: list[Camera] = []
+    notes: tuple[str, ...] = tuple(lens_notes(given or ()))
+    if parameters.roaming and not given:
+        roaming, notes = roaming_views(scene.from_afar(), parameters.roaming)
+    return Views(tuple(kept), tuple(further), tuple(roaming), notes)
+
+
+def look_at_block(scene: Scene, name: str, number: int) -> Record:
+    """Find how visible each of a block's splats is, and how much of the block each view shows.
+
+    Args:
+        scene: With its views.
+        name: Of what is kept.
+        number: Of the block.
+    """
+    own, views = scene.bare(number), scene.views
+    count = len(own.splats)
+    cameras = [*views.kept, *scene.closer_views(own)]
+    drawn = together(prepare(own.splats), scene.hiding(number))
+    looked, lights = Light(len(drawn)), []
+    total = len(cameras) + len(views.roaming)
+    for done, camera in enumerate(cameras):
+        scene.tell(done, total)
+        view = scene.draw(drawn, camera)
         looked.add(view)
         assert view.contributions is not None  # noqa: S101 - asked for
-        light.append(float(view.contributions[:n].sum()))
-    anywhere = light_in(scene, views.roaming) if views.roaming else None
-    del scene
+        lights.append(Lit(camera, float(view.contributions[:count].sum())))
+        del view
+    scene.tell(len(cameras), total)
+    anywhere = light_in(drawn, views.roaming) if views.roaming else None
+    del drawn
     visible, missed = visibility_of(looked, anywhere)
-    visible, missed = visible[:n], missed[:n]  # the surroundings' are not asked for
-    coverages = leaves_of(own, rows, work.frame).coverages
-    weights = visible_weights(coverages, visible[rows], work.settings.parameters.hidden)
-    facts = {
-        "cameras": [plain_camera(camera) for camera in cameras],
-        "light": light,
-        "weight": float(weights.sum()),
-        "coverage": float(coverages.sum()),
-        "shown": shown_coverage(coverages, visible[rows], missed[rows]),
-    }
-    return write_table(work.scratch, name, {VISIBLE: visible}, facts)
-
-
-def looks_at(work: "Work", block: int) -> list[tuple[Camera, float]]:
-    """The views that a block was looked at, and how much of it each shows, pixels of alpha 1."""
-    facts = work.of_block("look", block).facts
-    cameras = map(camera_of, facts["cameras"])
-    return list(zip(cameras, map(float, facts["light"]), strict=True))
-
-
-def closer_views(work: "Work", own: Splats) -> list[Camera]:
-    """Views of a block alone, where it is small in all those of the scene: a city is no object.
-
-    Args:
-        work: The job, its views chosen.
-        own: Splats of the block.
-    """
-    parameters, kept = work.settings.parameters, work.views.kept
-    if work.partition.blocks == 1 or not kept or work.settings.asked.cameras:
-        return []
-    drawn = prepare(own)
-    least = DISTANT * kept[0].width * kept[0].height
-    parts = [part for part in parts_of(drawn, drawn.keep, kept) if part]
-    if not drawn.keep.any() or any(part.width * part.height > least for part in parts):
-        return []
-    size = max(parameters.view_size // 2, 16)
-    return choose_cameras(own, None, -(-parameters.views // 2), 0, size)[0]
-
-
-def typical_weight(work: "Work") -> float:
-    """Mean of the weights of all splats, of which those of nodes are multiples."""
-    facts = [record.facts for record in work.of_blocks("look")]
-    mean = sum(float(each["weight"]) for each in facts) / work.partition.splats
-    return mean if mean > 0 else 1.0
-
-
-def shown_share(work: "Work") -> float:
-    """Share of the coverage of all splats, in [0, 1], that views show."""
-    facts = [record.facts for record in work.of_blocks("look")]
-    total = sum(float(each["coverage"]) for each in facts)
-    return sum(float(each["shown"]) for each in facts) / total if total > 0 else 0.0
-
-
-def read_visible(work: "Work", block: int) -> F64:
-    """(N,) how visible the block's splats are."""
-    with work.table("look", block) as table:
-        visible: F64 = table.read(VISIBLE)
-    return visible
+    # The surroundings' are not asked for.
+    return scene.keep_look(name, replace(own, visible=visible[:count]), missed[:count], lights)

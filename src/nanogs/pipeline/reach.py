@@ -9,9 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from nanogs.clock import StageClock
-from nanogs.pipeline.in_memory import Build, deliver
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.weights import COUNTS, delivery_stages
+from nanogs.pipeline.run import deliver, plain
+from nanogs.pipeline.stages import delivery_stages
+from nanogs.pipeline.weights import COUNTS
+from nanogs.pipeline.whole import Whole
 from nanogs.progress import Stage, Tracker
 from nanogs.protocol import VIEWS
 from nanogs.report import ProbeReport, StopReason
@@ -178,19 +180,19 @@ def _slope(probes: "list[ProbeReport] | tuple[ProbeReport, ...]") -> float:
 
 
 def reach_psnr(
-    build: Build,
+    scene: Whole,
     asked: float,
     views: HeldOut,
     decode: Decode,
     clock: StageClock,
     progress: Tracker,
 ) -> Outcome:
-    """The smallest result of a build that is found to reach a PSNR on the views held out.
+    """The smallest result of a model that is found to reach a PSNR on the views held out.
 
     What is measured is what is delivered: the result of a count is the same each time.
 
     Args:
-        build: The model and its forest.
+        scene: The model, looked at, and its forest.
         asked: dB.
         views: What the original shows where nothing is learnt from it.
         decode: What becomes of a result in its file.
@@ -199,15 +201,15 @@ def reach_psnr(
     """
     best: list[Outcome] = []  # the latest that reaches it, and so the smallest; one at a time
 
-    def search(build: Build, guess: int, slope: float | None = None, *, quick: bool) -> Found:
+    def search(scene: Whole, guess: int, slope: float | None = None, *, quick: bool) -> Found:
         tried = 0
 
         def psnr_of(count: int) -> float:
             nonlocal tried
-            stages = delivery_stages(build.parameters, len(build.leaves), count)
+            stages = delivery_stages(scene.settings.parameters, len(scene.usable), count)
             probe = progress.within(tried, COUNTS, [*stages, Stage("measure", VIEWS * 0.02)])
             tried += 1
-            outcome = deliver(build, count, clock, probe)
+            outcome = deliver(scene, count, clock, probe)
             probe.begin("measure")
             with clock.time("measure"):
                 psnr = views.psnr(decode(outcome.splats))
@@ -215,30 +217,24 @@ def reach_psnr(
                 best[:] = [outcome]
             return psnr
 
-        forest = build.forest
+        forest = scene.forest
         return search_count(psnr_of, asked, forest.fewest, forest.splats, guess, slope, quick=quick)
 
-    guess, slope = round(GUESS * build.forest.splats), None
+    guess, slope = round(GUESS * scene.forest.splats), None
     probes: tuple[ProbeReport, ...] = ()
     progress.begin("search")
-    if build.views is not None:
-        near = search(_quick(build), guess, quick=True)
+    if scene.looks:
+        near = search(plain(scene, rounds=0), guess, quick=True)
         probes, guess, slope = near.probes, near.count, near.slope
         best.clear()
         if _hopeless(near, asked):
-            return _whole(build, near, clock, progress)
+            return _whole(scene, near, clock, progress)
         progress.begin("deliver")
-    found = search(build, guess, slope, quick=False)
+    found = search(scene, guess, slope, quick=False)
     found = replace(found, probes=probes + found.probes)
     if not best:
-        return _whole(build, found, clock, progress)
+        return _whole(scene, found, clock, progress)
     return replace(best[0], probes=found.probes, stop=found.stop)
-
-
-def _quick(build: Build) -> Build:
-    """The build of plain cuts: nothing is reassigned, chosen or fitted."""
-    parameters = replace(build.parameters, measure=False, rounds=0, steps=0)
-    return replace(build, views=None, parameters=parameters)
 
 
 def _hopeless(near: Found, asked: float) -> bool:
@@ -248,7 +244,7 @@ def _hopeless(near: Found, asked: float) -> bool:
     )
 
 
-def _whole(build: Build, found: Found, clock: StageClock, progress: Tracker) -> Outcome:
+def _whole(scene: Whole, found: Found, clock: StageClock, progress: Tracker) -> Outcome:
     """The whole model, as no smaller one reaches what is asked."""
-    outcome = deliver(build, build.forest.splats, clock, progress)
+    outcome = deliver(scene, scene.forest.splats, clock, progress)
     return replace(outcome, probes=found.probes, stop=StopReason.UNREACHED)

@@ -1,14 +1,18 @@
-"""A job from its first task to its last, wherever the tasks are done."""
+"""The stages of a scene in turn: of a model in memory, or as tasks of a job."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from nanogs.clock import StageClock
+from nanogs.pipeline.outcome import Outcome, outcome_of
+from nanogs.pipeline.scene import Scene, Task
 from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.stages import do, stages_of
-from nanogs.pipeline.work import MARK, Task, Work
-from nanogs.progress import Tracker
+from nanogs.pipeline.stages import JobStage, do, held_stages, stages_of
+from nanogs.pipeline.whole import Whole
+from nanogs.pipeline.work import MARK, Work
+from nanogs.progress import Tracker, untold
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import verified, write_table
 
@@ -23,7 +27,7 @@ class Executor(Protocol):
 class Here:
     """One task after the other, in this process, each on all threads."""
 
-    def run(self, work: Work, tasks: Sequence[Task]) -> Iterator[Task]:
+    def run(self, work: Scene, tasks: Sequence[Task]) -> Iterator[Task]:
         """Do tasks in their order, and yield each when it is done."""
         for task in tasks:
             do(work, task)
@@ -69,20 +73,23 @@ def run_tasks(
     """
     work, kept = Work(scratch, settings, threads), 0
     write_table(scratch, MARK.name, {}, {})
-    for each, level in stages_of(settings):
-        stage = each.name
-        tasks = [Task(stage, number, level) for number in range(each.count(work))]
-        with clock.time(stage):
+    for stage, level in stages_of(settings):
+        tasks = _tasks(work, stage, level)
+        with clock.time(stage.name):
             left = [task for task in tasks if not (resumed and _is_done(work, task))]
             kept += len(tasks) - len(left)
-            progress.begin(stage)
+            progress.begin(stage.name)
             progress.part(len(tasks) - len(left), len(tasks))
             # The frame is made here, while workers of this machine start.
-            doing = Here() if stage == "frame" else executor
+            doing = Here() if stage.name == "frame" else executor
             for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
                 work.record(task)  # kept: the report is made when the scratch is gone
                 progress.part(done, len(tasks))
     return Done(work, kept)
+
+
+def _tasks(scene: Scene, stage: JobStage, level: int) -> list[Task]:
+    return [Task(stage.name, number, level) for number in range(stage.count(scene, level))]
 
 
 def _is_done(work: Work, task: Task) -> bool:
@@ -90,3 +97,62 @@ def _is_done(work: Work, task: Task) -> bool:
     if record is not None:
         work.known[task.name] = record
     return record is not None
+
+
+def build(scene: Whole, clock: StageClock, progress: Tracker) -> None:
+    """Do once what every count needs: look at the model, and grow its forest.
+
+    Args:
+        scene: The model.
+        clock: Gets the seconds of each stage.
+        progress: Told of each stage.
+    """
+    _do_here(scene, held_stages(scene.settings, results=False), 0, clock, progress)
+
+
+def deliver(scene: Whole, count: int, clock: StageClock, progress: Tracker) -> Outcome:
+    """Make the model of a count, or of the fewest splats that the forest has.
+
+    Args:
+        scene: The model, which `build` has seen.
+        count: Splats to deliver.
+        clock: Gets the seconds of each stage.
+        progress: Told of each stage.
+    """
+    level = len(scene.targets)
+    scene.targets.append(count)
+    _do_here(scene, held_stages(scene.settings, results=True), level, clock, progress)
+    return outcome_of(scene, level)
+
+
+def plain(scene: Whole, rounds: int | None = None) -> Whole:
+    """The same model and forest, of which results are cut without looking.
+
+    Args:
+        scene: The model, which `build` has seen.
+        rounds: Of reassignment; by default as before.
+    """
+    given = scene.settings.parameters
+    parameters = replace(
+        given, measure=False, steps=0, rounds=given.rounds if rounds is None else rounds
+    )
+    return replace(scene, settings=replace(scene.settings, parameters=parameters))
+
+
+def _do_here(
+    scene: Whole,
+    stages: Iterable[JobStage],
+    level: int,
+    clock: StageClock,
+    progress: Tracker,
+) -> None:
+    """Do stages of a model in memory; those that time their steps themselves say so."""
+    for stage in stages:
+        for task in _tasks(scene, stage, level):
+            progress.begin(stage.name)
+            start = time.perf_counter()
+            scene.tell = progress.part
+            own = do(scene, task).facts.get("seconds")
+            scene.tell = untold
+            for seconds in own or [{stage.name: time.perf_counter() - start}]:
+                clock.add(seconds)

@@ -15,7 +15,7 @@ from nanogs.source import Layout
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
 SOG, TILES = "streamed sog", "3d tiles"  # levels in chunks, as `lod.layout` names them
-VERSION = 3  # of the job folder; one of another version is not continued
+VERSION = 4  # of the job folder; one of another version is not continued
 
 
 class Access(StrEnum):

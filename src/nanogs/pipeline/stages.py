@@ -1,41 +1,69 @@
-"""The stages of a job, in their order: each reads what those before it wrote.
+"""The stages of a simplification, in their order: each uses what those before it have found.
 
-A task of a stage writes one table, whose bytes depend on nothing but the job's settings, so that it
-can be done anywhere, at any time, and again.
+A task of a stage in blocks writes one table, whose bytes depend on nothing but the job's settings,
+so that it can be done anywhere, at any time, and again.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from typing import Any, Literal
 
-from nanogs.pipeline.blocks import leaves_of, morton_rows, with_codes
+import numpy as np
+
+from nanogs.method.choose import GROWTHS
+from nanogs.method.paper.parameters import PaperParameters
+from nanogs.pipeline.blocks import leaves_of
 from nanogs.pipeline.budget import budget
 from nanogs.pipeline.chunked import write_cells, write_chunks
 from nanogs.pipeline.coarse import outline_counts, write_coarse
-from nanogs.pipeline.cuts import LABELS, write_cut
+from nanogs.pipeline.cuts import write_cut
 from nanogs.pipeline.fitting import fit_part
 from nanogs.pipeline.forests import grow
-from nanogs.pipeline.frame import survey
-from nanogs.pipeline.halo import find_halo
-from nanogs.pipeline.look import VISIBLE, look_at_block
+from nanogs.pipeline.look import choose_views, look_at_block
 from nanogs.pipeline.memory_blocks import COARSE_SHARES
 from nanogs.pipeline.partition import partition
 from nanogs.pipeline.parts import write_rest
+from nanogs.pipeline.presets import Parameters, renders
+from nanogs.pipeline.scene import Scene, Task
 from nanogs.pipeline.settings import SOG, Settings
-from nanogs.pipeline.settle import settled, view_of, write_settled
 from nanogs.pipeline.spill import spill
-from nanogs.pipeline.target import target_count
-from nanogs.pipeline.trials import choose, pick_balance, try_balances, try_growths
+from nanogs.pipeline.target import Goal, target_count
+from nanogs.pipeline.trials import (
+    choose,
+    grows_on,
+    growth_stage,
+    pick_balance,
+    try_balances,
+    try_growth,
+    try_reassigned,
+)
 from nanogs.pipeline.unpack import unpack
-from nanogs.pipeline.views import choose_views
-from nanogs.pipeline.work import Task, Work
+from nanogs.pipeline.weights import (
+    COUNTS,
+    RESULTS,
+    SIZES,
+    Load,
+    fitting_seconds,
+    level_stage,
+    looking_seconds,
+    measure_stage,
+    published_stages,
+    roaming_seconds,
+    write_weight,
+)
+from nanogs.pipeline.work import Work
 from nanogs.progress import Stage
-from nanogs.store.columns import CODES, empty_columns, sorted_columns, splats_of
 from nanogs.store.tables import Record, write_table
 from nanogs.threads import use_threads
 
 FEWEST = 64  # splats of a block's part, on average
 Per = Literal["job", "file", "segment", "block"]
+Seconds = float | Callable[[Load], float]
+
+
+def _always(*_: object) -> bool:
+    return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,68 +74,148 @@ class JobStage:
         name: For progress, clock and tables.
         per: What it is done for: once, or for each packed file, segment or block.
         do: Does one task of it.
-        seconds: For a million splats, of one machine.
+        seconds: Of one machine: for a million splats of the scene, or from the load.
         wanted: Whether a job has it.
         levels: How many it has; None for one of each result.
-        needed: Whether there is anything to do, those before it being done.
+        needed: Whether there is anything to do for a level, those before it being done.
+        held: Whether a model in memory has it, too.
     """
 
     name: str
     per: Per
-    do: Callable[[Work, Task], Record]
-    seconds: float
-    wanted: Callable[[Settings], bool] = lambda _: True
+    do: Callable[[Any, Task], Record]
+    seconds: Seconds
+    wanted: Callable[[Any], bool] = _always
     levels: int | None = 1
-    needed: Callable[[Work], bool] = lambda _: True
+    needed: Callable[[Any, int], bool] = _always
+    held: bool = False
 
-    def count(self, work: Work) -> int:
+    def count(self, scene: Scene, level: int) -> int:
         """How many tasks it has, those before it being done."""
-        if not self.needed(work):
+        if not self.needed(scene, level):
             return 0
         if self.per == "job":
             return 1
         if self.per == "file":
-            return len(work.settings.unpacked)
+            return len(scene.settings.unpacked)
         if self.per == "segment":
-            return len(work.settings.segments)
-        return work.partition.blocks
+            return len(scene.settings.segments)
+        return scene.partition.blocks
+
+    def weight(self, load: Load) -> float:
+        """About how many seconds it takes of one machine."""
+        return self.seconds(load) if callable(self.seconds) else self.seconds * load.splats
 
 
-def do(work: Work, task: Task) -> Record:
+def do(scene: Scene, task: Task) -> Record:
     """Do a task.
 
     Raises:
         NanogsError: The input cannot be read, or the scratch not be written.
     """
-    with use_threads(work.threads):
-        record = STAGES[task.stage].do(work, task)
-    work.known[task.name] = record
-    return record
+    with use_threads(scene.threads):
+        return STAGES[task.stage].do(scene, task)
 
 
 def stages_of(settings: Settings) -> Iterator[tuple[JobStage, int]]:
-    """The stages of a job in their order, and the level of each."""
+    """The stages of a job in blocks in their order, and the level of each."""
     wanted = [stage for stage in STAGES.values() if stage.wanted(settings)]
-    per_level = [stage for stage in wanted if stage.levels is None]
-    before = wanted[: wanted.index(per_level[0])]
+    before = wanted[: next(i for i, stage in enumerate(wanted) if stage.levels is None)]
     yield from ((stage, level) for stage in before for level in range(stage.levels or 0))
     for level in range(settings.levels):
-        yield from ((stage, level) for stage in per_level if stage not in _CHUNKED)
+        yield from ((s, level) for s in wanted if s.levels is None and s.name not in _CHUNKED)
     for stage in wanted:
-        if stage in _CHUNKED:
+        if stage.name in _CHUNKED:
             levels = settings.levels if stage.levels is None else stage.levels
             yield from ((stage, level) for level in range(levels))
 
 
 def job_stages(settings: Settings) -> list[Stage]:
-    """The stages of a job, and how long each takes beside the others."""
+    """The stages of a job in blocks, and how long each takes beside the others."""
     ratios = settings.ratios or tuple(count / settings.splats for count in settings.counts)
     packing = PACKING if settings.chunks is not None and settings.chunks.layout == SOG else 1.0
-    stages = [
-        Stage(stage.name, packing * ratios[level] if stage.name == "chunk" else stage.seconds)
-        for stage, level in stages_of(settings)
+    stages = []
+    for stage, level in stages_of(settings):
+        share = ratios[level] if stage.levels is None else 1.0
+        load = Load(settings.parameters, settings.splats / 1e6, share * settings.splats / 1e6)
+        stages.append(
+            Stage(stage.name, packing * load.left if stage.name == "chunk" else stage.weight(load))
+        )
+    return [*stages, Stage("write", 0.1 * settings.splats / 1e6)]
+
+
+def held_stages(settings: Settings, *, results: bool) -> list[JobStage]:
+    """The stages of a model in memory: those of each result, or those done once before."""
+    stages = (stage for stage in STAGES.values() if stage.held and stage.wanted(settings))
+    return [stage for stage in stages if (stage.levels is None) == results]
+
+
+def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
+    """Stages of a model in memory that are done once for any count.
+
+    Args:
+        parameters: Of the method; `paper` does all of it for each count.
+        splats: Of the model.
+    """
+    return _weighed(parameters, splats, splats, results=False)
+
+
+def delivery_stages(parameters: Parameters, splats: int, count: int) -> list[Stage]:
+    """Stages of a model in memory that are done for each count."""
+    if isinstance(parameters, PaperParameters):
+        return published_stages(splats)
+    return _weighed(parameters, splats, count, results=True)
+
+
+def _weighed(parameters: Parameters, splats: int, count: int, *, results: bool) -> list[Stage]:
+    if isinstance(parameters, PaperParameters):
+        return []
+    load = Load(parameters, splats / 1e6, count / 1e6)
+    wanted = (
+        stage
+        for stage in STAGES.values()
+        if stage.held and (stage.levels is None) == results and stage.wanted(load)
+    )
+    return [Stage(stage.name, stage.weight(load)) for stage in wanted]
+
+
+def simplify_stages(
+    parameters: Parameters, goal: Goal, splats: int, count: int | None, suffix: str
+) -> list[Stage]:
+    """The stages of `simplify`.
+
+    Args:
+        parameters: Of the method.
+        goal: What is asked.
+        splats: Of the model.
+        count: What the goal comes to, or None where only a search can tell.
+        suffix: Of the file that a size is about.
+    """
+    once = build_stages(parameters, splats)
+    if isinstance(parameters, PaperParameters) or count is not None:
+        return [*once, *delivery_stages(parameters, splats, count or splats)]
+    typical, millions = splats // 10, splats / 1e6
+    weight = sum(stage.weight for stage in delivery_stages(parameters, splats, typical))
+    if goal.psnr is not None:
+        stages = [measure_stage(splats), *once, Stage("search", COUNTS * (0.1 + 0.4 * millions))]
+        if renders(parameters):
+            stages.append(Stage("deliver", COUNTS * (weight + 0.1)))
+        return stages
+    writing = write_weight(suffix, typical)
+    search = [Stage("search", SIZES * (writing + 0.3 * millions))]
+    if renders(parameters):
+        search.append(Stage("deliver", RESULTS * (writing + weight)))
+    return [Stage("guess", writing / 5), *once, *search]
+
+
+def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) -> list[Stage]:
+    """The stages of `levels`: what is done once, and each level."""
+    each = [delivery_stages(parameters, splats, count) for count in counts]
+    levels = [
+        Stage(level_stage(number), sum(stage.weight for stage in stages))
+        for number, stages in enumerate(each)
     ]
-    return [*stages, Stage("write", 0.1)]
+    return [*build_stages(parameters, splats), *levels]
 
 
 PACKING = 25.0  # seconds for a million splats of streamed SOG
@@ -118,9 +226,8 @@ def _unpack(work: Work, task: Task) -> Record:
     return unpack(work.scratch, task.name, settings.inputs[settings.unpacked[task.number]])
 
 
-def _frame(work: Work, task: Task) -> Record:
-    facts = survey(work.settings, work.unpacked()).to_dict()
-    return write_table(work.scratch, task.name, {}, facts)
+def _frame(scene: Scene, task: Task) -> Record:
+    return scene.survey(task.name)
 
 
 def _segment(work: Work, task: Task) -> Record:
@@ -153,22 +260,16 @@ def _coarse(work: Work, task: Task) -> Record:
     return write_coarse(work, task.name, task.number, task.level)
 
 
-def _views(work: Work, task: Task) -> Record:
-    return write_table(work.scratch, task.name, {}, choose_views(work).to_dict())
+def _views(scene: Scene, task: Task) -> Record:
+    return scene.keep_views(task.name, choose_views(scene))
 
 
-def _look(work: Work, task: Task) -> Record:
-    return look_at_block(work, task.name, task.number)
+def _look(scene: Scene, task: Task) -> Record:
+    return look_at_block(scene, task.name, task.number)
 
 
-def _forest(work: Work, task: Task) -> Record:
-    splats, rows = work.block(task.number)
-    frame, settings = work.frame, work.settings
-    seen = work.seen(work.visible(task.number))
-    return grow(
-        work.scratch, task.name, lambda: leaves_of(splats, rows, frame, seen, bare=True),
-        settings.parameters, work.balances, work.threads,
-    )  # fmt: skip
+def _grow(scene: Scene, task: Task) -> Record:
+    return scene.grow(task.name, task.number)
 
 
 def _budget(work: Work, task: Task) -> Record:
@@ -179,17 +280,17 @@ def _budget(work: Work, task: Task) -> Record:
         target = target_count(work.partition.splats, work.settings.ratios[task.level], None)
     # Blocks cannot be cut to less than a splat each, nor well to a few: the rest is done in memory.
     cut_to = max(target, min(FEWEST * work.partition.blocks, work.partition.splats))
-    forests = work.of_blocks("forest")
+    forests = work.of_blocks("grow")
     groups = [budget(work.scratch, forests, cut_to, number) for number in range(len(work.balances))]
     return write_table(work.scratch, task.name, {}, {"target": target, "groups": groups})
 
 
-def _trial(work: Work, task: Task) -> Record:
-    return try_balances(work, task.name, task.number, task.level)
+def _trial(scene: Scene, task: Task) -> Record:
+    return try_balances(scene, task.name, task.number, task.level)
 
 
-def _pick(work: Work, task: Task) -> Record:
-    return pick_balance(work, task.name, task.level)
+def _pick(scene: Scene, task: Task) -> Record:
+    return pick_balance(scene, task.name, task.level)
 
 
 def _cut(work: Work, task: Task) -> Record:
@@ -200,47 +301,35 @@ def _cut(work: Work, task: Task) -> Record:
     return write_cut(work.scratch, task.name, leaves, labels, groups, work.threads)
 
 
-def _settle(work: Work, task: Task) -> Record:
-    cuts, settings = work.of_blocks("cut", task.level), work.settings
-    own = work.partition.count(task.number)
-    halo = find_halo(work.scratch, cuts, task.number, own, work.threads)
-    count = own + sum(len(each.rows) for each in halo)
-    columns = with_codes(empty_columns(settings.layout, count), count)
-    work.read(task.number, columns)
-    at = own
-    for each in halo:
-        at = work.read(each.block, columns, at, each.rows)
-    if work.looks:
-        columns[VISIBLE] = work.visible_with(task.number, halo)
-    with work.table("cut", task.number, task.level) as table:
-        labels = table.read(LABELS)
-    splats = splats_of(columns, settings.layout)
-    seen = work.seen(columns.get(VISIBLE))
-    leaves = leaves_of(splats, morton_rows(columns[CODES]), work.frame, seen)
-    view = view_of(leaves, labels, own, work.groups(task.number, task.level), halo)
-    after = settled(view, settings.parameters.rounds, work.threads)
-    return write_settled(work.scratch, task.name, after, view, columns)
+def _settle(scene: Scene, task: Task) -> Record:
+    return scene.settle(task.name, task.number, task.level)
 
 
-def _judge(work: Work, task: Task) -> Record:
-    return try_growths(work, task.name, task.number, task.level)
+def _judge(scene: Scene, task: Task) -> Record:
+    return try_reassigned(scene, task.name, task.number, task.level)
 
 
-def _choose(work: Work, task: Task) -> Record:
-    return choose(work, task.name, task.level)
+def _growth(step: int, scene: Scene, task: Task) -> Record:
+    return try_growth(scene, task.name, task.number, task.level, step)
 
 
-def _part(work: Work, task: Task) -> Record:
-    chosen = work.chosen(task.level)
-    found = work.members(task.number, task.level, reassigned=chosen.reassigned)
-    small = work.stored(found).grown(chosen.growth)
-    frame = work.frame
-    order = morton_rows(frame.codes(small))
-    return write_table(work.scratch, task.name, sorted_columns(small, order), {})
+def _choose(scene: Scene, task: Task) -> Record:
+    return choose(scene, task.name, task.level)
 
 
-def _fit(work: Work, task: Task) -> Record:
-    return fit_part(work, task.name, task.number, task.level)
+def _part(scene: Scene, task: Task) -> Record:
+    if not scene.merges(task.level):
+        own = scene.open(task.number)
+        rows = np.sort(own.rows).astype(np.int64)
+        return scene.keep_part(task.name, task.level, own.splats.take(rows))
+    chosen = scene.chosen(task.level)
+    found = scene.members(task.number, task.level, reassigned=chosen.reassigned)
+    small = scene.stored(found).grown(chosen.growth)
+    return scene.keep_part(task.name, task.level, small)
+
+
+def _fit(scene: Scene, task: Task) -> Record:
+    return fit_part(scene, task.name, task.number, task.level)
 
 
 def _rest(work: Work, task: Task) -> Record:
@@ -256,59 +345,105 @@ def _chunk(work: Work, task: Task) -> Record:
     return write_chunks(work, task.name, task.number, task.level)
 
 
-def _looks(settings: Settings) -> bool:
-    return settings.looks
+def _looks(job: Settings | Load) -> bool:
+    return renders(job.parameters)
 
 
-def _measures(settings: Settings) -> bool:
-    return settings.measures
+def _measures(job: Settings | Load) -> bool:
+    return job.parameters.measure
 
 
-def _settles(settings: Settings) -> bool:
-    return settings.parameters.rounds > 0
+def _settles(job: Settings | Load) -> bool:
+    return job.parameters.rounds > 0
 
 
-def _fits(settings: Settings) -> bool:
-    return settings.fits
+def _judges(job: Settings | Load) -> bool:
+    return _measures(job) and _settles(job)
+
+
+def _fits(job: Settings | Load) -> bool:
+    return job.parameters.steps > 0
 
 
 def _in_chunks(settings: Settings) -> bool:
     return settings.chunks is not None
 
 
-def _divided(work: Work) -> bool:
-    return work.partition.blocks > 1
+def _unpacks(settings: Settings) -> bool:
+    return bool(settings.unpacked)
 
 
-def _shown(work: Work) -> bool:
-    return work.measures
+def _divided(scene: Scene, _level: int) -> bool:
+    return scene.partition.blocks > 1
+
+
+def _merges(scene: Scene, level: int) -> bool:
+    return scene.merges(level)
+
+
+def _tries(scene: Scene, level: int) -> bool:
+    return scene.tries(level)
+
+
+def _shows(scene: Scene, _level: int) -> bool:
+    return scene.looks
+
+
+def _fitted(scene: Scene, level: int) -> bool:
+    return scene.fits(level)
+
+
+def _grows(step: int, scene: Scene, level: int) -> bool:
+    return scene.tries(level) and grows_on(scene, level, step)
+
+
+def _settling(load: Load) -> float:
+    return (0.1 + 0.6 * load.parameters.rounds) * load.splats
+
+
+def _trying(load: Load) -> float:
+    return len(load.parameters.balances) * _judging(load)
+
+
+def _judging(load: Load) -> float:
+    return 0.01 + 0.2 * load.splats + 1.5 * load.left
+
+
+def _growing(step: int) -> JobStage:
+    """The stage that tries a growth; those after the first are seldom needed."""
+    return JobStage(
+        growth_stage(step), "block", partial(_growth, step),
+        _judging if step == 0 else lambda load: 0.1 * _judging(load), _measures, None,
+        partial(_grows, step), held=True,
+    )  # fmt: skip
 
 
 STAGES = {
     stage.name: stage
     for stage in (
-        JobStage("unpack", "file", _unpack, 1.0, lambda settings: bool(settings.unpacked)),
-        JobStage("frame", "job", _frame, 1.0),
+        JobStage("unpack", "file", _unpack, 1.0, _unpacks),
+        JobStage("frame", "job", _frame, 0.3, held=True),
         JobStage("segment", "segment", _segment, 0.5),
         JobStage("partition", "job", _partition, 0.05),
-        JobStage("rough", "block", _rough, 5.0, _looks, needed=_divided),
+        JobStage("rough", "block", _rough, 3.0, _looks, needed=_divided),
         JobStage("outline", "job", _outline, 0.02, _looks),
         JobStage("coarse", "block", _coarse, 0.5, _looks, len(COARSE_SHARES), _divided),
-        JobStage("views", "job", _views, 0.5, _looks),
-        JobStage("look", "block", _look, 3.0, _looks),
-        JobStage("forest", "block", _forest, 5.0),
+        JobStage("views", "job", _views, roaming_seconds, _looks, held=True),
+        JobStage("look", "block", _look, looking_seconds, _looks, needed=_shows, held=True),
+        JobStage("grow", "block", _grow, 3.3, held=True),
         JobStage("budget", "job", _budget, 0.02, levels=None),
-        JobStage("trial", "block", _trial, 2.0, _measures, None, _shown),
-        JobStage("pick", "job", _pick, 0.01, _measures, None, _shown),
-        JobStage("cut", "block", _cut, 0.4, _settles, levels=None),
-        JobStage("settle", "block", _settle, 2.0, _settles, levels=None),
-        JobStage("judge", "block", _judge, 2.0, _measures, None, _shown),
-        JobStage("choose", "job", _choose, 0.01, _measures, None, _shown),
-        JobStage("part", "block", _part, 0.5, levels=None),
-        JobStage("fit", "block", _fit, 5.0, _fits, levels=None),
+        JobStage("trial", "block", _trial, _trying, _measures, None, _tries, held=True),
+        JobStage("pick", "job", _pick, 0.0, _measures, None, _tries, held=True),
+        JobStage("cut", "block", _cut, 0.2, _settles, None, _merges),
+        JobStage("settle", "block", _settle, _settling, _settles, None, _merges, held=True),
+        JobStage("judge", "block", _judge, _judging, _judges, None, _tries, held=True),
+        *map(_growing, range(len(GROWTHS))),
+        JobStage("choose", "job", _choose, 0.0, _measures, None, _tries, held=True),
+        JobStage("part", "block", _part, 0.2, levels=None, held=True),
+        JobStage("fit", "block", _fit, fitting_seconds, _fits, None, _fitted, held=True),
         JobStage("rest", "job", _rest, 0.2, _in_chunks, levels=None),
         JobStage("cells", "block", _cells, 0.5, _in_chunks),
         JobStage("chunk", "block", _chunk, 1.0, _in_chunks, levels=None),
     )
 }
-_CHUNKED = tuple(STAGES[name] for name in ("rest", "cells", "chunk"))
+_CHUNKED = ("rest", "cells", "chunk")

@@ -2,28 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from nanogs._types import Bool
-from nanogs.errors import ModelError
-from nanogs.fit.views import choose_cameras
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.project import HIDDEN, unpack_box
-from nanogs.method.visibility import DECIDING, roaming_views
+from nanogs.method.visibility import DECIDING
 from nanogs.pipeline.asked import camera_of, plain_camera
-from nanogs.pipeline.cameras import fit_cameras
-from nanogs.pipeline.coarse import coarse_scene
-from nanogs.pipeline.memory_blocks import FINE
-from nanogs.pipeline.rows import sample
 from nanogs.raster.camera import Camera, spread
 from nanogs.raster.rendering import PreparedSplats, project
 
-if TYPE_CHECKING:
-    from nanogs.pipeline.work import Work
-
-SAMPLE, SPAN = 1 << 18, 32  # rows of the original that cameras are placed by, in stretches
 LEAST = 2 * TILE  # pixels along a side of a part of a view
 STRAYS = 0.002  # of a block's splats that may lie beside its part of a view, on each side
 
@@ -70,33 +60,6 @@ def views_of(data: Mapping[str, Any]) -> Views:
         tuple(camera_of(each) for each in data[kind]) for kind in ("kept", "further", "roaming")
     )
     return Views(kept, further, roaming, tuple(data["notes"]))
-
-
-def choose_views(work: "Work") -> Views:
-    """Choose the views of the whole scene, from rows spread over it; or those asked for.
-
-    Args:
-        work: The job, the coarse level done.
-    """
-    parameters = work.settings.parameters
-    some = sample(work.settings, work.unpacked(), rows=SAMPLE, span=SPAN)
-    asked = work.settings.asked
-    notes: tuple[str, ...] = ()
-    try:
-        given = asked.given() or fit_cameras(
-            some, asked.source, asked.up, parameters.views, parameters.view_size
-        )
-        kept, further = choose_cameras(
-            some, given, parameters.views, parameters.further if parameters.steps else 0,
-            parameters.view_size,
-        )  # fmt: skip
-    except ModelError as error:
-        return Views((), (), (), (f"Nothing was measured: {error}",))
-    roaming: list[Camera] = []
-    if parameters.roaming and not given:
-        scene = coarse_scene(work, FINE) or work.block(0)[0]
-        roaming, notes = roaming_views(scene, parameters.roaming)
-    return Views(tuple(kept), tuple(further), tuple(roaming), notes)
 
 
 def parts_of(own: PreparedSplats, shown: Bool, cameras: Sequence[Camera]) -> list[Camera | None]:

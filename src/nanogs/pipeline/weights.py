@@ -1,17 +1,14 @@
-"""The stages of a simplification, and how long each takes beside the others.
+"""How long stages take beside each other, and how a result is fitted.
 
 Weights are seconds of one machine, to about a factor of two: a bar that follows them moves evenly
 enough. No Numba here: the command plans with them before it is imported.
 """
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.stages import refit_stages
-from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.presets import Parameters, renders
-from nanogs.pipeline.target import Goal
 from nanogs.progress import Stage
 from nanogs.protocol import VIEWS
 
@@ -21,73 +18,36 @@ COUNTS = 4  # that a search for a PSNR tries, of plain cuts and again of results
 _MILLION = 1e6
 
 
-def simplify_stages(
-    parameters: Parameters, goal: Goal, splats: int, count: int | None, suffix: str
-) -> list[Stage]:
-    """The stages of `simplify`.
+@dataclass(frozen=True, slots=True)
+class Load:
+    """The size of the work, which says about how long it takes.
 
-    Args:
+    Attributes:
         parameters: Of the method.
-        goal: What is asked.
-        splats: Of the model.
-        count: What the goal comes to, or None where only a search can tell.
-        suffix: Of the file that a size is about.
+        splats: Of the model, millions.
+        left: Of the result, millions.
     """
-    if isinstance(parameters, PaperParameters) or count is not None:
-        each = delivery_stages(parameters, splats, count or splats)
-        return [*build_stages(parameters, splats), *each]
-    typical = splats // 10
-    weight = _sum(delivery_stages(parameters, splats, typical))
-    if goal.psnr is not None:
-        quick = 0.1 + 0.4 * splats / _MILLION
-        stages = [measure_stage(splats), *build_stages(parameters, splats)]
-        stages.append(Stage("search", COUNTS * quick))
-        if renders(parameters):
-            stages.append(Stage("deliver", COUNTS * (weight + 0.1)))
-        return stages
-    writing = write_weight(suffix, typical)
-    search = [Stage("search", SIZES * (writing + 0.3 * splats / _MILLION))]
-    if renders(parameters):
-        search.append(Stage("deliver", RESULTS * (writing + weight)))
-    return [Stage("guess", writing / 5), *build_stages(parameters, splats), *search]
+
+    parameters: ForestParameters
+    splats: float
+    left: float
 
 
-def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) -> list[Stage]:
-    """The stages of `levels`: what is done once, and each level."""
-    each = [_sum(delivery_stages(parameters, splats, count)) for count in counts]
-    levels = [Stage(level_stage(number), weight) for number, weight in enumerate(each)]
-    return [*build_stages(parameters, splats), *levels]
+def roaming_seconds(load: Load) -> float:
+    """Choosing views: roaming ones are found by trying."""
+    return 0.05 + load.parameters.roaming * (0.01 + 0.3 * load.splats)
 
 
-def level_stage(number: int) -> str:
-    """Name the stage of a level, as its file is named."""
-    return f"level_{number}"
+def looking_seconds(load: Load) -> float:
+    """Rendering the original from the views that are kept."""
+    return 2 * load.parameters.views * _render(load)
 
 
-def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
-    """Stages done once for any count: the original is looked at, and its forest grown."""
-    if isinstance(parameters, PaperParameters):
-        return []  # it does all of it for each
-    millions = splats / _MILLION
-    look = [_look(parameters, splats)] if renders(parameters) else []
-    return [*look, Stage("activate", 0.35 * millions), Stage("grow", 3 * millions)]
-
-
-def delivery_stages(parameters: Parameters, splats: int, count: int) -> list[Stage]:
-    """Stages done for each count."""
-    if isinstance(parameters, PaperParameters):
-        return _published_stages(splats)
-    all_of_them, left = splats / _MILLION, count / _MILLION
-    if parameters.measure:
-        stages = [Stage("choose", 0.05 + 1.3 * all_of_them + 7.5 * left)]
-    else:
-        moved = 3 * parameters.rounds
-        stages = [Stage("cut", (0.1 + moved) * all_of_them), Stage("store", 0.2 * all_of_them)]
-    if parameters.steps:
-        fit = refit_stages(fit_parameters(parameters), splats, count)[-1]
-        drawn = min(parameters.further, parameters.steps)
-        stages.append(Stage("fit", fit.weight + drawn * _render(parameters, splats)))
-    return stages
+def fitting_seconds(load: Load) -> float:
+    """Fitting a result."""
+    chosen, parameters = fit_parameters(load.parameters), load.parameters
+    fit = refit_stages(chosen, round(1e6 * load.splats), round(1e6 * load.left))[-1]
+    return fit.weight + min(parameters.further, parameters.steps) * _render(load)
 
 
 def fit_parameters(parameters: ForestParameters) -> RefitParameters:
@@ -102,10 +62,16 @@ def fit_parameters(parameters: ForestParameters) -> RefitParameters:
     )
 
 
-def _published_stages(splats: int) -> list[Stage]:
+def published_stages(splats: int) -> list[Stage]:
+    """The stages of the published method."""
     millions = splats / _MILLION
     steps = (("prune", 0.1), ("activate", 0.3), ("merge", 10), ("store", 0.1))
     return [Stage(name, weight * millions) for name, weight in steps]
+
+
+def level_stage(number: int) -> str:
+    """Name the stage of a level, as its file is named."""
+    return f"level_{number}"
 
 
 def read_weight(splats: int) -> float:
@@ -124,15 +90,6 @@ def measure_stage(splats: int) -> Stage:
     return Stage("measure", VIEWS * (0.02 + 0.15 * splats / _MILLION))
 
 
-def _sum(stages: list[Stage]) -> float:
-    return sum(stage.weight for stage in stages)
-
-
-def _look(parameters: ForestParameters, splats: int) -> Stage:
-    roaming = parameters.roaming * (0.01 + 0.3 * splats / _MILLION)  # found by trying
-    return Stage("look", roaming + 2 * parameters.views * _render(parameters, splats))
-
-
-def _render(parameters: ForestParameters, splats: int) -> float:
+def _render(load: Load) -> float:
     """One view of the original."""
-    return 0.015 * (parameters.view_size / 512) ** 2 + 0.06 * splats / _MILLION
+    return 0.015 * (load.parameters.view_size / 512) ** 2 + 0.06 * load.splats

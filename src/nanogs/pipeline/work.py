@@ -1,74 +1,77 @@
-"""The tasks of a job: each reads what those before it wrote, and writes one table of its own.
+"""A scene in blocks on its way through the stages: each reads what those before it wrote.
 
 A task's bytes depend on nothing but the job's settings, so that it can be done anywhere, at any
 time, and again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from nanogs._types import F64, I32, I64, Array
+from nanogs._types import F64, I32, I64, Array, Bool
 from nanogs.errors import OutputError
+from nanogs.fit.report import RefitReport
+from nanogs.fit.targets import Target, as_target
 from nanogs.method.store import Groups, store_groups
+from nanogs.method.visibility import SHOWN
 from nanogs.pipeline.blocks import Seen, leaves_of, morton_rows, read_block, with_codes
+from nanogs.pipeline.cameras import fit_cameras
+from nanogs.pipeline.coarse import coarse_scene, surroundings
 from nanogs.pipeline.cuts import LABELS, cut_block
-from nanogs.pipeline.frame import Frame, frame_of
-from nanogs.pipeline.halo import Halo
-from nanogs.pipeline.look import VISIBLE, read_visible, typical_weight
+from nanogs.pipeline.fitting import fit_views
+from nanogs.pipeline.forests import grow
+from nanogs.pipeline.frame import Frame, frame_of, survey
+from nanogs.pipeline.halo import Halo, find_halo
+from nanogs.pipeline.memory_blocks import FINE, ROUGH
 from nanogs.pipeline.partition import Partition, partition_of
+from nanogs.pipeline.parts import read_part
+from nanogs.pipeline.rows import sample
+from nanogs.pipeline.scene import Block, FitViews, Lit, Members, Scene, Task
+from nanogs.pipeline.seen import VISIBLE, closer_views, read_visible, typical_weight, write_look
 from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.settle import GONE, GROUP
+from nanogs.pipeline.settle import GONE, GROUP, settled, view_of, write_settled
 from nanogs.pipeline.unpack import Unpacked
-from nanogs.pipeline.views import Views, views_of
+from nanogs.pipeline.views import Views, parts_of, views_of
+from nanogs.progress import Parts, untold
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render, together
 from nanogs.source import Layout
 from nanogs.splats import Splats
-from nanogs.store.columns import CODES, empty_columns, read_rows, splats_of
+from nanogs.store.columns import (
+    CODES,
+    columns_of,
+    empty_columns,
+    read_rows,
+    sorted_columns,
+    splats_of,
+)
 from nanogs.store.scratch import Scratch
-from nanogs.store.tables import Record, Table, read_record
+from nanogs.store.tables import Record, Table, read_record, write_table
 
 UNPACK = "unpack"
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One of the tasks of a job.
-
-    Attributes:
-        stage: What is done.
-        number: Of the segment or block.
-        level: Of the result.
-    """
-
-    stage: str
-    number: int = 0
-    level: int = 0
-
-    @property
-    def name(self) -> str:
-        """Name of the table that it writes."""
-        return f"{self.stage}-{self.level}-{self.number:05d}"
-
-
 MARK = Task("job")  # done by the caller: who does not see its record sees other files
+SAMPLE, SPAN = 1 << 18, 32  # rows of the original that cameras are placed by, in stretches
 
 
-@dataclass(slots=True, eq=False)
-class Work:
-    """A job as a task sees it.
+@dataclass(eq=False)
+class Work(Scene):
+    """A job as a task sees it; see `Scene`.
 
     Attributes:
         scratch: Its files.
         settings: What it is about.
         threads: Threads in use.
         known: Records that have been read.
+        tell: Told of the parts of the present task.
     """
 
     scratch: Scratch
     settings: Settings
     threads: int
     known: dict[str, Record] = field(default_factory=dict)
+    tell: Parts = untold
 
     def record(self, task: Task) -> Record:
         """The record of what a task wrote.
@@ -106,18 +109,6 @@ class Work:
         """The sorted segments."""
         return [self.record(Task("segment", i)) for i in range(len(self.settings.segments))]
 
-    def of_job(self, stage: str, level: int = 0) -> Record:
-        """The record of what a stage of one task wrote."""
-        return self.record(Task(stage, 0, level))
-
-    def of_block(self, stage: str, block: int, level: int = 0) -> Record:
-        """The record of what a stage wrote for a block."""
-        return self.record(Task(stage, block, level))
-
-    def of_blocks(self, stage: str, level: int = 0) -> list[Record]:
-        """The records of what a stage wrote, one a block."""
-        return [self.record(Task(stage, b, level)) for b in range(self.partition.blocks)]
-
     def table(self, stage: str, block: int, level: int = 0) -> Table:
         """The table that a stage wrote for a block, open for reading."""
         return Table(self.scratch, self.of_block(stage, block, level))
@@ -128,24 +119,13 @@ class Work:
         return views_of(self.of_job("views").facts)
 
     @property
-    def looks(self) -> bool:
-        """Whether anything is looked at: not in a scene that shows nothing."""
-        return self.settings.looks and bool(self.of_job("views").facts["kept"])
-
-    @property
-    def measures(self) -> bool:
-        """Whether results are chosen by how they look."""
+    def weighs(self) -> bool:
+        """Whether splats are weighed by how visible they are."""
         return self.settings.measures and self.looks
-
-    @property
-    def balances(self) -> tuple[float, ...]:
-        """The balances of the cuts that are tried; the usual one where none can be measured."""
-        given = self.settings.parameters
-        return given.balances if self.measures else (given.balance,)
 
     def delivered(self, level: int) -> list[Record]:
         """The records of a level's splats, one a block, as they are delivered."""
-        return self.of_blocks("fit" if self.settings.fits else "part", level)
+        return self.of_blocks("fit" if self.fits(level) else "part", level)
 
     def read(
         self, block: int, columns: dict[str, Array], at: int = 0, rows: I64 | None = None
@@ -154,7 +134,7 @@ class Work:
         return read_block(self.scratch, self.segments(), self.partition, block, columns, at, rows)
 
     def block(self, block: int, layout: Layout | None = None) -> tuple[Splats, I64]:
-        """The splats of a block, and their rows in Morton order.
+        """The splats of a block, and their rows in Morton order; all are usable.
 
         Args:
             block: Its number.
@@ -170,30 +150,47 @@ class Work:
         self.read(block, wanted)
         return splats_of(columns, layout), morton_rows(columns[CODES])
 
+    def open(self, block: int) -> Block:
+        """As `Scene` says."""
+        return Block(*self.block(block), self.visible(block))
+
+    def bare(self, block: int) -> Block:
+        """As `Scene` says: what hides has no need of colours."""
+        return Block(*self.block(block, self.settings.layout.bare()), None)
+
     def seen(self, visible: F64 | None) -> Seen | None:
         """How nodes of splats are weighed that are so visible; None where nothing is measured."""
-        if visible is None or not self.measures:
+        if visible is None or not self.weighs:
             return None
         return Seen(visible, self.settings.parameters.hidden, typical_weight(self))
 
     def visible(self, block: int) -> F64 | None:
-        """(N,) how visible a block's splats are; None where nothing is looked at."""
+        """(N,) how visible a block's splats are; None where nothing was looked at."""
         return read_visible(self, block) if self.looks else None
 
-    def groups(self, block: int, level: int) -> int:
-        """How many groups of a block are left."""
-        return int(self.of_job("budget", level).facts["groups"][self.balance(level)][block])
+    def target(self, level: int) -> int:
+        """As `Scene` says."""
+        return int(self.of_job("budget", level).facts["target"])
 
-    def balance(self, level: int) -> int:
-        """Number of the balance that was chosen."""
-        return int(self.of_job("pick", level).facts["balance"]) if self.measures else 0
+    def merges(self, level: int) -> bool:
+        """As `Scene` says."""
+        return self.target(level) < self.partition.splats
+
+    def groups(self, block: int, level: int, balance: int | None = None) -> int:
+        """How many groups of a block are left, after the cut of a balance; by default the best."""
+        number = self.balance(level) if balance is None else balance
+        return int(self.of_job("budget", level).facts["groups"][number][block])
+
+    def cut(self, block: int, level: int, balance: int) -> I32:
+        """As `Scene` says."""
+        forest = self.of_block("grow", block)
+        return cut_block(self.scratch, forest, self.groups(block, level, balance), balance)
 
     def labels(self, block: int, level: int) -> I32:
         """(N,) the group of each leaf of a block's forest, before reassignment."""
-        forest, balance = self.of_block("forest", block), self.balance(level)
-        return cut_block(self.scratch, forest, self.groups(block, level), balance)
+        return self.cut(block, level, self.balance(level))
 
-    def members(self, block: int, level: int, *, reassigned: bool) -> "Members":
+    def members(self, block: int, level: int, *, reassigned: bool) -> Members:
         """The splats of a block's groups, of which some may come from other blocks.
 
         Args:
@@ -202,9 +199,8 @@ class Work:
             reassigned: Whether as they are after reassignment.
         """
         if not reassigned:
-            splats, rows = self.block(block)
-            visible = self.visible(block)
-            return Members(splats, rows, self.labels(block, level), visible)
+            whole = self.open(block)
+            return Members(whole.splats, whole.rows, whole.visible, self.labels(block, level))
         given = self._handed_to(block, level)
         own = self.partition.count(block)
         count = own + sum(stop - start for _, start, stop in given)
@@ -228,9 +224,9 @@ class Work:
             by_row = by_row[~gone]
         rows = morton_rows(columns[CODES])
         splats = splats_of(columns, self.settings.layout)
-        return Members(splats, rows, by_row[rows], columns.get(VISIBLE))
+        return Members(splats, rows, columns.get(VISIBLE), by_row[rows])
 
-    def stored(self, members: "Members") -> Groups:
+    def stored(self, members: Members) -> Groups:
         """The groups of a block as splats."""
         leaves = leaves_of(members.splats, members.rows, self.frame, self.seen(members.visible))
         frame, sheets = self.frame, not self.measures
@@ -244,41 +240,118 @@ class Work:
         parts += [read_visible(self, each.block)[each.rows] for each in halo]
         return np.concatenate(parts)
 
-    def chosen(self, level: int) -> "Chosen":
-        """How the groups of a level become splats."""
-        parameters = self.settings.parameters
-        if not self.measures:
-            return Chosen(parameters.rounds > 0, parameters.growth)
-        facts = self.of_job("choose", level).facts
-        return Chosen(bool(facts["reassigned"]), float(facts["growth"]))
+    def write(self, name: str, columns: Mapping[str, Array], facts: Mapping[str, Any]) -> Record:
+        """As `Scene` says."""
+        return write_table(self.scratch, name, columns, facts)
+
+    def survey(self, name: str) -> Record:
+        """As `Scene` says."""
+        return self.write(name, {}, survey(self.settings, self.unpacked()).to_dict())
+
+    def sample(self) -> Splats:
+        """As `Scene` says."""
+        return sample(self.settings, self.unpacked(), rows=SAMPLE, span=SPAN)
+
+    def given_cameras(self, some: Splats) -> Sequence[Camera] | None:
+        """As `Scene` says."""
+        asked, parameters = self.settings.asked, self.settings.parameters
+        return asked.given() or fit_cameras(
+            some, asked.source, asked.up, parameters.views, parameters.view_size
+        )
+
+    def from_afar(self) -> Splats:
+        """As `Scene` says."""
+        return coarse_scene(self, FINE) or self.block(0)[0]
+
+    def keep_views(self, name: str, views: Views) -> Record:
+        """As `Scene` says."""
+        return self.write(name, {}, views.to_dict())
+
+    def hiding(self, block: int) -> PreparedSplats | None:
+        """As `Scene` says."""
+        return surroundings(self, block, FINE)
+
+    def surroundings(self, block: int) -> PreparedSplats | None:
+        """As `Scene` says."""
+        return surroundings(self, block, ROUGH)
+
+    def closer_views(self, own: Block) -> Sequence[Camera]:
+        """As `Scene` says."""
+        return closer_views(self, own.splats)
+
+    def draw(self, drawn: PreparedSplats, camera: Camera) -> Rendering:
+        """As `Scene` says; it is drawn again where it is held against a result."""
+        return render(drawn, camera, contributions=True, sh_degree=0)
+
+    def keep_look(self, name: str, own: Block, missed: Bool, lights: Sequence[Lit]) -> Record:
+        """As `Scene` says."""
+        return write_look(self, name, own, missed, lights)
+
+    def grow(self, name: str, block: int) -> Record:
+        """As `Scene` says."""
+        own = self.open(block)
+        frame, seen = self.frame, self.seen(own.visible)
+        return grow(
+            self.scratch, name, lambda: leaves_of(own.splats, own.rows, frame, seen, bare=True),
+            self.settings.parameters, self.balances, self.threads,
+        )  # fmt: skip
+
+    def settle(self, name: str, block: int, level: int) -> Record:
+        """As `Scene` says: it sees what lies near of other blocks."""
+        cuts, settings = self.of_blocks("cut", level), self.settings
+        own = self.partition.count(block)
+        halo = find_halo(self.scratch, cuts, block, own, self.threads)
+        count = own + sum(len(each.rows) for each in halo)
+        columns = with_codes(empty_columns(settings.layout, count), count)
+        self.read(block, columns)
+        at = own
+        for each in halo:
+            at = self.read(each.block, columns, at, each.rows)
+        if self.looks:
+            columns[VISIBLE] = self.visible_with(block, halo)
+        with self.table("cut", block, level) as table:
+            labels = table.read(LABELS)
+        splats = splats_of(columns, settings.layout)
+        seen = self.seen(columns.get(VISIBLE))
+        leaves = leaves_of(splats, morton_rows(columns[CODES]), self.frame, seen)
+        view = view_of(leaves, labels, own, self.groups(block, level), halo)
+        after = settled(view, settings.parameters.rounds, self.threads)
+        return write_settled(self.scratch, name, after, view, columns)
+
+    @property
+    def deciding(self) -> Sequence[Camera]:
+        """As `Scene` says."""
+        return self.views.deciding
+
+    def pictures(self, block: int, own: Block) -> Sequence[Target | None]:
+        """As `Scene` says; they are drawn now."""
+        assert own.visible is not None  # noqa: S101 - this job looks
+        drawn = prepare(own.splats)
+        parts = parts_of(drawn, own.visible >= SHOWN, self.deciding)
+        whole = together(drawn, self.surroundings(block))
+        return [as_target(render(whole, part), part) if part else None for part in parts]
+
+    def fit_views(self, block: int, level: int) -> FitViews | None:
+        """As `Scene` says."""
+        return fit_views(self, block, level)
+
+    def part(self, block: int, level: int) -> Splats:
+        """As `Scene` says."""
+        record = self.of_block("part", block, level)
+        return read_part(self.scratch, self.settings.layout, record)
+
+    def keep_part(self, name: str, level: int, small: Splats) -> Record:
+        """As `Scene` says, in Morton order."""
+        order = morton_rows(self.frame.codes(small))
+        return write_table(self.scratch, name, sorted_columns(small, order), {})
+
+    def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
+        """As `Scene` says."""
+        facts = {"gained": [report.psnr_before, report.psnr_after] if report else None}
+        return self.write(name, columns_of(fitted), facts)
 
     def _handed_to(self, block: int, level: int) -> list[tuple[Record, int, int]]:
         """Rows that other blocks hand over to one, block by block."""
         settled = self.of_blocks("settle", level)
         places = [(record, record.facts["handed"].get(str(block))) for record in settled]
         return [(record, *place) for record, place in places if place]
-
-
-@dataclass(frozen=True, slots=True)
-class Chosen:
-    """The choice for a level: whether splats stay reassigned, and how much they may grow."""
-
-    reassigned: bool
-    growth: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Members:
-    """The splats of a block's groups.
-
-    Attributes:
-        splats: N of them.
-        rows: (N,) int64, their rows in Morton order.
-        labels: (N,) int32, the group of each, in that order.
-        visible: (N,) float64, how visible each splat is, or None where nothing is looked at.
-    """
-
-    splats: Splats
-    rows: I64
-    labels: I32
-    visible: F64 | None

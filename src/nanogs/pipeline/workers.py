@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any
 from nanogs._version import __version__
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.formatting import counted
+from nanogs.pipeline.scene import Task
 from nanogs.pipeline.settings import settings_of
 from nanogs.pipeline.stages import do
-from nanogs.pipeline.work import MARK, Task, Work
+from nanogs.pipeline.work import MARK, Work
 from nanogs.store.scratch import open_scratch
 from nanogs.threads import use_threads
 

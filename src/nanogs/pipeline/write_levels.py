@@ -19,7 +19,7 @@ from nanogs.lod.measured import LevelJudge, level_judge
 from nanogs.pipeline.levels import judged_levels
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters
 from nanogs.pipeline.target import target_count
-from nanogs.pipeline.weights import levels_stages, measure_stage, write_weight
+from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport
 from nanogs.splats import Splats
@@ -136,6 +136,8 @@ def write_levels_stages(
 
     Where levels are measured, "measure" comes first, and the rest of it belongs to the writing.
     """
+    from nanogs.pipeline.stages import levels_stages
+
     measure = [measure_stage(splats)] if measured else []
     counts = [target_count(splats, ratio, None) for ratio in ratios]
     stages = levels_stages(parameters, splats, counts)

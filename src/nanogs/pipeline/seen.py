@@ -1,0 +1,92 @@
+"""What the views show of each block of a scene that is kept in files."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from nanogs._types import F64, Bool
+from nanogs.fit.views import choose_cameras
+from nanogs.method.visibility import shown_coverage, visible_weights
+from nanogs.pipeline.asked import camera_of, plain_camera
+from nanogs.pipeline.blocks import leaves_of
+from nanogs.pipeline.scene import Block, Lit
+from nanogs.pipeline.views import parts_of
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import prepare
+from nanogs.splats import Splats
+from nanogs.store.tables import Record, write_table
+
+if TYPE_CHECKING:
+    from nanogs.pipeline.work import Work
+
+VISIBLE = "visible"
+DISTANT = 0.2  # of a view's pixels, in a smaller part of which a block is too far away
+
+
+def write_look(work: "Work", name: str, own: Block, missed: Bool, lights: Sequence[Lit]) -> Record:
+    """Write how visible each of a block's splats is, and how much of the block each view shows.
+
+    Args:
+        work: The job.
+        name: Of the table.
+        own: The block, and how visible its splats are.
+        missed: (N,) which of them lie in no view.
+        lights: The views.
+    """
+    assert own.visible is not None  # noqa: S101 - it was looked at
+    coverages, visible = leaves_of(own.splats, own.rows, work.frame).coverages, own.visible
+    weights = visible_weights(coverages, visible[own.rows], work.settings.parameters.hidden)
+    facts = {
+        "cameras": [plain_camera(camera) for camera, _ in lights],
+        "light": [light for _, light in lights],
+        "weight": float(weights.sum()),
+        "coverage": float(coverages.sum()),
+        "shown": shown_coverage(coverages, visible[own.rows], missed[own.rows]),
+    }
+    return write_table(work.scratch, name, {VISIBLE: visible}, facts)
+
+
+def looks_at(work: "Work", block: int) -> list[Lit]:
+    """The views that a block was looked at from, and how much of it each shows."""
+    facts = work.of_block("look", block).facts
+    cameras = map(camera_of, facts["cameras"])
+    return list(map(Lit, cameras, map(float, facts["light"])))
+
+
+def closer_views(work: "Work", own: Splats) -> list[Camera]:
+    """Views of a block alone, where it is small in all those of the scene: a city is no object.
+
+    Args:
+        work: The job, its views chosen.
+        own: Splats of the block.
+    """
+    parameters, kept = work.settings.parameters, work.views.kept
+    if work.partition.blocks == 1 or not kept or work.settings.asked.cameras:
+        return []
+    drawn = prepare(own)
+    least = DISTANT * kept[0].width * kept[0].height
+    parts = [part for part in parts_of(drawn, drawn.keep, kept) if part]
+    if not drawn.keep.any() or any(part.width * part.height > least for part in parts):
+        return []
+    size = max(parameters.view_size // 2, 16)
+    return choose_cameras(own, None, -(-parameters.views // 2), 0, size)[0]
+
+
+def typical_weight(work: "Work") -> float:
+    """Mean of the weights of all splats, of which those of nodes are multiples."""
+    facts = [record.facts for record in work.of_blocks("look")]
+    mean = sum(float(each["weight"]) for each in facts) / work.partition.splats
+    return mean if mean > 0 else 1.0
+
+
+def shown_share(work: "Work") -> float:
+    """Share of the coverage of all splats, in [0, 1], that views show."""
+    facts = [record.facts for record in work.of_blocks("look")]
+    total = sum(float(each["coverage"]) for each in facts)
+    return sum(float(each["shown"]) for each in facts) / total if total > 0 else 0.0
+
+
+def read_visible(work: "Work", block: int) -> F64:
+    """(N,) how visible the block's splats are."""
+    with work.table("look", block) as table:
+        visible: F64 = table.read(VISIBLE)
+    return visible

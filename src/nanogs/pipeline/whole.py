@@ -1,0 +1,305 @@
+"""A model in memory on its way through the stages: one block, of which nothing is copied."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from nanogs._types import F64, I32, Array, Bool
+from nanogs.fit.groups import Group, split
+from nanogs.fit.report import RefitReport
+from nanogs.fit.targets import Fitting, Target, as_target
+from nanogs.method.cut import cut
+from nanogs.method.extent import Dilation, dilation
+from nanogs.method.forest import Forest, grow_forest
+from nanogs.method.gaussians import scene_origin
+from nanogs.method.nodes import Nodes, activate_nodes, normalised, without_coverages
+from nanogs.method.order import morton_order
+from nanogs.method.parameters import ForestParameters
+from nanogs.method.reassign import reassign
+from nanogs.method.store import Groups, store_groups
+from nanogs.method.visibility import DECIDING, shown_share, visible_weights
+from nanogs.pipeline.partition import Partition
+from nanogs.pipeline.scene import Block, FitViews, Lit, Members, Scene, Task
+from nanogs.pipeline.settings import Access, InputFile, Segment, Settings
+from nanogs.pipeline.views import Views
+from nanogs.progress import Parts, untold
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render
+from nanogs.source import InMemory
+from nanogs.splats import Splats, pick
+from nanogs.store.tables import Record
+
+
+@dataclass(eq=False)
+class Whole(Scene):
+    """A model in memory, and what its stages have found.
+
+    Attributes:
+        splats: The model.
+        usable: (M,) int32, its usable rows, ascending.
+        settings: What is done to it.
+        threads: Threads in use.
+        cameras: The user's views, or None for automatic ones.
+        tell: Told of the parts of the present task.
+        targets: Splats asked for of each result.
+        visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
+            which it lies; 1 for one that lies in none. None where nothing was looked at.
+        missed: (N,) bool, the splats that lie in no view.
+        fitting: The original as views show it that are fitted to; none of those that decide.
+        groups: Views that results are chosen by and a fit is judged by, in groups.
+    """
+
+    splats: Splats
+    usable: I32
+    settings: Settings
+    threads: int
+    cameras: Sequence[Camera] | None = None
+    tell: Parts = untold
+    targets: list[int] = field(default_factory=list)
+    _records: dict[str, Record] = field(default_factory=dict)
+    _views: Views | None = None
+    _shots: list[Target] = field(default_factory=list)
+    fitting: tuple[Target, ...] = ()
+    groups: tuple[Group, ...] = ()
+    _rows: I32 | None = None
+    _origin: F64 | None = None
+    _dilation: Dilation | None = None
+    visible: F64 | None = None
+    missed: Bool | None = None
+    _forest: Forest | None = None
+    _leaves: Nodes | None = None
+    # Of the results that are being made: labels by cut, the latest groups by labels, and splats.
+    _labels: dict[tuple[int, str], I32] = field(default_factory=dict)
+    _stored: list[tuple[I32, Groups]] = field(default_factory=list)
+    _parts: dict[int, Splats] = field(default_factory=dict)
+    _fits: dict[int, RefitReport | None] = field(default_factory=dict)
+
+    # What is known.
+
+    def record(self, task: Task) -> Record:
+        """As `Scene` says."""
+        return self._records[task.name]
+
+    def write(self, name: str, columns: Mapping[str, Array], facts: Mapping[str, Any]) -> Record:
+        """As `Scene` says; columns are kept apart, so that there are none."""
+        assert not columns  # noqa: S101 - they are attributes
+        self._records[name] = Record(name, {}, facts)
+        return self._records[name]
+
+    @property
+    def partition(self) -> Partition:
+        """One block."""
+        return Partition(((0, len(self.usable)),))
+
+    @property
+    def views(self) -> Views:
+        """As `Scene` says."""
+        assert self._views is not None  # noqa: S101 - an earlier stage
+        return self._views
+
+    @property
+    def forest(self) -> Forest:
+        """The merges."""
+        assert self._forest is not None  # noqa: S101 - an earlier stage
+        return self._forest
+
+    def target(self, level: int) -> int:
+        """As `Scene` says: what is asked for, or the fewest that there can be."""
+        return max(self.targets[level], self.forest.fewest)
+
+    def merges(self, level: int) -> bool:
+        """As `Scene` says."""
+        return self.target(level) < len(self.usable)
+
+    @property
+    def shown(self) -> float | None:
+        """Share of the coverage, in [0, 1], that the views show; None where none was rendered."""
+        if self.visible is None or self.missed is None or self._leaves is None:
+            return None
+        rows = self._leaves.rows
+        return shown_share(self._leaves.coverages, self.visible[rows], self.missed[rows])
+
+    # Looking.
+
+    def survey(self, name: str) -> Record:
+        """As `Scene` says."""
+        means = pick(self.splats.means, self.usable)
+        self._origin = scene_origin(means)
+        means = means - self._origin
+        alphas = pick(self.splats.opacities(), self.usable)
+        pixels = self.settings.parameters.pixels
+        self._dilation = dilation(means, alphas, self.splats.render_mode, pixels)
+        self._rows = self.usable[morton_order(means)]
+        return self.write(name, {}, {})
+
+    def sample(self) -> Splats:
+        """All of them."""
+        return self.splats
+
+    def from_afar(self) -> Splats:
+        """The model."""
+        return self.splats
+
+    def given_cameras(self, some: Splats) -> Sequence[Camera] | None:
+        """As `Scene` says."""
+        return self.cameras
+
+    def keep_views(self, name: str, views: Views) -> Record:
+        """As `Scene` says."""
+        self._views = views
+        return self.write(name, {}, {})
+
+    def bare(self, block: int) -> Block:
+        """As they are: views are kept, too, in colour."""
+        return self.open(block)
+
+    def hiding(self, block: int) -> None:
+        """Nothing else."""
+
+    def surroundings(self, block: int) -> None:
+        """Nothing else."""
+
+    def closer_views(self, own: Block) -> Sequence[Camera]:
+        """None: it is the scene."""
+        return ()
+
+    def draw(self, drawn: PreparedSplats, camera: Camera) -> Rendering:
+        """As `Scene` says; the view is kept to choose by and to fit to."""
+        # Distances tell near views from far ones where the user gave both; automatic ones differ
+        # little in theirs.
+        view = render(drawn, camera, contributions=True, depth=bool(self.cameras))
+        self._shots.append(as_target(view, camera))
+        return view
+
+    def keep_look(self, name: str, own: Block, missed: Bool, lights: Sequence[Lit]) -> Record:
+        """As `Scene` says."""
+        self.visible, self.missed = own.visible, missed
+        self.fitting, self.groups = split(self._shots, max(1, len(self._shots) // DECIDING))
+        self._shots = []
+        return self.write(name, {}, {})
+
+    # Growing and cutting.
+
+    def grow(self, name: str, block: int) -> Record:
+        """As `Scene` says."""
+        start = time.perf_counter()
+        bare = [without_coverages(self._activated())]
+        activating = time.perf_counter() - start
+        # Made again for what follows: the passes are the most that is held, and they have no use
+        # for the leaves after the first.
+        self._forest = grow_forest(bare.pop(), self.settings.parameters, self.threads, self.tell)
+        start = time.perf_counter()
+        self._leaves = self._activated()
+        seconds = [{"activate": activating + time.perf_counter() - start}]
+        seconds += [each.seconds for each in self._forest.passes]
+        return self.write(name, {}, {"seconds": seconds})
+
+    def _activated(self) -> Nodes:
+        assert self._rows is not None  # noqa: S101 - an earlier stage
+        assert self._origin is not None  # noqa: S101
+        assert self._dilation is not None  # noqa: S101
+        nodes = activate_nodes(self.splats, self._rows, self._origin, self._dilation)
+        if self.visible is None or not self.measures:
+            return nodes
+        hidden = self.settings.parameters.hidden
+        weights = visible_weights(nodes.coverages, self.visible[self._rows], hidden)
+        return replace(nodes, weights=normalised(weights))
+
+    def open(self, block: int) -> Block:
+        """As `Scene` says."""
+        assert self._rows is not None  # noqa: S101 - an earlier stage
+        return Block(self.splats, self._rows, self.visible)
+
+    def cut(self, block: int, level: int, balance: int) -> I32:
+        """As `Scene` says; made once."""
+        key = level, f"cut {balance}"
+        if key not in self._labels:
+            self._labels[key] = cut(self.forest, self.target(level), self.balances[balance])
+        return self._labels[key]
+
+    def settle(self, name: str, block: int, level: int) -> Record:
+        """As `Scene` says."""
+        assert self._leaves is not None  # noqa: S101 - an earlier stage
+        labels = self.cut(block, level, self.balance(level))
+        # Only what was chosen is used again.
+        self._labels = {(level, f"cut {self.balance(level)}"): labels}
+        self._stored = [each for each in self._stored if each[0] is labels]
+        rounds, groups = self.settings.parameters.rounds, self.target(level)
+        self._labels[level, "settled"] = reassign(
+            self._leaves, labels, groups, rounds, self.threads
+        )
+        return self.write(name, {}, {})
+
+    def members(self, block: int, level: int, *, reassigned: bool) -> Members:
+        """As `Scene` says."""
+        own = self.open(block)
+        chosen = self.cut(block, level, self.balance(level))
+        labels = self._labels[level, "settled"] if reassigned else chosen
+        return Members(own.splats, own.rows, own.visible, labels)
+
+    def stored(self, members: Members) -> Groups:
+        """As `Scene` says; the latest two are kept."""
+        for labels, groups in self._stored:
+            if labels is members.labels:
+                return groups
+        assert self._leaves is not None  # noqa: S101 - earlier stages
+        assert self._origin is not None  # noqa: S101
+        assert self._dilation is not None  # noqa: S101
+        del self._stored[:-1]
+        groups = store_groups(
+            self._leaves, members.labels, self.splats, self._origin, self._dilation,
+            sheets=not self.measures,
+        )  # fmt: skip
+        self._stored.append((members.labels, groups))
+        return groups
+
+    # Choosing and fitting.
+
+    @property
+    def deciding(self) -> Sequence[Camera]:
+        """As `Scene` says."""
+        return [target.camera for group in self.groups for target in group.targets]
+
+    def pictures(self, block: int, own: Block) -> Sequence[Target | None]:
+        """As `Scene` says."""
+        return [target for group in self.groups for target in group.targets]
+
+    def fit_views(self, block: int, level: int) -> FitViews | None:
+        """As `Scene` says."""
+        further = self.views.further if self.settings.looks else ()
+        fitting = Fitting(self.fitting, prepare(self.splats) if further else None, further)
+        return FitViews(fitting, self.groups, len(self.splats)) if len(fitting) else None
+
+    def part(self, block: int, level: int) -> Splats:
+        """As `Scene` says."""
+        return self._parts[level]
+
+    def keep_part(self, name: str, level: int, small: Splats) -> Record:
+        """As `Scene` says; what it was made of is not needed any more."""
+        self._labels, self._stored, self._parts[level] = {}, [], small
+        return self.write(name, {}, {})
+
+    def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
+        """As `Scene` says."""
+        self._parts[level], self._fits[level] = fitted, report
+        return self.write(name, {}, {})
+
+    def taken(self, level: int) -> tuple[Splats, RefitReport | None]:
+        """A result and how it was fitted, if it was; nothing of it is kept."""
+        return self._parts.pop(level), self._fits.pop(level, None)
+
+
+def whole_settings(splats: Splats, parameters: ForestParameters) -> Settings:
+    """The settings of a model in memory."""
+    count = len(splats)
+    return Settings(
+        inputs=(InputFile("", 0, 0, count, Access.WHOLE),),
+        layout=InMemory(splats).columns,
+        segments=(Segment(0, count),),
+        ratios=(),
+        counts=(),
+        nan="drop",
+        block=count,
+        parameters=parameters,
+    )
