@@ -15,7 +15,7 @@ from damage import mutate, outcome
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.checkpoint import read as checkpoint
-from nanogs.io.sniff import sniff
+from nanogs.io.registry import sniff
 from strategies import assert_same, splats
 from torchfiles import File, Raw, call, captured, gsplat, name, nerfstudio, pickled
 

@@ -13,8 +13,8 @@ from builders import random_splats
 from conftest import scene_path
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
-from nanogs.io.compressed_ply import write as compressed_ply_write
-from nanogs.io.compressed_ply.write import morton_order
+from nanogs.io.ply import compressed_write as compressed_ply_write
+from nanogs.io.ply.compressed_write import morton_order
 from nanogs.io.ply.header import read_header
 from nanogs.io.ply.rows import iter_blocks
 from nanogs.splats import ExtraElement, RenderMode

@@ -1,8 +1,9 @@
 """Which part of the package may import which: from the ground floor up, and never in a circle."""
 
 import ast
+import importlib
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, reduce
 from pathlib import Path
 from typing import NamedTuple
 
@@ -178,3 +179,13 @@ def test_modules_import_each_other_in_no_circle():
 
     for module in sorted(needs):
         visit(module, ())
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=name_of)
+def test_no_module_is_hidden_by_another_thing_of_its_name(path):
+    """`nanogs.io.spz.write` is the module, whatever functions its package imports."""
+    name = f"nanogs.{name_of(path)}".removesuffix(".__init__")
+    if name.endswith("__main__"):
+        return
+    module = importlib.import_module(name)
+    assert reduce(getattr, name.split(".")[1:], nanogs) is module

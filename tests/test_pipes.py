@@ -11,7 +11,7 @@ import launch
 import nanogs
 from builders import random_splats
 from nanogs.io import registry
-from nanogs.io.sniff import sniff
+from nanogs.io.registry import sniff
 from nanogs.io.spz import write as spz_write
 
 

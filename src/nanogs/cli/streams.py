@@ -16,7 +16,7 @@ from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.collect import Pair
 from nanogs.io.files import TOLD_BY, refuse_stand_in
-from nanogs.io.sniff import sniff
+from nanogs.io.registry import sniff
 
 DASH = Path("-")
 

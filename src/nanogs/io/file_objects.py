@@ -15,7 +15,7 @@ from nanogs.cleanup import temporary_folder
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions
-from nanogs.io.sniff import sniff
+from nanogs.io.registry import sniff
 from nanogs.source import Source
 from nanogs.splats import Splats
 

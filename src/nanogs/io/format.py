@@ -72,7 +72,9 @@ class Format:
     `suffix` in it, `write_folder` makes that folder and `ours` says what in such a folder nanogs
     made. With `tells`, `write` takes `tell`: it takes long, and tells its parts. With `streams`,
     `write` takes a source too, and holds no more than some rows of it. `check` fails before any
-    computing where this installation cannot write the format.
+    computing where this installation cannot write the format. Files without a name are known by
+    what they begin with, one of `starts`, or, where they are zips, by a file that is in them,
+    `holds`.
     """
 
     suffix: str
@@ -91,6 +93,8 @@ class Format:
     streams: bool = False
     ours: Ours | None = None
     check: Callable[[], None] = _ready
+    starts: tuple[bytes, ...] = ()
+    holds: str = ""
 
     @property
     def readable(self) -> bool:

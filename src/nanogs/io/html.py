@@ -6,6 +6,7 @@ The page is that of `nanogs view`: it holds the model as `.spz` and the viewer t
 from typing import BinaryIO
 
 from nanogs.io import limits
+from nanogs.io.format import Format, unread
 from nanogs.splats import RenderMode, Splats
 
 SUFFIX = ".html"
@@ -48,3 +49,6 @@ def losses(splats: Splats) -> tuple[str, ...]:
     """Name the parts of a model that the page does not show, one sentence each."""
     found = limits.left_out(splats, SUFFIX, max_degree=_MAX_DEGREE)
     return (*found, *limits.lost_mode(splats, SUFFIX, RenderMode.MIP))
+
+
+FORMATS = (Format(SUFFIX, unread, write, losses=losses, check=check),)

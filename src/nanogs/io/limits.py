@@ -11,8 +11,8 @@ from nanogs._types import Bool
 from nanogs.errors import OutputError
 from nanogs.findings import Finding, Names
 from nanogs.formatting import counted
-from nanogs.io.ply import render_tag
-from nanogs.io.ply.columns import NORMALS
+from nanogs.io import render_tag
+from nanogs.io.columns import NORMALS
 from nanogs.source import Source, source_of
 from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 

@@ -1,5 +1,6 @@
 """The formats nanogs knows, by the suffix of the file name."""
 
+import zipfile
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ from nanogs.io.format import Format, FormatOptions, Sizer, Writer
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
+_TOLD_BY = 8  # bytes
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
 
 
@@ -25,6 +27,32 @@ def find(path: Path) -> Format | None:
     name = path.name.lower()
     found = [known for known in formats() if name.endswith(known.suffix)]
     return max(found, key=lambda known: len(known.suffix), default=None)
+
+
+def sniff(path: Path) -> str | None:
+    """The suffix of the format that a file's first bytes show; None where they show none.
+
+    `.splat` files have no such bytes, and those of `.ksplat` are too few to tell.
+
+    Args:
+        path: A file that can be read.
+    """
+    with path.open("rb") as file:
+        start = file.read(_TOLD_BY)
+    names = _zipped(path) if start.startswith(b"PK\x03\x04") else set()
+    for known in formats():
+        if known.holds in names or (known.starts and start.startswith(known.starts)):
+            return known.suffix
+    return None
+
+
+def _zipped(path: Path) -> set[str]:
+    """Names of the files in a zip, without the folders that they are in."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {name.rpartition("/")[2] for name in archive.namelist()} - {""}
+    except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
+        return set()
 
 
 def suffix_of(format: str) -> str:  # noqa: A002 - as `load` has it

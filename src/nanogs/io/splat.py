@@ -15,6 +15,7 @@ from nanogs.findings import negative_scales
 from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.files import input_size
+from nanogs.io.format import Format
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, row_blocks
 from nanogs.source import Source, source_of
@@ -131,3 +132,6 @@ def _near_unit(quats: F32) -> F64:
     length = np.linalg.norm(wide, axis=1, keepdims=True)
     unit = np.where(length == 0, (1, 0, 0, 0), wide / np.where(length == 0, 1, length))
     return np.where(np.abs(length - 1) < _BYTE_SLACK, wide, unit)
+
+
+FORMATS = (Format(_SUFFIX, SplatFile, write, file_bytes, losses, streams=True),)

@@ -28,6 +28,7 @@ from nanogs.io.ply.header import printable
 # An object takes up to 72 times its bytes in the pickle; a tensor has 130, a model some ten.
 _MAX_PICKLE = 1 << 21
 _LEGACY_MAGIC, _LEGACY_VERSION = 0x1950A86A20F9469CFC6C, 1001
+PICKLE = "data.pkl"
 LEGACY_START = b"\x80\x02\x8a\nl\xfc\x9cF"
 _COUNT = struct.Struct("<q")
 _DAMAGE = (
@@ -147,7 +148,7 @@ class _Zip:
             self._members = {info.filename: info for info in archive.infolist()}
             self._root = self._find_root()
             self.order = self._byte_order(archive)
-            data = self._read(archive, "data.pkl", _MAX_PICKLE)
+            data = self._read(archive, PICKLE, _MAX_PICKLE)
         self.content = unpickled(data, path)
 
     def numbers(self, storage: Storage, size: int) -> bytes:
@@ -156,13 +157,13 @@ class _Zip:
             return self._read(archive, f"data/{storage.key}", size)
 
     def _find_root(self) -> str:
-        found = [name for name in self._members if name.endswith("/data.pkl")]
+        found = [name for name in self._members if name.endswith(f"/{PICKLE}")]
         if len(found) != 1:
             raise FormatError(
                 f"{self._path} holds no data.pkl, so it is no file of torch.save; give the"
                 " checkpoint itself."
             )
-        return found[0].removesuffix("data.pkl")
+        return found[0].removesuffix(PICKLE)
 
     def _byte_order(self, archive: zipfile.ZipFile) -> Literal["<", ">"]:
         if f"{self._root}byteorder" not in self._members:

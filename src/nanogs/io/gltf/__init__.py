@@ -1,1 +1,30 @@
 """glTF with KHR_gaussian_splatting, and 3D Tiles, whose contents are glTF."""
+
+from nanogs.io.format import Format
+from nanogs.io.gltf import tileset, write
+from nanogs.io.gltf.glb import MAGIC
+from nanogs.io.gltf.read import open_gltf
+from nanogs.io.registry import TILESET
+
+_FRAME = "y up (luf) in the file, turned to y down (rdf) when read"
+_TILES_FRAME = "z up in the tileset, turned to y down (rdf) when read"
+FORMATS = (
+    Format(
+        ".glb",
+        open_gltf,
+        write.write,
+        write.file_bytes,
+        write.losses,
+        frame=_FRAME,
+        turns=True,
+        starts=(MAGIC,),
+    ),
+    Format(".gltf", open_gltf, frame=_FRAME, turns=True),
+    Format(
+        TILESET,
+        tileset.open_level,
+        open_level=tileset.open_level,
+        frame=_TILES_FRAME,
+        turns=True,
+    ),
+)

@@ -1,1 +1,6 @@
 """`.ksplat` of GaussianSplats3D."""
+
+from nanogs.io.format import Format
+from nanogs.io.ksplat.read import KsplatFile
+
+FORMATS = (Format(".ksplat", KsplatFile),)

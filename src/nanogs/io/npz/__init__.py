@@ -1,1 +1,17 @@
 """`.npz`: the arrays of a model as they are, for NumPy."""
+
+from nanogs.io.format import Format
+from nanogs.io.npz import write
+from nanogs.io.npz.read import NpzFile
+
+FORMATS = (
+    Format(
+        ".npz",
+        NpzFile,
+        write.write,
+        write.file_bytes,
+        write.losses,
+        streams=True,
+        holds="means.npy",
+    ),
+)

@@ -1,1 +1,18 @@
-"""Plain 3DGS `.ply` files, and what PLY files have in common."""
+"""`.ply` files of splats, plain or packed in PlayCanvas' chunks; the header tells which."""
+
+from nanogs.io.format import Format
+from nanogs.io.ply import compressed_write, write
+from nanogs.io.ply.read import open_ply
+
+_STARTS = (b"ply\n", b"ply\r\n")
+FORMATS = (
+    Format(
+        ".compressed.ply",
+        open_ply,
+        compressed_write.write,
+        compressed_write.file_bytes,
+        compressed_write.losses,
+        streams=True,
+    ),
+    Format(".ply", open_ply, write.write, write.file_bytes, streams=True, starts=_STARTS),
+)

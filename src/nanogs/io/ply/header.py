@@ -11,8 +11,8 @@ from typing import BinaryIO
 import numpy as np
 
 from nanogs.errors import FormatError
+from nanogs.io import render_tag
 from nanogs.io.files import input_size, unreadable
-from nanogs.io.ply import render_tag
 
 MAX_HEADER_BYTES = 1 << 20
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")

@@ -10,11 +10,11 @@ from nanogs._types import Array
 from nanogs.errors import FormatError
 from nanogs.findings import Finding
 from nanogs.formatting import counted
-from nanogs.io.compressed_ply import read as compressed_ply
+from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, FileSource, Packed
-from nanogs.io.ply import columns, render_tag
+from nanogs.io.ply import compressed_read
 from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes, printable, read_header
 from nanogs.io.ply.rows import Block, check_body, iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats
@@ -30,8 +30,8 @@ def open_ply(path: Path) -> FileSource:
         FormatError: The file cannot be read, is damaged, or holds something that cannot be kept.
     """
     header = _checked(path)
-    if compressed_ply.is_compressed(header):
-        return compressed_ply.open_compressed(header)
+    if compressed_read.is_compressed(header):
+        return compressed_read.open_compressed(header)
     return (_Text if header.encoding == "ascii" else _Binary)(header)
 
 

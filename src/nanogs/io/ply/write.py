@@ -8,8 +8,8 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import OutputError
+from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
-from nanogs.io.ply import columns, render_tag
 from nanogs.io.ply.header import MAX_HEADER_BYTES, TYPE_NAMES, encode
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats

@@ -1,1 +1,23 @@
 """Niantic's `.spz`: columns of bytes, packed by gzip or zstd."""
+
+from nanogs.io.format import Format, WriteOption
+from nanogs.io.spz import write
+from nanogs.io.spz.header import GZIP, MAGIC
+from nanogs.io.spz.read import open_spz
+
+_FRAME = (
+    "not stated in the file; y up (rub) by the specification, though many files have y down (rdf)"
+)
+FORMATS = (
+    Format(
+        ".spz",
+        open_spz,
+        write.write,
+        losses=write.losses,
+        frame=_FRAME,
+        axes=None,
+        options={"spz_version": WriteOption("version", (2, 3, 4))},
+        streams=True,
+        starts=(MAGIC, GZIP),
+    ),
+)

@@ -39,7 +39,7 @@ ANTIALIASED, EXTENSIONS, LOD_TREE = 0x1, 0x2, 0x80
 MAX_FRACTION_BITS = 24
 LAST_GZIP = 3  # the last version that is one stream
 
-_GZIP = b"\x1f\x8b"
+GZIP = b"\x1f\x8b"
 _CHUNK = 1 << 20
 
 
@@ -108,7 +108,7 @@ def read_header(section: Section) -> Header:
     with opened(section) as file:
         start = file.read(4)
         file.seek(0)
-        if start[:2] == _GZIP:
+        if start[:2] == GZIP:
             fields = _unpack(path, LEGACY_HEADER, Inflater(path, file).read(LEGACY_HEADER.size))
             header = Header(section, *fields[1:6], gzip=True)
         elif start == MAGIC:

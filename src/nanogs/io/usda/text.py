@@ -21,6 +21,7 @@ _TOKEN = re.compile(
     rb"|<[^<>\n]*>|@[^@\n]*@|[\[\](){}=,;]|[^\s\[\](){}=,;\"'<>@#]+",
     re.DOTALL,
 )
+START = b"#usda 1."
 _SPACE = re.compile(rb"\s*")
 _OPEN, _CLOSE = {b"(": b")", b"[": b"]", b"{": b"}"}, (b")", b"]", b"}")
 _PRIM = (b"def", b"over", b"class")
@@ -82,7 +83,7 @@ def read_layer(path: Path, text: bytes) -> Layer:
     Raises:
         FormatError: It is no text of USD, or is cut short.
     """
-    if not text.startswith(b"#usda 1."):
+    if not text.startswith(START):
         raise FormatError(
             f"{path} does not begin with '#usda 1.', so it is no text of USD; give it the suffix of"
             " its real format."

@@ -12,10 +12,10 @@ import numpy as np
 from nanogs._types import F64, U32, Array
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
+from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, Whole
-from nanogs.io.ply import columns, render_tag
 from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes
 from nanogs.io.ply.rows import iter_blocks, iter_span
 from nanogs.splats import ExtraElement, Splats, empty_arrays

@@ -11,11 +11,10 @@ import numpy as np
 
 from nanogs._types import F32, F64, I64, U32, Array
 from nanogs.findings import Finding
-from nanogs.io import limits
-from nanogs.io.compressed_ply.read import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED
+from nanogs.io import columns, limits, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.in_order import in_order
-from nanogs.io.ply import columns, render_tag
+from nanogs.io.ply.compressed_read import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED
 from nanogs.io.ply.write import header
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats

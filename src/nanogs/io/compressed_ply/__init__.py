@@ -1,1 +1,0 @@
-"""PlayCanvas' `.compressed.ply`: splats packed in chunks."""
