@@ -17,7 +17,7 @@ from nanogs import io
 from nanogs.errors import FormatError
 from nanogs.io import parts, registry
 from nanogs.io.parts import Packed, Whole
-from nanogs.io.sog import packed as sog_packed
+from nanogs.io.sog import read as sog
 from partfiles import in_parts, whole
 from strategies import assert_same, splats
 
@@ -147,7 +147,7 @@ def test_spans_of_textures(tmp_path, name, degree):
     path = tmp_path / "model" / name
     io.save(random_splats(700, degree=degree), path, overwrite=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sog_packed, "_ROWS", 64)
+        patch.setattr(sog, "_ROWS", 64)
         assert_spans(path, some_spans(700, np.random.default_rng(1), 12))
 
 

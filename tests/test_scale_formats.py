@@ -12,7 +12,7 @@ from builders import random_splats
 from conftest import scene_path
 from launch import run as run_command
 from nanogs.errors import FormatError, OptionError
-from nanogs.io.sog import packed as sog_packed
+from nanogs.io.sog import read as sog
 from nanogs.io.spz import read as spz
 from nanogs.pipeline import rows as source
 from nanogs.pipeline import run, stages
@@ -297,7 +297,7 @@ def test_the_plan_counts_what_is_unpacked(tmp_path, splats, name, row):
 
 def test_textures_too_large_for_the_memory_are_refused(tmp_path, splats, monkeypatch):
     path = MADE[".sog"](tmp_path, splats)
-    monkeypatch.setattr(sog_packed, "_TEXEL", 1 << 20)
+    monkeypatch.setattr(sog, "_TEXEL", 1 << 20)
     assert planned(path).memory > (1 << 20) * COUNT
     with pytest.raises(OptionError, match=r"at least 643 MB to unpack a\.sog; raise it, or"):
         planned(path).unpacking(Cost(0, 400_000_000, "a.sog"), 500_000_000)

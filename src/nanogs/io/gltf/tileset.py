@@ -25,7 +25,7 @@ from nanogs.io.gltf import read as gltf
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import numbers, parse, refused, rows, table
 from nanogs.io.parts import Whole
-from nanogs.io.sog.levels import common_mode, joined_notes
+from nanogs.io.sog.levels import common_mode, joined_info, joined_notes
 from nanogs.io.uris import local_path
 from nanogs.splats import Splats, concatenate
 
@@ -121,16 +121,7 @@ class TilesLevel(Whole):
     def _describe(self, path: Path) -> FileInfo:
         """The description, from those of the contents."""
         infos = [gltf.open_gltf(file).info for tile in self._tiles for file in tile.contents]
-        widest = max(infos, key=lambda info: info.sh_degree)
-        return replace(
-            widest,
-            path=path,
-            format="3d tiles",
-            file_bytes=input_size(path) + sum(info.file_bytes for info in infos),
-            splats=sum(info.splats for info in infos),
-            render_mode=common_mode({info.render_mode for info in infos}),
-            comments=tuple(dict.fromkeys(line for info in infos for line in info.comments)),
-        )
+        return joined_info(path, "3d tiles", infos, sum(info.splats for info in infos))
 
     def _joined(self, _path: Path) -> Splats:
         tileset = self._tileset

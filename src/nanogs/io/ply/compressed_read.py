@@ -18,6 +18,7 @@ from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, Whole
 from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes
 from nanogs.io.ply.rows import iter_blocks, iter_span
+from nanogs.io.rotations import whole_quats
 from nanogs.splats import ExtraElement, Splats, empty_arrays
 from nanogs.stored import base_colour, logit
 
@@ -206,15 +207,8 @@ def _colour(chunk: Array, rgb: F64) -> F64:
 
 def _quats(packed: U32) -> F64:
     """(R, 4) wxyz: the two top bits say which part was the largest and is left out."""
-    largest = packed >> 30
     small = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], axis=1)
-    small = (small / 1023.0 - 0.5) * np.sqrt(2.0)
-    left_out = np.sqrt(np.maximum(0, 1 - (small**2).sum(axis=1)))
-    quats = np.empty((len(packed), 4))
-    for index in range(4):
-        rows = largest == index
-        quats[rows] = np.insert(small[rows], index, left_out[rows], axis=1)
-    return quats
+    return whole_quats((small / 1023.0 - 0.5) * np.sqrt(2.0), packed >> 30)
 
 
 def _higher(sh: Array, degree: int) -> F64:

@@ -16,6 +16,7 @@ from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.in_order import in_order
 from nanogs.io.ply.compressed_read import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED
 from nanogs.io.ply.write import header
+from nanogs.io.rotations import split_quats
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.stored import SH_C0
@@ -216,13 +217,9 @@ def _rotations(quats: F64) -> U32:
     """(R,) uint32: the place of the largest part in 2 bits, the other three in 10 each."""
     norms = np.sqrt((quats * quats).sum(axis=1, keepdims=True))  # of float32, so none overflows
     quats = np.where(norms > 0, quats * (1 / np.where(norms > 0, norms, 1)), (1, 0, 0, 0))
-    largest = np.abs(quats).argmax(axis=1)
-    rows = np.arange(len(quats))
-    quats[quats[rows, largest] < 0] *= -1
-    others = np.ones(quats.shape, np.bool_)
-    others[rows, largest] = False
-    small = np.clip(quats[others].reshape(-1, 3) * np.sqrt(0.5) + 0.5, 0, 1)
-    words: U32 = largest.astype(np.uint32) << np.uint32(30) | _words(small, (10, 10, 10))
+    largest, small = split_quats(quats)
+    units = np.clip(small * np.sqrt(0.5) + 0.5, 0, 1)
+    words: U32 = largest.astype(np.uint32) << np.uint32(30) | _words(units, (10, 10, 10))
     return words
 
 

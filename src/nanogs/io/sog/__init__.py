@@ -3,8 +3,8 @@
 from nanogs.io.format import Format
 from nanogs.io.registry import LEVELS
 from nanogs.io.sog import write
-from nanogs.io.sog.packed import SogSource, open_level
-from nanogs.io.sog.read import META
+from nanogs.io.sog.levels import open_level
+from nanogs.io.sog.read import META, SogSource
 
 FORMATS = (
     Format(

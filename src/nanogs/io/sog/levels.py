@@ -6,18 +6,24 @@ in `lods`, by level, which `count` rows from `offset` on of which `file` stand f
 Each level is the whole scene: levels are read one at a time and never put together.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
+from nanogs._types import Array
 from nanogs.errors import FormatError, OptionError
 from nanogs.formatting import counted
 from nanogs.io.container import Folder
 from nanogs.io.files import input_size
+from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import integer, is_plain, parse, refused, rows, table
+from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.sog.meta import MAX_COUNT
-from nanogs.splats import RenderMode
+from nanogs.io.sog.read import SogSource
+from nanogs.splats import RenderMode, Splats, empty_arrays, padded
 
 # Python takes up to 25 times a JSON text's size; a leaf has some 500 bytes for 10 K splats or more.
 MAX_MANIFEST_BYTES = 8 << 20
@@ -144,17 +150,16 @@ def _piece(path: Path, name: object, spans: list[tuple[int, int]]) -> Piece:
     return Piece(path.parent.joinpath(*parts[:-1]), parts[-1], tuple(ordered))
 
 
-def check_rows(piece: Piece, available: int) -> None:
-    """Compare the rows of a piece with those that its model has.
-
-    Raises:
-        FormatError: The model has fewer.
-    """
+def _opened(piece: Piece) -> SogSource:
+    """The model of a piece, whose rows must be there."""
+    source = SogSource(piece.path, piece.spans)
+    available = source.meta.count
     if any(offset + count > available for offset, count in piece.spans):
         raise FormatError(
             f"{piece.path} has {counted(available, 'splat')}, fewer than its lod-meta.json says;"
             " export or download the model again."
         )
+    return source
 
 
 def joined_notes(models: Sequence[Sequence[str]], notes: Sequence[str]) -> list[str]:
@@ -162,6 +167,99 @@ def joined_notes(models: Sequence[Sequence[str]], notes: Sequence[str]) -> list[
     return [*dict.fromkeys(note for model in models for note in model), *notes]
 
 
+def joined_info(path: Path, kind: str, infos: Sequence[FileInfo], splats: int) -> FileInfo:
+    """The description of a level of several models, of a file that names them."""
+    return replace(
+        max(infos, key=lambda info: info.sh_degree),
+        path=path,
+        format=kind,
+        file_bytes=input_size(path) + sum(info.file_bytes for info in infos),
+        splats=splats,
+        render_mode=common_mode({info.render_mode for info in infos}),
+        comments=tuple(dict.fromkeys(line for info in infos for line in info.comments)),
+    )
+
+
 def common_mode(modes: set[RenderMode]) -> RenderMode:
     """The render mode that all models state; a scene cannot be drawn in two ways at once."""
     return modes.pop() if len(modes) == 1 else RenderMode.DEFAULT
+
+
+def open_level(path: Path, level: int = 0) -> "SogLevel":
+    """A level of a `lod-meta.json`; 0 is the finest.
+
+    Raises:
+        OptionError: There is no such level.
+        FormatError: A file is missing or damaged, or the manifest contradicts it.
+    """
+    manifest = read_manifest(path)
+    return SogLevel(path, manifest, manifest.pieces(path, level))
+
+
+class SogLevel(Packed):
+    """The models of a level, one after the other; what is kept of each is small."""
+
+    def __init__(self, path: Path, manifest: Levels, pieces: Sequence[Piece]) -> None:
+        super().__init__(path)
+        self._manifest, self._pieces = manifest, pieces
+        self._ends = [0, *accumulate(piece.count for piece in pieces)]
+        self.count = self._ends[-1]
+
+    @cached_property
+    def _models(self) -> list[SogSource]:
+        return [_opened(piece) for piece in self._pieces]
+
+    @cached_property
+    def info(self) -> FileInfo:
+        """The description, from the manifest and those of the models."""
+        return joined_info(
+            self.path, "streamed sog", [model.info for model in self._models], self.count
+        )
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """The manifest and all files of the level; see `FileSource`."""
+        return (self.path, *(file for model in self._models for file in model.files))
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Splats of each level; see `FileSource`."""
+        return tuple(sum(piece.count for piece in each) for each in self._manifest.levels)
+
+    @cached_property
+    def stored(self) -> Mapping[str, Column]:
+        """The textures of all models; see `Packed`."""
+        return {
+            f"{number}:{name}": column
+            for number, model in enumerate(self._models)
+            for name, column in model.stored.items()
+        }
+
+    @cached_property
+    def memory(self) -> int:
+        """Bytes that the largest texture takes."""
+        return max(model.memory for model in self._models)
+
+    def unpack(self, notes: list[str]) -> Iterator[Array]:
+        """All columns of each model; see `Packed`."""
+        for model in self._models:
+            yield from model.unpack(notes)
+
+    def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
+        """Some rows, whichever models they are in; see `Packed`."""
+        out = empty_arrays(stop - start, self.info.sh_degree)
+        spans = zip(self._models, pairwise(self._ends), strict=True)
+        for number, (model, (first, end)) in enumerate(spans):
+            low, high = max(start, first), min(stop, end)
+            if low < high:
+
+                def own(name: str, a: int, b: int, number: int = number) -> Array:
+                    return columns(f"{number}:{name}", a, b)
+
+                part = model.decode(own, low - first, high - first)
+                for name, array in out.items():
+                    column = getattr(part, name)
+                    column = padded(column, out["sh"].shape[1]) if name == "sh" else column
+                    array[low - start : high - start] = column
+        notes = joined_notes([model.meta.notes for model in self._models], self._manifest.notes)
+        return Splats(**out, render_mode=self.info.render_mode, notes=notes)

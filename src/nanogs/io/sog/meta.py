@@ -91,16 +91,6 @@ def _coordinates(low: F64, high: F64, codes: I64) -> F32:
     return out
 
 
-def file_names(data: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    """Names of the files of a parsed `meta.json`, of which nothing else is looked at.
-
-    Raises:
-        FormatError: They are missing, or no plain names.
-    """
-    fields = _Fields(data, where, 2 if data.get("version") == 2 else 1)
-    return tuple(fields.files(rest=data.get("shN") is not None).values())
-
-
 def read_meta(data: Mapping[str, Any], where: str) -> Meta:
     """Check the parsed contents of a `meta.json`.
 

@@ -22,6 +22,7 @@ from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.folder import atomic_folder
 from nanogs.io.json_fields import is_plain
+from nanogs.io.rotations import split_quats
 from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.palette import palette
@@ -232,13 +233,9 @@ def _spread(bits: U64) -> U64:
 
 def _quats(quats: F32) -> U8:
     """(N, 4): the three smaller parts of wxyz, the sign such that the largest is positive."""
-    largest = np.abs(quats).argmax(axis=1)
-    rows = np.arange(len(quats))
-    signed = quats * np.where(quats[rows, largest] < 0, -1, 1)[:, None].astype(np.float32)
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[largest]
-    small = signed[rows[:, None], others].astype(np.float64)
+    largest, small = split_quats(quats)
     out = np.empty((len(quats), 4), np.uint8)
-    out[:, :3] = np.rint(255 * np.clip(small / math.sqrt(2) + 0.5, 0, 1))
+    out[:, :3] = np.rint(255 * np.clip(small.astype(np.float64) / math.sqrt(2) + 0.5, 0, 1))
     out[:, 3] = 252 + largest
     return out
 

@@ -20,6 +20,7 @@ from nanogs._types import F32, F64, U8, Array
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
+from nanogs.io.rotations import whole_quats
 from nanogs.io.section import whole_file
 from nanogs.io.spz.body import body_pieces, window_bytes
 from nanogs.io.spz.header import ANTIALIASED, LAST_GZIP, Header, read_header
@@ -155,9 +156,4 @@ def _quats(stored: U8) -> F64:
     parts = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], axis=1)
     small = np.sqrt(0.5) * (parts & MAGNITUDE) / MAGNITUDE
     small = np.where(parts > MAGNITUDE, -small, small)
-    left_out = np.sqrt(np.maximum(0, 1 - (small**2).sum(axis=1)))
-    xyzw = np.empty((len(packed), 4))
-    for index in range(4):
-        rows = packed >> 30 == index
-        xyzw[rows] = np.insert(small[rows], index, left_out[rows], axis=1)
-    return xyzw[:, [3, 0, 1, 2]]
+    return whole_quats(small, packed >> 30)[:, [3, 0, 1, 2]]

@@ -17,6 +17,7 @@ from nanogs.errors import OutputError
 from nanogs.findings import Finding
 from nanogs.io import limits
 from nanogs.io.by_column import Encoder, encoded_columns
+from nanogs.io.rotations import split_quats
 from nanogs.io.spz.header import (
     ANTIALIASED,
     HEADER,
@@ -171,12 +172,7 @@ def _xyz_rotations(quats: F32) -> U8:
 
 def _rotations(quats: F32) -> U8:
     """(R, 4) from unit wxyz: the largest part's place, then sign and magnitude of the others."""
-    xyzw = quats[:, [1, 2, 3, 0]].astype(np.float64)
-    largest = np.abs(xyzw).argmax(axis=1)
-    # -q turns like q: with the largest part positive, its sign needs no bit.
-    xyzw = np.where(np.take_along_axis(xyzw, largest[:, None], axis=1) < 0, -xyzw, xyzw)
-    others = np.arange(4) != largest[:, None]
-    small = xyzw[others].reshape(-1, 3)
+    largest, small = split_quats(quats[:, [1, 2, 3, 0]].astype(np.float64))
     magnitude = np.rint(np.minimum(np.abs(small) / np.sqrt(0.5), 1) * MAGNITUDE).astype(np.uint32)
     parts = magnitude | (small < 0).astype(np.uint32) << 9
     packed = largest.astype(np.uint32) << 30 | parts[:, 0] << 20 | parts[:, 1] << 10 | parts[:, 2]
