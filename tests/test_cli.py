@@ -67,7 +67,7 @@ def test_the_command_and_the_library_give_the_same_bytes(scene, tmp_path):
     every = {"preset": "paper", "k": 8, "lambda_app": 0.5}
     for given in (
         every | {"seed": 3, "tau": 0, "samples": 2, "lambda_geo": 2, "merge_cap": 0.3},
-        every | {"preset": "default", "balance": 0.3, "rounds": 1, "views": 4},
+        every | {"preset": "default", "balance": 0.3, "rounds": 1, "views": 4, "steps": 3},
     ):
         flags = [(f"--{name.replace('_', '-')}", value) for name, value in given.items()]
         options = [part for flag in flags for part in flag]
@@ -137,13 +137,14 @@ def test_views_reach_the_method(scene, tmp_path):
         report = json.loads(run("simplify", scene, tmp_path / name, *options).stdout)
         return [entry["psnr"] for entry in report["candidates"]]
 
-    assert candidates("a.ply", "0,0,1") == candidates("b.ply", "0,0,1")
-    assert candidates("c.ply", "0,1,0") != candidates("d.ply", "0,0,1")
+    first = candidates("a.ply", "0,0,1")
+    assert candidates("b.ply", "0,0,1") == first
+    assert candidates("c.ply", "0,1,0") != first
 
 
 def test_quiet_says_nothing_and_verbose_shows_the_passes(scene, tmp_path):
-    quiet = run("simplify", scene, tmp_path / "a.ply", "-r", "0.1", "-q")
-    verbose = run("simplify", scene, tmp_path / "b.ply", "-r", "0.1", "-v")
+    quiet = run("simplify", scene, tmp_path / "a.ply", "-r", "0.1", "-q", *QUICK)
+    verbose = run("simplify", scene, tmp_path / "b.ply", "-r", "0.1", "-v", *QUICK)
     assert (quiet.stdout, quiet.stderr) == ("", "")
     assert "candidates" in verbose.stderr
 
@@ -162,14 +163,14 @@ def test_overwrite_needs_its_flag(scene, tmp_path):
     small.write_text("mine")
     assert_refused(run("simplify", scene, small, "-r", "0.1"), "small.ply", "-w")
     assert small.read_text() == "mine"
-    assert run("simplify", scene, small, "-r", "0.1", "-w").returncode == 0
+    assert run("simplify", scene, small, "-r", "0.1", "--preset", "fast", "-w").returncode == 0
     assert len(nanogs.load(small)) == 50
 
 
 def test_output_may_replace_the_input(tmp_path):
     path = tmp_path / "scene.ply"
     nanogs.save(random_splats(100), path)
-    assert run("simplify", path, path, "-r", "0.5", "-w").returncode == 0
+    assert run("simplify", path, path, "-r", "0.5", "--preset", "fast", "-w").returncode == 0
     assert len(nanogs.load(path)) == 50
 
 
@@ -177,12 +178,11 @@ def test_bad_rows_are_reported(tmp_path):
     splats = random_splats(100)
     splats.means[3] = np.nan
     nanogs.save(splats, tmp_path / "scene.ply")
-    result = run("simplify", tmp_path / "scene.ply", tmp_path / "small.ply", "-r", "0.1")
+    given = ("-r", "0.1", "--preset", "fast")
+    result = run("simplify", tmp_path / "scene.ply", tmp_path / "small.ply", *given)
     assert result.returncode == 0
     assert "1 splat holds a NaN" in result.stderr
-    refused = run(
-        "simplify", tmp_path / "scene.ply", tmp_path / "x.ply", "-r", "0.1", "--nan", "error"
-    )
+    refused = run("simplify", tmp_path / "scene.ply", tmp_path / "x.ply", *given, "--nan", "error")
     assert_refused(refused, "row 3", "--nan drop")
     assert not (tmp_path / "x.ply").exists()
 
@@ -440,9 +440,12 @@ def test_full_disk_leaves_no_file(scene, tmp_path):
         "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "from nanogs.cli import main; main()"
     )
-    command = [sys.executable, "-c", code, "simplify", scene, tmp_path / "out.ply", "-r", "0.9"]
+    given = ["simplify", scene, tmp_path / "out.ply", "-r", "0.9", "--preset", "fast"]
     run_once = subprocess.run(
-        list(map(str, command)), capture_output=True, text=True, preexec_fn=limit
+        [sys.executable, "-c", code, *map(str, given)],
+        capture_output=True,
+        text=True,
+        preexec_fn=limit,
     )
     assert_refused(run_once, "out.ply")
     assert list(tmp_path.iterdir()) == []
