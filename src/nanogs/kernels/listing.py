@@ -10,7 +10,7 @@ import numpy as np
 from nanogs._types import F32, F64, I32, I64, U64
 from nanogs.kernels.blocks import TILE, prefetch
 from nanogs.kernels.policy import exact_inline, kernel, parallel_kernel
-from nanogs.kernels.project import HIDDEN, unpack_box
+from nanogs.kernels.project import HIDDEN, pack_box, unpack_box
 
 CHUNKS = 16  # runs of the depth order listed independently; fixed, so that threads do not matter
 SMALL = 2  # tiles along a side of a box that is listed whole: what lies beside it draws nothing
@@ -68,6 +68,41 @@ def depth_keys(features: F32, boxes: I64, keys: U64) -> int:
             keys[count] = np.uint64(bits[i, 3]) << np.uint64(32) | np.uint64(i)
             count += 1
     return count
+
+
+@kernel
+def cut_boxes(
+    boxes: I64, left: int, top: int, right: int, bottom: int, rows: I64, cut: I64
+) -> tuple[int, int, int]:
+    """Find the splats that may reach some part of a picture, and the tiles of it around each.
+
+    Args:
+        boxes: (N,) from `project_splats`.
+        left: The first column of tiles of the part.
+        top: Its first row of tiles.
+        right: The column after its last.
+        bottom: The row after its last.
+        rows: (N,) out, first those that may reach it, in their order.
+        cut: (N,) out, their boxes, cut to the part.
+
+    Returns:
+        How many these are, how many tiles their boxes have in all, and how many of all have the
+        corner of their box in the part: of the parts of a picture, one has it.
+    """
+    count = tiles = corners = 0
+    for i in range(len(boxes)):
+        if boxes[i] == HIDDEN:
+            continue
+        x, y, across, down = unpack_box(boxes[i])
+        corners += int(left <= x < right and top <= y < bottom)
+        x0, x1 = max(x, left), min(x + across, right)
+        y0, y1 = max(y, top), min(y + down, bottom)
+        if x0 < x1 and y0 < y1:
+            rows[count] = i
+            cut[count] = pack_box(x0, y0, x1 - x0, y1 - y0)
+            tiles += (x1 - x0) * (y1 - y0)
+            count += 1
+    return count, tiles, corners
 
 
 @parallel_kernel("counts", least=1)

@@ -6,7 +6,7 @@ its tiles: that cuts off at most alpha 0.011 of an opaque splat). Everything els
 Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -182,21 +182,37 @@ def render(
         OptionError: The camera, the background or the degree makes no sense.
     """
     prepared = splats if isinstance(splats, PreparedSplats) else prepare(splats)
-    behind = _background(background)
+    behind = background_of(background, depth=depth)
     view = project(prepared, camera, sh_degree=sh_degree)
     probes = np.ones((1 if contributions else 0, camera.height, camera.width), np.float32)
-    behind = behind if depth else behind[:3]
     image, left, totals = blend(view, camera, view.features, behind, probes)
+    rendering = rendering_of(image, left, len(view.order), prepared.skipped, prepared.render_mode)
+    if not contributions:
+        return rendering
+    shares, unhidden = totals[:, 0].copy(), _unhidden(view, camera)
+    return replace(rendering, contributions=shares, unhidden=unhidden)
+
+
+def rendering_of(image: F32, left: F32, drawn: int, skipped: int, mode: RenderMode) -> Rendering:
+    """A rendering from what `blend` gives.
+
+    Args:
+        image: (H, W, 3) or, with depth, (H, W, 4), over the background.
+        left: (H, W) transmittance.
+        drawn: Splats that can reach a pixel.
+        skipped: Rows that are not finite.
+        mode: The rasteriser that the model was trained for.
+    """
     alpha = 1 - left
     return Rendering(
         color=np.ascontiguousarray(image[..., :3]),
         alpha=alpha,
-        depth=_expected_depth(image[..., 3], alpha) if depth else None,
-        contributions=totals[:, 0].copy() if contributions else None,
-        unhidden=_unhidden(view, camera) if contributions else None,
-        drawn=len(view.order),
-        skipped=prepared.skipped,
-        notes=(SURFEL_NOTE,) if prepared.render_mode is RenderMode.SURFEL else (),
+        depth=_expected_depth(image[..., 3], alpha) if image.shape[2] > 3 else None,
+        contributions=None,
+        unhidden=None,
+        drawn=drawn,
+        skipped=skipped,
+        notes=(SURFEL_NOTE,) if mode is RenderMode.SURFEL else (),
     )
 
 
@@ -218,7 +234,20 @@ def project(
     Raises:
         OptionError: The camera or the degree makes no sense.
     """
-    _check_camera(camera)
+    geometry, features, boxes = project_rows(prepared, camera, sh_degree=sh_degree)
+    order = _depth_order(features, boxes)
+    starts, entries = listing.list_tiles(geometry, boxes, order, camera.width, camera.height)
+    return Projection(geometry, boxes, features, order, starts, entries)
+
+
+def project_rows(
+    prepared: PreparedSplats, camera: Camera, *, sh_degree: int | None = None
+) -> tuple[F64, F32, I64]:
+    """Project splats, each by itself: `geometry`, `features` and `boxes` of `Projection`.
+
+    The arguments are those of `project`, and so are its errors.
+    """
+    check_camera(camera)
     degree = _degree(prepared, sh_degree)
     n = len(prepared)
     geometry = _rows_of_a_line(n)
@@ -240,9 +269,7 @@ def project(
         features,
         boxes,
     )
-    order = _depth_order(features, boxes)
-    starts, entries = listing.list_tiles(geometry, boxes, order, camera.width, camera.height)
-    return Projection(geometry, boxes, features, order, starts, entries)
+    return geometry, features, boxes
 
 
 def blend(
@@ -330,11 +357,16 @@ def _expected_depth(weighted: F32, alpha: F32) -> F32:
     return depth
 
 
-def _background(background: tuple[float, float, float]) -> F32:
+def background_of(background: tuple[float, float, float], *, depth: bool) -> F32:
+    """(3,) float32 to blend over; (4,) with depth, whose own is 0.
+
+    Raises:
+        OptionError: It is not three finite numbers.
+    """
     values = np.array([*background, 0.0], np.float32)
     if values.shape != (4,) or not np.isfinite(values).all():
         raise OptionError(f"background must be three finite numbers, not {background}.")
-    return values
+    return values if depth else values[:3]
 
 
 def _degree(prepared: PreparedSplats, sh_degree: int | None) -> int:
@@ -345,7 +377,12 @@ def _degree(prepared: PreparedSplats, sh_degree: int | None) -> int:
     return min(sh_degree, prepared.sh_degree)
 
 
-def _check_camera(camera: Camera) -> None:
+def check_camera(camera: Camera) -> None:
+    """Refuse cameras of which no picture can be made.
+
+    Raises:
+        OptionError: Its size or one of its numbers makes no sense.
+    """
     if not (1 <= camera.width <= projection.LARGEST and 1 <= camera.height <= projection.LARGEST):
         raise OptionError(
             f"a camera needs 1 to {projection.LARGEST:,} pixels along each side, not"

@@ -1,0 +1,308 @@
+"""Pictures of models larger than memory, bit for bit those of the model held whole.
+
+The rows of a source are read block by block and projected, each by itself as ever; those that a
+picture draws are kept, as they are on screen, in the order of the source, so that ties in depth are
+broken alike. As many pictures as there is room for share a pass over the source. Where the splats
+of a single one are too many, its tiles are divided into parts, each of which is gathered alone;
+splats are still projected as onto the whole, so that no pixel differs.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+
+import numpy as np
+
+from nanogs._types import F32, F64, I64
+from nanogs.errors import NotEnoughMemoryError
+from nanogs.formatting import bytes_text
+from nanogs.kernels.blocks import TILE
+from nanogs.kernels.listing import cut_boxes
+from nanogs.progress import Parts, each, untold
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import (
+    PreparedSplats,
+    Rendering,
+    background_of,
+    blend,
+    check_camera,
+    prepare,
+    project_rows,
+    render,
+    rendering_of,
+)
+from nanogs.source import Source
+from nanogs.splats import RenderMode
+from nanogs.views.arena import Arena
+
+BLOCK_ROWS = 1 << 15  # rows that are read and projected at once
+BLACK = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Streamed:
+    """A model that is drawn from its source, some rows at a time.
+
+    Attributes:
+        source: The model.
+        budget: Bytes for the splats that pictures draw; blocks of rows and pictures come on top.
+    """
+
+    source: Source
+    budget: int
+
+    def __len__(self) -> int:
+        return self.source.count
+
+
+def renderings(
+    model: PreparedSplats | Streamed,
+    cameras: Sequence[Camera],
+    *,
+    background: tuple[float, float, float] = BLACK,
+    depth: bool = False,
+    tell: Parts = untold,
+) -> Iterator[Rendering]:
+    """Render a model from each camera, in their order; the same bytes for both kinds of model.
+
+    Args:
+        model: Held whole, or read as often as it takes.
+        cameras: Where to look from.
+        background: RGB behind the splats.
+        depth: Also give the expected depth.
+        tell: Told of the views rendered.
+
+    Yields:
+        The pictures; see `Rendering`.
+
+    Raises:
+        FormatError: The source cannot be read.
+        NotEnoughMemoryError: The splats of a single tile of a view are too many.
+        OptionError: A camera or the background makes no sense.
+    """
+    if isinstance(model, PreparedSplats):
+        for camera in each(cameras, tell):
+            yield render(model, camera, background=background, depth=depth)
+    else:
+        behind = background_of(background, depth=depth)
+        for camera in cameras:
+            check_camera(camera)
+        if cameras:
+            yield from _Drawing(model, cameras, behind, tell).renderings()
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part of a view: tiles [left, right) of the rows of tiles [top, bottom).
+
+    Attributes:
+        view: Number of the view.
+        left: The first column of tiles.
+        top: The first row of tiles.
+        right: The column after the last.
+        bottom: The row after the last.
+    """
+
+    view: int
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    def divided(self, pieces: int) -> "list[Part]":
+        """About so many parts of it, two at least; itself, if it is a single tile."""
+        across, down = self.right - self.left, self.bottom - self.top
+        if pieces <= 1 or across * down <= 1:
+            return [self]
+        if across >= down:
+            middle = self.left + across // 2
+            halves = [
+                Part(self.view, self.left, self.top, middle, self.bottom),
+                Part(self.view, middle, self.top, self.right, self.bottom),
+            ]
+        else:
+            middle = self.top + down // 2
+            halves = [
+                Part(self.view, self.left, self.top, self.right, middle),
+                Part(self.view, self.left, middle, self.right, self.bottom),
+            ]
+        return [piece for half in halves for piece in half.divided(-(-pieces // 2))]
+
+
+def _whole(view: int, camera: Camera) -> Part:
+    return Part(view, 0, 0, -(-camera.width // TILE), -(-camera.height // TILE))
+
+
+@dataclass(slots=True, eq=False)
+class _Gathered:
+    """The splats of a part of a view that were found so far.
+
+    Attributes:
+        part: The part.
+        pages: Of the arena, which hold them.
+        count: How many there are.
+        tiles: Of all their boxes together.
+        corners: How many of them count as drawn by this part and no other.
+        over: There is no room for them: they are only counted.
+    """
+
+    part: Part
+    pages: list[int] = field(default_factory=list)
+    count: int = 0
+    tiles: int = 0
+    corners: int = 0
+    over: bool = False
+
+
+class _Pass:
+    """One pass over the source, for as many parts as there is room for.
+
+    Attributes:
+        now: What is gathered; the last ones are left for a later pass where room runs out.
+        skipped: Rows that are not finite.
+    """
+
+    def __init__(self, arena: Arena, parts: Sequence[Part]) -> None:
+        self._arena = arena
+        self.now = [_Gathered(part) for part in parts]
+        self.skipped = 0
+
+    def add(self, block: PreparedSplats, cameras: Sequence[Camera]) -> None:
+        """Project a block onto each view, and keep what the parts draw."""
+        self.skipped += block.skipped
+        for view, group in groupby(list(self.now), lambda gathered: gathered.part.view):
+            if self.now[-1].part.view >= view:  # there was room for some of its parts
+                projected = project_rows(block, cameras[view])
+                for gathered in group:
+                    self._keep(gathered, *projected)
+
+    def _keep(self, gathered: _Gathered, geometry: F64, features: F32, boxes: I64) -> None:
+        if gathered not in self.now:  # another part needed its room
+            return
+        part = gathered.part
+        rows, cut = np.empty_like(boxes), np.empty_like(boxes)
+        count, tiles, corners = cut_boxes(
+            boxes, part.left, part.top, part.right, part.bottom, rows, cut
+        )
+        start, rows, cut = gathered.count, rows[:count], cut[:count]
+        gathered.corners += corners
+        gathered.count += count
+        gathered.tiles += tiles
+        if not gathered.over and self._arena.times(gathered.count, gathered.tiles) > 1:
+            self._only_count(gathered)
+        if self._room_for(gathered):
+            places = self._arena.places(gathered.pages, start, gathered.count)
+            self._arena.put(places, geometry[rows], features[rows], cut)
+
+    def _room_for(self, gathered: _Gathered) -> bool:
+        """Take the pages that a part lacks, if need be from the last parts; False without any."""
+        lacking = -(-gathered.count // self._arena.page) - len(gathered.pages)
+        while gathered in self.now and not gathered.over:
+            pages = self._arena.take(max(lacking, 0))
+            if pages is not None:
+                gathered.pages += pages
+                return True
+            self._arena.give(self.now.pop().pages)
+        return False
+
+    def _only_count(self, gathered: _Gathered) -> None:
+        """Give up a part, and those after it: pictures are made in the order of the cameras."""
+        gathered.over = True
+        self._arena.give(gathered.pages)
+        while self.now[-1] is not gathered:
+            self._arena.give(self.now.pop().pages)
+
+
+@dataclass(slots=True)
+class _Sheet:
+    """A picture of which some parts are drawn."""
+
+    image: F32
+    left: F32
+    drawn: int = 0
+
+
+class _Drawing:
+    """All views of a model that are asked for, drawn one after the other."""
+
+    def __init__(
+        self, model: Streamed, cameras: Sequence[Camera], behind: F32, tell: Parts
+    ) -> None:
+        self._source, self._cameras, self._behind = model.source, cameras, behind
+        self._arena = Arena(model.budget, model.source.count, len(cameras))
+        self._sheets: dict[int, _Sheet] = {}
+        self._tell, self._done, self._skipped = tell, 0, 0
+
+    def renderings(self) -> Iterator[Rendering]:
+        """The pictures, in the order of the cameras."""
+        waiting = [_whole(view, camera) for view, camera in enumerate(self._cameras)]
+        most = len(waiting)
+        while waiting:
+            passed = self._gather(waiting[:most])
+            # No more are begun than twice as many as there was room for.
+            waiting, most = self._left(passed, waiting), 2 * len(passed.now)
+            for view, group in groupby(passed.now, lambda gathered: gathered.part.view):
+                for gathered in group:
+                    self._draw(gathered)
+                if not any(part.view == view for part in waiting):
+                    yield self._finished(view)
+        self._tell(self._done, len(self._cameras))
+
+    def _gather(self, parts: Sequence[Part]) -> _Pass:
+        """Read the source once, for some parts or the first of them."""
+        passed = _Pass(self._arena, parts)
+        read = 0
+        for block in self._source.blocks(BLOCK_ROWS):
+            coming = passed.now[-1].part.view - self._done
+            share = coming * read / self._source.count
+            self._tell(self._done + share, len(self._cameras))
+            passed.add(prepare(block), self._cameras)
+            read += len(block)
+        self._skipped = passed.skipped
+        return passed
+
+    def _left(self, passed: _Pass, waiting: Sequence[Part]) -> list[Part]:
+        """The parts still to come: those that were too large are divided."""
+        known = {gathered.part: gathered for gathered in passed.now}
+        left: list[Part] = []
+        for part in waiting:
+            if part not in known:
+                left.append(part)
+            elif known[part].over:
+                left += self._divided(known[part])
+        return left
+
+    def _divided(self, gathered: _Gathered) -> list[Part]:
+        times = self._arena.times(gathered.count, gathered.tiles)
+        pieces = gathered.part.divided(max(int(np.ceil(times)), 2))
+        if len(pieces) == 1:
+            camera = self._cameras[gathered.part.view]
+            raise NotEnoughMemoryError(
+                f"A single tile of {TILE} x {TILE} pixels of view {camera.name!r} draws"
+                f" {gathered.count:,} splats, too many for the memory that there is,"
+                f" {bytes_text(self._arena.bytes)} for them; allow more (`max_memory`), or move"
+                " the camera."
+            )
+        return pieces
+
+    def _draw(self, gathered: _Gathered) -> None:
+        """Draw a part into the picture of its view, if there was room for it."""
+        if gathered.over:
+            return
+        part, camera = gathered.part, self._cameras[gathered.part.view]
+        view = self._arena.projection(gathered.pages, gathered.count, camera)
+        self._arena.give(gathered.pages)  # nothing is written to them before the next pass
+        image, left, _ = blend(view, camera, view.features, self._behind)
+        sheet = self._sheets.setdefault(part.view, _Sheet(image, left))
+        if sheet.image is not image:
+            rows = slice(part.top * TILE, part.bottom * TILE)
+            columns = slice(part.left * TILE, part.right * TILE)
+            sheet.image[rows, columns] = image[rows, columns]
+            sheet.left[rows, columns] = left[rows, columns]
+        sheet.drawn += gathered.corners
+
+    def _finished(self, view: int) -> Rendering:
+        self._done += 1
+        sheet = self._sheets.pop(view)
+        mode = RenderMode(self._source.columns.render_mode)
+        return rendering_of(sheet.image, sheet.left, sheet.drawn, self._skipped, mode)
