@@ -5,14 +5,18 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
 import nanogs
 from builders import random_splats
 from launch import run
-from nanogs.cli.simplify_report import choice_text, refit_text
+from nanogs.cli.app import app
+from nanogs.cli.console import show_report
+from nanogs.errors import OptionError
 
 
 def assert_refused(result, *words):
@@ -101,7 +105,7 @@ def test_a_size_of_a_compressed_file(scene, tmp_path):
     assert report["output_bytes"] == report["achieved_size"] == small.stat().st_size <= 6000
     assert nanogs.io.inspect(small).encoding == "zstd"
     shown = run("simplify", scene, small, *options, "-v", "-w").stderr
-    assert f"{small.stat().st_size:,} B" in shown
+    assert f"{small.stat().st_size:,}" in shown
 
 
 def test_a_psnr_is_reached_or_it_is_said(scene, tmp_path):
@@ -226,24 +230,49 @@ def test_the_seed_of_a_scene_that_is_not_made_up_is_refused(tmp_path):
     assert not (tmp_path / "plant.ply").exists()
 
 
-def test_the_summary_names_the_candidate_that_was_chosen():
-    """And not the one that measured best, where its growth was not better by enough."""
-    entry = {"balance": 0.5, "reassigned": True, "growth": 1.1, "psnr": 30.0, "ssim": 0.9}
-    chosen = entry | {"quality": 75.0, "chosen": True}
-    other = entry | {"growth": 1.3, "quality": 75.25, "chosen": False}
-    text = choice_text([chosen, other])
-    start = "balance 0.5, reassigned, growth 1.1 of 2 tried"
-    assert text.startswith(f"{start} (growth 1.3 gains 0.25 dB, too little): 30.00 dB")
-    text = choice_text([chosen, other | {"quality": 74.5}])
-    assert text.startswith(f"{start} (+0.50 dB against the next): 30.00 dB")
-    assert choice_text([]) == ""
+@dataclass(frozen=True)
+class Entry:
+    name: str
+    gain: float | None
+    parts: tuple[int, ...] = ()
+    chosen: bool = False
 
 
-def test_the_summary_says_what_fitting_gained():
-    fitted = {"psnr_before": 20.0, "psnr_after": 20.456, "stop": "rounds"}
-    text = refit_text(fitted)
-    assert text == "20.00 to 20.46 dB on the views that decide, stopped by: rounds"
-    assert refit_text(None) == ""
+@dataclass(frozen=True)
+class Fit:
+    text = "20.00 to 20.46 dB"
+
+
+@dataclass(frozen=True)
+class Report:
+    """A report with entries of every kind; nothing in the command knows their names."""
+
+    input_count: int
+    share: float
+    seconds: dict[str, float]
+    fit: Fit | None = None
+    new_stage: Entry | None = None
+    many: tuple[Entry, ...] = ()
+    notes: tuple[str, ...] = ()
+    pruned: int = 0
+
+
+def test_every_entry_of_a_report_is_shown(capsys):
+    entry = Entry("a", 1234.5678, (1, 2, 3))
+    entries = (entry, Entry("b", None, chosen=True))
+    show_report(Report(2000, 0.12345, {"read": 1.0}, Fit(), entry, entries, ("Said.",)))
+    lines = [line.split() for line in capsys.readouterr().err.splitlines()]
+    assert lines == [
+        "input count 2,000".split(),
+        "share 0.1235".split(),
+        "seconds read 1".split(),
+        "fit 20.00 to 20.46 dB".split(),
+        "new stage name a, gain 1235, parts 3, chosen no".split(),
+        ["many:"],
+        "name gain parts chosen".split(),
+        "a 1235 3 no".split(),
+        "b - 0 yes".split(),
+    ]
 
 
 def modules_after(*arguments):
@@ -326,6 +355,29 @@ def test_public_names_are_the_same_whatever_is_imported_before(before):
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
+
+
+def test_blocks_are_asked_for_all_that_the_options_say(scene, tmp_path, monkeypatch):
+    """Each option reaches the library, which is not called here."""
+
+    def taken(inputs, output, **given):
+        raise OptionError(repr((inputs, output)) + repr(sorted(given.items())))
+
+    monkeypatch.setattr("nanogs.cli.simplify_run.simplify_blocks", taken)
+    words = "--cameras orbit --up 0,0,1 --ratio 0.2 --crop box:0,0,0,1,1,1 --sh-degree 0 --k 5"
+    words += " --frame rub --scratch s --patience 3 --max-memory 210.1MB --threads 1 --nan error"
+    with pytest.raises(OptionError) as told:
+        get_command(app)(
+            ["simplify", str(scene), str(tmp_path / "a.ply"), *words.split()],
+            standalone_mode=False,
+        )
+    for part in (
+        "('cameras', 'orbit')", "('up', Direction(x=0.0, y=0.0, z=1.0))", "('k', 5)",
+        "('ratio', 0.2)", "('sh_degree', 0)", "('frame', ('rdf', 'rub'))", "('nan', 'error')",
+        "('scratch', 's')", "('patience', 3.0)", "('max_memory', 210100000)", "name='crop'",
+        "('threads', 1)", "('resume', False)", "('overwrite', False)",
+    ):  # fmt: skip
+        assert part in str(told.value), part
 
 
 # What it refuses

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
@@ -13,11 +14,13 @@ from tests.builders import random_splats
 
 import nanogs
 from nanogs.cli import progress
+from nanogs.cli.many import Run
 from nanogs.cli.progress import Watch, shown
 from nanogs.cli.simplify_report import summary
 from nanogs.formatting import counted, sizes_text, time_text
 from nanogs.kernels import compiling
 from nanogs.progress import WAITING, Stage, Step, Tracker
+from nanogs.protocol import Judged, Protocol
 
 PLAN = [Stage("first", 1.0), Stage("second", 3.0)]
 
@@ -146,27 +149,26 @@ def test_time_left_does_not_shrink_while_kernels_are_compiled():
 
 
 def test_the_report_is_one_line(tmp_path):
-    run = {
-        "read_count": 500_000, "achieved_count": 50_000, "input_bytes": 76_000_000,
-        "output_bytes": 1_200_000, "judged": None, "total_seconds": 6.2, "input": "a.ply",
-        "output": "b.ply",
-    }  # fmt: skip
-    said = "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s"
-    assert summary(run).replace("->", "→") == said
-    packed = run | {"input": "a.sog", "input_bytes": 1_100_000}
-    assert ", 1.1 → 1.2 MB (.sog → .ply), 6 s" in summary(packed).replace("->", "→")
-    same = packed | {"input": "stdin"}
-    assert ", 1.1 → 1.2 MB, 6 s" in summary(same).replace("->", "→")
-    protocol = {"views": 12, "pixels": (512, 512)}
-    run["judged"] = {"psnr": 33.1, "ssim": 0.9, "protocol": protocol}
-    assert ", 33.10 dB on 12 held-out views of 512 pixels, 6 s" in summary(run)
+    def said(files, **told):
+        known = {"achieved_count": 50_000, "judged": None, "total_seconds": 6.2}
+        report = SimpleNamespace(**known | told)
+        return summary(Run(report, files)).replace("->", "→")
+
+    files = {"read_count": 500_000, "input_bytes": 76_000_000, "output_bytes": 1_200_000}
+    files |= {"input": "a.ply", "output": "b.ply"}
+    assert said(files) == "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s"
+    packed = files | {"input": "a.sog", "input_bytes": 1_100_000}
+    assert ", 1.1 → 1.2 MB (.sog → .ply), 6 s" in said(packed)
+    assert ", 1.1 → 1.2 MB, 6 s" in said(packed | {"input": "stdin"})
+    judged = Judged(33.1, 0.9, Protocol(views=12))
+    assert ", 33.10 dB on 12 held-out views of 512 pixels, 6 s" in said(files, judged=judged)
     nanogs.save(random_splats(100), tmp_path / "in.ply")
     for more, lines in (((), 1), (("-v",), 10)):
-        said = command("simplify", "in.ply", "out.ply", "-r", "0.1", "-w", *more, cwd=tmp_path)
-        said = [line for line in said.splitlines() if not re.match(r"\d+/\d+ ", line)]
-        assert len(said) >= lines
-        assert re.fullmatch(r"100 (→|->) 10 splats in out.ply, .* [kM]?B, .* s", said[-1]), said
-        assert len(said) == 1 or more
+        shown = command("simplify", "in.ply", "out.ply", "-r", "0.1", "-w", *more, cwd=tmp_path)
+        lines_said = [line for line in shown.splitlines() if not re.match(r"\d+/\d+ ", line)]
+        assert len(lines_said) >= lines
+        assert re.fullmatch(r"100 (→|->) 10 splats in out.ply, .* [kM]?B, .* s", lines_said[-1])
+        assert len(lines_said) == 1 or more
 
 
 def command(*arguments, **options):

@@ -15,12 +15,12 @@ import pytest
 
 import nanogs
 from nanogs.cli import method
+from nanogs.cli.file_options import Edits
 from nanogs.cli.filtering import parse_filters
 from nanogs.datasets.synthetic import make_scene
 from nanogs.io import registry
 from nanogs.method.parameters import BALANCES
 from nanogs.pipeline.presets import PRESETS, SUMMARIES
-from nanogs.quantities import parse_bytes
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -79,9 +79,7 @@ def check_values(name, values):
         assert values["preset"] in PRESETS
     for key in ("out_format", "read_as", "write_as"):
         assert not values.get(key) or str(values[key]).lstrip(".") in formats
-    parse_filters(list(values.get("crop") or ()), values.get("min_opacity"), drop_floaters=False)
-    if name == "simplify" and values["size"]:
-        parse_bytes(values["size"])
+    parse_filters(Edits(crop=values.get("crop"), min_opacity=values.get("min_opacity")))
     paths = [Path(path) for path in values.get("paths") or ()]
     if name in ("simplify", "convert") and len(paths) == 2 and paths[1].name != "-":
         registry.writable(paths[1])

@@ -300,7 +300,7 @@ def test_verbose_tells_of_each_level(folder, tmp_path):
     verbose = run("lod", folder / "a.ply", tmp_path / "l", *FAST, "-v", "-w").stderr
     assert "level 1" not in plain
     assert "level 1" in verbose
-    assert verbose.count("stages (s)") == 2
+    assert verbose.count("achieved count") == 2
 
 
 @pytest.mark.parametrize(

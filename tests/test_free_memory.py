@@ -383,7 +383,7 @@ def test_memory_that_runs_out_halfway_leaves_nothing(scene, tmp_path, monkeypatc
         raise MemoryError
 
     monkeypatch.setattr(nanogs.io.ply.write, "write", run_out)
-    monkeypatch.setattr("nanogs.cli.convert_run.save", run_out)
+    monkeypatch.setattr("nanogs.conversion.save", run_out)
     assert command("convert", scene, tmp_path / "a.ply") == 2
     assert "error: Memory ran out; free some" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -31,7 +31,7 @@ method
 memory needs summary
 view scoring
 store lod
-pipeline model_info
+pipeline model_info conversion
 ahead bench cli __main__
 """.split()
 

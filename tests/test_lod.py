@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import weakref
+from types import SimpleNamespace
 
 import pytest
 import typer
@@ -295,11 +296,11 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_work(scene, tmp_path
 
 
 def test_a_level_that_stops_early_is_said(capsys):
-    levels = [{"file": "level_0.ply", "stop": "target"}, {"file": "level_1.ply", "stop": "target"}]
-    exit_if_short({"levels": levels})
-    levels[1]["stop"] = "no_candidates"
+    levels = [SimpleNamespace(file=f"level_{n}.ply", stop=StopReason.TARGET) for n in range(2)]
+    exit_if_short(SimpleNamespace(levels=levels))
+    levels[1].stop = StopReason.NO_CANDIDATES
     with pytest.raises(typer.Exit) as stopped:
-        exit_if_short({"levels": levels})
+        exit_if_short(SimpleNamespace(levels=levels))
     assert stopped.value.exit_code == 3
     said = capsys.readouterr().err
     assert "level_1.ply" in said

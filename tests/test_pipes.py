@@ -168,3 +168,12 @@ def test_a_pipe_that_nobody_reads_ends_the_command_quietly(scene, arguments):
     ended = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, timeout=60)
     os.close(writer)
     assert (ended.returncode, ended.stderr) == (141, b"")
+
+
+def test_levels_of_a_model_from_a_pipe(scene, tmp_path):
+    for source, data in (("-", scene.read_bytes()), (scene, None)):
+        folder = tmp_path / str(data is None)
+        done = run("lod", source, folder, "--preset", "fast", "--levels", "0.1", data=data)
+        assert done.returncode == 0, done.stderr
+    levels = [tmp_path / str(whole) / "level_0.ply" for whole in (False, True)]
+    assert levels[0].read_bytes() == levels[1].read_bytes()

@@ -2,21 +2,17 @@
 
 import json
 from dataclasses import asdict
-from pathlib import Path
-from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import nanogs
 from launch import run
 from looking import looked
-from nanogs.cli.simplify_run import _judge
 from nanogs.datasets.synthetic import make_scene
-from nanogs.errors import ModelError
-from nanogs.io.collect import Pair
 from nanogs.method.parameters import ForestParameters
 from nanogs.protocol import Protocol
-from nanogs.scoring.held_out import held_out
+from nanogs.scoring.held_out import held_out, judge_file
 from nanogs.views.automatic import automatic_cameras
 from viewer_bundle import require_bundle
 
@@ -95,15 +91,13 @@ def test_a_file_that_is_not_read_is_not_measured(scene, tmp_path):
     assert "not measured: nanogs does not read .html files." in result.stderr
 
 
-def test_a_result_that_cannot_be_measured_says_why(monkeypatch):
-    def unseen(*_arguments, **_options):
-        raise ModelError("Nothing is visible.")
-
-    monkeypatch.setattr("nanogs.scoring.held_out.judge_file", unseen)
-    request = SimpleNamespace(frames=None, given={"threads": 1})
-    pair, progress = Pair(Path("a.ply"), Path("b.ply")), SimpleNamespace(part=None)
-    notes = ("The result was not measured: Nothing is visible.",)
-    assert _judge(make_scene(10), pair, request, progress) == (None, notes)
+def test_a_result_that_cannot_be_measured_says_why(tmp_path):
+    unseen = make_scene(10)
+    unseen.opacity_logits[:] = -np.inf
+    nanogs.save(unseen, tmp_path / "a.ply")
+    judged, [note] = judge_file(unseen, tmp_path / "a.ply")
+    assert judged is None
+    assert note.startswith("The result was not measured: The PSNR cannot be measured: ")
 
 
 def test_levels_that_are_not_read_are_not_measured(scene, tmp_path):

@@ -7,6 +7,7 @@ from nanogs._version import __version__
 
 if TYPE_CHECKING:
     from nanogs import filters
+    from nanogs.conversion import ConvertReport, convert
     from nanogs.errors import NanogsError
     from nanogs.fit.api import refit
     from nanogs.fit.parameters import RefitParameters
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Camera",
+    "ConvertReport",
     "NanogsError",
     "RefitParameters",
     "RefitReport",
@@ -36,6 +38,7 @@ __all__ = [
     "Splats",
     "__version__",
     "compare",
+    "convert",
     "filters",
     "info",
     "levels",
@@ -54,6 +57,7 @@ __all__ = [
 # file too, and its `--help` needs neither NumPy nor any of these.
 _HOMES = {
     "Camera": "raster.camera",
+    "ConvertReport": "conversion",
     "NanogsError": "errors",
     "RefitParameters": "fit.parameters",
     "RefitReport": "fit.report",
@@ -62,6 +66,7 @@ _HOMES = {
     "Source": "source",
     "Splats": "splats",
     "compare": "scoring.api",
+    "convert": "conversion",
     "info": "model_info",
     "levels": "pipeline.levels",
     "load": "io",

@@ -1,66 +1,110 @@
-"""Options for models that do not fit into the memory given; `in_blocks` acts on them."""
+"""Options for models that do not fit into the memory given; `plan` acts on them."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from nanogs.cli import options
+from nanogs.defaults import PATIENCE
+from nanogs.errors import OptionError
 
+DASH = Path("-")
+"""Stands for stdin or stdout."""
 _PANEL = "Models larger than memory, and several machines"
 
-MaxMemory = Annotated[
-    int | None,
-    typer.Option(
-        parser=options.parse_memory,
-        help="Memory that a process may take, e.g. 4GB: a model that needs more is simplified in"
-        " blocks.",
-        metavar="SIZE",
-        rich_help_panel=_PANEL,
-    ),
-]
-Join = Annotated[
-    bool,
-    typer.Option("--join", help="All inputs are parts of one scene.", rich_help_panel=_PANEL),
-]
-JobFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--job",
-        help="Folder for what survives a crash; removed at the end.",
-        show_default="OUT.job",
-        rich_help_panel=_PANEL,
-    ),
-]
-Resume = Annotated[
-    bool,
-    typer.Option("--resume", help="Continue the job in that folder.", rich_help_panel=_PANEL),
-]
-Scratch = Annotated[
-    str | None,
-    typer.Option(
-        help="Folder or URL of the intermediate files, which all workers see.",
-        show_default="in the job folder",
-        rich_help_panel=_PANEL,
-    ),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes on this machine.", rich_help_panel=_PANEL),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        help="Dask scheduler whose workers do the work, e.g. tcp://host:8786.",
-        rich_help_panel=_PANEL,
-    ),
-]
-Patience = Annotated[
-    float,
-    typer.Option(
-        min=0,
-        help="Seconds to wait for workers where a scheduler has none.",
-        metavar="SECONDS",
-        rich_help_panel=_PANEL,
-    ),
-]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blocks:
+    """How models are treated that do not fit."""
+
+    max_memory: Annotated[
+        int | None,
+        typer.Option(
+            parser=options.parse_memory,
+            help="Memory that a process may take, e.g. 4GB: a model that needs more is simplified"
+            " in blocks.",
+            metavar="SIZE",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    join: Annotated[
+        bool,
+        typer.Option("--join", help="All inputs are parts of one scene.", rich_help_panel=_PANEL),
+    ] = False
+    job: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for what survives a crash; removed at the end.",
+            show_default="OUT.job",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Continue the job in that folder.", rich_help_panel=_PANEL),
+    ] = False
+    scratch: Annotated[
+        str | None,
+        typer.Option(
+            help="Folder or URL of the intermediate files, which all workers see.",
+            show_default="in the job folder",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes on this machine.", rich_help_panel=_PANEL),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Dask scheduler whose workers do the work, e.g. tcp://host:8786.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    patience: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            help="Seconds to wait for workers where a scheduler has none.",
+            metavar="SECONDS",
+            rich_help_panel=_PANEL,
+        ),
+    ] = PATIENCE
+
+    def check(self, paths: Sequence[Path]) -> None:
+        """Refuse what does not go together, as far as the options and names alone tell.
+
+        Raises:
+            OptionError: As said.
+        """
+        if self.workers is not None and self.scheduler is not None:
+            raise OptionError("Give --workers or --scheduler, not both.")
+        if (self.max_memory is not None or self.join) and DASH in paths:
+            raise OptionError(
+                "With --max-memory or --join models are files; name them in place of -."
+            )
+        if self.join and len(paths) < 2:
+            raise OptionError("--join takes the parts of a scene and OUT; this is one path.")
+
+    def unused(self) -> list[str]:
+        """Say that options for blocks had no effect on a model that is held whole."""
+        named: dict[str, object] = {
+            "--job": self.job,
+            "--resume": self.resume,
+            "--scratch": self.scratch,
+        }
+        named |= {"--workers": self.workers, "--scheduler": self.scheduler}
+        found = " and ".join(option for option, value in named.items() if value)
+        if not found:
+            return []
+        if self.max_memory is not None:
+            return [f"The model fits into --max-memory and needs no blocks: {found} had no effect."]
+        note = (
+            "The model fits into memory, so it is simplified in one process and not in blocks:"
+            f" {found} had no effect; --max-memory makes blocks."
+        )
+        return [note]

@@ -1,11 +1,13 @@
 """`nanogs compare`."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from nanogs.cli import options
+from nanogs.cli.groups import with_options
 from nanogs.formatting import bytes_text, number_text
 from nanogs.protocol import PIXELS
 from nanogs.view.bundle import is_built
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
     from nanogs.scoring.comparison import Comparison
 
 
+@with_options
 def compare(
+    *,
     reference: Annotated[str, typer.Argument(metavar="REF", help="The original model.")],
     tests: Annotated[
         list[str],
@@ -58,15 +62,11 @@ def compare(
     metrics: Annotated[
         str, typer.Option(help="Further metrics: flip, lpips (each needs its extra).")
     ] = "",
-    overwrite: options.Overwrite = False,
-    threads: options.Threads = None,
-    max_memory: options.MaxMemory = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    run: options.Running,
 ) -> None:
     """Score models against the original, on views that no method has used."""
     # What only a run needs is imported here, and not for `--help`.
-    from nanogs.cli.console import err, out, print_json, show, warn
+    from nanogs.cli.console import warn
     from nanogs.cli.progress import shown
     from nanogs.io.atomic import check_writable
 
@@ -74,37 +74,34 @@ def compare(
     color = None if background is None else options.parse_background(background)
     extras = [name.strip() for name in metrics.split(",") if name.strip()]
     if report:
-        check_writable(report, overwrite=overwrite)
+        check_writable(report, overwrite=run.overwrite)
     if report and interactive and not is_built():
-        if not quiet:
+        if not run.quiet:
             warn("The page has no interactive part; this installation was built without a viewer.")
         interactive = False
     from nanogs.scoring.run import compare_files
     from nanogs.threads import use_threads
 
-    with shown(quiet=quiet or json) as progress, use_threads(threads):
+    with shown(quiet=run.hushed) as progress, use_threads(run.threads):
         comparison = compare_files(
             options.parse_named(reference),
             [options.parse_named(test) for test in tests],
             cameras=cameras, views=views, sizes=pixels, up=up,
             background=color, extras=extras, photos=photos, images=images, split=split,
-            report=report, interactive=interactive, overwrite=overwrite, progress=progress,
-            max_memory=max_memory,
+            report=report, interactive=interactive, overwrite=run.overwrite, progress=progress,
+            max_memory=run.max_memory,
         )  # fmt: skip
-    if json:
-        print_json(comparison.to_dict())
-        return
-    if quiet:
-        return
-    for note in comparison.all_notes:
-        warn(note)
+    run.tell(comparison.to_dict(), partial(_show, comparison, report), comparison.all_notes)
+
+
+def _show(comparison: "Comparison", report: Path | None) -> None:
+    from nanogs.cli.console import out, say, show
+
     show(out, _table(comparison))
     means = ", ".join(one.protocol.text for one in comparison.each)
-    text = f"PSNR in dB; means over {means}; worst: the view of least PSNR"
-    err.print(text, markup=False, soft_wrap=True)
+    say(f"PSNR in dB; means over {means}; worst: the view of least PSNR")
     if report:
-        size = bytes_text(report.stat().st_size)
-        err.print(f"report: {report} ({size})", markup=False, soft_wrap=True)
+        say(f"report: {report} ({bytes_text(report.stat().st_size)})")
 
 
 def _table(comparison: "Comparison") -> "Table":

@@ -4,10 +4,11 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, TextIO
+from dataclasses import fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from rich.console import Console
 from rich.table import Table
@@ -17,6 +18,8 @@ from nanogs.formatting import plain
 
 if TYPE_CHECKING:
     from nanogs.clock import StageClock
+    from nanogs.fit.report import RefitReport
+    from nanogs.report import SimplifyReport
 
 _WIDE = 1000  # columns in a pipe, where nothing needs to be broken
 
@@ -79,19 +82,22 @@ def print_json(data: dict[str, Any], file: TextIO | None = None) -> None:
     stream.write("\n")
 
 
-def with_file_seconds(run: dict[str, Any], clock: "StageClock", start: float) -> dict[str, Any]:
-    """A report with the seconds of reading and writing the files around it.
+Report = TypeVar("Report", bound="SimplifyReport | RefitReport")
+
+
+def with_file_seconds(report: Report, clock: "StageClock", start: float) -> Report:
+    """A report, a dataclass, with the seconds of reading and writing the files around it.
 
     Args:
-        run: The report as a dictionary.
+        report: Its `seconds` are those of its stages.
         clock: Holds the stages before, such as "read", and "write".
         start: `time.perf_counter()` at the start of the command.
     """
     around = clock.seconds
     after = {stage: around[stage] for stage in ("write", "measure") if stage in around}
     seconds = {stage: spent for stage, spent in around.items() if stage not in after}
-    seconds |= run["seconds"] | after
-    return run | {"seconds": seconds, "total_seconds": time.perf_counter() - start}
+    seconds |= report.seconds | after
+    return replace(report, seconds=seconds, total_seconds=time.perf_counter() - start)
 
 
 def key_value_table(rows: dict[str, str]) -> Table:
@@ -102,6 +108,61 @@ def key_value_table(rows: dict[str, str]) -> Table:
     for name, value in rows.items():
         table.add_row(name, Text(value))  # a path may have brackets, which are no markup
     return table
+
+
+def show_report(report: Any, first: dict[str, str] | None = None) -> None:  # noqa: ANN401
+    """Show on stderr all that a report, a dataclass, has to say: a line each, and tables.
+
+    An entry is a line: its own `text` where it has one, or its fields. Several of a kind are a
+    table. What is empty, zero or at its default is left out, and notes, which are said anyway.
+
+    Args:
+        report: The report.
+        first: Lines before its own.
+    """
+    told = {
+        field.name.replace("_", " "): value
+        for field in fields(report)
+        if (value := getattr(report, field.name)) and value != field.default
+        if field.name != "notes"
+    }
+    tables = {name: value for name, value in told.items() if _is_table(value)}
+    lines = {name: _text(value) for name, value in told.items() if name not in tables}
+    show(err, key_value_table((first or {}) | lines))
+    for name, entries in tables.items():
+        err.print(f"{name}:", markup=False)
+        show(err, entry_table(entries))
+
+
+def entry_table(entries: Sequence[Any]) -> Table:
+    """A table of entries of one kind, dataclasses, with a column for each field."""
+    names = [field.name for field in fields(entries[0])]
+    table = Table(box=None, pad_edge=False)
+    for name in names:
+        table.add_column(name.replace("_", " "), justify="right")
+    for entry in entries:
+        table.add_row(*(_text(getattr(entry, name)) for name in names))
+    return table
+
+
+def _is_table(value: Any) -> bool:  # noqa: ANN401
+    return isinstance(value, tuple) and is_dataclass(value[0])
+
+
+def _text(value: Any) -> str:  # noqa: ANN401 - whatever a report holds
+    """A value of a report, of many values their number."""
+    if is_dataclass(value):
+        own = {field.name: getattr(value, field.name) for field in fields(value)}
+        return getattr(value, "text", "") or _text(own)
+    if isinstance(value, dict):
+        return ", ".join(f"{key.replace('_', ' ')} {_text(each)}" for key, each in value.items())
+    if isinstance(value, tuple):
+        return str(len(value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:.4g}" if isinstance(value, float) else "-" if value is None else str(value)
 
 
 def show(console: Console, table: Table) -> None:

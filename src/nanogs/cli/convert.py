@@ -1,24 +1,28 @@
 """`nanogs convert`."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from nanogs.cli import file_options, options
+from nanogs.cli.groups import with_options
 from nanogs.errors import OptionError
 
 if TYPE_CHECKING:
+    from nanogs.cli.many import Run
+    from nanogs.conversion import ConvertReport
     from nanogs.io.collect import Pair
     from nanogs.progress import Progress
 
 
+@with_options
 def convert(
+    *,
     paths: file_options.Paths,
     level: Annotated[
         int,
         typer.Option(min=0, help="Level of detail to read of a lod-meta.json; 0 is the finest."),
     ] = 0,
-    sh_degree: file_options.ShDegree = None,
     turn: Annotated[
         bool,
         typer.Option(
@@ -27,44 +31,45 @@ def convert(
             " (3DGS), or back. The same as --frame rub:rdf.",
         ),
     ] = False,
-    frame: file_options.FrameOption = None,
     spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
     max_memory: options.MaxMemory = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    out_dir: file_options.OutDir = None,
-    out_format: file_options.FormatOption = None,
-    read_as: file_options.From = None,
-    write_as: file_options.To = None,
-    crop: file_options.Crop = None,
-    min_opacity: file_options.MinOpacity = None,
-    drop_floaters: file_options.DropFloaters = False,
+    telling: options.Telling,
+    files: file_options.Files,
+    edits: file_options.Edits,
 ) -> None:
     """Write a model in another format; the suffixes of the names say which."""
     # What only a run needs is imported here, and not for `--help`.
-    from nanogs.cli import filtering, framing, many, streams
-    from nanogs.cli.convert_run import convert_file, print_report, refuse_too_large
+    from nanogs.cli import filtering, framing, many
+    from nanogs.conversion import convert as library_convert
     from nanogs.frames import TRAINED, Y_UP
-    from nanogs.io import check_writable
 
-    saving: dict[str, Any] = {
-        "overwrite": overwrite,
-        "format_options": {"spz_version": spz_version},
-    }
-    filters = filtering.parse_filters(crop, min_opacity, drop_floaters=drop_floaters)
-    if turn and frame:
+    if turn and edits.frame:
         raise OptionError("--turn and --frame both turn the model; give one of them.")
-    asked = framing.parse_frames(frame)
+    filters = filtering.parse_filters(edits)
 
-    def run_one(pair: "Pair", progress: "Progress") -> dict[str, Any]:
-        frames = (Y_UP, TRAINED) if turn else framing.frames_of(pair, asked)
-        check_writable(pair.target, **saving)
-        refuse_too_large(pair, level, filters, max_memory)
-        return convert_file(
-            pair, filters, sh_degree, frames, level=level, saving=saving, told=progress
-        )
+    def run_one(pair: "Pair", progress: "Progress") -> "Run":
+        frame = (Y_UP, TRAINED) if turn else framing.frames_of(pair, edits.frame)
+        report = library_convert(
+            pair.source, pair.target, level=level, filters=filters, sh_degree=edits.sh_degree,
+            frame=frame, overwrite=overwrite, format_options={"spz_version": spz_version},
+            max_memory=max_memory, progress=progress,
+        )  # fmt: skip
+        return many.Run(report, {"input": report.input, "output": report.output})
 
-    pairs = many.plan_pairs(paths, out_dir, out_format)
-    pipes = streams.Streams(read_as, write_as)
-    many.run_all(pairs, run_one, print_report, out_dir, pipes, json=json, quiet=quiet)
+    many.run_all(many.plan_pairs(paths, files), run_one, _print_report, telling, files)
+
+
+def _print_report(run: "Run") -> None:
+    """Show on stderr what became of a file, and what was lost."""
+    from nanogs.cli.console import arrow, say, warn
+    from nanogs.cli.filtering import report_filters
+    from nanogs.formatting import counted, sizes_text, time_text
+
+    report: ConvertReport = run.report
+    report_filters(report.filters)
+    for note in (*report.notes, *report.losses):
+        warn(note)
+    what = f"{counted(report.splats, 'splat')} of SH degree {report.sh_degree}"
+    sizes = sizes_text(report.input_bytes, report.output_bytes, arrow())
+    say(f"{what} in {run.files['output']}, {sizes}, {time_text(report.total_seconds)}")

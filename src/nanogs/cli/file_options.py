@@ -3,16 +3,42 @@
 Nothing but options is here, so that `--help` imports none of what acts on them.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
 from nanogs.cli import options
+from nanogs.errors import OptionError
 
 _SEVERAL = "Several files"
 _PIPES = "Pipes (- in place of a file)"
 _FILTERS = "Filters (before anything else, in this order)"
+
+
+class Frames(NamedTuple):
+    """The frames before and after the colon; empty where none is given."""
+
+    before: str
+    after: str
+
+
+def parse_frames(text: str) -> Frames:
+    """The frames before and after the colon, empty where none is given.
+
+    Raises:
+        OptionError: One of them is no frame, or there is none.
+    """
+    from nanogs.frames import checked_frame
+
+    before, colon, after = text.partition(":")
+    given = (before, after) if colon else ("", before)
+    checked = [checked_frame(name) if name else "" for name in given]
+    if not any(checked):
+        raise OptionError("--frame needs a frame, like rub or rdf:rub.")
+    return Frames(*checked)
+
 
 Paths = Annotated[
     list[Path],
@@ -63,41 +89,57 @@ To = Annotated[
         rich_help_panel=_PIPES,
     ),
 ]
-FrameOption = Annotated[
-    str | None,
-    typer.Option(
-        "--frame",
-        help="Frame of OUT, by where x, y and z point: rdf (right, down, forward: 3DGS), rub"
-        " (right, up, back: OpenGL, SPZ); with that of IN before it where IN is in another than"
-        " its format's, like rub:rdf.",
-        metavar="[IN:]OUT",
-    ),
-]
-ShDegree = Annotated[
-    int | None,
-    typer.Option(
-        help="Drop the spherical harmonics above this degree, 0 to 4, before anything else.",
-        metavar="DEGREE",
-    ),
-]
-Crop = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="REGION",
-        help="Keep what lies in box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, scene units of IN;"
-        " several times: in all of them.",
-        rich_help_panel=_FILTERS,
-    ),
-]
-MinOpacity = Annotated[
-    float | None,
-    typer.Option(help="Leave out splats with an alpha below this.", rich_help_panel=_FILTERS),
-]
-DropFloaters = Annotated[
-    bool,
-    typer.Option(
-        "--drop-floaters",
-        help="Leave out splats far from all others but a few.",
-        rich_help_panel=_FILTERS,
-    ),
-]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Files:
+    """Options of commands that read and write models: several of them, or a pipe."""
+
+    out_dir: OutDir = None
+    out_format: FormatOption = None
+    read_as: From = None
+    write_as: To = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Edits:
+    """Options that change a model besides making it smaller, or before that."""
+
+    frame: Annotated[
+        Frames | None,
+        typer.Option(
+            parser=parse_frames,
+            help="Frame of OUT, by where x, y and z point: rdf (right, down, forward: 3DGS), rub"
+            " (right, up, back: OpenGL, SPZ); with that of IN before it where IN is in another"
+            " than its format's, like rub:rdf.",
+            metavar="[IN:]OUT",
+        ),
+    ] = None
+    sh_degree: Annotated[
+        int | None,
+        typer.Option(
+            help="Drop the spherical harmonics above this degree, 0 to 4, before anything else.",
+            metavar="DEGREE",
+        ),
+    ] = None
+    crop: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="REGION",
+            help="Keep what lies in box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, scene units of IN;"
+            " several times: in all of them.",
+            rich_help_panel=_FILTERS,
+        ),
+    ] = None
+    min_opacity: Annotated[
+        float | None,
+        typer.Option(help="Leave out splats with an alpha below this.", rich_help_panel=_FILTERS),
+    ] = None
+    drop_floaters: Annotated[
+        bool,
+        typer.Option(
+            "--drop-floaters",
+            help="Leave out splats far from all others but a few.",
+            rich_help_panel=_FILTERS,
+        ),
+    ] = False

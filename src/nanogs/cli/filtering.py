@@ -1,28 +1,24 @@
 """Options that leave out splats, and the sentences about what they took."""
 
-from typing import Any
+from collections.abc import Iterable
 
 from nanogs import filters
 from nanogs.cli.console import warn
+from nanogs.cli.file_options import Edits
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
 
 
-def parse_filters(
-    crops: list[str] | None,
-    min_opacity: float | None,
-    *,
-    drop_floaters: bool,
-) -> list[filters.Filter]:
+def parse_filters(edits: Edits) -> list[filters.Filter]:
     """The filters asked for, in the order they are applied.
 
     Raises:
         OptionError: One of them makes no sense.
     """
-    chosen = [_crop(text) for text in crops or ()]
-    if min_opacity is not None:
-        chosen.append(filters.opaque_enough(min_opacity))
-    return [*chosen, filters.in_company()] if drop_floaters else chosen
+    chosen = [_crop(text) for text in edits.crop or ()]
+    if edits.min_opacity is not None:
+        chosen.append(filters.opaque_enough(edits.min_opacity))
+    return [*chosen, filters.in_company()] if edits.drop_floaters else chosen
 
 
 def _crop(text: str) -> filters.Filter:
@@ -40,9 +36,9 @@ def _crop(text: str) -> filters.Filter:
     )
 
 
-def report_filters(run: dict[str, Any]) -> None:
+def report_filters(reports: Iterable[filters.FilterReport]) -> None:
     """Say on stderr how many splats each filter took."""
-    for entry in run["filters"]:
-        what = f"{entry['name']} {entry['argument']}".strip()
-        left = counted(entry["left"], "is left", "are left")
-        warn(f"{what} took {counted(entry['removed'], 'splat')}; {left}.")
+    for each in reports:
+        left = counted(each.left, "is left", "are left")
+        name = f"{each.name} {each.argument}".strip()
+        warn(f"{name} took {counted(each.removed, 'splat')}; {left}.")

@@ -2,32 +2,14 @@
 
 from pathlib import Path
 
+from nanogs.cli.file_options import Frames
 from nanogs.errors import OptionError
-from nanogs.frames import TRAINED, checked_frame
+from nanogs.frames import TRAINED
 from nanogs.io import registry
 from nanogs.io.collect import Pair
 
-Frames = tuple[str, str]
-"""From and to."""
 
-
-def parse_frames(text: str | None) -> Frames | None:
-    """The frames before and after the colon, empty where none is given.
-
-    Raises:
-        OptionError: One of them is no frame, or there is none.
-    """
-    if text is None:
-        return None
-    before, colon, after = text.partition(":")
-    given = (before, after) if colon else ("", before)
-    checked = tuple(checked_frame(name) if name else "" for name in given)
-    if not any(checked):
-        raise OptionError("--frame needs a frame, like rub or rdf:rub.")
-    return checked[0], checked[1]
-
-
-def frames_of(pair: Pair, given: Frames | None) -> Frames | None:
+def frames_of(pair: Pair, given: Frames | None) -> tuple[str, str] | None:
     """Frames from and to which a file is turned, by option and formats; None without an option.
 
     Raises:

@@ -43,7 +43,7 @@ def info(
 
 def _described(path: Path, source: Path) -> "ModelInfo":
     """The contents of a file, called as the user calls it."""
-    from nanogs.cli.streams import DASH
+    from nanogs.cli.blocks import DASH
     from nanogs.model_info import info as describe
 
     model = describe(path)

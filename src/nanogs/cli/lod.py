@@ -1,17 +1,21 @@
 """`nanogs lod`."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from nanogs.cli import blocks, file_options, method, options
+from nanogs.cli import file_options, options
 from nanogs.cli.groups import with_options
 from nanogs.cli.importing import uncollected
-from nanogs.defaults import CHUNK, PATIENCE
+from nanogs.cli.method import Method
+from nanogs.defaults import CHUNK
 from nanogs.errors import OptionError
-from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
+
+if TYPE_CHECKING:
+    from nanogs.lod.manifest import Manifest
 
 _LEVELS = "0.5,0.25,0.1,0.01"
 
@@ -46,11 +50,6 @@ def lod(
             autocompletion=options.complete_format,
         ),
     ] = None,
-    preset: method.Preset = DEFAULT_PRESET,
-    measure: method.Measure = None,
-    nan: method.NanOption = method.Nan.drop,
-    frame: file_options.FrameOption = None,
-    sh_degree: file_options.ShDegree = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", "-w", help="Replace the folder if nanogs lod made it.")
     ] = False,
@@ -69,27 +68,10 @@ def lod(
             " draw these.",
         ),
     ] = False,
-    threads: options.Threads = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show how each level was made.")
     ] = False,
-    dry_run: method.DryRun = False,
-    overrides: Annotated[dict[str, Any], method.PARAMETERS],
-    cameras: options.Cameras = "auto",
-    up: options.Up = None,
-    crop: file_options.Crop = None,
-    min_opacity: file_options.MinOpacity = None,
-    drop_floaters: file_options.DropFloaters = False,
-    max_memory: blocks.MaxMemory = None,
-    join: blocks.Join = False,
-    job: blocks.JobFolder = None,
-    resume: blocks.Resume = False,
-    scratch: blocks.Scratch = None,
-    workers: blocks.Workers = None,
-    scheduler: blocks.Scheduler = None,
-    patience: blocks.Patience = PATIENCE,
+    method: Method,
 ) -> None:
     """Make levels of detail from one build: a file each, or chunks for a viewer that streams.
 
@@ -100,46 +82,31 @@ def lod(
     """
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
-        from nanogs.cli import framing, lod_request, reading, too_large
-        from nanogs.cli.console import print_json
-        from nanogs.cli.lod_run import print_levels
+        from nanogs.cli import framing, lod_run, many, reading
         from nanogs.io.collect import Pair
         from nanogs.lod.layout import check_options, output_of
         from nanogs.pipeline.levels import check_ratios
 
     # Whatever can be refused is refused before minutes of computing.
-    chosen = parameters(preset, overrides)
+    method.check(paths)
     ratios = options.parse_ratios(_LEVELS if levels is None else levels)
     check_ratios(ratios)
-    parts, target = _parts(paths, join=join)
-    read = reading.parse_reading(
-        crop, min_opacity, drop_floaters=drop_floaters, sh_degree=sh_degree
-    )
+    parts, target = _parts(paths, join=method.blocks.join)
     output = output_of(target, level_format)
-    turn = framing.frames_of(Pair(parts[0], output.model), framing.parse_frames(frame))
+    turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
     check_options(output.layout, chunk, plain=plain)
-    method.refuse_views(preset, chosen, overrides, cameras, up)
-    asked = too_large.parse_blocks(
-        paths, max_memory, join=join, job=job, resume=resume, scratch=scratch,
-        workers=workers, scheduler=scheduler, patience=patience,
+    request = lod_run.Request(
+        parts=parts, output=output, ratios=ratios, method=method, turn=turn, chunk=chunk,
+        plain=plain, reading=reading.parse_reading(method.edits), overwrite=overwrite,
     )  # fmt: skip
-    given = overrides | {"preset": preset, "nan": nan.value, "chunk": chunk, "plain": plain}
-    request = lod_request.Request(
-        parts=parts, output=output, ratios=ratios, preset=preset, chosen=chosen, reading=read,
-        blocks=asked, given=given | {"layout": output.layout}, turn=turn, measure=measure,
-        cameras=cameras,
-        up=up, threads=threads, overwrite=overwrite, json=json, quiet=quiet,
+    show = partial(lod_run.print_levels, verbose=verbose, chosen=levels is not None)
+    [run] = many.run_all(
+        [Pair(parts[0], output.folder)], partial(lod_run.run_levels, request),
+        lod_run.print_plan if method.dry_run else show,
+        method, file_options.Files(), writes=not method.dry_run,
     )  # fmt: skip
-    plan = lod_request.plan_levels(request)
-    if dry_run:
-        lod_request.show_levels_plan(request, plan)
-        return
-    run = lod_request.make_levels(request, plan)
-    if json:
-        print_json(run)
-    elif not quiet:
-        print_levels(run, verbose=verbose, chosen=levels is not None)
-    exit_if_short(run)
+    if not method.dry_run:
+        exit_if_short(run.report)
 
 
 def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
@@ -161,15 +128,15 @@ def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
     return list(paths[:-1]), paths[-1]
 
 
-def exit_if_short(run: dict[str, Any]) -> None:
+def exit_if_short(manifest: "Manifest") -> None:
     """Name the levels that have more splats than asked for, and leave with exit code 3."""
     from nanogs.cli.console import warn
     from nanogs.report import StopReason
 
-    levels = list(enumerate(run["levels"]))
-    short = [(number, level) for number, level in levels if level["stop"] != StopReason.TARGET]
+    levels = enumerate(manifest.levels)
+    short = [(number, level) for number, level in levels if level.stop != StopReason.TARGET]
     for number, level in short:
-        name = level.get("file", f"Level {number}")
-        warn(f"{name}: stopped before the asked count: {level['stop']}.")
+        name = getattr(level, "file", f"Level {number}")
+        warn(f"{name}: stopped before the asked count: {level.stop}.")
     if short:
         raise typer.Exit(3)

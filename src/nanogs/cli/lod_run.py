@@ -1,115 +1,188 @@
-"""`nanogs lod` of a model that fits into memory, and how its levels are shown."""
+"""`nanogs lod`: plan the levels, make them, whole or in blocks, and show them."""
 
 import time
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.table import Table
 
 from nanogs.ahead import compile_ahead
-from nanogs.cli.console import arrow, err, key_value_table, print_json, say, show, warn
+from nanogs.cli.console import arrow, err, say, show, show_report, warn
 from nanogs.cli.filtering import report_filters
 from nanogs.cli.importing import uncollected
-from nanogs.cli.progress import shown
+from nanogs.cli.many import Run
+from nanogs.cli.method import Method
+from nanogs.cli.plan import Plan, plan_run, sees_to_output, show_plan
 from nanogs.cli.reading import Reading
-from nanogs.cli.simplify_report import (
-    Plan,
-    choice_text,
-    describe_plan,
-    print_divided,
-    refit_text,
-    show_plan,
-    warn_of_input,
-)
+from nanogs.cli.simplify_report import warn_of_input
 from nanogs.clock import StageClock
+from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text, counted, number_text, time_text
+from nanogs.io.collect import Pair
+from nanogs.io.folder import check_folder_writable
 from nanogs.kernels.compiling import when_compiling
-from nanogs.lod.layout import Layout, Output
+from nanogs.lod.layout import Layout, Output, made_files
+from nanogs.lod.manifest import ChunkedLevel, Level, Manifest
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.job import import_stages
+from nanogs.pipeline.levels_in_blocks import chunks_of, write_levels_in_blocks
 from nanogs.pipeline.presets import renders
-from nanogs.pipeline.target import target_count
+from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.write_levels import write_levels, write_levels_stages
-from nanogs.progress import Tracker
-from nanogs.protocol import Protocol
-
-if TYPE_CHECKING:
-    from nanogs.pipeline.plan import ScalePlan
+from nanogs.progress import Progress, Tracker
+from nanogs.report import SimplifyReport
 
 
-def write_whole(
-    plan: Plan,
-    parts: Sequence[Path],
-    read: Reading,
-    output: Output,
-    ratios: tuple[float, ...],
-    overwrite: bool,
-    cameras: str,
-    up: tuple[float, float, float] | None,
-    given: dict[str, Any],
-    quiet: bool,
-) -> dict[str, Any]:
-    """Read, and make every level; the manifest with the files' names and the reports."""
-    start, info = time.perf_counter(), plan.info
-    with uncollected():
-        import_stages(plan.parameters)
-    if renders(plan.parameters) or plan.measured:
-        when_compiling(compile_ahead)
-    layout = given["layout"]
-    stages = write_levels_stages(
-        plan.parameters, info.splats, ratios, layout, output.suffix, measured=plan.measured
-    )
-    with shown(quiet=quiet) as watch:
-        progress = Tracker(watch, [*read.stages(info.splats), *stages])
-        prepared = read.load(parts, progress, StageClock())
-        splats = prepared.splats
-        manifest, reports = write_levels(
-            splats,
-            output.folder,
-            ratios,
-            source=", ".join(part.name for part in parts),
-            suffix=output.suffix,
-            overwrite=overwrite,
-            cameras=requested_cameras(splats, cameras, up, plan.parameters),
-            progress=progress.passing(),
-            **given,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """A request, as the options make it.
+
+    Attributes:
+        parts: The files of the model.
+        output: Where the levels go.
+        ratios: From the finest level to the coarsest.
+        method: How they are made.
+        reading: What is done to the model first.
+        turn: Frames from and to which the levels are turned, or None.
+        chunk: Most splats of a chunk of the finest level, or None.
+        plain: Whether the contents of 3D Tiles are not packed.
+        overwrite: Replace the folder if nanogs lod made it.
+    """
+
+    parts: Sequence[Path]
+    output: Output
+    ratios: tuple[float, ...]
+    method: Method
+    reading: Reading
+    turn: tuple[str, str] | None
+    chunk: int | None
+    plain: bool
+    overwrite: bool
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What the library takes, whole models and blocks alike."""
+        own: dict[str, Any] = {
+            "layout": self.output.layout,
+            "chunk": self.chunk,
+            "plain": self.plain,
+        }
+        return self.method.given | own | {"overwrite": self.overwrite}
+
+
+def run_levels(request: Request, pair: Pair, progress: Progress) -> Run:
+    """Make levels, or plan to; the manifest with the reports.
+
+    Raises:
+        NanogsError: It cannot be done.
+    """
+    parts = (pair.source, *request.parts[1:])  # stdin is a file by now
+    plan, method, output = _plan(request, parts), request.method, request.output
+    if not method.hushed and (plan.divided or method.dry_run):
+        for note in plan.notes():
+            warn(note)
+    if method.dry_run:
+        shown = plan.shown()
+        counts = [target_count(shown.info.splats, ratio, None) for ratio in request.ratios]
+        asked = [{"ratio": r, "count": c} for r, c in zip(request.ratios, counts, strict=True)]
+        told: dict[str, Any] = {
+            "levels": asked,
+            "layout": output.layout,
+            "output": str(output.path),
+        }
+        return Run(shown, {"input": plan.name} | told)
+    start = time.perf_counter()
+    make = _in_blocks if plan.divided else _whole
+    manifest, reports, took = make(request, plan, progress)
+    run: dict[str, Any] = {
+        "input": plan.name,
+        "output": str(output.path),
+        "filters": took,
+        "reports": reports,
+    }
+    run |= {"layout": output.layout, "dropped_nonfinite": reports[0].dropped_nonfinite}
+    return Run(manifest, run | {"total_seconds": time.perf_counter() - start})
+
+
+def _plan(request: Request, parts: Sequence[Path]) -> Plan:
+    """Check what can be checked without the splats, and plan."""
+    output, method = request.output, request.method
+    if not sees_to_output(method, output.folder, overwrite=request.overwrite):
+        check_folder_writable(output.folder, made_files, overwrite=request.overwrite)
+    goals = [Goal(ratio=ratio) for ratio in request.ratios]
+    chunks = chunks_of(output.layout, request.chunk, plain=request.plain)
+    plan = plan_run(
+        parts, output.folder, goals, method, request.reading, request.turn, chunks,
+        levels=True,
+    )  # fmt: skip
+    if plan.divided and output.suffix != ".ply":
+        raise OptionError(
+            f"This model does not fit into memory, and levels made in blocks are .ply files, not"
+            f" {output.suffix}; leave --format out, or name OUT lod-meta.json."
         )
-    run = manifest.to_dict() | {"input": ", ".join(map(str, parts))}
-    run |= {"output": str(output.path), "filters": [asdict(each) for each in prepared.took]}
-    run["notes"] = [*run["notes"], *prepared.notes]
-    run["layout"] = output.layout.value
-    run["dropped_nonfinite"] = reports[0].dropped_nonfinite
-    run["reports"] = [report.to_dict() for report in reports]
-    return run | {"total_seconds": time.perf_counter() - start}
+    return plan
 
 
-def print_levels_plan(
-    plan: Plan,
-    output: Output,
-    ratios: tuple[float, ...],
-    divided: "ScalePlan | None",
-    *,
-    json: bool,
-) -> None:
-    """Show what would be made."""
-    counts = [target_count(plan.info.splats, ratio, None) for ratio in ratios]
-    asked = [{"ratio": r, "count": c} for r, c in zip(ratios, counts, strict=True)]
-    text = f"{output.path}: levels of {', '.join(f'{c:,}' for c in counts)} splats"
-    told = {"levels": asked, "layout": output.layout.value}
-    if divided is None:
-        show_plan(plan, told, text, json=json)
-    elif json:
-        print_json(describe_plan(plan, told) | {"blocks": asdict(divided)})
-    else:
-        from nanogs.cli.in_blocks import plan_rows
+def _in_blocks(
+    request: Request, plan: Plan, progress: Progress
+) -> tuple[Manifest, Sequence[SimplifyReport], Sequence[Any]]:
+    """Make levels of a model that does not fit; with what filters took."""
+    from nanogs.pipeline.stored_job import Where  # which brings Numba
 
-        print_divided(plan, text)
-        plan_rows(divided)
+    blocks = plan.method.blocks
+    with plan.executor() as executor:
+        manifest, reports = write_levels_in_blocks(
+            plan.parts, plan.target, request.ratios, max_memory=plan.process_memory,
+            job=blocks.job, scratch=blocks.scratch, resume=blocks.resume, changes=plan.changes,
+            where=Where(plan.threads, executor, blocks.patience), progress=progress,
+            **request.given,
+        )  # fmt: skip
+    return manifest, reports, reports[0].blocks.filters if reports[0].blocks else ()
 
 
-def print_levels(run: dict[str, Any], *, verbose: bool, chosen: bool) -> None:
+def _whole(
+    request: Request, plan: Plan, told: Progress
+) -> tuple[Manifest, Sequence[SimplifyReport], Sequence[Any]]:
+    """Read, and make every level; with what filters took."""
+    method, info, output = plan.method, plan.info, request.output
+    with uncollected():
+        import_stages(method.chosen)
+    if renders(method.chosen) or method.measured:
+        when_compiling(compile_ahead)
+    stages = write_levels_stages(
+        method.chosen, info.splats, request.ratios, output.layout, output.suffix,
+        measured=method.measured,
+    )  # fmt: skip
+    progress = Tracker(told, [*plan.reading.stages(info.splats), *stages])
+    prepared = plan.reading.load(plan.parts, progress, StageClock())
+    splats = prepared.splats
+    manifest, reports = write_levels(
+        splats,
+        output.folder,
+        request.ratios,
+        source=", ".join(part.name for part in plan.parts),
+        suffix=output.suffix,
+        frame=plan.turn,
+        measured=method.measured,
+        cameras=requested_cameras(splats, method.cameras, method.up, method.chosen),
+        threads=method.threads,
+        max_memory=method.blocks.max_memory,
+        progress=progress.passing(),
+        **request.given,
+    )
+    notes = (*plan.notes(), *manifest.notes, *prepared.notes)
+    return replace(manifest, notes=notes), reports, prepared.took
+
+
+def print_plan(run: Run) -> None:
+    """Show on stderr what would be made."""
+    counts = ", ".join(f"{level['count']:,}" for level in run.files["levels"])
+    show_plan(run.report, f"{run.files['output']}: levels of {counts} splats")
+
+
+def print_levels(run: Run, *, verbose: bool, chosen: bool) -> None:
     """Show on stderr the levels that were made.
 
     Args:
@@ -117,57 +190,41 @@ def print_levels(run: dict[str, Any], *, verbose: bool, chosen: bool) -> None:
         verbose: Show how each came to be too.
         chosen: Whether the levels are those that were asked for, and not the default.
     """
-    report_filters(run)
-    warn_of_input(run)
-    finest = run["levels"][0]
-    if finest["ratio"] < 1 and not chosen:
-        ratios = ",".join(f"{level['ratio']:g}" for level in run["levels"])
+    manifest, files = run.report, run.files
+    levels, reports = manifest.levels, files["reports"]
+    report_filters(files["filters"])
+    warn_of_input(manifest.notes, files["dropped_nonfinite"])
+    if levels[0].ratio < 1 and not chosen:
+        ratios = ",".join(f"{level.ratio:g}" for level in levels)
         warn(
-            f"The finest level has {finest['count']:,} of {run['source_count']:,} splats; --levels"
-            f" 1,{ratios} has all of them too."
+            f"The finest level has {levels[0].count:,} of {manifest.source_count:,} splats;"
+            f" --levels 1,{ratios} has all of them too."
         )
     table = Table("level", box=None, pad_edge=False)
     for heading in ("asked", "splats", "file", "PSNR", "SSIM", "seconds"):
         table.add_column(heading, justify="right")
-    for number, level in enumerate(run["levels"]):
-        table.add_row(
-            _name(number, level),
-            f"{level['ratio']:g}",
-            f"{level['count']:,}",
-            bytes_text(level["bytes"]),
-            number_text(level["psnr"]),
-            number_text(level["ssim"], 4),
-            f"{run['reports'][number]['total_seconds']:.2f}",
-        )
+    for number, (level, report) in enumerate(zip(levels, reports, strict=True)):
+        table.add_row(*_cells(number, level), f"{report.total_seconds:.2f}")
     show(err, table)
-    if run["protocol"]:
-        text = f"PSNR in dB; means over {Protocol(**run['protocol']).text}"
+    if manifest.protocol:
+        text = f"PSNR in dB; means over {manifest.protocol.text}"
         err.print(text, markup=False, soft_wrap=True)
-    for number, report in enumerate(run["reports"] if verbose else []):
-        show(err, key_value_table({f"level {number}": ""} | _details(report)))
-    levels = counted(len(run["levels"]), "level")
-    size = bytes_text(sum(level["bytes"] for level in run["levels"]))
-    seconds = time_text(run["total_seconds"])
-    whole = counted(run["source_count"], "splat")
-    say(f"{whole} {arrow()} {levels} in {run['output']}, {size}, {seconds}")
-    if run["layout"] != Layout.FILES.value:
-        say(f"`nanogs view {run['output']}` makes a page of one level, to look at it")
+    for number, report in enumerate(reports if verbose else []):
+        err.print(f"level {number}")
+        show_report(report)
+    size = bytes_text(sum(level.bytes for level in levels))
+    made = f"{counted(len(levels), 'level')} in {files['output']}, {size}"
+    whole = counted(manifest.source_count, "splat")
+    say(f"{whole} {arrow()} {made}, {time_text(files['total_seconds'])}")
+    if files["layout"] != Layout.FILES:
+        say(f"`nanogs view {files['output']}` makes a page of one level, to look at it")
 
 
-def _details(report: dict[str, Any]) -> dict[str, str]:
-    """How a level was made: passes, what was chosen, and where its time went."""
-    stages = ", ".join(f"{name} {value:.2f}" for name, value in report["seconds"].items())
-    rows = {
-        "passes": f"{len(report['passes'])}" if report["passes"] else "",
-        "chosen": choice_text(report["candidates"]),
-        "fitted": refit_text(report["refit"]),
-        "stages (s)": stages,
-    }
-    return {f"  {name}": text for name, text in rows.items() if text}
-
-
-def _name(number: int, level: dict[str, Any]) -> str:
-    """A level's file, or its number and that of its files."""
-    if "file" in level:
-        return str(level["file"])
-    return f"{number}, {counted(len(level['files']), 'file')}"
+def _cells(number: int, level: Level | ChunkedLevel) -> Iterator[str]:
+    """A level's file, or its number and that of its files; and what there is to say of it."""
+    if isinstance(level, Level):
+        yield level.file
+    else:
+        yield f"{number}, {counted(len(level.files), 'file')}"
+    yield from (f"{level.ratio:g}", f"{level.count:,}", bytes_text(level.bytes))
+    yield from (number_text(level.psnr), number_text(level.ssim, 4))

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,13 @@ from typing import Any
 import typer
 
 from nanogs.cleanup import cleaned_up
+from nanogs.cli.blocks import DASH
 from nanogs.cli.console import fail, notes_about, print_json
 from nanogs.cli.failures import sentence_of
+from nanogs.cli.file_options import Files
+from nanogs.cli.options import Telling
 from nanogs.cli.progress import Watch, shown
-from nanogs.cli.streams import DASH, Streams, names
+from nanogs.cli.streams import Streams
 from nanogs.cli.wording import wording
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.formatting import counted
@@ -22,12 +26,37 @@ from nanogs.progress import Progress
 from nanogs.quantities import is_unit
 
 
-def plan_pairs(paths: list[Path], out_dir: Path | None, suffix: str | None) -> list[Pair]:
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What became of a file.
+
+    Attributes:
+        report: The library's, a dataclass with `to_dict`.
+        files: What the command says beside it: `input`, `output` and their sizes among others.
+    """
+
+    report: Any
+    files: dict[str, Any]
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it, for JSON."""
+        told: dict[str, Any] = self.report.to_dict() | self.files
+        return told
+
+    def named(self, pair: Pair) -> "Run":
+        """With the names of streams in place of files that stand in for them."""
+        called = {"input": (pair.source, "stdin"), "output": (pair.target, "stdout")}
+        named = {key: name for key, (path, name) in called.items() if path == DASH}
+        return Run(self.report, self.files | {k: v for k, v in named.items() if k in self.files})
+
+
+def plan_pairs(paths: list[Path], files: Files) -> list[Pair]:
     """Pair each input with its output.
 
     Raises:
         NanogsError: The files and options do not go together, or names collide.
     """
+    out_dir, suffix = files.out_dir, files.out_format
     refuse_units(paths)
     if out_dir is not None:
         if DASH in paths:
@@ -62,47 +91,43 @@ def refuse_units(paths: Sequence[Path]) -> None:
 
 def run_all(
     pairs: list[Pair],
-    run_one: Callable[[Pair, Progress], dict[str, Any]],
-    show: Callable[[dict[str, Any]], None],
-    out_dir: Path | None,
-    streams: Streams,
+    run_one: Callable[[Pair, Progress], Run],
+    show: Callable[[Run], None],
+    telling: Telling,
+    files: Files,
     *,
-    json: bool,
-    quiet: bool,
     writes: bool = True,
-) -> list[dict[str, Any]]:
+) -> list[Run]:
     """Do one file after the other; of several, the failure of one leaves the others alone.
 
     Args:
         pairs: What is read and written.
-        run_one: Does one of them, tells its progress, and returns its report.
-        show: Says a report to people.
-        out_dir: The folder for several, or None for one.
-        streams: Formats of stdin and stdout; with a model on stdout, JSON goes to stderr.
-        json: Reports go to stdout as JSON.
-        quiet: Nothing is said but errors.
+        run_one: Does one of them, and tells its progress.
+        show: Says to people what became of one.
+        telling: What is said; with a model on stdout, JSON goes to stderr.
+        files: The folder for several, and the formats of stdin and stdout.
         writes: Whether anything is written, and the folder made for it.
 
     Raises:
         NanogsError: The only file failed, or the folder cannot be made.
         typer.Exit: With code 2, one of several failed.
     """
-    hushed = json or quiet
+    out_dir, streams = files.out_dir, Streams(files.read_as, files.write_as)
+    failed: list[dict[str, str]] = []
     if out_dir is None:
-        with shown(quiet=hushed) as watch, streams.opened(pairs[0]) as real:
-            run = run_one(real, watch)
-            runs = [run | {k: v for k, v in names(pairs[0]).items() if k in run}]
-        failed: list[dict[str, str]] = []
+        with shown(quiet=telling.hushed) as watch, streams.opened(pairs[0]) as real:
+            runs = [run_one(real, watch).named(pairs[0])]
     else:
         for pair in pairs:
             streams.check(pair)
         made = _make(out_dir) if writes else []
-        with cleaned_up(partial(_remove_empty, made)), shown(quiet=hushed) as watch:
-            runs, failed = _run_several(pairs, run_one, None if hushed else show, watch)
-    if json:
-        data = runs[0] if out_dir is None else {"files": runs, "failed": failed}
+        with cleaned_up(partial(_remove_empty, made)), shown(quiet=telling.hushed) as watch:
+            runs, failed = _run_several(pairs, run_one, None if telling.hushed else show, watch)
+    if telling.json:
+        each = [run.to_dict() for run in runs]
+        data = each[0] if out_dir is None else {"files": each, "failed": failed}
         print_json(data, sys.stderr if pairs[0].target == DASH else sys.stdout)
-    elif out_dir is None and not quiet:
+    elif out_dir is None and not telling.quiet:
         show(runs[0])
     if failed:
         others = "; the others are done" if len(failed) < len(pairs) else ""
@@ -113,12 +138,12 @@ def run_all(
 
 def _run_several(
     pairs: list[Pair],
-    run_one: Callable[[Pair, Progress], dict[str, Any]],
-    show: Callable[[dict[str, Any]], None] | None,
+    run_one: Callable[[Pair, Progress], Run],
+    show: Callable[[Run], None] | None,
     watch: Watch,
-) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
-    """The reports, and of each file that failed its name and why."""
-    runs: list[dict[str, Any]] = []
+) -> tuple[list[Run], list[dict[str, str]]]:
+    """The runs, and of each file that failed its name and why."""
+    runs: list[Run] = []
     failed: list[dict[str, str]] = []
     for number, pair in enumerate(pairs, 1):
         name = str(pair.source)

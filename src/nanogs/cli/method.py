@@ -1,28 +1,31 @@
 """Options of `simplify` and `lod`: the method, its parameters, and how the work is done."""
 
-from enum import StrEnum
-from typing import Annotated, Any, get_type_hints
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import file_options, options
+from nanogs.cli.blocks import Blocks
 from nanogs.cli.groups import Fields
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.cameras import refuse_unused_views
-from nanogs.pipeline.presets import PRESETS, SUMMARIES, Parameters
+from nanogs.pipeline.presets import (
+    DEFAULT_PRESET,
+    PRESETS,
+    SUMMARIES,
+    Parameters,
+    parameters,
+    renders,
+)
 from nanogs.ranges import known_parameters
 
 _ALL = "Parameters of every preset (each replaces the preset's value)"
 _FOREST = "Parameters of the presets default, fast and best"
 _PAPER = "Parameters of the preset paper"
-
-
-class Nan(StrEnum):
-    """Ways to treat splats that hold a NaN or an infinite value."""
-
-    drop = "drop"
-    error = "error"
 
 
 def _summaries() -> str:
@@ -49,43 +52,71 @@ def _parameters() -> Fields:
 
 
 PARAMETERS = _parameters()
-Preset = Annotated[
-    str,
-    typer.Option(
-        help=f"The method.\n\n{_summaries()}",
-        metavar="NAME",
-        autocompletion=lambda: list(SUMMARIES.items()),
-    ),
-]
-NanOption = Annotated[
-    Nan,
-    typer.Option("--nan", help="Splats with a NaN or infinite value: leave out, or stop."),
-]
-Measure = Annotated[
-    bool | None,
-    typer.Option(
-        "--measure/--no-measure",
-        help="Say the PSNR that `nanogs compare` measures.",
-        show_default="where the preset renders",
-    ),
-]
-DryRun = Annotated[
-    bool,
-    typer.Option("--dry-run", help="Say what would be done and how much memory it takes."),
-]
 
 
-def refuse_views(
-    preset: str,
-    chosen: Parameters,
-    overrides: dict[str, Any],
-    cameras: str,
-    up: options.Direction | None,
-) -> None:
-    """Refuse views where the preset renders nothing.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Method(options.Telling):
+    """Options of `simplify` and `lod`."""
 
-    Raises:
-        OptionError: Views are given, and nothing is rendered.
-    """
-    given = "views" in overrides or cameras != "auto" or up is not None
-    refuse_unused_views(preset, chosen, given=given)
+    preset: Annotated[
+        str,
+        typer.Option(
+            help=f"The method.\n\n{_summaries()}",
+            metavar="NAME",
+            autocompletion=lambda: list(SUMMARIES.items()),
+        ),
+    ] = DEFAULT_PRESET
+    measure: Annotated[
+        bool | None,
+        typer.Option(
+            "--measure/--no-measure",
+            help="Say the PSNR that `nanogs compare` measures.",
+            show_default="where the preset renders",
+        ),
+    ] = None
+    nan: Annotated[
+        Literal["drop", "error"],
+        typer.Option(
+            metavar="drop|error", help="Splats with a NaN or infinite value: leave out, or stop."
+        ),
+    ] = "drop"
+    threads: options.Threads = None
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Say what would be done and how much memory it takes."),
+    ] = False
+    overrides: Annotated[dict[str, Any], PARAMETERS]
+    cameras: options.Cameras = "auto"
+    up: options.Up = None
+    edits: file_options.Edits
+    blocks: Blocks
+
+    @property
+    def chosen(self) -> Parameters:
+        """The parameters of the method.
+
+        Raises:
+            OptionError: There is no such preset or parameter, or a value is out of range.
+        """
+        return parameters(self.preset, self.overrides)
+
+    @property
+    def measured(self) -> bool:
+        """Whether results are held against the input."""
+        return renders(self.chosen) if self.measure is None else self.measure
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What the library takes of it, whole models and blocks alike."""
+        return self.overrides | {"preset": self.preset, "nan": self.nan}
+
+    def check(self, paths: Sequence[Path]) -> None:
+        """Refuse what does not go together, as far as the options alone tell.
+
+        Raises:
+            OptionError: A value is out of range, views are given where nothing is rendered, or
+                options for blocks contradict each other.
+        """
+        given = "views" in self.overrides or self.cameras != "auto" or self.up is not None
+        refuse_unused_views(self.preset, self.chosen, given=given)
+        self.blocks.check(paths)

@@ -1,12 +1,15 @@
 """Options that several commands share, and the parsing of their values."""
 
 import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from nanogs.errors import OptionError
+from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.quantities import MULTIPLES, multiple, parse_bytes
 from nanogs.ranges import Parameter
 
@@ -172,6 +175,49 @@ MaxMemory = Annotated[
     ),
 ]
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show_default="all")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Telling:
+    """What a command says of its run."""
+
+    json: Json = False
+    quiet: Quiet = False
+
+    @property
+    def hushed(self) -> bool:
+        """Whether nothing is said on the way."""
+        return self.json or self.quiet
+
+    def tell(
+        self, run: dict[str, Any], show: Callable[[], object], notes: Sequence[str] = ()
+    ) -> None:
+        """Say how a run ended: as JSON on stdout, or to people by `show`, after the notes."""
+        from nanogs.cli.console import print_json, warn
+
+        if self.json:
+            print_json(run)
+        elif not self.quiet:
+            for note in notes:
+                warn(note)
+            show()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Running(Telling):
+    """How a command that looks at models works, and what it says."""
+
+    overwrite: Overwrite = False
+    threads: Threads = None
+    max_memory: MaxMemory = None
+
+    def refuse_too_large(self, what: str, needed: int, remedy: str) -> None:
+        """Refuse what takes more memory than there is; see `memory.refuse_too_large`.
+
+        Raises:
+            NotEnoughMemoryError: It does.
+        """
+        refuse_too_large(what, needed, allowed_memory(self.max_memory), remedy)
 
 
 def count(about: str) -> Any:  # noqa: ANN401 - as typer has it

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from nanogs.cli.file_options import Edits
 from nanogs.cli.filtering import parse_filters
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
@@ -94,27 +95,21 @@ def inspect_parts(paths: Sequence[Path]) -> FileInfo:
     )
 
 
-def parse_reading(
-    crops: list[str] | None,
-    min_opacity: float | None,
-    *,
-    drop_floaters: bool,
-    sh_degree: int | None,
-    psnr: float | None = None,
-) -> Reading:
+def parse_reading(edits: Edits, psnr: float | None = None) -> Reading:
     """Make the changes that the options ask for.
 
     Raises:
         OptionError: One of them makes no sense, or a PSNR would be of another model.
     """
-    if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
-        raise OptionError(f"--sh-degree is from 0 to {MAX_SH_DEGREE}, not {sh_degree}.")
-    if sh_degree is not None and psnr is not None:
+    degree = edits.sh_degree
+    if degree is not None and not 0 <= degree <= MAX_SH_DEGREE:
+        raise OptionError(f"--sh-degree is from 0 to {MAX_SH_DEGREE}, not {degree}.")
+    if degree is not None and psnr is not None:
         raise OptionError(
             "--psnr is against the whole model, of which --sh-degree leaves out some; run"
             " `nanogs convert --sh-degree` first."
         )
-    return Reading(parse_filters(crops, min_opacity, drop_floaters=drop_floaters), sh_degree)
+    return Reading(parse_filters(edits), degree)
 
 
 def read_parts(paths: Sequence[Path]) -> Splats:

@@ -1,18 +1,22 @@
 """`nanogs render`."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from nanogs.cli import options
+from nanogs.cli.groups import with_options
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
 
 _OTHERS = (".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".exr")
 
 
+@with_options
 def render(
+    *,
     source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
     target: Annotated[
         Path,
@@ -40,18 +44,13 @@ def render(
     depth: Annotated[
         bool, typer.Option(help="Also write depth as 16-bit PNG, near is bright.")
     ] = False,
-    overwrite: options.Overwrite = False,
-    threads: options.Threads = None,
-    max_memory: options.MaxMemory = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    run: options.Running,
 ) -> None:
     """Render a model to PNG files."""
     # What only a run needs is imported here, and not for `--help`.
-    from nanogs.cli.console import err, print_json, warn
+    from nanogs.cli.console import say
     from nanogs.cli.progress import shown
     from nanogs.io import inspect, load
-    from nanogs.memory import allowed_memory, refuse_too_large
     from nanogs.needs import render_bytes
 
     count = views or (1 if _is_picture(target) else 8)
@@ -63,14 +62,13 @@ def render(
     from nanogs.views.cameras import cameras_for
     from nanogs.views.png import render_images
 
-    refuse_too_large(
+    run.refuse_too_large(
         f"Rendering {source}",
         render_bytes(inspect(source), width * height),
-        allowed_memory(max_memory),
         "free some, or render smaller pictures (--pixels) or a smaller model",
     )
     stages = [Stage("read", 1.0), Stage("cameras", 0.5), Stage("render", 0.3 * count)]
-    with shown(quiet=quiet or json) as watch, use_threads(threads):
+    with shown(quiet=run.hushed) as watch, use_threads(run.threads):
         progress = Tracker(watch, stages)
         progress.begin("read")
         splats = load(source)
@@ -78,17 +76,11 @@ def render(
         chosen = cameras_for(splats, cameras, count=count, width=width, height=height, up=up)
         written, notes = render_images(
             splats, chosen, target, background=color, transparent=transparent, depth=depth,
-            overwrite=overwrite, progress=progress.passing(),
+            overwrite=run.overwrite, progress=progress.passing(),
         )  # fmt: skip
-    if json:
-        print_json({"input": str(source), "images": written, "notes": notes})
-        return
-    if quiet:
-        return
-    for note in notes:
-        warn(note)
-    images = counted(len(written), "image")
-    err.print(f"{target}: {images}", markup=False, soft_wrap=True)
+    said = f"{target}: {counted(len(written), 'image')}"
+    report = {"input": str(source), "images": written, "notes": notes}
+    run.tell(report, partial(say, said), notes)
 
 
 def _is_picture(target: Path) -> bool:

@@ -1,16 +1,19 @@
 """`nanogs simplify`."""
 
 from functools import partial
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from nanogs.cli import blocks, file_options, method, options
+from nanogs.cli import file_options, options
+from nanogs.cli.blocks import DASH
 from nanogs.cli.groups import with_options
 from nanogs.cli.importing import uncollected
-from nanogs.defaults import PATIENCE
-from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
+from nanogs.cli.method import Method
 from nanogs.quantities import parse_bytes
+
+if TYPE_CHECKING:
+    from nanogs.cli.many import Run
 
 
 @with_options
@@ -32,9 +35,11 @@ def simplify(
         options.count("Number of splats to keep, e.g. 50000, 100k or 1.5M."),
     ] = None,
     size: Annotated[
-        str | None,
+        int | None,
         typer.Option(
-            help="Largest size of OUT, e.g. 20MB or 20MiB: as many splats as fit.", metavar="SIZE"
+            parser=parse_bytes,
+            help="Largest size of OUT, e.g. 20MB or 20MiB: as many splats as fit.",
+            metavar="SIZE",
         ),
     ] = None,
     psnr: Annotated[
@@ -44,105 +49,51 @@ def simplify(
             metavar="DB",
         ),
     ] = None,
-    preset: method.Preset = DEFAULT_PRESET,
-    measure: method.Measure = None,
-    nan: method.NanOption = method.Nan.drop,
-    frame: file_options.FrameOption = None,
-    sh_degree: file_options.ShDegree = None,
     spz_version: options.SpzVersion = None,
     overwrite: options.Overwrite = False,
-    threads: options.Threads = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show how it was done: stages, passes, probes.")
     ] = False,
-    dry_run: method.DryRun = False,
-    out_dir: file_options.OutDir = None,
-    out_format: file_options.FormatOption = None,
-    read_as: file_options.From = None,
-    write_as: file_options.To = None,
-    overrides: Annotated[dict[str, Any], method.PARAMETERS],
-    cameras: options.Cameras = "auto",
-    up: options.Up = None,
-    crop: file_options.Crop = None,
-    min_opacity: file_options.MinOpacity = None,
-    drop_floaters: file_options.DropFloaters = False,
-    max_memory: blocks.MaxMemory = None,
-    join: blocks.Join = False,
-    job: blocks.JobFolder = None,
-    resume: blocks.Resume = False,
-    scratch: blocks.Scratch = None,
-    workers: blocks.Workers = None,
-    scheduler: blocks.Scheduler = None,
-    patience: blocks.Patience = PATIENCE,
+    files: file_options.Files,
+    method: Method,
 ) -> None:
     """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
-        from nanogs.cli import framing, many, reading, streams, too_large
+        from nanogs.cli import many, reading, simplify_run
         from nanogs.cli.simplify_report import print_report
-        from nanogs.cli.simplify_run import Request, plan_one, run_one
         from nanogs.pipeline.target import Goal
 
     # Whatever can be refused is refused here, before minutes of computing.
-    parts = [paths[0], paths[-1]] if join else paths
-    pairs = many.plan_pairs(parts, out_dir, out_format)
-    chosen = parameters(preset, overrides)
-    method.refuse_views(preset, chosen, overrides, cameras, up)
-    request = Request(
-        goal=Goal(ratio, count, None if size is None else parse_bytes(size), psnr),
-        preset=preset,
-        chosen=chosen,
-        reading=reading.parse_reading(
-            crop, min_opacity, drop_floaters=drop_floaters, sh_degree=sh_degree, psnr=psnr
-        ),
+    joined = tuple(paths[:-1]) if method.blocks.join else ()
+    pairs = many.plan_pairs([paths[0], paths[-1]] if joined else paths, files)
+    method.check(paths)
+    request = simplify_run.Request(
+        goal=Goal(ratio, count, size, psnr),
+        method=method,
+        reading=reading.parse_reading(method.edits, psnr),
+        joined=joined,
+        piped=DASH in paths,
         saving={"overwrite": overwrite, "format_options": {"spz_version": spz_version}},
-        frames=framing.parse_frames(frame),
-        cameras=cameras,
-        up=up,
-        given=overrides | {"preset": preset, "nan": nan.value, "threads": threads},
-        json=json,
-        quiet=quiet or json,
-        folder_later=out_dir is not None and not out_dir.exists(),
-        blocks=too_large.parse_blocks(
-            paths,
-            max_memory,
-            join=join,
-            job=job,
-            resume=resume,
-            scratch=scratch,
-            workers=workers,
-            scheduler=scheduler,
-            patience=patience,
-        ),
-        measure=measure,
+        folder_later=files.out_dir is not None and not files.out_dir.exists(),
     )
-    pipes = streams.Streams(read_as, write_as)
-    if dry_run:
-        many.run_all(
-            pairs, partial(plan_one, request), _nothing, out_dir, pipes, json=json, quiet=quiet,
-            writes=False,
-        )  # fmt: skip
-        return
+    show = partial(print_report, verbose=verbose)
     runs = many.run_all(
-        pairs, partial(run_one, request), partial(print_report, verbose=verbose), out_dir, pipes,
-        json=json, quiet=quiet,
+        pairs, partial(simplify_run.run_one, request),
+        simplify_run.print_plan if method.dry_run else show,
+        method, files, writes=not method.dry_run,
     )  # fmt: skip
-    _exit_if_short(runs)
+    _exit_if_short([] if method.dry_run else runs)
 
 
-def _nothing(_run: dict[str, Any]) -> None:
-    pass
-
-
-def _exit_if_short(runs: list[dict[str, Any]]) -> None:
+def _exit_if_short(runs: "list[Run]") -> None:
     """Say which results are not what was asked for, and leave with exit code 3."""
     from nanogs.cli.console import warn
     from nanogs.cli.simplify_report import stop_text
 
-    short = [run for run in runs if not run["stop"].met]
+    short = [run for run in runs if not run.report.stop.met]
     for run in short:
-        warn(stop_text(run) if len(runs) == 1 else f"{run['output']}: {stop_text(run)}")
+        text = stop_text(run.report)
+        warn(text if len(runs) == 1 else f"{run.files['output']}: {text}")
     if short:
         raise typer.Exit(3)

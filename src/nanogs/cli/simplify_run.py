@@ -1,36 +1,37 @@
-"""`nanogs simplify` of each file: plan it, and simplify it."""
+"""`nanogs simplify` of each file: plan it, and simplify it, whole or in blocks."""
 
 import time
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from nanogs.ahead import compile_ahead
 from nanogs.cli.console import warn, with_file_seconds
-from nanogs.cli.framing import Frames, frames_of
+from nanogs.cli.framing import frames_of
 from nanogs.cli.importing import uncollected
-from nanogs.cli.reading import Reading, inspect_parts, read_parts
-from nanogs.cli.simplify_report import Plan, plan_json, print_plan, print_wish
-from nanogs.cli.too_large import Blocks, refuse_whole_model_wishes
+from nanogs.cli.many import Run
+from nanogs.cli.method import Method
+from nanogs.cli.plan import Plan, plan_run, sees_to_output, show_plan
+from nanogs.cli.reading import Reading
 from nanogs.clock import StageClock
-from nanogs.errors import FormatError, ModelError, OptionError
+from nanogs.errors import OptionError
+from nanogs.filters import FilterReport
+from nanogs.formatting import counted
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
-from nanogs.pipeline.api import refuse_searches, target_of
-from nanogs.pipeline.api import simplify as library_simplify
-from nanogs.pipeline.asked import asked_views
+from nanogs.pipeline.api import refuse_searches, simplify
 from nanogs.pipeline.cameras import requested_cameras
-from nanogs.pipeline.job import import_stages, usable_rows
-from nanogs.pipeline.presets import Parameters, renders
-from nanogs.pipeline.rows import Changes
+from nanogs.pipeline.in_blocks import simplify_blocks
+from nanogs.pipeline.job import import_stages
+from nanogs.pipeline.presets import renders
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.protocol import Judged
-from nanogs.splats import Splats
+from nanogs.protocol import Protocol
+from nanogs.report import SimplifyReport
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,145 +40,89 @@ class Request:
 
     Attributes:
         goal: The wish.
-        preset: Name of the preset.
-        chosen: Parameters of the method.
+        method: How it is met.
         reading: What is done to the model first.
+        joined: Inputs that are parts of one scene, or none.
+        piped: Whether a model comes from stdin or goes to stdout.
         saving: What `save` takes.
-        frames: From and to where the result is turned, as given, or None.
-        cameras: As `requested_cameras` takes it.
-        up: Up direction of automatic views, or None.
-        given: What the library's `simplify` takes beside.
-        json: Whether a plan is said as JSON alone.
-        quiet: Whether nothing is said on the way but errors.
         folder_later: Whether the folder of the results is still to be made.
-        blocks: How a model is treated that does not fit into memory.
-        measure: Whether the result is held against the input as `nanogs compare` does it; None for
-            where the preset renders anyway.
     """
 
     goal: Goal
-    preset: str
-    chosen: Parameters
+    method: Method
     reading: Reading
+    joined: tuple[Path, ...]
+    piped: bool
     saving: dict[str, Any]
-    frames: Frames | None
-    cameras: str
-    up: tuple[float, float, float] | None
-    given: dict[str, Any]
-    json: bool
-    quiet: bool
     folder_later: bool
-    blocks: Blocks
-    measure: bool | None
-
-    @property
-    def measured(self) -> bool:
-        """Whether the result is held against the input."""
-        return renders(self.chosen) if self.measure is None else self.measure
-
-    def changes(self, pair: Pair) -> Changes:
-        """Changes to a model in blocks besides making it smaller."""
-        frames = frames_of(pair, self.frames)
-        asked = asked_views(self.cameras, self.up)
-        return Changes(self.reading.filters, self.reading.sh_degree, frames, asked)
 
 
-def plan_one(request: Request, pair: Pair, _progress: Progress) -> dict[str, Any]:
-    """Say what would be done with a file; the plan.
+def run_one(request: Request, pair: Pair, progress: Progress) -> Run:
+    """Simplify a file, or plan to; the report.
 
     Raises:
         NanogsError: It cannot be done.
     """
-    plan, divided = _plan(pair, request, dry_run=True), None
-    if plan.divided:
-        from nanogs.cli.in_blocks import plan_of, plan_rows, warn_of_blocks
-
-        warn_of_blocks(plan, request.blocks, pair.target, quiet=request.quiet)
-        changes = request.changes(pair)
-        divided = plan_of(pair, plan, request.blocks, request.given["nan"], changes)
-        plan = replace(plan, info=replace(plan.info, splats=divided.splats))
-        plan = replace(plan, count=plan.goal.target(divided.splats, lambda _count: 0))
-        if not request.json:
-            print_wish(plan)
-            plan_rows(divided)
-    elif not request.json:
-        for note in request.blocks.unused():
+    plan, method = _plan(request, pair), request.method
+    if plan.divided and not method.hushed:
+        for note in plan.notes():
             warn(note)
-        print_plan(plan)
-    return plan_json(plan) | {"blocks": asdict(divided) if divided else None}
-
-
-def run_one(request: Request, pair: Pair, progress: Progress) -> dict[str, Any]:
-    """Simplify a file; the report.
-
-    Raises:
-        NanogsError: It cannot be done.
-    """
-    plan = _plan(pair, request, dry_run=False)
+    if method.dry_run:
+        shown, goal = plan.shown(), plan.goal
+        asked: dict[str, Any] = {"asked_ratio": goal.ratio, "asked_count": shown.count}
+        asked |= {"asked_size": goal.size, "asked_psnr": goal.psnr}
+        return Run(shown, {"input": plan.name} | asked)
     if plan.divided:
-        from nanogs.cli.in_blocks import simplify_in_blocks, warn_of_blocks
-
-        warn_of_blocks(plan, request.blocks, pair.target, quiet=request.quiet)
-        given = request.given | request.saving
-        changes = request.changes(pair)
-        return simplify_in_blocks(pair, plan, request.blocks, changes, given, progress)
-    return _simplify_file(plan, pair, request, progress)
+        return _in_blocks(plan, request.saving, progress)
+    return _whole(plan, request.saving, progress)
 
 
-def _plan(pair: Pair, request: Request, *, dry_run: bool) -> Plan:
-    """Check the files and the goal; the count that it comes to, where that is known yet."""
-    goal, reading = request.goal, request.reading
-    refuse_searches(goal, request.preset, pair.target)
-    frames = frames_of(pair, request.frames)
-    if frames and goal.size is not None and not registry.has_known_size(pair.target):
+def _plan(request: Request, pair: Pair) -> Plan:
+    """Check the files and the goal, and plan."""
+    goal, method, target = request.goal, request.method, pair.target
+    refuse_searches(goal, method.preset, target)
+    turn = frames_of(pair, method.edits.frame)
+    if turn and goal.size is not None and not registry.has_known_size(target):
         raise OptionError(
-            f"--frame changes the size of a {pair.target.suffix} file that --size has found; turn"
+            f"--frame changes the size of a {target.suffix} file that --size has found; turn"
             " it with `nanogs convert` before."
         )
-    blocks = request.blocks
-    info = inspect_parts(blocks.sources(pair))
-    begun = blocks.is_begun(pair.target, overwrite=request.saving["overwrite"])
-    if not (dry_run and request.folder_later) and not begun:
-        check_writable(pair.target, **request.saving)
-    plan = Plan(
-        info, goal, None, request.preset, request.chosen, measured=request.measured,
-        joined=blocks.joined,
-    )  # fmt: skip
-    if blocks.needed(plan, pair.target):
-        plan = replace(plan, divided=True)
-        refuse_whole_model_wishes(
-            plan, blocks, filters=reading.filters,
-            measured=bool(request.measure),
+    begun = sees_to_output(method, target, overwrite=request.saving["overwrite"])
+    if not begun and not (method.dry_run and request.folder_later):
+        check_writable(target, **request.saving)
+    parts = request.joined or (pair.source,)
+    return plan_run(parts, target, (goal,), method, request.reading, turn, piped=request.piped)
+
+
+def _in_blocks(plan: Plan, saving: dict[str, Any], progress: Progress) -> Run:
+    """Simplify a model that does not fit."""
+    start, blocks, reading = time.perf_counter(), plan.method.blocks, plan.reading
+    with plan.executor() as executor:
+        report = simplify_blocks(
+            plan.parts, plan.target, ratio=plan.goal.ratio, count=plan.goal.count,
+            max_memory=plan.process_memory, job=blocks.job, scratch=blocks.scratch,
+            resume=blocks.resume, filters=reading.filters, sh_degree=reading.sh_degree,
+            frame=plan.turn, cameras=plan.method.cameras, up=plan.method.up,
+            threads=plan.threads, executor=executor, patience=blocks.patience,
+            progress=progress, **plan.method.given, **saving,
         )  # fmt: skip
-    else:
-        blocks.refuse_fitting(pair.target)
-    if goal.size is None and not (reading.filters and dry_run):
-        count = goal.target(info.splats, lambda _count: 0)
-    elif (
-        dry_run and not plan.divided
-    ):  # what a row takes and what filters leave is only known from the columns
-        splats = reading.prepare(read_parts(blocks.sources(pair))).splats
-        plan = replace(plan, info=replace(info, splats=len(splats)))
-        usable = usable_rows(splats, request.given["nan"])
-        count = target_of(goal, splats, len(usable), pair.target)
-    else:
-        count = None
-    return replace(plan, count=count)
+    report = replace(report, total_seconds=time.perf_counter() - start)
+    took = report.blocks.filters if report.blocks else ()
+    return _run(plan, report, took)
 
 
-def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> dict[str, Any]:
-    """Read, simplify and write; the report with the files' names and the seconds of I/O."""
-    start, clock, goal = time.perf_counter(), StageClock(), plan.goal
-    target, saving = pair.target, request.saving
-    known = registry.find(target)
+def _whole(plan: Plan, saving: dict[str, Any], told: Progress) -> Run:
+    """Read, simplify in memory, write and measure."""
+    start, clock, goal, method = time.perf_counter(), StageClock(), plan.goal, plan.method
+    target, known = plan.target, registry.find(plan.target)
     with uncollected():
-        import_stages(plan.parameters)
-    if renders(plan.parameters) or request.measured:
+        import_stages(method.chosen)
+    if renders(method.chosen) or method.measured:
         when_compiling(compile_ahead)
-    progress = Tracker(told, _stages(plan, request, target))
-    prepared = request.reading.load(request.blocks.sources(pair), progress, clock)
+    progress = Tracker(told, _stages(plan))
+    prepared = plan.reading.load(plan.parts, progress, clock)
     splats = prepared.splats
-    small, report = library_simplify(
+    small, report = simplify(
         splats,
         ratio=goal.ratio,
         count=goal.count,
@@ -185,67 +130,59 @@ def _simplify_file(plan: Plan, pair: Pair, request: Request, told: Progress) -> 
         psnr=goal.psnr,
         format=known.suffix if known else target.suffix,
         format_options=saving["format_options"],
-        cameras=requested_cameras(splats, request.cameras, request.up, request.chosen),
-        max_memory=request.blocks.max_memory,
+        cameras=requested_cameras(splats, method.cameras, method.up, method.chosen),
+        threads=method.threads,
+        max_memory=method.blocks.max_memory,
         progress=progress.passing(),
-        **request.given,
+        **method.given,
     )
-    if frames := frames_of(pair, request.frames):
-        small = change_frame(small, *frames)
+    if plan.turn:
+        small = change_frame(small, *plan.turn)
     progress.begin("write")
     with clock.time("write"):
         save(small, target, progress=progress.passing(), **saving)
     judged, unmeasured = report.judged, tuple[str, ...]()
-    if request.measured and judged is None:
+    if method.measured and judged is None:
+        from nanogs.scoring.held_out import judge_file  # which brings Numba
+
         progress.begin("measure")
         with clock.time("measure"):
-            judged, unmeasured = _judge(splats, pair, request, progress)
+            judged, unmeasured = judge_file(
+                splats, target, turn=plan.turn, threads=method.threads, tell=progress.part
+            )
     progress.finish()
-    run = with_file_seconds(report.to_dict(), clock, start)
-    run["judged"] = judged and asdict(judged)
-    run["notes"] = [
-        *request.blocks.unused(),
-        *run["notes"],
-        *prepared.notes,
-        *losses(small, target),
-        *unmeasured,
-    ]
-    run |= {"read_count": plan.info.splats, "filters": [asdict(report) for report in prepared.took]}
-    run["frames"] = frames
-    run |= {"input": plan.name, "output": str(target)}
-    run |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(target)}
-    return run
+    notes = (*plan.notes(), *report.notes, *prepared.notes, *losses(small, target), *unmeasured)
+    report = replace(with_file_seconds(report, clock, start), judged=judged, notes=notes)
+    return _run(plan, report, prepared.took)
 
 
-def _judge(
-    splats: Splats, pair: Pair, request: Request, progress: Tracker
-) -> tuple[Judged | None, tuple[str, ...]]:
-    """The numbers that `nanogs compare` gives the file, or why nothing can be measured."""
-    from nanogs.scoring.held_out import judge_file
-
-    known = registry.find(pair.target)
-    if known is not None and not known.readable:
-        return None, (f"The result was not measured: nanogs does not read {known.suffix} files.",)
-    frames = frames_of(pair, request.frames)
-    try:
-        judged = judge_file(
-            splats,
-            pair.target,
-            back=partial(change_frame, source=frames[1], target=frames[0]) if frames else None,
-            threads=request.given["threads"],
-            tell=progress.part,
-        )
-    except (ModelError, FormatError) as error:
-        return None, (f"The result was not measured: {error}",)
-    return judged, ()
+def _run(plan: Plan, report: SimplifyReport, took: Sequence[FilterReport]) -> Run:
+    """The report with what there is to say of the files."""
+    files: dict[str, Any] = {"read_count": plan.info.splats, "filters": took, "frames": plan.turn}
+    files |= {"input": plan.name, "output": str(plan.target)}
+    files |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(plan.target)}
+    return Run(report, files)
 
 
-def _stages(plan: Plan, request: Request, target: Path) -> list[Stage]:
-    """The stages to come: reading, filters, the method's own ones, writing."""
-    from nanogs.pipeline.stages import simplify_stages
+def _stages(plan: Plan) -> list[Stage]:
+    """The stages to come: reading, filters, the method's own ones, writing, measuring."""
+    from nanogs.pipeline.stages import simplify_stages  # which brings Numba
 
-    splats, suffix = plan.info.splats, target.suffix
-    method = simplify_stages(plan.parameters, plan.goal, splats, plan.count, suffix)
+    splats, suffix = plan.info.splats, plan.target.suffix
+    method = simplify_stages(plan.method.chosen, plan.goal, splats, plan.count, suffix)
     write = Stage("write", write_weight(suffix, plan.count or splats // 10))
-    measure = [measure_stage(splats)] if request.measured and plan.goal.psnr is None else []
-    return [*request.reading.stages(splats), *method, write, *measure]
+    measured = plan.method.measured and plan.goal.psnr is None
+    measure = [measure_stage(splats)] if measured else []
+    return [*plan.reading.stages(splats), *method, write, *measure]
+
+
+def print_plan(run: Run) -> None:
+    """Show on stderr what a run would do."""
+    plan: Plan = run.report
+    if plan.count is None and plan.goal.size is not None:
+        text = f"as many splats as fit into {plan.goal.size:,} B, found by writing some"
+    elif plan.count is None:
+        text = f"as few splats as reach {plan.goal.psnr:g} dB on {Protocol().text}"
+    else:
+        text = f"{counted(plan.count, 'splat')} ({plan.count / plan.info.splats:.3%})"
+    show_plan(plan, text)

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nanogs.cleanup import temporary_folder
+from nanogs.cli.blocks import DASH
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.collect import Pair
 from nanogs.io.files import TOLD_BY, refuse_stand_in
 from nanogs.io.registry import sniff
-
-DASH = Path("-")
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +122,3 @@ def _own_suffix(source: Path) -> str:
     if known is None or known.write is None:
         raise OptionError("The format of IN is none that nanogs writes; add --to ply.")
     return known.suffix
-
-
-def names(pair: Pair) -> dict[str, str]:
-    """The names that a report has for streams in place of files, if any."""
-    called = {"input": (pair.source, "stdin"), "output": (pair.target, "stdout")}
-    return {key: name for key, (path, name) in called.items() if path == DASH}

@@ -4,19 +4,23 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from nanogs.cli import options
+from nanogs.cli.groups import with_options
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
 from nanogs.protocol import PIXELS, VIEWS
 
 
+@with_options
 def view(
+    *,
     models: Annotated[
         list[str],
         typer.Argument(
@@ -51,17 +55,13 @@ def view(
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     background: options.BackgroundOption = "black",
-    overwrite: options.Overwrite = False,
-    threads: options.Threads = None,
-    max_memory: options.MaxMemory = None,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    run: options.Running,
 ) -> None:
     """Write a page that shows one or two models in 3D, offline; mouse, touch and keys move them."""
     # What only a run needs is imported here, and not for `--help`.
     import webbrowser
 
-    from nanogs.cli.console import err, print_json, warn
+    from nanogs.cli.console import say, warn
     from nanogs.cli.progress import shown
     from nanogs.cli.wording import with_options
     from nanogs.io.atomic import check_writable
@@ -75,24 +75,20 @@ def view(
         raise OptionError(f"A page shows one model or two, and these are {len(inputs)}.")
     check_built()
     page = output or page_path([path for _, path in inputs])
-    check_writable(page, overwrite=overwrite)
-    with shown(quiet=quiet or json) as progress, _threads(threads, len(inputs) > 1 and psnr):
+    check_writable(page, overwrite=run.overwrite)
+    with shown(quiet=run.hushed) as progress, _threads(run.threads, len(inputs) > 1 and psnr):
         report = view_files(
             inputs, page, cameras=cameras, views=views, width=width, height=height, up=up,
-            background=color, psnr=psnr, level=level, overwrite=overwrite, progress=progress,
-            max_memory=max_memory,
+            background=color, psnr=psnr, level=level, overwrite=run.overwrite, progress=progress,
+            max_memory=run.max_memory,
         )  # fmt: skip
-    if json:
-        print_json(report.to_dict())
-    elif not quiet:
-        for model_shown in report.models:
-            for note in model_shown.notes:
-                warn(f"{model_shown.name}: {with_options(note)}")
-    if not (json or quiet):
-        measured = "" if report.judged is None else f"; {report.judged.text}"
-        text = f"{page}: {bytes_text(report.output_bytes)}{measured}"
-        err.print(text, markup=False, soft_wrap=True)
-    wanted = open_page if open_page is not None else not json and _has_screen()
+    notes = [
+        f"{model.name}: {with_options(note)}" for model in report.models for note in model.notes
+    ]
+    measured = "" if report.judged is None else f"; {report.judged.text}"
+    said = f"{page}: {bytes_text(report.output_bytes)}{measured}"
+    run.tell(report.to_dict(), partial(say, said), notes)
+    wanted = open_page if open_page is not None else not run.json and _has_screen()
     if wanted and not webbrowser.open(page.resolve().as_uri()):
         warn(f"No browser could be started; open {page} in one.")
 

@@ -92,6 +92,12 @@ class RefitReport:
     threads: int
     notes: tuple[str, ...] = ()
 
+    @property
+    def text(self) -> str:
+        """Say what was gained, and why it ended."""
+        before, after = self.psnr_before, self.psnr_after
+        return f"{before:.2f} to {after:.2f} dB on the views that decide, stopped by: {self.stop}"
+
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
         return asdict(self)

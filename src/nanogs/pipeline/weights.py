@@ -57,7 +57,7 @@ def fit_parameters(parameters: ForestParameters) -> RefitParameters:
         views=parameters.views,
         size=parameters.view_size,
         rounds=rounds,
-        steps=-(-parameters.steps // rounds),
+        steps=max(-(-parameters.steps // rounds), 1),  # also to plan with, where none is made
         halves=not parameters.further,  # few views, which come again
     )
 

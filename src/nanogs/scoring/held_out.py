@@ -4,12 +4,13 @@ Nothing is learnt from them: what methods look at, choose by and fit to are view
 split (see `views.automatic`). So a number from here is the one that `compare` prints.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nanogs.errors import ModelError
-from nanogs.io import load
+from nanogs.errors import FormatError, ModelError
+from nanogs.frames import change_frame
+from nanogs.io import load, registry
 from nanogs.metrics import psnr
 from nanogs.progress import Parts, untold
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Judged, Protocol
@@ -49,26 +50,32 @@ def judge_file(
     original: Splats,
     path: Path,
     *,
-    back: Callable[[Splats], Splats] | None = None,
+    turn: tuple[str, str] | None = None,
     threads: int | None = None,
     tell: Parts = untold,
-) -> Judged:
+) -> tuple[Judged | None, tuple[str, ...]]:
     """Hold a file against the original that it was made of.
 
     Args:
         original: The model.
         path: The file.
-        back: Turns the file's model into the original's frame, where it is in another.
+        turn: Frames from and to which the file's model was turned, or None.
         threads: Threads to use; all by default.
         tell: Told of the original's views rendered.
 
-    Raises:
-        FormatError: nanogs does not read the file.
-        ModelError: Nothing of the original is visible.
+    Returns:
+        What was measured and no note; or None and why nothing could be, in a sentence.
     """
-    with use_threads(threads):
-        small = load(path)
-        return held_out(original, tell).judge(back(small) if back else small)
+    known = registry.find(path)
+    if known is not None and not known.readable:
+        return None, (f"The result was not measured: nanogs does not read {known.suffix} files.",)
+    try:
+        with use_threads(threads):
+            small = load(path)
+            back = change_frame(small, turn[1], turn[0]) if turn else small
+            return held_out(original, tell).judge(back), ()
+    except (ModelError, FormatError) as error:
+        return None, (f"The result was not measured: {error}",)
 
 
 def held_out(original: Splats, tell: Parts = untold) -> HeldOut:

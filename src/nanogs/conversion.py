@@ -1,0 +1,189 @@
+"""`nanogs.convert`: a model in another format, some rows at a time where formats let that be."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nanogs import memory, needs
+from nanogs.bar import drawn
+from nanogs.clock import StageClock
+from nanogs.filters import Filter, FilterReport, apply
+from nanogs.findings import join_findings
+from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
+from nanogs.io import open as open_model
+from nanogs.io.parts import FileSource
+from nanogs.pipeline.weights import read_weight, write_weight
+from nanogs.progress import Progress, Stage, Tracker
+from nanogs.quantities import as_bytes
+from nanogs.source import Filtered, InMemory, Reduced, Source, Turned
+from nanogs.splats import RenderMode
+
+if TYPE_CHECKING:
+    from nanogs.io.format import FormatOptions
+
+
+@dataclass(frozen=True, slots=True)
+class ConvertReport:
+    """The report of `convert`: what was written, and what the format leaves out.
+
+    Attributes:
+        input: The file that was read.
+        output: The file that was written.
+        filters: What each filter took.
+        frames: From and to which the model was turned, or None.
+        input_bytes: Bytes of the input.
+        output_bytes: Bytes of the output.
+        format: Name of the output's format.
+        splats: Splats in it.
+        sh_degree: Degree of its spherical harmonics.
+        render_mode: The rasteriser that it names.
+        notes: What reading changed, one sentence each.
+        losses: What the output leaves out, one sentence each.
+        seconds: Time by stage, seconds.
+        total_seconds: The whole call, seconds.
+    """
+
+    input: str
+    output: str
+    filters: tuple[FilterReport, ...]
+    frames: tuple[str, str] | None
+    input_bytes: int
+    output_bytes: int
+    format: str
+    splats: int
+    sh_degree: int
+    render_mode: RenderMode
+    notes: tuple[str, ...]
+    losses: tuple[str, ...]
+    seconds: dict[str, float]
+    total_seconds: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        return asdict(self)
+
+
+def convert(
+    source: str | PathLike[str],
+    target: str | PathLike[str],
+    *,
+    level: int = 0,
+    filters: Sequence[Filter] = (),
+    sh_degree: int | None = None,
+    frame: tuple[str, str] | None = None,
+    overwrite: bool = False,
+    format_options: "FormatOptions | None" = None,
+    max_memory: int | str | None = None,
+    progress: Progress | bool | None = None,
+) -> ConvertReport:
+    """Write a model in another format, which the suffix says.
+
+    Args:
+        source: The file to read.
+        target: The file to write.
+        level: Of a streamed model, which level of detail; 0 is the finest.
+        filters: What leaves out splats, such as `nanogs.filters.box(low, high)`.
+        sh_degree: The highest degree of spherical harmonics that stays, 0 to 4; all by default.
+        frame: From and to which the model is turned, such as ("rdf", "rub").
+        overwrite: Replace the output if it exists.
+        format_options: Of the output's format, as `save` takes them.
+        max_memory: Bytes that this process may take, a number or text like "4GB"; by default what
+            is free, less a tenth.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`.
+
+    Raises:
+        FormatError: The input cannot be read.
+        OptionError: An option makes no sense.
+        ModelError: A filter leaves nothing.
+        OutputError: The output exists, or it cannot be written.
+        NotEnoughMemoryError: It takes more memory than is free or allowed.
+    """
+    start, clock = time.perf_counter(), StageClock()
+    path = Path(target)
+    saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
+    check_writable(path, **saving)
+    with open_model(source, level=level) as file, drawn(progress) as tell:
+        _refuse_too_large(file, path, filters, None if max_memory is None else as_bytes(max_memory))
+        typical = 1_000_000  # only how the two compare counts
+        write = Stage("write", write_weight(path.suffix, typical))
+        tracker = Tracker(tell, [Stage("read", read_weight(typical)), write])
+        tracker.begin("read")
+        with clock.time("read"):
+            model, took = _changed(file, path, filters, sh_degree, frame)
+            # Asked now, as the output may take the place of the input.
+            notes, lost = _said(model, path)
+            count, degree, read_bytes = model.count, model.columns.sh_degree, file.info.file_bytes
+        tracker.begin("write")
+        with clock.time("write"):
+            save(model, path, progress=tracker.passing(), **saving)
+        tracker.finish()
+    return ConvertReport(
+        input=str(source), output=str(target), filters=took, frames=frame,
+        input_bytes=read_bytes, output_bytes=bytes_on_disk(path),
+        **_written(path, count, degree), notes=notes, losses=lost,
+        seconds=clock.seconds, total_seconds=time.perf_counter() - start,
+    )  # fmt: skip
+
+
+def _refuse_too_large(
+    source: FileSource, target: Path, filters: Sequence[Filter], max_memory: int | None
+) -> None:
+    known = registry.find(target)
+    compiled = known is not None and known.suffix == ".sog"
+    memory.refuse_too_large(
+        f"Converting {source.name}",
+        needs.convert_bytes(source, target, whole=_need_whole(filters)),
+        memory.allowed_memory(max_memory, compiled=compiled),
+        "free some, name a .ply file, which is written in parts, or make a smaller model with"
+        " `nanogs simplify` first, which works in blocks",
+    )
+
+
+def _need_whole(filters: Sequence[Filter]) -> bool:
+    return any(each.whole for each in filters)
+
+
+def _changed(
+    source: Source,
+    target: Path,
+    filters: Sequence[Filter],
+    sh_degree: int | None,
+    frame: tuple[str, str] | None,
+) -> tuple[Source, tuple[FilterReport, ...]]:
+    """The model as it is written, and what filters took; held whole where something needs that."""
+    took: tuple[FilterReport, ...] = ()
+    if _need_whole(filters):
+        splats, took = apply(source.load(), filters)
+        source = InMemory(splats)
+    elif filters:
+        source = Filtered(source, filters)
+        took = source.reports
+    if sh_degree is not None:
+        source = Reduced(source, sh_degree)
+    if frame:
+        source = Turned(source, *frame)
+    return source if registry.writable(target).streams else InMemory(source.load()), took
+
+
+def _said(model: Source, target: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Notes on the reading, and what the target leaves out, from one pass."""
+    losses, notes, lost = registry.writable(target).losses, [model.columns.notes], []
+    for block in model.blocks():
+        notes.append(tuple(block.notes))
+        lost.append(losses(block))
+    return join_findings(notes), join_findings(lost)
+
+
+def _written(target: Path, count: int, degree: int) -> dict[str, Any]:
+    """Describe the file that was written, by its own header where it can be read."""
+    known = registry.find(target)
+    if known is None or not known.readable:
+        own = {"format": target.suffix.lstrip("."), "splats": count, "sh_degree": degree}
+        return own | {"render_mode": RenderMode.DEFAULT}
+    info = inspect(target)
+    names = ("format", "splats", "sh_degree", "render_mode")
+    return {name: getattr(info, name) for name in names}
