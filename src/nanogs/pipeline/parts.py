@@ -1,5 +1,6 @@
 """The splats that blocks are left with, level by level: what results are put together from."""
 
+from dataclasses import asdict
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING
 
@@ -73,11 +74,8 @@ class Parts(Source):
 
 def further(small: Splats, target: int, settings: Settings) -> Splats:
     """The model of a count below what blocks can be cut to, which are few splats by then."""
-    given = settings.parameters
-    return simplify(
-        small, count=target, preset="fast", k=given.k, lambda_app=given.lambda_app,
-        balance=given.balance, rounds=given.rounds, pixels=given.pixels, growth=given.growth,
-    )[0]  # fmt: skip
+    given = asdict(settings.parameters) | {"measure": False, "steps": 0}
+    return simplify(small, count=target, preset="fast", **given)[0]
 
 
 def write_rest(work: "Work", name: str, level: int, target: int) -> Record:
