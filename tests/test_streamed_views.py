@@ -15,9 +15,12 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare
 from nanogs.source import InMemory
 from nanogs.splats import RenderMode, concatenate
+from nanogs.views import stand_in as standing
 from nanogs.views import streamed
 from nanogs.views.automatic import automatic_cameras
+from nanogs.views.cameras import cameras_for
 from nanogs.views.roam import roaming_cameras
+from nanogs.views.stand_in import stand_in
 from nanogs.views.streamed import Part, Streamed, renderings
 
 
@@ -57,7 +60,8 @@ def splats():
     some = random_splats(900, degree=2, spread=1.0)
     large = random_splats(60, degree=2, seed=1)
     large = replace(large, log_scales=large.log_scales + np.float32(1.5))
-    both = concatenate([some, large, some.take(np.arange(0, 900, 3))])
+    twice = some.take(np.arange(0, 900, 3))
+    both = concatenate([some, large, replace(twice, sh=-twice.sh)])
     broken = both.means.copy()
     broken[[5, 77]] = np.nan
     return replace(both, means=broken)
@@ -152,3 +156,34 @@ def test_parts_cover_the_whole_once(across, down, pieces):
     for part in parts:
         seen[part.top : part.bottom, part.left : part.right] += 1
     assert (seen == 1).all()
+
+
+@pytest.mark.parametrize("kind", ["auto", "orbit", "inside", "roam"])
+def test_a_source_is_looked_at_from_where_the_model_is(splats, kind, monkeypatch):
+    monkeypatch.setattr("nanogs.source.base.BLOCK_ROWS", 70)
+    monkeypatch.setattr("nanogs.views.occupancy.MAX_SAMPLE", 300)  # of 1,258: one in 5
+    monkeypatch.setattr(standing, "LIMIT", 500)
+    size = {"count": 4, "width": 64, "height": 48}
+    for one, other in zip(
+        cameras_for(splats, kind, **size), cameras_for(InMemory(splats), kind, **size), strict=True
+    ):
+        assert one.world_to_camera.tobytes() == other.world_to_camera.tobytes()
+        assert (one.name, one.near, one.fx) == (other.name, other.near, other.fx)
+
+
+def test_a_stand_in_covers_as_much_as_the_model():
+    """Of one in nine splats, each three times as long; below the limit it is the model, bare."""
+    splats = random_splats(20_000, degree=1, spread=1.0)
+    splats = replace(splats, log_scales=np.full_like(splats.log_scales, np.log(0.015)))
+    cameras = automatic_cameras(splats, 2, width=256, height=256)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(standing, "LIMIT", 2_300)
+        few = stand_in(splats)
+    assert len(few) == -(-20_000 // 9)
+    for whole, some in zip(held(splats, cameras), held(few, cameras), strict=True):
+        assert some.alpha.mean() == pytest.approx(whole.alpha.mean(), rel=0.1)
+    thin = replace(few, log_scales=splats.log_scales[: len(few)])
+    assert held(thin, cameras)[0].alpha.mean() < 0.5 * held(splats, cameras)[0].alpha.mean()
+    bare = stand_in(splats)
+    assert bare.sh_degree == 0
+    np.testing.assert_array_equal(bare.log_scales, splats.log_scales)

@@ -15,6 +15,7 @@ import numpy as np
 from nanogs._types import F64, I64
 from nanogs.errors import OptionError
 from nanogs.raster.camera import Camera
+from nanogs.source import Source
 from nanogs.splats import Splats, refuse_other
 from nanogs.views import inside, orbit
 from nanogs.views.heading import body_of, seen_from
@@ -50,7 +51,7 @@ class Survey:
 
 
 def automatic_cameras(
-    splats: Splats,
+    model: Splats | Source,
     count: int = 8,
     *,
     width: int = 512,
@@ -71,7 +72,7 @@ def automatic_cameras(
     near the camera blocks is moved nearer and higher.
 
     Args:
-        splats: The model, N splats.
+        model: The model; of a source the same cameras are found, in two passes over it.
         count: Number of cameras, 1 or more.
         width: Of the images, in pixels.
         height: Of the images, in pixels.
@@ -89,11 +90,12 @@ def automatic_cameras(
         `count` cameras named `fit_000` and so on; `near` is set to the scale of the scene.
 
     Raises:
+        FormatError: The source cannot be read.
         ModelError: No splat is visible, so that every view would be empty.
         OptionError: An argument is out of range.
     """
     _check(count, width, height, fov, split)
-    scene = survey(splats, kind, up, habit=habit)
+    scene = survey(model, kind, up, habit=habit)
     angle = np.radians(fov or (ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV))
     focal = max(width, height) / 2 / np.tan(angle / 2)
     lens = np.array([width, height]) / 2 / focal  # tangents of half the fields of view
@@ -114,7 +116,7 @@ def _poses(scene: Survey, lens: F64, numbers: I64) -> list[tuple[F64, float]]:
 
 
 def survey(
-    splats: Splats,
+    model: Splats | Source,
     kind: Kind = "auto",
     up: Sequence[float] | F64 | None = None,
     *,
@@ -128,9 +130,10 @@ def survey(
     """
     if kind not in ("auto", "orbit", "inside"):
         raise OptionError(f"The kind of views is auto, orbit or inside, not {kind!r}.")
-    refuse_other(splats)
+    if not isinstance(model, Source):
+        refuse_other(model)
     given = None if up is None else _unit(up)
-    matter = sample(splats)
+    matter = sample(model)
     if given is not None:
         stance = upright(body_of(matter), given)
     elif habit:

@@ -9,8 +9,10 @@ from typing import TypeAlias
 from nanogs.errors import OptionError
 from nanogs.protocol import Kind as Origin
 from nanogs.raster.camera import Camera
+from nanogs.source import Source
 from nanogs.splats import Splats
 from nanogs.views.automatic import Kind, Split, automatic_cameras
+from nanogs.views.stand_in import stand_in
 
 Cameras: TypeAlias = str | PathLike[str] | Camera | Sequence[Camera]
 """Where to look from: "auto", "orbit", "inside", "roam", a file or folder of them, or cameras."""
@@ -20,7 +22,7 @@ FOUND: dict[str, Origin] = {**AUTOMATIC, "roam": "roam"}  # all that are found f
 
 
 def cameras_for(
-    splats: Splats,
+    model: Splats | Source,
     source: str,
     *,
     count: int,
@@ -32,7 +34,7 @@ def cameras_for(
     """Cameras for a model.
 
     Args:
-        splats: The model.
+        model: The model; of a source the same cameras are found as of the model held whole.
         source: A name in `FOUND`, or a camera file or data-set folder; all its cameras.
         count: Number of automatic views.
         width: Width of automatic views, pixels.
@@ -48,12 +50,13 @@ def cameras_for(
     """
     if source in AUTOMATIC:
         return automatic_cameras(
-            splats, count, width=width, height=height, kind=AUTOMATIC[source], up=up, split=split
+            model, count, width=width, height=height, kind=AUTOMATIC[source], up=up, split=split
         )
     if source == "roam":
         from nanogs.views.roam import roaming_cameras  # brings Numba
 
-        return roaming_cameras(splats, count, width=width, height=height, up=up, split=split)
+        some = stand_in(model)
+        return roaming_cameras(some, count, width=width, height=height, up=up, split=split)
     return cameras_from(source)
 
 
@@ -73,7 +76,7 @@ def cameras_from(source: str) -> list[Camera]:
 
 
 def chosen_cameras(
-    splats: Splats,
+    model: Splats | Source,
     cameras: Cameras,
     views: int,
     pixels: int | tuple[int, int],
@@ -90,7 +93,7 @@ def chosen_cameras(
         return given_cameras(cameras), "given"
     source = os.fspath(cameras)
     width, height = (pixels, pixels) if isinstance(pixels, int) else pixels
-    found = cameras_for(splats, source, count=views, width=width, height=height, up=up)
+    found = cameras_for(model, source, count=views, width=width, height=height, up=up)
     return found, FOUND.get(source, "given")
 
 

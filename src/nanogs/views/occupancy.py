@@ -3,13 +3,14 @@
 Only for choosing where cameras stand; nothing here renders.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from nanogs._types import F64, I64
 from nanogs.errors import ModelError
+from nanogs.source import Source, joined_rows
 from nanogs.splats import Splats
 from nanogs.stored import rotations
 
@@ -76,26 +77,40 @@ def capped(areas: F64) -> F64:
     return np.minimum(areas, np.quantile(areas, 0.99))
 
 
-def sample(splats: Splats) -> Matter:
-    """Finite and visible splats of a model.
+def sample(model: Splats | Source) -> Matter:
+    """Finite and visible splats of a model, the same of a source, which is read twice.
 
     Raises:
+        FormatError: The source cannot be read.
         ModelError: There is none, so every view would be empty.
     """
-    visible = np.flatnonzero(splats.finite() & (splats.opacities() > FAINTEST))
-    if not len(visible):
-        raise ModelError(
-            "The model shows nothing: each of its splats is transparent or not finite;"
-            " check the file it came from."
-        )
-    stride = -(-len(visible) // MAX_SAMPLE)
-    kept = splats.take(visible[::stride])
+    kept, stride = _thinned(model)
     scales = kept.scales().astype(np.float64)
     axes = rotations(kept.unit_quats().astype(np.float64)) * scales[:, None, :]
     longest = np.argsort(-scales, axis=1, kind="stable")[:, :2]
     arms = np.take_along_axis(axes.transpose(0, 2, 1), longest[:, :, None], axis=1)
     means = kept.means.astype(np.float64)
     return Matter(means, kept.opacities(), arms, scales.min(axis=1), stride)
+
+
+def _thinned(model: Splats | Source) -> tuple[Splats, int]:
+    """Every so many-th of the visible splats, and how many that is."""
+
+    def blocks() -> Iterator[tuple[Splats, I64]]:
+        for block in [model] if isinstance(model, Splats) else model.blocks():
+            yield block, np.flatnonzero(block.finite() & (block.opacities() > FAINTEST))
+
+    total = sum(len(visible) for _, visible in blocks())
+    if not total:
+        raise ModelError(
+            "The model shows nothing: each of its splats is transparent or not finite;"
+            " check the file it came from."
+        )
+    stride, passed, kept = -(-total // MAX_SAMPLE), 0, []
+    for block, visible in blocks():
+        kept.append(block.take(visible[-passed % stride :: stride]))
+        passed += len(visible)
+    return joined_rows(kept), stride
 
 
 def find_core(matter: Matter) -> Core:
