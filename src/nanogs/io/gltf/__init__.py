@@ -17,6 +17,7 @@ FORMATS = (
         write.losses,
         frame=_FRAME,
         turns=True,
+        streams=True,
         starts=(MAGIC,),
     ),
     Format(".gltf", open_gltf, frame=_FRAME, turns=True),

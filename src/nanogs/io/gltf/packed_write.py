@@ -9,14 +9,11 @@ no data of their own.
 
 import io
 import json
-import struct
 from typing import Any, BinaryIO
 
-from nanogs._version import __version__
-from nanogs.io.gltf.glb import BODY_CHUNK, JSON_CHUNK, MAGIC
 from nanogs.io.gltf.primitives import MAX_DEGREE, PACKED, attribute, coefficients
-from nanogs.io.gltf.read import COLOUR_SPACE
 from nanogs.io.gltf.scene import EXTENSION
+from nanogs.io.gltf.write import document_of, head, primitive_of
 from nanogs.io.spz import write as spz_write
 from nanogs.splats import Splats
 
@@ -39,9 +36,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
     body = _padded(packed.getvalue(), b"\0")
     document = _document(splats, len(packed.getvalue()))
     text = _padded(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), b" ")
-    file.write(MAGIC + struct.pack("<II", 2, 12 + 8 + len(text) + 8 + len(body)))
-    file.write(struct.pack("<I", len(text)) + JSON_CHUNK + text)
-    file.write(struct.pack("<I", len(body)) + BODY_CHUNK + body)
+    file.writelines([*head(text, len(body)), body])
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
@@ -70,28 +65,14 @@ def _document(splats: Splats, size: int) -> dict[str, Any]:
         (attribute("SCALE"), _FLOAT, "VEC3", {}),
         *((name, _FLOAT, "VEC3", {}) for name in coefficients(splats.sh_degree)[1:]),
     ]
-    splatting = {
-        "kernel": "ellipse",
-        "colorSpace": COLOUR_SPACE,
-        "extensions": {PACKED: {"bufferView": 0}},
-    }
-    primitive = {
-        "mode": 0,
-        "attributes": {name: index for index, (name, *_) in enumerate(columns)},
-        "extensions": {EXTENSION: splatting},
-    }
+    splatting = {"extensions": {PACKED: {"bufferView": 0}}}
+    extensions = {key: [EXTENSION, PACKED] for key in ("extensionsUsed", "extensionsRequired")}
+    primitive = primitive_of((name for name, *_ in columns), splatting)
     accessors = [
         {"componentType": component, "count": len(splats), "type": kind} | more
         for _, component, kind, more in columns
     ]
-    return {
-        "asset": {"version": "2.0", "generator": f"nanogs {__version__}"},
-        "extensionsUsed": [EXTENSION, PACKED],
-        "extensionsRequired": [EXTENSION, PACKED],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "matrix": _HALF_TURN}],
-        "meshes": [{"primitives": [primitive]}],
+    return document_of(primitive, extensions, {"matrix": _HALF_TURN}) | {
         "accessors": accessors,
         "bufferViews": [{"buffer": 0, "byteLength": size}],
         "buffers": [{"byteLength": size}],

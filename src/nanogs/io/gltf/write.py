@@ -8,23 +8,24 @@ file follows from the count of its splats.
 
 import json
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from nanogs._types import F32, Array
+from nanogs._types import Array
 from nanogs._version import __version__
 from nanogs.errors import OutputError
 from nanogs.io import limits
-from nanogs.io.files import BLOCK_ROWS
+from nanogs.io.by_column import Encoder, encoded_columns
 from nanogs.io.gltf.document import MAX_JSON_BYTES
 from nanogs.io.gltf.glb import BODY_CHUNK, JSON_CHUNK, MAGIC
 from nanogs.io.gltf.primitives import MAX_DEGREE, attribute, coefficients
 from nanogs.io.gltf.read import COLOUR_SPACE, COMMENTS_KEY, MODE_KEY
 from nanogs.io.gltf.scene import EXTENSION, HALF_TURN
 from nanogs.io.ply.header import printable
+from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.stored import SH_C0
 
@@ -33,28 +34,36 @@ _KINDS = {_FLOAT: "<f4", _BYTE: "u1"}
 _VERTICES = 34962  # the target of a buffer view with vertex attributes
 _MAX_BYTES = (1 << 32) - 1
 _LONGEST = -2.2250738585072014e-308  # no float has more digits
-_Encoder = Callable[[Splats], Array]
-"""Values of an attribute for a block of rows."""
 
 
-def write(splats: Splats, file: BinaryIO) -> None:
-    """Write a model; rotations are written with unit length.
+def write(model: Splats | Source, file: BinaryIO) -> None:
+    """Write a model, no more than some rows of it held; rotations are written with unit length.
 
     Raises:
         OutputError: A splat holds a value that glTF cannot, or the file would be too large.
         OSError: The system refuses to write.
     """
-    limits.refuse_unstorable(splats, ".glb")
-    size = file_bytes(splats, len(splats))
-    low, high = (edge.astype(np.float32).tolist() for edge in _bounds(splats))
-    text = _text(_document(splats, len(splats), low, high)).ljust(_json_bytes(splats))
-    file.write(MAGIC + struct.pack("<II", 2, size))
-    file.write(struct.pack("<I", len(text)) + JSON_CHUNK + text)
-    file.write(struct.pack("<I", len(splats) * _row_bytes(splats)) + BODY_CHUNK)
-    for _, encode, component, *_ in _attributes(splats):
-        file.writelines(
-            np.ascontiguousarray(encode(part), _KINDS[component]).data for part in _parts(splats)
-        )
+    source = source_of(model)
+    low, high = (edge.astype(np.float32).tolist() for edge in _bounds(source))
+    first, count = source.read(0, 1), source.count
+    file_bytes(first, count)  # which refuses what is too large
+    text = _text(_document(first, count, low, high)).ljust(_json_bytes(first))
+    file.writelines(head(text, count * _row_bytes(first)))
+    encoders = [partial(_encoded, encode, kind) for _, encode, kind, *_ in _attributes(first)]
+    for column in encoded_columns(source, encoders):
+        file.writelines(column)
+
+
+def head(text: bytes, body_bytes: int) -> Iterator[bytes]:
+    """What comes before the buffer of a `.glb` file, whose sizes are multiples of 4.
+
+    Args:
+        text: The JSON.
+        body_bytes: Of the buffer.
+    """
+    yield MAGIC + struct.pack("<II", 2, 12 + 8 + len(text) + 8 + body_bytes)
+    yield struct.pack("<I", len(text)) + JSON_CHUNK + text
+    yield struct.pack("<I", body_bytes) + BODY_CHUNK
 
 
 def file_bytes(splats: Splats, count: int) -> int:
@@ -82,16 +91,16 @@ def losses(splats: Splats) -> tuple[str, ...]:
     return (*found, *limits.rounded(splats, ".glb"))
 
 
-def _parts(splats: Splats) -> Iterator[Splats]:
-    """The model in blocks of rows, which are views."""
-    names = ("means", "log_scales", "quats", "opacity_logits", "sh")
-    for start in range(0, len(splats), BLOCK_ROWS):
-        span = slice(start, start + BLOCK_ROWS)
-        yield Splats(**{name: getattr(splats, name)[span] for name in names})
+def _bounds(source: Source) -> tuple[Array, Array]:
+    """The lowest and the highest centre, once it is known that all can be stored."""
+    blocks = limits.storable(source, ".glb")
+    corners = [(block.means.min(axis=0), block.means.max(axis=0)) for block in blocks]
+    low, high = map(np.array, zip(*corners, strict=True))
+    return low.min(axis=0), high.max(axis=0)
 
 
-def _bounds(splats: Splats) -> tuple[F32, F32]:
-    return splats.means.min(axis=0), splats.means.max(axis=0)
+def _encoded(encode: Encoder, component: int, block: Splats) -> Array:
+    return np.ascontiguousarray(encode(block), _KINDS[component])
 
 
 def _json_bytes(splats: Splats) -> int:
@@ -111,7 +120,7 @@ def _text(document: dict[str, Any]) -> bytes:
     return text.encode("utf-8")
 
 
-def _attributes(splats: Splats) -> Iterator[tuple[str, _Encoder, int, str, int]]:
+def _attributes(splats: Splats) -> Iterator[tuple[str, Encoder, int, str, int]]:
     """Name, encoder, component type, type and bytes a splat of each column, in file order."""
     yield "POSITION", lambda part: part.means, _FLOAT, "VEC3", 12
     yield "COLOR_0", _fallback, _BYTE, "VEC4", 4
@@ -156,30 +165,46 @@ def _document(splats: Splats, count: int, low: list[float], high: list[float]) -
         accessors.append(accessor | ({"normalized": True} if component == _BYTE else {}))
         offset += count * size
     accessors[0] |= {"min": low, "max": high}
-    primitive: dict[str, Any] = {
-        "mode": 0,
-        "attributes": {name: index for index, (name, *_) in enumerate(columns)},
-        "extensions": {
-            EXTENSION: {
-                "kernel": "ellipse",
-                "colorSpace": COLOUR_SPACE,
-                "projection": "perspective",
-                "sortingMethod": "cameraDistance",
-            }
-        },
-    }
+    drawn = {"projection": "perspective", "sortingMethod": "cameraDistance"}
+    primitive = primitive_of((name for name, *_ in columns), drawn)
     if extras := _extras(splats):
         primitive["extras"] = extras
+    arrays = {"accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": offset}]}
+    return document_of(primitive, {"extensionsUsed": [EXTENSION]}, {"rotation": HALF_TURN}) | arrays
+
+
+def primitive_of(names: Iterable[str], splatting: dict[str, Any]) -> dict[str, Any]:
+    """A primitive of splats.
+
+    Args:
+        names: Of its attributes; the first has the first accessor, and so on.
+        splatting: What its extension says besides the kernel and the colours.
+    """
+    kernel = {"kernel": "ellipse", "colorSpace": COLOUR_SPACE}
+    return {
+        "mode": 0,
+        "attributes": {name: index for index, name in enumerate(names)},
+        "extensions": {EXTENSION: kernel | splatting},
+    }
+
+
+def document_of(
+    primitive: dict[str, Any], extensions: dict[str, list[str]], placed: dict[str, Any]
+) -> dict[str, Any]:
+    """A document of one primitive, but for what lies in the buffer.
+
+    Args:
+        primitive: Of the splats.
+        extensions: Those that are used and required.
+        placed: The transform of the node.
+    """
     return {
         "asset": {"version": "2.0", "generator": f"nanogs {__version__}"},
-        "extensionsUsed": [EXTENSION],
+        **extensions,
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "rotation": HALF_TURN}],
+        "nodes": [{"mesh": 0, **placed}],
         "meshes": [{"primitives": [primitive]}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": offset}],
     }
 
 
