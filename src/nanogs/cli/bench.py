@@ -2,91 +2,67 @@
 
 import shlex
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from nanogs.cli import options
+from nanogs.cli.groups import with_options
 from nanogs.errors import OptionError
 
 if TYPE_CHECKING:
-    from nanogs.bench.output import ResultFolder
     from nanogs.bench.rows import BenchRow
     from nanogs.bench.scenes import BenchScene
     from nanogs.bench.settings import BenchSettings
-    from nanogs.cli.progress import Watch
 
 
-Models = Annotated[
-    list[Path] | None, typer.Argument(metavar="[MODEL...]", help="Models to measure on.")
-]
-Scenes = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="NAME=MODEL[:FOLDER]",
-        help="A model under a name, with the folder of its photographs and cameras.",
-    ),
-]
-Datasets = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="NAME=FOLDER",
-        help="A published data set, one folder a scene: nerf-synthetic, mip-nerf-360, "
-        "tanks-and-temples or deep-blending.",
-    ),
-]
-Pattern = Annotated[
-    str | None,
-    typer.Option(
-        help="Where the trained models of data sets are.",
-        show_default="{folder}/{scene}/point_cloud/iteration_30000/point_cloud.ply",
-    ),
-]
-Methods = Annotated[
-    str | None,
-    typer.Option(
-        help="Methods, with commas between; parameters of a preset as paper:tau=0:k=8.",
-        show_default="all presets and baselines",
-    ),
-]
-Externals = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="NAME=PATTERN",
-        help="Files of another tool; {scene}, {model} (its file) and {ratio} are replaced.",
-    ),
-]
-Cameras = Annotated[
-    str,
-    typer.Option(
-        help="Where the views of scenes without photographs stand: auto, orbit, inside, roam; with "
-        "commas between.",
-        metavar="KINDS",
-        rich_help_panel=options.VIEWS,
-    ),
-]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        "-o",
-        help="Folder for results.md, results.jsonl and plot.svg; an unfinished run in it goes on.",
-    ),
-]
-
-
+@with_options
 def bench(
-    models: Models = None,
-    scene: Scenes = None,
-    dataset: Datasets = None,
-    model_pattern: Pattern = None,
+    *,
+    models: Annotated[
+        list[Path] | None, typer.Argument(metavar="[MODEL...]", help="Models to measure on.")
+    ] = None,
+    scene: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=MODEL[:FOLDER]",
+            help="A model under a name, with the folder of its photographs and cameras.",
+        ),
+    ] = None,
+    dataset: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=FOLDER",
+            help="A published data set, one folder a scene: nerf-synthetic, mip-nerf-360, "
+            "tanks-and-temples or deep-blending.",
+        ),
+    ] = None,
+    model_pattern: Annotated[
+        str | None,
+        typer.Option(
+            help="Where the trained models of data sets are.",
+            show_default="{folder}/{scene}/point_cloud/iteration_30000/point_cloud.ply",
+        ),
+    ] = None,
     ratios: Annotated[
         str, typer.Option(help="Compaction ratios, with commas between.", metavar="RATIOS")
     ] = "0.1,0.01,0.001",
-    methods: Methods = None,
-    external: Externals = None,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            help="Methods, with commas between; parameters of a preset as paper:tau=0:k=8.",
+            show_default="all presets and baselines",
+        ),
+    ] = None,
+    external: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=PATTERN",
+            help="Files of another tool; {scene}, {model} (its file) and {ratio} are replaced.",
+        ),
+    ] = None,
     ablations: Annotated[
         bool, typer.Option("--ablations", help="Also the published method without each part.")
     ] = False,
@@ -95,22 +71,43 @@ def bench(
     ] = "",
     views: options.ViewsOfKinds = None,
     sizes: options.Sizes = "512",
-    cameras: Cameras = "auto",
+    cameras: Annotated[
+        str,
+        typer.Option(
+            help="Where the views of scenes without photographs stand: auto, orbit, inside, roam;"
+            " with commas between.",
+            metavar="KINDS",
+            rich_help_panel=options.VIEWS,
+        ),
+    ] = "auto",
     up: options.Up = None,
     background: options.PhotoBackground = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of what methods draw.")] = 0,
     threads: options.Threads = None,
-    out: Out = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder for results.md, results.jsonl and plot.svg; an unfinished run in it goes"
+            " on.",
+        ),
+    ] = None,
     overwrite: options.Overwrite = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
+    telling: options.Telling,
 ) -> None:
     """Measure methods against each other: quality, time, memory and speed, scene by scene."""
+    from nanogs.bench import scenes as known
+    from nanogs.bench.methods import ABLATIONS, all_methods
+    from nanogs.bench.preamble import preamble
     from nanogs.bench.settings import BenchSettings
+    from nanogs.bench.tables import markdown
 
+    chosen = list(all_methods()) if methods is None else _list(methods)
+    chosen += [name for name in ABLATIONS if ablations and name not in chosen]
     settings = BenchSettings(
         ratios=tuple(options.parse_ratio(text) for text in _list(ratios)),
-        methods=_methods(methods, ablations),
+        methods=tuple(chosen),
         externals=dict(_external(text) for text in external or []),
         views=views,
         sizes=tuple(map(_square, sizes.split(","))),
@@ -120,52 +117,15 @@ def bench(
         seed=seed,
         threads=threads,
     )
-    scenes = _scenes(models or [], scene or [], dataset or [], model_pattern)
+    scenes = known.scenes_of_files(models or [])
+    scenes += [known.parse_scene(text) for text in scene or []]
+    for text in dataset or []:
+        scenes += known.parse_dataset(text, model_pattern or known.TRAINED_MODEL)
     scenes = [replace(one, up=up) for one in scenes]
-    _show(scenes, settings, out, overwrite=overwrite, json=json, quiet=quiet)
-
-
-def _methods(names: str | None, ablations: bool) -> tuple[str, ...]:
-    from nanogs.bench.methods import ABLATIONS, all_methods
-
-    chosen = _list(names) if names is not None else list(all_methods())
-    if ablations:
-        chosen += [name for name in ABLATIONS if name not in chosen]
-    return tuple(chosen)
-
-
-def _scenes(
-    models: list[Path], named: list[str], datasets: list[str], pattern: str | None
-) -> "list[BenchScene]":
-    from nanogs.bench.scenes import TRAINED_MODEL, parse_dataset, parse_scene, scenes_of_files
-
-    scenes = scenes_of_files(models)
-    scenes += [parse_scene(text) for text in named]
-    for text in datasets:
-        scenes += parse_dataset(text, pattern or TRAINED_MODEL)
-    return scenes
-
-
-def _show(
-    scenes: "list[BenchScene]",
-    settings: "BenchSettings",
-    out: Path | None,
-    *,
-    overwrite: bool,
-    json: bool,
-    quiet: bool,
-) -> None:
-    """Measure, and write the rows or the tables to stdout."""
-    from nanogs.bench.preamble import preamble
-    from nanogs.bench.tables import markdown
-    from nanogs.cli.console import print_json
-
     above = preamble(settings, shlex.join(["nanogs", *sys.argv[1:]]))
-    rows = _run(scenes, settings, out, overwrite, above, quiet or json)
-    if json:
-        print_json({"rows": [row.to_dict() for row in rows]})
-    elif not quiet:
-        typer.echo(above + markdown(rows), nl=False)
+    rows = _run(scenes, settings, out, overwrite, above, telling)
+    data = {"rows": [row.to_dict() for row in rows]}
+    telling.tell(data, lambda: typer.echo(above + markdown(rows), nl=False))
 
 
 def _run(
@@ -174,58 +134,40 @@ def _run(
     out: Path | None,
     overwrite: bool,
     above: str,
-    quiet: bool,
+    telling: options.Telling,
 ) -> "list[BenchRow]":
     """Measure, keep rows in the folder as they come, and show on stderr how it goes."""
     from nanogs.bench.output import ResultFolder, run_of
     from nanogs.bench.protocol import row_count, run_bench
+    from nanogs.cli.console import warn
     from nanogs.cli.progress import shown
+    from nanogs.formatting import counted
+    from nanogs.progress import Step
 
     run = run_of(scenes, settings)
     folder = ResultFolder(out, run=run, overwrite=overwrite) if out else None
     done = folder.done if folder else []
-    if done and not quiet:
-        from nanogs.cli.console import warn
-        from nanogs.formatting import counted
-
+    if done and not telling.hushed:
         taken = counted(len(done), "row is", "rows are")
         warn(f"{taken} taken from an unfinished run in {out}; -w begins anew.")
-    with shown(quiet=quiet) as watch:
-        observer = _Observer(watch, row_count(scenes, settings))
-        rows = run_bench(
-            scenes,
-            settings,
-            done=done,
-            on_row=lambda row: observer.row(row, folder),
-            progress=observer.stage,
-        )
+    total, made = row_count(scenes, settings), 0
+    with shown(quiet=telling.hushed) as watch:
+
+        def on_row(row: "BenchRow") -> None:
+            nonlocal made
+            made += 1
+            if folder:
+                folder.add(row)
+            if row.reason and not telling.hushed:
+                warn(f"{row.scene}, {row.method} at {row.ratio:g}: {row.status}: {row.reason}")
+
+        def on_stage(what: str) -> None:
+            watch(Step(what, min(made + 1, total), total, 0, 1, made / (total + 1)))
+
+        rows = run_bench(scenes, settings, done=done, on_row=on_row, progress=on_stage)
     if folder:
         folder.finish(rows, above)
     return rows
-
-
-@dataclass(slots=True)
-class _Observer:
-    """A function that the library calls while it measures; each row is a stage."""
-
-    watch: "Watch"
-    total: int
-    done: int = 0
-
-    def stage(self, what: str) -> None:
-        from nanogs.progress import Step
-
-        number = min(self.done + 1, self.total)
-        self.watch(Step(what, number, self.total, 0, 1, self.done / (self.total + 1)))
-
-    def row(self, row: "BenchRow", folder: "ResultFolder | None") -> None:
-        if folder:
-            folder.add(row)
-        if row.reason and not self.watch.quiet:
-            from nanogs.cli.console import warn
-
-            warn(f"{row.scene}, {row.method} at {row.ratio:g}: {row.status}: {row.reason}")
-        self.done += 1
 
 
 def _list(text: str) -> list[str]:

@@ -13,17 +13,15 @@ from nanogs.cli.reading import Reading, inspect_parts, read_parts
 from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo
-from nanogs.io.files import splat_bytes
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.api import target_of
 from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.cluster import executor_of
-from nanogs.pipeline.encoding import PLACED, encoding_of
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.in_blocks import block_memory, block_parameters, plan_job
 from nanogs.pipeline.job import usable_rows
-from nanogs.pipeline.memory import MemoryPlan, plan_memory
+from nanogs.pipeline.memory import MemoryPlan, plan_file
 from nanogs.pipeline.plan import ScalePlan
 from nanogs.pipeline.presets import effective, renders
 from nanogs.pipeline.rows import Changes
@@ -110,21 +108,12 @@ class Plan:
 
     def memory(self) -> MemoryPlan:
         """The memory it takes whole; an unknown count takes that of the whole model."""
-        info, most = self.info, self.count or self.info.splats
-        extra, chosen = info.extra_bytes(), self.method.chosen
+        chosen, most = self.method.chosen, self.count or self.info.splats
         # Where the preset looks, it has taken as much before as measuring one result does.
         measured = self.method.measured and (self.levels or not renders(chosen))
         judged = measured or self.goal.psnr is not None
-        plan = plan_memory(info.splats, info.sh_degree, extra, chosen, most, judged=judged)
-        row = splat_bytes(info.sh_degree) + extra
         ratios = [goal.ratio or 0.0 for goal in self.goals]
-        encoding = encoding_of(row, info.sh_degree, self.chunks, info.splats, ratios)
-        if not encoding.each:
-            return plan
-        # Between two levels, what a cut needs is kept, and each is encoded before the next.
-        row = plan.input_columns // info.splats + PLACED
-        held = int(plan.stages.get("cut", plan.input_columns) + most * row + encoding.file)
-        return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
+        return plan_file(self.info, chosen, most, ratios, self.chunks, judged=judged)
 
     def shown(self) -> "Plan":
         """The plan with what only the splats tell: a count, what filters leave, and blocks.

@@ -3,12 +3,17 @@
 No Numba here: `--dry-run` uses it without compiling anything.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+from nanogs.io.files import splat_bytes
+from nanogs.io.info import FileInfo
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.slices import SLICE_PAIRS
+from nanogs.pipeline.encoding import PLACED, encoding_of
 from nanogs.pipeline.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
 from nanogs.pipeline.presets import Parameters
+from nanogs.pipeline.settings import Chunks
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # Gaussians; their features are the model's
@@ -63,6 +68,37 @@ def plan_memory(
         )
     stages = {stage: count * row + more for stage, more in held.items()}
     return MemoryPlan(count * row, working_set, stages, max(stages.values()))
+
+
+def plan_file(
+    info: FileInfo,
+    parameters: Parameters,
+    target: int,
+    ratios: Sequence[float] = (),
+    chunks: Chunks | None = None,
+    *,
+    judged: bool = False,
+) -> MemoryPlan:
+    """Memory of simplifying a file, or of making levels of it.
+
+    Args:
+        info: The file.
+        parameters: Of the method.
+        target: Splats in the largest result.
+        ratios: Of levels that lie in chunks.
+        chunks: These, or None.
+        judged: As `plan_memory` takes it.
+    """
+    extra = info.extra_bytes()
+    plan = plan_memory(info.splats, info.sh_degree, extra, parameters, target, judged=judged)
+    row = splat_bytes(info.sh_degree) + extra
+    encoding = encoding_of(row, info.sh_degree, chunks, info.splats, ratios)
+    if not encoding.each:
+        return plan
+    # Between two levels, what a cut needs is kept, and each is encoded before the next.
+    placed = plan.input_columns // info.splats + PLACED
+    held = int(plan.stages.get("cut", plan.input_columns) + target * placed + encoding.file)
+    return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
 
 
 def _paper_stages(count: int, row: int, features: int, k: int, target: int) -> dict[str, int]:
