@@ -10,9 +10,9 @@ import nanogs
 from nanogs.clock import StageClock
 from nanogs.metrics import psnr, ssim
 from nanogs.neighbours import nearest_neighbours
+from nanogs.pipeline.ending import result_of
 from nanogs.pipeline.frame import survey
 from nanogs.pipeline.in_blocks import block_parameters, plan_job
-from nanogs.pipeline.result import write_result
 from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.raster.rendering import prepare, render
@@ -39,16 +39,8 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
         of_block = np.empty(len(splats), np.int64)
         parts = [done.work.partition.count(b) for b in range(done.work.partition.blocks)]
         of_block[np.argsort(codes, kind="stable")] = np.repeat(np.arange(len(parts)), parts)
-        facts = done.work.record(_budget()).facts
-        out = Path(name) / "out.ply"
-        write_result(done.work, 0, out, int(facts["target"]), {})
-        return nanogs.load(out), of_block
-
-
-def _budget():  # noqa: ANN202 - a task
-    from nanogs.pipeline.work import Task
-
-    return Task("budget")
+        with result_of(done.work, 0) as result:
+            return result.load(), of_block
 
 
 def beside_borders(means: np.ndarray, of_block: np.ndarray, reach: int) -> np.ndarray:

@@ -311,7 +311,6 @@ def test_verbose_tells_of_each_level(folder, tmp_path):
         (["a.ply", "out/tileset.json", "--frame", "rub"], [".glb has a frame of its own"]),
         (["a.ply", "out", "--crop", "cube"], ["--crop"]),
         (["a.ply", "out", "--max-memory", "240MB", "--drop-floaters"], ["--drop-floaters needs"]),
-        (["a.ply", "out", "--max-memory", "240MB", "--format", "sog"], [".ply files, not .sog"]),
     ],
 )
 def test_what_levels_cannot_have_is_refused(folder, tmp_path, given, words, monkeypatch):

@@ -299,7 +299,7 @@ def test_blocks_that_are_resumed_keep_their_size_whatever_is_free(scene, tmp_pat
         nanogs.simplify_blocks(
             scene, out, max_memory=LIBRARIES + 25_000_000, progress=stop, **given
         )
-    block = read_manifest(job)[0].block
+    block = read_manifest(job)[0]["block"]
     assert block_memory(None, None, job, elsewhere=False) == (None, block)
     report = nanogs.simplify_blocks(scene, out, resume=True, **given)
     assert report.blocks.allowed == block

@@ -17,8 +17,8 @@ from launch import run
 from nanogs.cli.lod import exit_if_short
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.folder import atomic_folder
+from nanogs.levels_of_detail import write_levels
 from nanogs.lod.manifest import made_files
-from nanogs.pipeline.write_levels import write_levels
 from nanogs.report import StopReason
 from test_cli import assert_refused
 

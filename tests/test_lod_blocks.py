@@ -1,10 +1,10 @@
 """Levels in chunks of models that do not fit into memory: 3D Tiles and streamed SOG by blocks."""
 
+import hashlib
 import itertools
 import json
 import tempfile
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,21 +14,22 @@ from builders import random_splats
 from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
+from nanogs.levels_of_detail import write_levels_in_blocks
+from nanogs.lod import folder as levels_folder
 from nanogs.lod.cells import divide
-from nanogs.lod.layout import Layout, made_files
-from nanogs.pipeline import levels_folder, stages
+from nanogs.lod.folder import made_files
+from nanogs.lod.layout import Layout
+from nanogs.lod.streamed_sog import StreamedSog
+from nanogs.lod.tiles import Tiles
 from nanogs.pipeline import run as scale_run
-from nanogs.pipeline.chunked import cut_of
+from nanogs.pipeline import stages
 from nanogs.pipeline.folder import MANIFEST
-from nanogs.pipeline.levels_in_blocks import write_levels_in_blocks
 from nanogs.pipeline.plan import plan_blocks
 from nanogs.pipeline.presets import PRESETS
-from nanogs.pipeline.settings import SOG, TILES, Chunks
 from nanogs.pipeline.stored_job import Where
+from nanogs.sink import BlockChunks
 from nanogs.source import Layout as Columns
 from nanogs.splats import concatenate
-from nanogs.store.scratch import FolderScratch
-from nanogs.store.tables import write_table
 from test_lod_stream import assert_binary, files, leaves, seen_by_the_viewer
 from test_scale_runs import wall
 from test_tiles import corners, level_of, tiles
@@ -124,6 +125,28 @@ def test_all_models_of_a_streamed_level_are_the_level(made, plain):
             assert np.abs(found - wanted).max() < 1e-3
 
 
+def test_plain_levels_are_files_of_any_format(scene, tmp_path, plain):
+    manifest, _ = write(scene, tmp_path / "levels", Layout.FILES, suffix=".spz")
+    assert [level.file for level in manifest.levels] == [f"level_{n}.spz" for n in range(3)]
+    for level, expected in zip(manifest.levels, plain, strict=True):
+        nanogs.save(expected, tmp_path / level.file)
+        own = (tmp_path / "levels" / level.file).read_bytes()
+        assert own == (tmp_path / level.file).read_bytes()
+        assert level.sha256 == hashlib.sha256(own).hexdigest()
+
+
+def test_levels_that_would_be_held_whole_and_are_too_large_are_refused(tmp_path):
+    def refuse(count, **given):
+        sink = levels_folder.LevelsFolder(tmp_path / "l", overwrite=False, source="a", **given)
+        sink.refuse_large(count, 200, 10**8)
+
+    for given in ({}, {"suffix": ".spz"}, {"chunks": Tiles(100)}):
+        refuse(10**6, **given)
+    refuse(10**5, suffix=".sog")
+    with pytest.raises(OptionError, match=r"\.sog is not written block by block"):
+        refuse(10**6, suffix=".sog")
+
+
 def test_tiles_refine_by_one_scale_for_the_whole_scene(made):
     """Errors follow from the splats alone, whichever block a tile is of."""
     path = made[Layout.TILES][0] / "tileset.json"
@@ -212,7 +235,8 @@ def test_a_coarser_tile_is_not_smaller_than_finer_ones():
     """Merging has moved more into the cells than they held: the finer level's tile stays whole."""
     cells = divide(np.arange(12.0).reshape(4, 3), 2)
     counts = np.array([[1, 1], [2, 1]])
-    assert cut_of(cells, counts, 2, 0) == cut_of(cells, counts, 2, 1) == [0]
+    assert cells.cut(counts[0], 2, cells.all_leaves()) == [0]
+    assert cells.cut(counts[1], 2, frozenset([0])) == [0]
     assert cells.cut(counts[1], 2, cells.all_leaves()) == [1, 2]
 
 
@@ -259,7 +283,8 @@ def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
             raise CrashError  # the folder has its name, and the job is not taken away
 
     monkeypatch.setattr(scale_run, "do", crash_at(stages.do, 1, 5, 20, 31, 46, 57))
-    monkeypatch.setattr(levels_folder, "_copy", crash_at(levels_folder._copy, 1, 5))
+    filling = levels_folder._Chunks
+    monkeypatch.setattr(filling, "_write", crash_at(filling._write, 1, 5))
     monkeypatch.setattr(levels_folder, "move_folder", named)
     for _ in range(20):
         try:
@@ -313,13 +338,14 @@ def test_the_job_may_lie_on_another_file_system(scene, tmp_path, made):
 
 
 def test_names_of_files_lead_out_of_no_folder(tmp_path):
-    scratch = FolderScratch(tmp_path / "scratch")
-    scratch.prepare()
-    record = write_table(scratch, "chunk", {"../mine.txt": np.frombuffer(b"theirs", np.uint8)}, {})
     (tmp_path / "mine.txt").write_text("mine")
-    (tmp_path / "levels").mkdir()
+    sink = levels_folder.LevelsFolder(
+        tmp_path / "levels", overwrite=False, source="a.ply", chunks=Tiles(100)
+    )
     with pytest.raises(FormatError, match="mine"):
-        levels_folder._copy(SimpleNamespace(scratch=scratch), record, tmp_path / "levels")
+        sink.open(tmp_path / "made").add_blocks(
+            [BlockChunks({}, 1, (), [("../mine.txt", b"theirs")])]
+        )
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
@@ -344,17 +370,16 @@ def test_memory_bounds_blocks_and_files_of_chunks():
         return plan_blocks(10**7, layout, PRESETS["fast"], (0.5,), room, None, chunks)
 
     plain, small, large = (
-        plan(500_000_000, chunks)
-        for chunks in (None, Chunks(SOG, 2000, False), Chunks(SOG, 32_768, False))
+        plan(500_000_000, chunks) for chunks in (None, StreamedSog(2000), StreamedSog(32_768))
     )
     assert large.block < small.block <= plain.block
     assert max(large.memory, small.memory, plain.memory) <= 500_000_000
     assert plain.seconds < large.seconds
-    assert plan(10**9, Chunks(TILES, 32_768, False)).block == plan(10**9, None).block
+    assert plan(10**9, Tiles(32_768, packed=False)).block == plan(10**9, None).block
     with pytest.raises(OptionError, match="a smaller `chunk`"):
-        plan(300_000_000, Chunks(SOG, 32_768, False))
+        plan(300_000_000, StreamedSog(32_768))
     with pytest.raises(OptionError, match="a larger `chunk`"):
-        plan(500_000_000, Chunks(TILES, 100, False))
+        plan(500_000_000, Tiles(100, packed=False))
 
 
 # The command

@@ -23,11 +23,12 @@ from launch import run
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.folder import atomic_folder
+from nanogs.levels_of_detail import write_levels
 from nanogs.lod.boxes import box_around
 from nanogs.lod.cells import LEAF, divide
-from nanogs.lod.layout import Layout, made_files, output_of
+from nanogs.lod.folder import LevelsFolder, made_files
+from nanogs.lod.layout import Layout, output_of
 from nanogs.lod.streamed_sog import StreamedSog
-from nanogs.pipeline.write_levels import write_levels
 from nanogs.threads import use_threads
 from npm_packages import package, served
 from test_cli import assert_refused
@@ -237,7 +238,7 @@ def test_one_level_and_one_splat_and_coincident_ones(tmp_path):
 def test_nothing_of_a_level_is_kept(tmp_path):
     small = random_splats(200)
     array = weakref.ref(small.sh)
-    out = StreamedSog(tmp_path, 50)
+    out = LevelsFolder(tmp_path, overwrite=True, source="", chunks=StreamedSog(50)).open(tmp_path)
     out.add(small)
     del small
     assert array() is None

@@ -8,8 +8,8 @@ from tests.builders import random_splats
 
 import nanogs
 from nanogs.fit.parameters import RefitParameters
+from nanogs.levels_of_detail import write_levels
 from nanogs.lod.layout import Layout
-from nanogs.pipeline.write_levels import write_levels
 from nanogs.progress import Stage, Step, Tracker, each
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.views.automatic import automatic_cameras
@@ -161,7 +161,7 @@ def test_refit():
 
 @pytest.mark.parametrize("levels", [1, 2])
 def test_blocks(tmp_path, levels):
-    from nanogs.pipeline.levels_in_blocks import write_levels_in_blocks
+    from nanogs.levels_of_detail import write_levels_in_blocks
     from nanogs.pipeline.stored_job import Where
 
     told = []

@@ -21,19 +21,18 @@ from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline import run, stages
 from nanogs.pipeline.budget import budget
-from nanogs.pipeline.folder import LOCK, MANIFEST, locked
+from nanogs.pipeline.folder import LOCK, MANIFEST, locked, read_manifest, write_manifest
 from nanogs.pipeline.forests import BINS, histogram_of, keys, scores_of
 from nanogs.pipeline.frame import Frame
 from nanogs.pipeline.partition import partition
 from nanogs.pipeline.plan import held_bytes, plan_blocks
 from nanogs.pipeline.settings import (
-    VERSION,
     Access,
     InputFile,
     Segment,
     Settings,
     Sieve,
-    settings_of,
+    differences,
 )
 from nanogs.pipeline.settle import keep_every_group
 from nanogs.pipeline.spill import DIGEST
@@ -209,12 +208,24 @@ def test_every_group_keeps_one_of_its_own(groups, more, seed):
 def test_settings_survive_json():
     sieve = Sieve((("box", (0.1, 1 / 3)), ("opacity", (0.5,))), (60, 40), (30, 10))
     job = settings(50, [30, 40], counts=(7,), ratios=(), filters=sieve, frame=("rub", "rdf"))
-    assert settings_of(json.loads(json.dumps(job.to_dict()))) == job
+    before = json.loads(json.dumps(job.to_dict()))
+    assert differences(before, job) == []
+    assert differences(before | {"counts": [8], "asked": None}, job) == ["counts", "asked"]
     assert (job.splats, job.read) == (40, 70)
-    with pytest.raises(FormatError, match="version"):
-        settings_of(job.to_dict() | {"version": 0})
-    with pytest.raises(FormatError, match="damaged"):
-        settings_of({"version": VERSION, "layout": {}})
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"version": 0}, "version"), ({"block": "many"}, "cannot be read"), ({}, "cannot be read")],
+)
+def test_a_manifest_that_is_not_understood_is_refused(tmp_path, change, said):
+    write_manifest(tmp_path, settings(50, [30]), "here")
+    assert read_manifest(tmp_path)[0]["block"] == 50
+    data = json.loads((tmp_path / MANIFEST).read_text())
+    data["settings"] = data["settings"] | change if change else {}
+    (tmp_path / MANIFEST).write_text(json.dumps(data))
+    with pytest.raises(FormatError, match=said):
+        read_manifest(tmp_path)
 
 
 def test_blocks_are_as_large_as_memory_allows():

@@ -12,8 +12,8 @@ from nanogs import filters
 from nanogs.errors import ModelError, OptionError, OutputError
 from nanogs.filters import Filter
 from nanogs.frames import change_frame
+from nanogs.levels_of_detail import write_levels_in_blocks
 from nanogs.lod.layout import Layout
-from nanogs.pipeline.levels_in_blocks import write_levels_in_blocks
 from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.stored_job import Where
 from nanogs.source import Filtered, Joined

@@ -201,7 +201,7 @@ def test_how_a_task_ended_is_said():
     pytest.importorskip("distributed")
     from distributed import KilledWorker
 
-    from nanogs.pipeline.work import Task
+    from nanogs.pipeline.scene import Task
     from nanogs.pipeline.workers import check
 
     cases = [
@@ -226,6 +226,7 @@ def test_how_a_task_ended_is_said():
 
 def test_a_worker_says_what_it_does_not_see(tmp_path):
     from nanogs._version import __version__
+    from nanogs.pipeline.scene import Task
     from nanogs.pipeline.workers import do_task
 
     source, host = tmp_path / "in.ply", re.escape(socket.gethostname())
@@ -233,19 +234,18 @@ def test_a_worker_says_what_it_does_not_see(tmp_path):
     settings, _ = plan_job(
         [source], (Goal(ratio=0.5),), block_parameters("fast", {}), None, 400, "drop"
     )
-    text = json.dumps(settings.to_dict())
     with pytest.raises(NanogsError, match=f"On the worker {host}: job-0-00000 of the job"):
-        do_task(str(tmp_path / "scratch"), text, "segment", 0, 0, 1, __version__)
+        do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, __version__)
     assert not (tmp_path / "scratch").exists()
     with pytest.raises(OptionError, match="install the same version"):
-        do_task(str(tmp_path / "scratch"), text, "segment", 0, 0, 1, "0.0.1")
+        do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, "0.0.1")
     scratch = FolderScratch(tmp_path / "scratch")
     scratch.prepare()
     run_tasks(scratch, settings, Here(), 1, StageClock(), Tracker(None, []),
               resumed=False)  # fmt: skip
     source.unlink()
     with pytest.raises(FormatError, match=r"in\.ply is not there; the caller and all workers"):
-        do_task(str(tmp_path / "scratch"), text, "segment", 0, 0, 1, __version__)
+        do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, __version__)
 
 
 # ---- stores of objects ----------------------------------------------------------------------

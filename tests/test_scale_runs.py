@@ -21,11 +21,11 @@ from builders import random_splats
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError, OutputError
 from nanogs.memory import LIBRARIES
+from nanogs.pipeline.ending import result_of
 from nanogs.pipeline.frame import survey
 from nanogs.pipeline.in_blocks import block_parameters, plan_job
 from nanogs.pipeline.plan import held_bytes
 from nanogs.pipeline.presets import PRESETS
-from nanogs.pipeline.result import write_result
 from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
@@ -260,8 +260,8 @@ def in_blocks(splats, folder, ratio, rounds):
     order = np.argsort(survey(settings).codes(splats), kind="stable")
     of_block = np.empty(len(splats), np.int64)
     of_block[order] = np.repeat(np.arange(found.blocks), sizes)
-    write_result(done.work, 0, folder / "out.ply", int(ratio * len(splats)), {})
-    return nanogs.load(folder / "out.ply"), of_block
+    with result_of(done.work, 0) as result:
+        return result.load(), of_block
 
 
 @pytest.mark.slow

@@ -14,9 +14,10 @@ from conftest import scene_path
 from launch import run
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
-from nanogs.lod.layout import Layout, made_files
+from nanogs.levels_of_detail import write_levels
+from nanogs.lod.folder import LevelsFolder, made_files
+from nanogs.lod.layout import Layout
 from nanogs.lod.tiles import Tiles
-from nanogs.pipeline.write_levels import write_levels
 from nanogs.splats import RenderMode
 from nanogs.threads import use_threads
 from npm_packages import node, package
@@ -200,15 +201,21 @@ def test_more_than_one_top_tile_share_a_root_without_content(splats, tmp_path):
     assert {level_of(tile) for tile in root["children"]} == {1}
 
 
+def laid_out(folder, layout, levels):
+    """The `tileset.json` of given levels, whatever they were made of."""
+    _, report = nanogs.simplify(random_splats(20), ratio=0.5, preset="fast")
+    with LevelsFolder(folder, overwrite=False, source="a.ply", chunks=layout).filled() as out:
+        for level in levels:
+            out.add(level)
+        out.finish([report] * len(levels))
+    return folder / "tileset.json"
+
+
 def test_no_tile_is_more_exact_than_its_children(tmp_path):
     """A coarser level whose splats are smaller than those of a finer one has its error."""
     splats = random_splats(30)
     wide = replace(splats, log_scales=splats.log_scales + np.float32(3))
-    out = Tiles(tmp_path, 100)
-    for level in (splats, wide, splats):
-        out.add(level)
-    out.finish(None)
-    root = tileset(tmp_path / "tileset.json")["root"]
+    root = tileset(laid_out(tmp_path / "levels", Tiles(100), (splats, wide, splats)))["root"]
     assert root["geometricError"] == root["children"][0]["geometricError"] > 10
 
 
@@ -218,19 +225,16 @@ def test_a_cell_that_a_level_leaves_empty_has_no_content_but_is_refined(tmp_path
     means = rng.normal(0, 0.1, (40, 3)).astype(np.float32)
     means[20:, 0] += 10
     fine = replace(random_splats(40), means=means)
-    out = Tiles(tmp_path, 20, plain=True)
-    out.add(fine)
-    out.add(fine.take(np.r_[np.arange(20), np.arange(5)]))
-    out.add(fine.take(np.arange(10)))
-    out.finish(None)
-    root = tileset(tmp_path / "tileset.json")["root"]
+    levels = fine, fine.take(np.r_[np.arange(20), np.arange(5)]), fine.take(np.arange(10))
+    path = laid_out(tmp_path / "levels", Tiles(20, packed=False), levels)
+    root = tileset(path)["root"]
     assert root["content"]["uri"] == "2_0.glb"
     full, empty = sorted(root["children"], key=lambda tile: "content" not in tile)
     assert full["content"]["uri"] == "1_0.glb"
     assert "content" not in empty
     assert 0 < empty["geometricError"] <= root["geometricError"]
     assert [tile["content"]["uri"] for tile in empty["children"]] == ["0_1.glb"]
-    assert len(io.load(tmp_path / "1_0.glb")) == 25  # more than asked for, but of one finer cell
+    assert len(io.load(path.parent / "1_0.glb")) == 25  # more than asked for, but of one finer cell
 
 
 @pytest.mark.parametrize("plain", [False, True])

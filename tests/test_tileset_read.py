@@ -10,8 +10,8 @@ from builders import random_splats
 from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
+from nanogs.levels_of_detail import write_levels
 from nanogs.lod.layout import Layout
-from nanogs.pipeline.write_levels import write_levels
 
 RATIOS = (0.5, 0.1, 0.02)
 BOX = {"box": [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import nanogs
-from nanogs.findings import Finding, join_findings, negative_scales, of_plain, to_plain
+from nanogs.findings import Finding, Names, join_findings, negative_scales, of_plain, to_plain
 from nanogs.formatting import counted, undrawn
 
 SOURCES = sorted(Path(nanogs.__file__).parent.rglob("*.py"))
@@ -40,6 +40,10 @@ def test_findings_of_blocks_add_up_to_one_sentence():
         "1,201 splats have a negative scale, which became NaN.",
     )
     assert of_plain(to_plain(one)) == one
+    rounded = [of_plain(to_plain(Finding("To 1/{}.", value, min))) for value in (512, 256)]
+    assert join_findings([rounded]) == ("To 1/256.",)
+    named = [of_plain(to_plain(Finding("{}", Names(n), Names.union))) for n in ("ab", "bc")]
+    assert join_findings([named]) == ("a, b, c",)
     assert Finding("Rounded to 1/{}.", 2048, min) == "Rounded to 1/2048."
 
 
@@ -67,5 +71,5 @@ def test_the_library_speaks_of_arguments_and_the_command_of_options():
 def test_no_sentence_says_one_splats():
     found = {path.name: PLURAL.findall(path.read_text(encoding="utf-8")) for path in SOURCES}
     assert len(found) > 200
-    always_many = {"sog_write.py", "result.py"}  # "... splats are too many"
+    always_many = {"sink.py"}  # "... splats are too many"
     assert {name for name, each in found.items() if each} == always_many

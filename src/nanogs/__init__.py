@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from nanogs.fit.parameters import RefitParameters
     from nanogs.fit.report import RefitReport
     from nanogs.io import load, open, save  # noqa: A004 - what it is called everywhere
+    from nanogs.levels_of_detail import write_levels
     from nanogs.model_info import info
     from nanogs.pipeline.api import simplify
     from nanogs.pipeline.in_blocks import simplify_blocks
     from nanogs.pipeline.levels import levels
     from nanogs.pipeline.presets import PRESETS as presets  # noqa: N811 - read like a module
-    from nanogs.pipeline.write_levels import write_levels
     from nanogs.raster.camera import Camera
     from nanogs.report import SimplifyReport
     from nanogs.scoring.api import compare
@@ -77,7 +77,7 @@ _HOMES = {
     "save": "io",
     "simplify": "pipeline.api",
     "simplify_blocks": "pipeline.in_blocks",
-    "write_levels": "pipeline.write_levels",
+    "write_levels": "levels_of_detail",
 }
 _ATTRIBUTES = {"presets": "PRESETS"}  # what they are called there, if not the same
 _MODULES = (

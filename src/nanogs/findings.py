@@ -5,7 +5,7 @@ sentence about the model.
 """
 
 import operator
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Self
 
 from nanogs.formatting import counted
@@ -87,16 +87,27 @@ def join_findings(parts: Iterable[Iterable[str]]) -> tuple[str, ...]:
     return tuple(found.values())
 
 
+_MERGES = {merge.__name__: merge for merge in (operator.add, min, Names.union)}
+
+
 def to_plain(sentence: str) -> str | dict[str, Any]:
-    """A sentence as JSON holds it; of a finding only one whose values are numbers to be added."""
-    if isinstance(sentence, Finding) and isinstance(sentence.value, int):
-        return {"template": sentence.template, "value": sentence.value}
-    return str(sentence)
+    """A sentence as JSON holds it; of a finding, what it takes to join it with others."""
+    if not isinstance(sentence, Finding) or sentence.merge.__name__ not in _MERGES:
+        return str(sentence)
+    return {
+        "template": sentence.template,
+        "value": sentence.value,
+        "merge": sentence.merge.__name__,
+    }
 
 
 def of_plain(data: str | Mapping[str, Any]) -> str:
     """A sentence from what `to_plain` made of it."""
-    return data if isinstance(data, str) else Finding(data["template"], int(data["value"]))
+    if isinstance(data, str):
+        return data
+    value = data["value"]
+    names = isinstance(value, Sequence)
+    return Finding(data["template"], Names(value) if names else value, _MERGES[data["merge"]])
 
 
 def negative_scales(count: int) -> list[str]:

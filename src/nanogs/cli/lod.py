@@ -84,7 +84,7 @@ def lod(
     with uncollected():
         from nanogs.cli import framing, lod_run, many, reading
         from nanogs.io.collect import Pair
-        from nanogs.lod.layout import check_options, output_of
+        from nanogs.lod.layout import chunks_of, output_of
         from nanogs.pipeline.levels import check_ratios
 
     # Whatever can be refused is refused before minutes of computing.
@@ -94,7 +94,7 @@ def lod(
     parts, target = _parts(paths, join=method.blocks.join)
     output = output_of(target, level_format)
     turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
-    check_options(output.layout, chunk, plain=plain)
+    chunks_of(output.layout, chunk, plain=plain)  # or it is refused
     request = lod_run.Request(
         parts=parts, output=output, ratios=ratios, method=method, turn=turn, chunk=chunk,
         plain=plain, reading=reading.parse_reading(method.edits), overwrite=overwrite,

@@ -18,19 +18,18 @@ from nanogs.cli.plan import Plan, plan_run, sees_to_output, show_plan
 from nanogs.cli.reading import Reading
 from nanogs.cli.simplify_report import warn_of_input
 from nanogs.clock import StageClock
-from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text, counted, number_text, time_text
 from nanogs.io.collect import Pair
 from nanogs.io.folder import check_folder_writable
 from nanogs.kernels.compiling import when_compiling
-from nanogs.lod.layout import Layout, Output, made_files
+from nanogs.levels_of_detail import write_levels, write_levels_in_blocks, write_levels_stages
+from nanogs.lod.folder import made_files
+from nanogs.lod.layout import Layout, Output, chunks_of
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.job import import_stages
-from nanogs.pipeline.levels_in_blocks import chunks_of, write_levels_in_blocks
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.target import Goal, target_count
-from nanogs.pipeline.write_levels import write_levels, write_levels_stages
 from nanogs.progress import Progress, Tracker
 from nanogs.report import SimplifyReport
 
@@ -68,6 +67,7 @@ class Request:
             "layout": self.output.layout,
             "chunk": self.chunk,
             "plain": self.plain,
+            "suffix": self.output.suffix,
         }
         return self.method.given | own | {"overwrite": self.overwrite}
 
@@ -113,16 +113,10 @@ def _plan(request: Request, parts: Sequence[Path]) -> Plan:
         check_folder_writable(output.folder, made_files, overwrite=request.overwrite)
     goals = [Goal(ratio=ratio) for ratio in request.ratios]
     chunks = chunks_of(output.layout, request.chunk, plain=request.plain)
-    plan = plan_run(
+    return plan_run(
         parts, output.folder, goals, method, request.reading, request.turn, chunks,
         levels=True,
     )  # fmt: skip
-    if plan.divided and output.suffix != ".ply":
-        raise OptionError(
-            f"This model does not fit into memory, and levels made in blocks are .ply files, not"
-            f" {output.suffix}; leave --format out, or name OUT lod-meta.json."
-        )
-    return plan
 
 
 def _in_blocks(
@@ -163,7 +157,6 @@ def _whole(
         output.folder,
         request.ratios,
         source=", ".join(part.name for part in plan.parts),
-        suffix=output.suffix,
         frame=plan.turn,
         measured=method.measured,
         cameras=requested_cameras(splats, method.cameras, method.up, method.chosen),

@@ -25,8 +25,8 @@ from nanogs.pipeline.memory import MemoryPlan, plan_file
 from nanogs.pipeline.plan import ScalePlan
 from nanogs.pipeline.presets import effective, renders
 from nanogs.pipeline.rows import Changes
-from nanogs.pipeline.settings import Chunks
 from nanogs.pipeline.target import Goal
+from nanogs.sink import Chunked
 
 _LIBRARIES = f"{bytes_text(LIBRARIES)} for Python and its libraries"
 
@@ -57,7 +57,7 @@ class Plan:
     reading: Reading
     turn: tuple[str, str] | None
     goals: Sequence[Goal]
-    chunks: Chunks | None
+    chunks: Chunked | None
     levels: bool
     info: FileInfo
     count: int | None
@@ -215,7 +215,7 @@ def plan_run(
     method: Method,
     reading: Reading,
     turn: tuple[str, str] | None,
-    chunks: Chunks | None = None,
+    chunks: Chunked | None = None,
     *,
     levels: bool = False,
     piped: bool = False,

@@ -1,33 +1,29 @@
-"""Shared by the chunked layouts: the splats of a level in the order of their cells."""
+"""Shared by the layouts in chunks: the splats of a level in the order of their cells."""
 
 import json
-from collections.abc import Iterable
-from dataclasses import replace
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from nanogs._types import I64
+from nanogs._types import F64, I64, Array, F
 from nanogs._version import __version__
 from nanogs.errors import OptionError
 from nanogs.io.json_fields import is_plain
-from nanogs.lod.cells import Cells
+from nanogs.lod.boxes import Box
+from nanogs.lod.cells import Cells, divide
+from nanogs.progress import Parts, untold
+from nanogs.sink import PLACED, BlockChunks, Encoding
 from nanogs.splats import Splats
 
 GENERATOR = "nanogs"
-
-
-class Written(NamedTuple):
-    """The files of a level.
-
-    Attributes:
-        names: Each model's file, as a path from the folder with slashes.
-        bytes: Size of these files and of those that they name.
-    """
-
-    names: tuple[str, ...]
-    bytes: int
+Made = Iterator[tuple[Any, Mapping[str, bytes]]]
+"""Chunks one at a time, as plain data, each with the files that are made with it."""
+_OUTSIDE = 12_000_000  # bytes for a file in libraries, beside which a splat has pixels there
+_DESCRIBED = 2 * 8_000  # bytes for what is said of a chunk at all levels; some are but half full
 
 
 class SortedLevel:
@@ -42,7 +38,7 @@ class SortedLevel:
         """
         # What no chunk holds is not copied into any.
         self._splats = replace(splats, extras={}, comments=(), elements=(), notes=())
-        self.leaves = cells.leaf_of(splats.means)
+        self.cells, self.leaves = cells, cells.leaf_of(splats.means)
         self.counts = np.bincount(self.leaves, minlength=cells.count)
         self._order = np.argsort(self.leaves, kind="stable")
         self._starts = np.concatenate([[0], np.cumsum(self.counts)])
@@ -53,14 +49,128 @@ class SortedLevel:
         return self._splats.take(rows), self.leaves[rows]
 
 
-def check_chunk(chunk: int) -> None:
-    """Refuse what is no size of chunks.
+class Tree(NamedTuple):
+    """The scene, or a block of it.
 
-    Raises:
-        OptionError: It is below 1.
+    Attributes:
+        cells: What divides it.
+        levels: Chunks of each level, the finest first, as `ChunkLayout` describes them.
     """
-    if chunk < 1:
-        raise OptionError(f"A chunk must hold at least 1 splat, not {chunk}.")
+
+    cells: Cells
+    levels: Sequence[Sequence[Any]]
+
+
+class Takes(NamedTuple):
+    """What a layout's chunks take.
+
+    Attributes:
+        weight: Seconds of a machine for a million splats.
+        file: Bytes while a file is made, over those of its splats.
+        pixels: Bytes a splat of it besides.
+        seconds: Of a processor for a splat, without and with harmonics of higher degrees.
+    """
+
+    weight: float
+    file: float
+    pixels: int
+    seconds: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkLayout(ABC):
+    """A layout that divides levels; see `sink.Chunked`.
+
+    Attributes:
+        most: Splats of the finest level in a chunk, at most.
+    """
+
+    most: int
+    name: ClassVar[str]  # of the file that tells of the others
+    suffix: ClassVar[str]  # of a model as its files hold it
+    chunks_a_file: ClassVar[int] = 1
+
+    def __post_init__(self) -> None:
+        """Refuse what is no size of chunks.
+
+        Raises:
+            OptionError: It is below 1.
+        """
+        if self.most < 1:
+            raise OptionError(f"A chunk must hold at least 1 splat, not {self.most}.")
+
+    @property
+    def weight(self) -> float:
+        """As `Chunked` says."""
+        return self._takes.weight
+
+    def divide(self, means: F) -> dict[str, Array]:
+        """As `Chunked` says: the fields of `Cells`."""
+        return asdict(divide(means, self.most))
+
+    def encode(
+        self,
+        splats: Splats,
+        cells: Mapping[str, Array],
+        finer: Sequence[Any] | None,
+        prefix: str,
+        tell: Parts = untold,
+    ) -> BlockChunks:
+        """As `Chunked` says."""
+        level, chunks = SortedLevel(splats, Cells(**cells)), list[Any]()
+        losses = self.losses(splats) if len(splats) else ()
+
+        def files() -> Iterator[tuple[str, bytes]]:
+            for chunk, files in self._made(level, finer, prefix, tell):
+                chunks.append(chunk)
+                yield from files.items()
+
+        return BlockChunks(cells, len(splats), losses, files(), chunks)
+
+    def encoding(self, row: int, degree: int, splats: int, shares: Sequence[float]) -> Encoding:
+        """As `Chunked` says, from measurements of one file."""
+        takes, largest = self._takes, max(shares)
+        at_once = min(self.most * self.chunks_a_file, splats * largest)
+        return Encoding(
+            file=_OUTSIDE + at_once * (takes.file * row + takes.pixels),
+            each=min(1.0, 2 * largest) * (row + PLACED),
+            described=splats * largest / self.most * _DESCRIBED,
+            seconds=sum(int(share * splats) for share in shares) * takes.seconds[degree > 0],
+        )
+
+    @property
+    @abstractmethod
+    def _takes(self) -> Takes: ...
+
+    @abstractmethod
+    def _made(
+        self, level: SortedLevel, finer: Sequence[Any] | None, prefix: str, tell: Parts
+    ) -> Made:
+        """Make the chunks of a level; see `encode`."""
+
+    @abstractmethod
+    def losses(self, splats: Splats) -> tuple[str, ...]:
+        """Name the parts of a model that the files leave out, one sentence each."""
+
+    @abstractmethod
+    def describe(self, trees: Sequence[Tree], counts: Sequence[int]) -> str:
+        """The contents of the file that tells of the others.
+
+        Args:
+            trees: One or more, neighbours beside each other.
+            counts: Splats of each level.
+        """
+
+
+def numbers_of(box: Box) -> list[float]:
+    """A box as plain data."""
+    return [*box.low.tolist(), *box.high.tolist()]
+
+
+def box_of(numbers: Sequence[float]) -> Box:
+    """The box that `numbers_of` was given."""
+    corners: F64 = np.array(numbers).reshape(2, 3)
+    return Box(*corners)
 
 
 def generator() -> str:

@@ -1,4 +1,4 @@
-"""The layouts in which `nanogs lod` writes levels, and the folders that it may replace.
+"""The layouts in which `nanogs lod` writes levels.
 
 The output's name says which: `out/lod-meta.json`, `out/tileset.json`, or the folder itself.
 """
@@ -6,17 +6,14 @@ The output's name says which: `out/lod-meta.json`, `out/tileset.json`, or the fo
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol
 
 from nanogs.defaults import CHUNK
 from nanogs.errors import OptionError
 from nanogs.io import registry
-from nanogs.lod import manifest, streamed_sog, tiles
-from nanogs.lod.chunks import Written, check_chunk
-from nanogs.lod.file_levels import PLY, FileLevels, level_name
-from nanogs.lod.manifest import Manifest
-from nanogs.progress import Parts, untold
-from nanogs.splats import Splats
+from nanogs.lod.chunks import ChunkLayout
+from nanogs.lod.folder import PLY, level_name
+from nanogs.lod.streamed_sog import StreamedSog
+from nanogs.lod.tiles import Tiles
 
 
 class Layout(StrEnum):
@@ -27,7 +24,8 @@ class Layout(StrEnum):
     TILES = "3d tiles"
 
 
-NAMES = {Layout.SOG: streamed_sog.NAME, Layout.TILES: tiles.NAME}
+_CHUNKED: dict[Layout, type[ChunkLayout]] = {Layout.SOG: StreamedSog, Layout.TILES: Tiles}
+NAMES = {layout: chunked.name for layout, chunked in _CHUNKED.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +50,8 @@ class Output:
     @property
     def model(self) -> Path:
         """The name of one model in it, whose suffix is that of all."""
-        suffix = {Layout.SOG: ".sog", Layout.TILES: ".glb"}.get(self.layout, self.suffix)
-        return self.folder / level_name(0, suffix)
+        known = _CHUNKED.get(self.layout)
+        return self.folder / level_name(0, known.suffix if known else self.suffix)
 
 
 def output_of(path: Path, suffix: str | None = None) -> Output:
@@ -78,7 +76,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
     if path.suffix.lower() == ".json":
         raise OptionError(
             f"{path}: levels are described by a file called {' or '.join(NAMES.values())}; name"
-            f" that, as in {path.parent / path.stem / streamed_sog.NAME}, or a folder."
+            f" that, as in {path.parent / path.stem / StreamedSog.name}, or a folder."
         )
     if known := registry.find(path):
         raise OptionError(
@@ -92,21 +90,13 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
     return Output(path, Layout.FILES, ending)
 
 
-class LevelWriter(Protocol):
-    """Writes levels into a folder, one after the other."""
+def chunks_of(layout: Layout, chunk: int | None, *, plain: bool) -> ChunkLayout | None:
+    """How levels are divided in a layout; None where each is a file.
 
-    def add(self, splats: Splats, tell: Parts = untold) -> Written:
-        """Write the next level, the finest first, and tell how many of its splats are written."""
-
-    def finish(self, made: Manifest) -> None:
-        """Write what describes the folder."""
-
-    def losses(self, splats: Splats) -> tuple[str, ...]:
-        """Name the parts of a model that the files leave out, one sentence each."""
-
-
-def check_options(layout: Layout, chunk: int | None, *, plain: bool) -> None:
-    """Refuse what makes no sense for a layout.
+    Args:
+        layout: How they are to lie.
+        chunk: Most splats of a chunk of the finest level; `CHUNK` by default.
+        plain: Whether the contents of 3D Tiles are not packed.
 
     Raises:
         OptionError: The size of chunks is below 1 or given for a layout without chunks, or plain
@@ -117,38 +107,9 @@ def check_options(layout: Layout, chunk: int | None, *, plain: bool) -> None:
             "The size of chunks is for lod-meta.json and tileset.json; levels as files of their"
             " own are not divided."
         )
-    if chunk is not None:
-        check_chunk(chunk)
     if plain and layout is not Layout.TILES:
         raise OptionError("Contents are plain or packed in 3D Tiles only; write a tileset.json.")
-
-
-def writer(
-    layout: Layout, folder: Path, chunk: int | None, *, plain: bool, suffix: str = PLY
-) -> LevelWriter:
-    """Make the writer of a layout, into a folder that exists and is empty.
-
-    Args:
-        layout: How the levels are to lie.
-        folder: Where to.
-        chunk: Most splats of a chunk of the finest level; `CHUNK` by default.
-        plain: Whether the contents of 3D Tiles are not packed.
-        suffix: Of levels in files of their own.
-
-    Raises:
-        OptionError: As for `check_options`.
-    """
-    check_options(layout, chunk, plain=plain)
     most = CHUNK if chunk is None else chunk
-    if layout is Layout.SOG:
-        return streamed_sog.StreamedSog(folder, most)
     if layout is Layout.TILES:
-        return tiles.Tiles(folder, most, plain=plain)
-    return FileLevels(folder, suffix)
-
-
-def made_files(folder: Path) -> frozenset[str] | None:
-    """The files of a folder that `nanogs lod` made, in any layout; None for other folders."""
-    owners = (manifest.made_files, streamed_sog.made_files, tiles.made_files)
-    known = [names for made in owners if (names := made(folder)) is not None]
-    return frozenset[str]().union(*known) if known else None
+        return Tiles(most, packed=not plain)
+    return StreamedSog(most) if layout is Layout.SOG else None

@@ -1,15 +1,15 @@
 """The contents of a folder of levels, as `levels.json` in a folder of plain files has them."""
 
-import hashlib
 import json
-import math
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from nanogs.protocol import Judged, Protocol
+from nanogs._version import __version__
+from nanogs.protocol import Protocol
 from nanogs.report import SimplifyReport, StopReason
+from nanogs.sink import Written
 
 NAME = "levels.json"
 FORMAT = "nanogs-levels"
@@ -94,31 +94,45 @@ class Manifest:
         return {"format": FORMAT, "version": VERSION, **asdict(self)}
 
 
-def describe_level(file: Path, ratio: float, report: SimplifyReport) -> Level:
-    """One entry, from the file as it was written."""
-    return Level(
-        file=file.name,
-        ratio=ratio,
-        count=report.achieved_count,
-        bytes=file.stat().st_size,
-        sha256=_sha256(file),
-        psnr=None,
-        ssim=None,
-        stop=report.stop,
+def describe_levels(
+    source: str, reports: Sequence[SimplifyReport], written: Sequence[Written]
+) -> Manifest:
+    """Describe levels, the finest first, as they were made and written.
+
+    Args:
+        source: Name of the model.
+        reports: Of each level.
+        written: Files of each level.
+    """
+    first = reports[0]
+    notes = [note for report in reports for note in report.notes]
+    for level, each in enumerate(written):
+        # Said once of the finest level, and of others where it is not the same.
+        prefix = f"Level {level}: " if level else ""
+        notes += [prefix + loss for loss in each.losses if loss not in notes]
+    return Manifest(
+        generator=f"nanogs {__version__}",
+        source=source,
+        source_count=first.input_count,
+        preset=first.preset,
+        parameters=first.parameters,
+        levels=tuple(map(_entry, reports, written)),
+        notes=tuple(dict.fromkeys(notes)),
     )
 
 
-def describe_chunks(
-    files: tuple[str, ...], size: int, ratio: float, report: SimplifyReport
-) -> ChunkedLevel:
-    """One entry of a level in chunks, whose files take `size` bytes."""
-    return ChunkedLevel(files, ratio, report.achieved_count, size, None, None, report.stop)
-
-
-def judged_level(entry: Level | ChunkedLevel, judged: Judged) -> Level | ChunkedLevel:
-    """The entry with what was measured; JSON has no infinity."""
-    psnr = judged.psnr if math.isfinite(judged.psnr) else None
-    return replace(entry, psnr=psnr, ssim=judged.ssim)
+def _entry(report: SimplifyReport, written: Written) -> Level | ChunkedLevel:
+    ratio = report.asked_ratio
+    assert ratio is not None, "levels are asked for by their ratios"  # noqa: S101
+    if not written.sha256:
+        return ChunkedLevel(
+            tuple(written.files), ratio, report.achieved_count, written.bytes, None, None,
+            report.stop,
+        )  # fmt: skip
+    return Level(
+        written.files[0], ratio, report.achieved_count, written.bytes, written.sha256, None, None,
+        report.stop,
+    )  # fmt: skip
 
 
 def made_files(folder: Path) -> frozenset[str] | None:
@@ -147,8 +161,3 @@ def _files(levels: object) -> Iterable[str]:
     entries = levels if isinstance(levels, list) else []
     files = (entry.get("file") for entry in entries if isinstance(entry, dict))
     return (name for name in files if isinstance(name, str))
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,5 +1,7 @@
 """Holding levels against the model that they were made of, as files give them back."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,7 +9,7 @@ from typing import TYPE_CHECKING
 from nanogs.errors import ModelError
 from nanogs.frames import change_frame
 from nanogs.io import load, registry
-from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, judged_level
+from nanogs.lod.manifest import ChunkedLevel, Level, Manifest
 from nanogs.progress import Tracker
 from nanogs.splats import Splats
 
@@ -31,25 +33,31 @@ class LevelJudge:
     threads: int | None = None
     notes: tuple[str, ...] = ()
 
-    def of_file(self, level: Level | ChunkedLevel, path: Path) -> Level | ChunkedLevel:
-        """The entry of a level in a file of its own, with what was measured."""
-        return self._of(level, path, 0)
+    def of(self, made: Manifest, files: Sequence[tuple[Path, int]]) -> Manifest:
+        """The manifest with what was measured.
 
-    def of_chunks(self, made: Manifest, described: Path) -> Manifest:
-        """The entries of levels in chunks, which a file describes, with what was measured."""
-        levels = enumerate(made.levels)
-        return replace(made, levels=tuple(self._of(entry, described, n) for n, entry in levels))
-
-    def _of(self, entry: Level | ChunkedLevel, path: Path, level: int) -> Level | ChunkedLevel:
+        Args:
+            made: Without that.
+            files: Each level's file, and its number in there.
+        """
+        made = replace(made, notes=(*made.notes, *self.notes))
         if self.views is None:
-            return entry
+            return made
+        levels = (self._of(*each, self.views) for each in zip(made.levels, files, strict=True))
+        return replace(made, levels=tuple(levels), protocol=self.views.protocol)
+
+    def _of(
+        self, entry: Level | ChunkedLevel, file: tuple[Path, int], views: "HeldOut"
+    ) -> Level | ChunkedLevel:
         from nanogs.threads import use_threads
 
         with use_threads(self.threads):
-            seen = load(path, level=level)
+            seen = load(file[0], level=file[1])
             if self.turn:
                 seen = change_frame(seen, self.turn[1], self.turn[0])
-            return judged_level(entry, self.views.judge(seen))
+            judged = views.judge(seen)
+        psnr = judged.psnr if math.isfinite(judged.psnr) else None  # JSON has no infinity
+        return replace(entry, psnr=psnr, ssim=judged.ssim)
 
 
 def level_judge(

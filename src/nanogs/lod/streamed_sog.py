@@ -7,73 +7,117 @@ more room.
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
 from nanogs._types import F64, I64
 from nanogs.io.registry import LEVELS
 from nanogs.lod.boxes import Box, box_around, union
-from nanogs.lod.cells import Cells, divide
-from nanogs.lod.chunks import SortedLevel, Written, generator, plain_paths, read_own
-from nanogs.lod.manifest import Manifest
-from nanogs.progress import Parts, untold
+from nanogs.lod.cells import Cells
+from nanogs.lod.chunks import (
+    ChunkLayout,
+    Made,
+    SortedLevel,
+    Takes,
+    Tree,
+    box_of,
+    generator,
+    numbers_of,
+    plain_paths,
+    read_own,
+)
+from nanogs.progress import Parts
 from nanogs.splats import Splats
 
-NAME = LEVELS
-CHUNKS_A_FILE = 4  # full ones; that makes files of 1 to 2 MB
 # As the format's own tool has it. A viewer chooses levels by the distance to these boxes, so that
 # larger ones would bring fine levels too early.
 _DEVIATIONS = 1.0
 META = "meta.json"
+_Node = tuple[dict[str, Any], Box]
 
 
-class Place(NamedTuple):
-    """The splats of a leaf in a model, and the box around them."""
+@dataclass(frozen=True, slots=True)
+class StreamedSog(ChunkLayout):
+    """Levels as streamed SOG. A chunk, as plain data, is a leaf: number, row, count, box.
 
-    leaf: int
-    offset: int
-    splats: int
-    box: Box
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Model:
-    """A range of leaves of one level.
-
-    Attributes:
-        folder: Its name.
-        places: Where each leaf is that has anything in it.
-        files: The contents of its files by name.
+    What a level gives are models: the name of each one's folder, and its leaves.
     """
 
-    folder: str
-    places: list[Place]
-    files: Mapping[str, bytes]
+    name: ClassVar[str] = LEVELS
+    suffix: ClassVar[str] = ".sog"
+    chunks_a_file: ClassVar[int] = 4  # full ones; that makes files of 1 to 2 MB
+
+    @property
+    def _takes(self) -> Takes:
+        return Takes(25.0, 6.0, 300, (1e-5, 8e-5))
+
+    def _made(
+        self,
+        level: SortedLevel,
+        finer: Sequence[Any] | None,  # noqa: ARG002 - tiles follow it
+        prefix: str,
+        tell: Parts,
+    ) -> Made:
+        from nanogs.io.sog import write as sog_write  # here, as `--help` does without
+
+        for number, (first, end) in enumerate(_runs(level.counts, self.chunks_a_file * self.most)):
+            part, leaves = level.take(first, end)
+            folder, places = f"{prefix}{number}", list(_places(part, level.counts, first, end))
+            files = sog_write.contents(part, leaves)
+            tell(level.counts[:end].sum(), level.counts.sum())
+            yield [folder, places], {f"{folder}/{name}": data for name, data in files.items()}
+
+    def losses(self, splats: Splats) -> tuple[str, ...]:
+        """As `ChunkLayout` says."""
+        from nanogs.io.sog import write as sog_write
+
+        return sog_write.losses(splats)
+
+    def describe(self, trees: Sequence[Tree], counts: Sequence[int]) -> str:
+        """As `ChunkLayout` says."""
+        names: list[str] = []
+        found = [_Leaves(tree.cells) for tree in trees]
+        for level in range(len(counts)):
+            for tree, leaves in zip(trees, found, strict=True):
+                for folder, places in tree.levels[level]:
+                    leaves.add(level, len(names), places)
+                    names.append(f"{folder}/{META}")
+        data = {
+            "version": 1,
+            "asset": {"generator": generator(), "chunkGaussians": self.most},
+            "count": sum(counts),
+            "counts": list(counts),
+            "lodLevels": len(counts),
+            "lodErrors": False,
+            "filenames": names,
+            "tree": _joined([leaves.tree() for leaves in found])[0],
+        }
+        return json.dumps(data, separators=(",", ":"), allow_nan=False)
 
 
-class Tree:
-    """Some of the scene: which splats of which models stand for each leaf."""
+class _Leaves:
+    """Which splats of which models stand for each leaf, and the boxes around them."""
 
     def __init__(self, cells: Cells) -> None:
-        self.cells = cells
+        self._cells = cells
         self._entries: list[dict[str, dict[str, int]]] = [{} for _ in range(cells.count)]
         self._boxes: list[list[Box]] = [[] for _ in range(cells.count)]
 
-    def add(self, level: int, file: int, places: Sequence[Place]) -> None:
+    def add(self, level: int, file: int, places: Sequence[Any]) -> None:
         """Note the places in a file of a level; the finest level, which fills all leaves, first."""
-        for leaf, offset, splats, box in places:
+        for leaf, offset, splats, *box in places:
             place = {"file": file, "offset": offset, "count": splats}
             self._entries[leaf][str(level)] = place
-            self._boxes[leaf].append(box)
+            self._boxes[leaf].append(box_of(box))
 
-    def described(self) -> tuple[dict[str, Any], Box]:
+    def tree(self) -> _Node:
         """The tree and the box around all of it; from the leaves up, as boxes grow."""
-        cells = self.cells
-        nodes: dict[int, tuple[dict[str, Any], Box]] = {}
+        cells = self._cells
+        nodes: dict[int, _Node] = {}
         for node in range(len(cells.axes) - 1, -1, -1):
             if cells.is_leaf(node):
                 leaf = int(cells.leaves[node, 0])
@@ -84,29 +128,7 @@ class Tree:
         return nodes[0]
 
 
-def describe(trees: Sequence[Tree], names: Sequence[str], counts: Sequence[int], chunk: int) -> str:
-    """The contents of `lod-meta.json`.
-
-    Args:
-        trees: One or more, neighbours beside each other.
-        names: Each model's `meta.json`.
-        counts: Splats of each level.
-        chunk: Most splats of the finest level in a leaf.
-    """
-    data = {
-        "version": 1,
-        "asset": {"generator": generator(), "chunkGaussians": chunk},
-        "count": sum(counts),
-        "counts": list(counts),
-        "lodLevels": len(counts),
-        "lodErrors": False,
-        "filenames": list(names),
-        "tree": _joined([tree.described() for tree in trees])[0],
-    }
-    return json.dumps(data, separators=(",", ":"), allow_nan=False)
-
-
-def _joined(trees: list[tuple[dict[str, Any], Box]]) -> tuple[dict[str, Any], Box]:
+def _joined(trees: list[_Node]) -> _Node:
     """Trees beside each other as one, as binary as each of them."""
     while len(trees) > 1:
         pairs = [trees[i : i + 2] for i in range(0, len(trees), 2)]
@@ -114,110 +136,30 @@ def _joined(trees: list[tuple[dict[str, Any], Box]]) -> tuple[dict[str, Any], Bo
     return trees[0]
 
 
-def _parent(
-    near: tuple[dict[str, Any], Box], far: tuple[dict[str, Any], Box]
-) -> tuple[dict[str, Any], Box]:
+def _parent(near: _Node, far: _Node) -> _Node:
     box = union([near[1], far[1]])
     return {"bound": _bound(box), "children": [near[0], far[0]]}, box
 
 
-def encode(level: SortedLevel, most: int, prefix: str) -> Iterator[Model]:
-    """The models of a level, one at a time.
-
-    Args:
-        level: Its splats.
-        most: Splats of a model.
-        prefix: How names of folders begin.
-    """
-    from nanogs.io.sog import write as sog_write
-
-    for number, (first, end) in enumerate(_runs(level.counts, most)):
-        part, leaves = level.take(first, end)
-        yield Model(
-            f"{prefix}{number}",
-            list(_places(part, level.counts, first, end)),
-            sog_write.contents(part, leaves),
-        )
-
-
-def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[Place]:
+def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[list[float]]:
+    """Number, first row, splats and box of each leaf of a model that has anything in it."""
     offset = 0
     for leaf in range(first, end):
         if count := int(counts[leaf]):
             rows = np.arange(offset, offset + count)
-            yield Place(leaf, offset, count, box_around(part.take(rows), _DEVIATIONS))
+            box = box_around(part.take(rows), _DEVIATIONS)
+            yield [leaf, offset, count, *numbers_of(box)]
             offset += count
-
-
-class StreamedSog:
-    """A folder that is being filled, level by level."""
-
-    def __init__(self, folder: Path, chunk: int) -> None:
-        """Begin.
-
-        Args:
-            folder: Where to; it exists and is empty.
-            chunk: Most splats of the finest level in a leaf, 1 or more.
-        """
-        self._folder, self._chunk = folder, chunk
-        self._tree: Tree | None = None
-        self._names: list[str] = []
-        self._counts: list[int] = []
-
-    def add(self, splats: Splats, tell: Parts = untold) -> Written:
-        """Write the next level, the finest first, one model at a time.
-
-        Args:
-            splats: N splats, all finite.
-            tell: Told of the splats written, and of N.
-        """
-        if self._tree is None:
-            self._tree = Tree(divide(splats.means, self._chunk))
-        level, known, depth = (
-            SortedLevel(splats, self._tree.cells),
-            len(self._names),
-            len(self._counts),
-        )
-        written = 0
-        ready = 0
-        for model in encode(level, CHUNKS_A_FILE * self._chunk, f"{depth}_"):
-            ready += sum(place.splats for place in model.places)
-            tell(ready, len(splats))
-            self._tree.add(depth, len(self._names), model.places)
-            self._names.append(f"{model.folder}/{META}")
-            written += write_model(self._folder, model)
-        self._counts.append(len(splats))
-        return Written(tuple(self._names[known:]), written)
-
-    def finish(self, _made: Manifest) -> None:
-        """Write `lod-meta.json`."""
-        assert self._tree is not None, "a folder of levels has at least one"  # noqa: S101
-        text = describe([self._tree], self._names, self._counts, self._chunk)
-        (self._folder / NAME).write_text(text, encoding="utf-8")
-
-    def losses(self, splats: Splats) -> tuple[str, ...]:
-        """Name the parts of a model that the files leave out, one sentence each."""
-        from nanogs.io.sog import write as sog_write
-
-        return sog_write.losses(splats)
-
-
-def write_model(folder: Path, model: Model) -> int:
-    """Write the files of a model into a folder of its own in this one; their bytes."""
-    (folder / model.folder).mkdir()
-    for name, data in model.files.items():
-        (folder / model.folder / name).write_bytes(data)
-    return sum(map(len, model.files.values()))
 
 
 def made_files(folder: Path) -> frozenset[str] | None:
     """The files of a streamed SOG folder that nanogs wrote; None for other folders."""
     from nanogs.io.sog import write as sog_write
 
-    data = read_own(folder / NAME, "asset", "generator")
+    data = read_own(folder / LEVELS, "asset", "generator")
     if data is None:
         return None
-    names = {NAME}
+    names = {LEVELS}
     given = data.get("filenames")
     for name in plain_paths(given if isinstance(given, list) else []):
         inner, _, file = name.rpartition("/")

@@ -11,23 +11,31 @@ plain.
 """
 
 import io
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
+from nanogs.io.registry import TILESET
 from nanogs.lod.boxes import box_around
-from nanogs.lod.cells import Cells, divide
-from nanogs.lod.chunks import SortedLevel, Written, plain_paths, read_own
-from nanogs.lod.manifest import Manifest
-from nanogs.lod.tileset import Tile, Tree, describe
-from nanogs.progress import Parts, untold
+from nanogs.lod.chunks import (
+    ChunkLayout,
+    Made,
+    SortedLevel,
+    Takes,
+    Tree,
+    box_of,
+    numbers_of,
+    plain_paths,
+    read_own,
+)
+from nanogs.lod.tileset import Tile, Tiled, describe
+from nanogs.progress import Parts
 from nanogs.splats import Splats
 
-NAME = "tileset.json"
 _DEVIATIONS = 3.0  # as far as rasterisers draw; what is outside of a box may be culled
 # A level's error is the width, in deviations, of what one sees of its splats: by the usual 16
 # pixels of error, a tile is replaced when they are wider than that.
@@ -53,100 +61,83 @@ class Form:
 
 
 @cache
-def form_of(*, plain: bool) -> Form:
+def form_of(*, packed: bool) -> Form:
     """How contents are made, packed as SPZ or not."""
     from nanogs.io.gltf import packed_write as gltf_spz
     from nanogs.io.gltf import write as gltf_write
     from nanogs.io.gltf.primitives import PACKED
     from nanogs.io.gltf.scene import EXTENSION
 
-    if plain:
+    if not packed:
         return Form(gltf_write.write, _plain_losses, {"extensionsUsed": [EXTENSION]})
-    packed = [EXTENSION, PACKED]
-    extensions = {"extensionsUsed": packed, "extensionsRequired": packed}
+    both = [EXTENSION, PACKED]
+    extensions = {"extensionsUsed": both, "extensionsRequired": both}
     return Form(gltf_spz.write, gltf_spz.losses, extensions)
 
 
-def encode(
-    level: SortedLevel, cells: Cells, nodes: Sequence[int], form: Form, prefix: str
-) -> Iterator[tuple[int, Tile, bytes]]:
-    """The tiles of a level, one at a time: node, tile and the content's bytes.
+@dataclass(frozen=True, slots=True)
+class Tiles(ChunkLayout):
+    """Levels as 3D Tiles. A chunk, as plain data, is a tile: node, file, box, width.
 
-    An empty tile has no content, no box and the width 0.
+    A tile without splats has no file, no box and the width 0.
 
-    Args:
-        level: Its splats.
-        cells: What divides them.
-        nodes: The level's tiles, as `Cells.cut` gives them.
-        form: Of the contents.
-        prefix: How names of files begin.
+    Attributes:
+        packed: Whether contents are packed as SPZ.
     """
-    for number, node in enumerate(nodes):
-        part, _ = level.take(*cells.leaves[node].tolist())
-        if not len(part):
-            yield node, Tile(None, None, 0.0), b""
-            continue
-        file = io.BytesIO()
-        form.write(part, file)
-        box = box_around(part, _DEVIATIONS)
-        yield node, Tile(f"{prefix}{number}.glb", box, _width(part)), file.getvalue()
 
+    packed: bool = True
+    name: ClassVar[str] = TILESET
+    suffix: ClassVar[str] = ".glb"
 
-class Tiles:
-    """A folder that is being filled, level by level."""
+    @property
+    def _takes(self) -> Takes:
+        return Takes(1.0, 2.5, 0, (2e-6, 4e-6) if self.packed else (1e-6, 1e-6))
 
-    def __init__(self, folder: Path, chunk: int, *, plain: bool = False) -> None:
-        """Begin.
-
-        Args:
-            folder: Where to; it exists and is empty.
-            chunk: Most splats of a tile, 1 or more.
-            plain: Whether contents are not packed.
-        """
-        self._folder, self._chunk, self._form = folder, chunk, form_of(plain=plain)
-        self._cells: Cells | None = None
-        self._levels: list[dict[int, Tile]] = []  # tiles by their node, in the order of the walk
-
-    def add(self, splats: Splats, tell: Parts = untold) -> Written:
-        """Write the next level, the finest first, one tile at a time.
-
-        Args:
-            splats: N splats, all finite.
-            tell: Told of the tiles written, and of how many.
-        """
-        if self._cells is None:
-            self._cells = divide(splats.means, self._chunk)
-        finer = frozenset(self._levels[-1]) if self._levels else self._cells.all_leaves()
-        level, typical = SortedLevel(splats, self._cells), _width(splats)
-        nodes = self._cells.cut(level.counts, self._chunk, finer)
-        tiles: dict[int, Tile] = {}
-        written = 0
-        for node, tile, data in encode(
-            level, self._cells, nodes, self._form, f"{len(self._levels)}_"
-        ):
-            tiles[node] = tile if tile.content else replace(tile, width=typical)
-            if tile.content:
-                (self._folder / tile.content).write_bytes(data)
-            written += len(data)
-            tell(len(tiles), len(nodes))
-        self._levels.append(tiles)
-        names = tuple(tile.content for tile in tiles.values() if tile.content)
-        return Written(names, written)
-
-    def finish(self, _made: Manifest) -> None:
-        """Write `tileset.json`."""
-        assert self._cells is not None, "a folder of levels has at least one"  # noqa: S101
-        text = describe([Tree(self._cells, self._levels)], self._form.extensions)
-        (self._folder / NAME).write_text(text, encoding="utf-8")
+    def _made(
+        self, level: SortedLevel, finer: Sequence[Any] | None, prefix: str, tell: Parts
+    ) -> Made:
+        undivided = frozenset(tile[0] for tile in finer) if finer else level.cells.all_leaves()
+        nodes = level.cells.cut(level.counts, self.most, undivided)
+        for number, node in enumerate(nodes):
+            part, _ = level.take(*level.cells.leaves[node].tolist())
+            if not len(part):
+                yield [node, None, None, 0.0], {}
+                continue
+            name, file = f"{prefix}{number}.glb", io.BytesIO()
+            form_of(packed=self.packed).write(part, file)
+            box = numbers_of(box_around(part, _DEVIATIONS))
+            tell(number + 1, len(nodes))
+            yield [node, name, box, _width(part)], {name: file.getvalue()}
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
-        """Name the parts of a model that the files leave out, one sentence each."""
-        return self._form.losses(splats)
+        """As `ChunkLayout` says."""
+        return form_of(packed=self.packed).losses(splats)
+
+    def describe(self, trees: Sequence[Tree], counts: Sequence[int]) -> str:
+        """As `ChunkLayout` says."""
+        levels = [_of_level([tree.levels[n] for tree in trees]) for n in range(len(counts))]
+        found = [
+            Tiled(tree.cells, [level[number] for level in levels])
+            for number, tree in enumerate(trees)
+        ]
+        return describe(found, form_of(packed=self.packed).extensions)
+
+
+def _of_level(trees: Sequence[Sequence[Any]]) -> list[dict[int, Tile]]:
+    """The tiles of a level in each tree; those without splats are as wide as others typically."""
+    typical = float(np.median([width for tree in trees for _, file, _, width in tree if file]))
+    return [
+        {
+            node: Tile(file, box_of(box), width) if file else Tile(None, None, typical)
+            for node, file, box, width in tree
+        }
+        for tree in trees
+    ]
 
 
 def made_files(folder: Path) -> frozenset[str] | None:
     """The files of a tileset that nanogs wrote; None for other folders."""
-    data = read_own(folder / NAME, "asset", "extras", "generator")
+    data = read_own(folder / TILESET, "asset", "extras", "generator")
     if data is None:
         return None
     uris: list[object] = []
@@ -158,7 +149,7 @@ def made_files(folder: Path) -> frozenset[str] | None:
         content, children = tile.get("content"), tile.get("children")
         uris += [content.get("uri")] if isinstance(content, dict) else []
         waiting += children if isinstance(children, list) else []
-    return frozenset({NAME, *plain_paths(uris)})
+    return frozenset({TILESET, *plain_paths(uris)})
 
 
 def _width(splats: Splats) -> float:

@@ -33,7 +33,7 @@ class Tile:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tree:
+class Tiled:
     """A tree of tiles: the scene, or a block of it.
 
     Attributes:
@@ -45,7 +45,7 @@ class Tree:
     levels: Sequence[Mapping[int, Tile]]
 
 
-def describe(trees: Sequence[Tree], extensions: Mapping[str, Sequence[str]]) -> str:
+def describe(trees: Sequence[Tiled], extensions: Mapping[str, Sequence[str]]) -> str:
     """The contents of `tileset.json`.
 
     Tiles of the coarsest level come first; each is replaced by those below it.
@@ -72,12 +72,12 @@ def describe(trees: Sequence[Tree], extensions: Mapping[str, Sequence[str]]) -> 
     return json.dumps(data, separators=(",", ":"), allow_nan=False)
 
 
-def _tops(tree: Tree) -> list[tuple[dict[str, Any], Box]]:
+def _tops(tree: Tiled) -> list[tuple[dict[str, Any], Box]]:
     depth = len(tree.levels) - 1
     return [_tile(tree, depth, node) for node in tree.levels[depth]]
 
 
-def _tile(tree: Tree, level: int, node: int) -> tuple[dict[str, Any], Box]:
+def _tile(tree: Tiled, level: int, node: int) -> tuple[dict[str, Any], Box]:
     """A tile with all below it, and the box around all of that."""
     own = tree.levels[level][node]
     below = [_tile(tree, level - 1, inner) for inner in _inside(tree, level, node)]
@@ -89,7 +89,7 @@ def _tile(tree: Tree, level: int, node: int) -> tuple[dict[str, Any], Box]:
     return tile | ({"children": children} if children else {}), box
 
 
-def _inside(tree: Tree, level: int, node: int) -> list[int]:
+def _inside(tree: Tiled, level: int, node: int) -> list[int]:
     """The nodes of the next finer level's tiles in a tile's cell."""
     if level == 0:
         return []

@@ -1,19 +1,42 @@
-"""The end of a job: its files become results, which get their names when they are complete."""
+"""The end of a job: its files become results, which get their name when they are complete.
 
+They are made in the job's folder and then moved. A run that is killed between any two of its steps
+finds out what was done by checksums.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
-from nanogs.io import check_writable
-from nanogs.io.format import FormatOptions
+from nanogs.io.atomic import atomic_write, output_error
+from nanogs.pipeline.chunked import blocks_of
 from nanogs.pipeline.folder import RESULT, refuse_finished
-from nanogs.pipeline.result import move_into_place, seal, sealed, write_result
+from nanogs.pipeline.parts import Parts, further
 from nanogs.pipeline.run import Done
+from nanogs.pipeline.work import Work
 from nanogs.progress import Tracker
+from nanogs.report import SimplifyReport
+from nanogs.sink import Sink, Written
+from nanogs.source import InMemory, Source, Turned
+from nanogs.store.scratch import hash_file
+
+Tell = Callable[[Done, Sequence[Written]], list[SimplifyReport]]
+"""Makes the report of each result."""
 
 
-class Ending(Protocol):
-    """Makes the results of a job whose tasks are done."""
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """Makes the results of a job whose tasks are done.
+
+    Attributes:
+        sink: Where they go.
+        reports: Makes the report of each result.
+    """
+
+    sink: Sink
+    reports: Tell
 
     def check(self, folder: Path, *, resume: bool) -> None:
         """Look whether they can be written, before anything is begun.
@@ -25,71 +48,92 @@ class Ending(Protocol):
         Raises:
             OutputError: They cannot.
         """
+        if resume and not self.sink.overwrite:
+            refuse_finished(folder, self.sink.place)
+        self.sink.check()
 
     def check_begun(self, folder: Path) -> None:
-        """Look whether those can be written that have not got their names yet.
+        """Look whether those can be written that have not got their name yet.
 
         Raises:
             OutputError: They cannot.
         """
+        if _sealed(self._made(folder), self.sink.place) is None:
+            self.sink.check()
 
-    def finish(self, done: Done, folder: Path, progress: Tracker) -> list[int]:
-        """Make them in the job's folder and give them their names, unless a run before has.
-
-        Returns:
-            The splats of each.
+    def finish(self, done: Done, folder: Path, progress: Tracker) -> list[Written]:
+        """Make them in the job's folder and give them their name, unless a run before has.
 
         Raises:
             OutputError: They cannot be written.
         """
+        made = self._made(folder)
+        written = _sealed(made, self.sink.place)
+        if written is None:
+            written = _sealed(made, made)
+            if written is None:
+                written = self._make(done, made, progress)
+            self.sink.move(made)
+        return written
+
+    def _make(self, done: Done, made: Path, progress: Tracker) -> list[Written]:
+        try:
+            filling, work = self.sink.open(made), done.work
+            for level in range(work.settings.levels):
+                if self.sink.chunks is None:
+                    progress.part(level, work.settings.levels)
+                    with result_of(work, level) as source:
+                        filling.add(source)
+                else:
+                    filling.add_blocks(blocks_of(work, level, progress.part))
+            filling.finish(self.reports(done, filling.written))
+            _seal(made, self.sink.files(made), filling.written)
+        except OSError as error:
+            raise output_error(made, error) from error
+        return filling.written
+
+    def _made(self, folder: Path) -> Path:
+        """The place of results until they get their name."""
+        return folder / f"{RESULT}made{''.join(self.sink.place.suffixes[-2:])}"
 
 
-@dataclass(frozen=True, slots=True)
-class Files:
-    """A file for each level.
+@contextmanager
+def result_of(work: Work, level: int) -> Iterator[Source]:
+    """The result of a level, in the frame that was asked for.
 
-    Attributes:
-        paths: The files to write.
-        format_options: As `save` takes them.
-        overwrite: Whether files that exist are replaced.
+    Where blocks could not go as far as asked, the rest is done in memory.
+
+    Args:
+        work: The job, all its tasks done.
+        level: Of the result.
     """
+    target = int(work.of_job("budget", level).facts["target"])
+    with Parts(work, level) as parts:
+        source: Source = parts
+        if parts.count > target:
+            source = InMemory(further(parts.load(), target, work.settings))
+        yield source if work.settings.frame is None else Turned(source, *work.settings.frame)
 
-    paths: tuple[Path, ...]
-    format_options: FormatOptions | None
-    overwrite: bool
 
-    def check(self, folder: Path, *, resume: bool) -> None:
-        """As `Ending` says."""
-        for path in self.paths:
-            if resume and not self.overwrite:
-                refuse_finished(folder, path)
-            check_writable(path, overwrite=self.overwrite, format_options=self.format_options)
+def _seal(made: Path, files: Sequence[str], written: Sequence[Written]) -> None:
+    """Note what results are, beside them, so that they are known again under another name."""
+    sizes = {name: (made / name).stat().st_size for name in files}
+    with (made / files[0]).open("rb") as file:
+        note = {"files": sizes, "first": hash_file(file), "written": written}
+    with atomic_write(_note(made), overwrite=True) as out:
+        out.write(json.dumps(note).encode())
 
-    def check_begun(self, folder: Path) -> None:
-        """As `Ending` says."""
-        for level, path in enumerate(self.paths):
-            if sealed(self._file(folder, level), path) is None:
-                check_writable(path, overwrite=self.overwrite, format_options=self.format_options)
 
-    def finish(self, done: Done, folder: Path, progress: Tracker) -> list[int]:
-        """As `Ending` says."""
-        return [self._finish(done, folder, level, progress) for level in range(len(self.paths))]
+def _sealed(made: Path, place: Path) -> list[Written] | None:
+    """The results that were sealed, if they are what stands at a place."""
+    with suppress(OSError, ValueError, LookupError, TypeError):
+        note = json.loads(_note(made).read_bytes())
+        if all((place / name).stat().st_size == size for name, size in note["files"].items()):
+            with (place / next(iter(note["files"]))).open("rb") as file:
+                if [*hash_file(file)] == note["first"]:
+                    return [Written(*each) for each in note["written"]]
+    return None
 
-    def _finish(self, done: Done, folder: Path, level: int, progress: Tracker) -> int:
-        """Write a result and give it its name, unless a run before has; the splats in it."""
-        target = int(done.work.of_job("budget", level).facts["target"])
-        path = self.paths[level]
-        file = self._file(folder, level)
-        progress.part(level, len(self.paths))
-        count = sealed(file, path)
-        if count is None:
-            count = sealed(file, file)
-            if count is None:
-                count = write_result(done.work, level, file, target, self.format_options)
-                seal(file, count)
-            move_into_place(file, path, overwrite=self.overwrite)
-        return count
 
-    def _file(self, folder: Path, level: int) -> Path:
-        """The file of a result until it gets its name."""
-        return folder / f"{RESULT}{level}{''.join(self.paths[level].suffixes[-2:])}"
+def _note(made: Path) -> Path:
+    return made.with_name(f"{made.name}.json")

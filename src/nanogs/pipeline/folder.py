@@ -11,12 +11,12 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from nanogs.cleanup import cleaned_up
 from nanogs.errors import ExistsError, FormatError, OutputError
 from nanogs.io.atomic import atomic_write, output_error
-from nanogs.pipeline.settings import Settings, settings_of
+from nanogs.pipeline.settings import VERSION, Settings
 
 MANIFEST, LOCK, SCRATCH, RESULT = "job.json", "lock", "scratch", "result-"
 
@@ -117,22 +117,27 @@ def write_manifest(folder: Path, settings: Settings, scratch: str) -> None:
         file.write(text.encode())
 
 
-def read_manifest(folder: Path) -> tuple[Settings, str] | None:
-    """The settings and the scratch of the job in a folder; None where none was begun.
+def read_manifest(folder: Path) -> tuple[dict[str, Any], str] | None:
+    """The settings, as plain data, and the scratch of the job in a folder; None without a job.
 
     Raises:
-        FormatError: The manifest is damaged.
+        FormatError: The manifest is damaged, or of another version.
     """
     try:
         data = json.loads((folder / MANIFEST).read_bytes())
-        settings, scratch = data["settings"], str(data["scratch"])
+        settings, scratch = dict(data["settings"]), str(data["scratch"])
+        version, settings["block"] = settings["version"], int(settings["block"])
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FormatError(
             f"{folder / MANIFEST} cannot be read ({error}); remove the folder and begin anew."
         ) from None
-    return settings_of(settings), scratch
+    if version != VERSION:
+        raise FormatError(
+            "The job was begun by another version of nanogs; remove its folder and begin anew."
+        )
+    return settings, scratch
 
 
 def refuse_finished(folder: Path, output: Path) -> None:

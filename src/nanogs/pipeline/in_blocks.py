@@ -30,12 +30,13 @@ from nanogs.pipeline.rows import (
     segments_of,
     sift,
 )
-from nanogs.pipeline.settings import Chunks, Settings
+from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.unpack import cost_of
 from nanogs.progress import Progress
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
+from nanogs.sink import Chunked, OneFile, Sink, Written
 from nanogs.store.columns import row_bytes
 from nanogs.store.scratch import is_url
 
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
 
     from nanogs.filters import Filter
     from nanogs.io.format import FormatOptions
+    from nanogs.pipeline.run import Done
+    from nanogs.pipeline.stored_job import Where
     from nanogs.views.cameras import Cameras
 
 
@@ -124,35 +127,95 @@ def simplify_blocks(
             written, or workers were lost. The job folder is then kept for `resume`, unless nothing
             was begun.
     """
-    start, clock = time.perf_counter(), StageClock()
     paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
-    output, goal = Path(output), Goal(ratio=ratio, count=count)
-    folder, chosen = job_folder(output, job), block_parameters(preset, overrides)
-    max_memory, block = block_memory(
-        None if max_memory is None else as_bytes(max_memory),
-        block,
-        folder if resume else None,
-        elsewhere=executor is not None,
-    )
-    settings, plan = plan_job(
-        [Path(path) for path in paths], (goal,), chosen, max_memory, block, nan,
-        changes=Changes(filters, sh_degree, frame, asked_views(cameras, up)),
-    )  # fmt: skip
-    # Here and not above: these bring Numba, which `--help` and `info` do without.
-    from nanogs.pipeline.ending import Files
-    from nanogs.pipeline.job_report import report_of
-    from nanogs.pipeline.result import refuse_large
-    from nanogs.pipeline.stored_job import BlockJob, Where
+    from nanogs.pipeline.stored_job import Where  # here, as `--help` and `info` do without Numba
 
-    most = target_count(settings.splats, ratio, count)
-    refuse_large(output, most, row_bytes(settings.layout), max_memory)
+    with drawn(progress) as tell:
+        _, [report] = simplify_into(
+            OneFile(Path(output), overwrite, format_options),
+            [Path(path) for path in paths],
+            (Goal(ratio=ratio, count=count),),
+            Where(threads, executor, patience),
+            tell,
+            preset=preset,
+            max_memory=None if max_memory is None else as_bytes(max_memory),
+            block=block,
+            job=job,
+            scratch=scratch,
+            resume=resume,
+            nan=nan,
+            changes=Changes(filters, sh_degree, frame, asked_views(cameras, up)),
+            **overrides,
+        )
+    return report
+
+
+def simplify_into(
+    sink: Sink,
+    inputs: Sequence[Path],
+    goals: Sequence[Goal],
+    where: "Where",
+    progress: Progress | None = None,
+    *,
+    preset: str = DEFAULT_PRESET,
+    max_memory: int | None = None,
+    block: int | None = None,
+    job: str | PathLike[str] | None = None,
+    scratch: str | None = None,
+    resume: bool = False,
+    nan: NanPolicy = "drop",
+    changes: Changes = NOTHING,
+    **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
+) -> tuple[list[Written], list[SimplifyReport]]:
+    """Simplify files block by block, and give the results to a sink.
+
+    Args:
+        sink: Where they go; it is opened when they are made, and gets its name after that.
+        inputs: The parts of one scene.
+        goals: What is asked, finest first: ratios, or one count.
+        where: The tasks are done.
+        progress: Called with each step.
+        preset: As `simplify_blocks` takes it, and so are the others that follow.
+        max_memory: See there.
+        block: See there.
+        job: See there.
+        scratch: See there.
+        resume: See there.
+        nan: See there.
+        changes: What else is done to the model.
+        **overrides: See there.
+
+    Returns:
+        Each result as it was written, and its report.
+
+    Raises:
+        NanogsError: As for `simplify_blocks`.
+    """
+    start, clock = time.perf_counter(), StageClock()
+    folder, chosen = job_folder(sink.place, job), block_parameters(preset, overrides)
+    max_memory, block = block_memory(
+        max_memory, block, folder if resume else None, elsewhere=where.executor is not None
+    )
+    settings, plan = plan_job(inputs, goals, chosen, max_memory, block, nan, sink.chunks, changes)
+    # Here and not above: these bring Numba, which `--help` and `info` do without.
+    from nanogs.pipeline.ending import Ending
+    from nanogs.pipeline.job_report import report_of
+    from nanogs.pipeline.stored_job import BlockJob
+
+    most = target_count(settings.splats, goals[0].ratio, goals[0].count)
+    sink.refuse_large(most, row_bytes(settings.layout), max_memory)
     if not resume:
         refuse_full_disk(plan, folder, scratch)
-    made = BlockJob(settings, folder, scratch, Files((output,), format_options, overwrite))
-    where = Where(threads, executor, patience)
-    with drawn(progress) as tell:
-        done, counts = made.run(where, clock, tell, resume=resume)
-    return report_of(preset, goal, done, counts[0], clock, start)
+
+    def reports(done: "Done", written: Sequence[Written]) -> list[SimplifyReport]:
+        return [
+            report_of(preset, goal, done, written[level].splats, clock, start, level)
+            for level, goal in enumerate(goals)
+        ]
+
+    ending = Ending(sink, reports)
+    made = BlockJob(settings, folder, scratch, ending).run(where, clock, progress, resume=resume)
+    return made[1], reports(*made)
 
 
 def block_memory(
@@ -177,7 +240,7 @@ def block_memory(
         return (None, block) if block else (max_memory, None)
     found = read_manifest(begun) if begun else None
     if found is not None:
-        return None, found[0].block
+        return None, int(found[0]["block"])
     if elsewhere:
         return DEFAULT_MEMORY, None
     return process_memory(allowed_memory(None)), None
@@ -205,7 +268,7 @@ def plan_job(
     max_memory: int | None,
     block: int | None,
     nan: NanPolicy,
-    chunks: Chunks | None = None,
+    chunks: Chunked | None = None,
     changes: Changes = NOTHING,
 ) -> tuple[Settings, ScalePlan]:
     """Plan the job, and what it takes; only headers are read, but for filters all rows.

@@ -10,10 +10,9 @@ from nanogs.io.files import splat_bytes
 from nanogs.io.info import FileInfo
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.slices import SLICE_PAIRS
-from nanogs.pipeline.encoding import PLACED, encoding_of
 from nanogs.pipeline.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
 from nanogs.pipeline.presets import Parameters
-from nanogs.pipeline.settings import Chunks
+from nanogs.sink import PLACED, Chunked
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # Gaussians; their features are the model's
@@ -75,7 +74,7 @@ def plan_file(
     parameters: Parameters,
     target: int,
     ratios: Sequence[float] = (),
-    chunks: Chunks | None = None,
+    chunks: Chunked | None = None,
     *,
     judged: bool = False,
 ) -> MemoryPlan:
@@ -91,10 +90,10 @@ def plan_file(
     """
     extra = info.extra_bytes()
     plan = plan_memory(info.splats, info.sh_degree, extra, parameters, target, judged=judged)
-    row = splat_bytes(info.sh_degree) + extra
-    encoding = encoding_of(row, info.sh_degree, chunks, info.splats, ratios)
-    if not encoding.each:
+    if chunks is None:
         return plan
+    row = splat_bytes(info.sh_degree) + extra
+    encoding = chunks.encoding(row, info.sh_degree, info.splats, ratios)
     # Between two levels, what a cut needs is kept, and each is encoded before the next.
     placed = plan.input_columns // info.splats + PLACED
     held = int(plan.stages.get("cut", plan.input_columns) + target * placed + encoding.file)

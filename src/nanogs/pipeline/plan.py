@@ -9,11 +9,10 @@ from math import ceil
 from nanogs.errors import OptionError
 from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.encoding import encoding_of
 from nanogs.pipeline.memory_blocks import block_stages, scratch_bytes
 from nanogs.pipeline.presets import renders
-from nanogs.pipeline.settings import Chunks
 from nanogs.pipeline.unpack import Cost
+from nanogs.sink import Chunked, Encoding
 from nanogs.source import Layout
 from nanogs.store.columns import row_bytes
 
@@ -74,7 +73,7 @@ def plan_blocks(
     shares: tuple[float, ...],
     max_memory: int | None,
     block: int | None = None,
-    chunks: Chunks | None = None,
+    chunks: Chunked | None = None,
 ) -> ScalePlan:
     """Blocks as large as the memory allows.
 
@@ -91,7 +90,7 @@ def plan_blocks(
         OptionError: The memory is too little for any block.
     """
     row, share = row_bytes(layout), max(shares)
-    encoding = encoding_of(row, layout.sh_degree, chunks, splats, shares)
+    encoding = chunks.encoding(row, layout.sh_degree, splats, shares) if chunks else Encoding()
     if block is None:
         room = _room(max_memory or 0)
         block = encoding.most(room, _largest_block(room, splats, layout, parameters, share))

@@ -1,20 +1,20 @@
 """A job as plain data: all that decides the bytes of its result."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-from nanogs.errors import FormatError
 from nanogs.filters import Plain
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.asked import AUTOMATIC, Asked
 from nanogs.pipeline.presets import renders
+from nanogs.sink import Chunked
 from nanogs.source import Layout
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
-SOG, TILES = "streamed sog", "3d tiles"  # levels in chunks, as `lod.layout` names them
 VERSION = 4  # of the job folder; one of another version is not continued
 
 
@@ -69,21 +69,6 @@ class Sieve:
 
 
 @dataclass(frozen=True, slots=True)
-class Chunks:
-    """How the results lie, where they are levels in chunks.
-
-    Attributes:
-        layout: `SOG` or `TILES`.
-        most: Splats of the finest level in a chunk, at most.
-        spz: Whether they are packed as SPZ: contents of 3D Tiles alone.
-    """
-
-    layout: str
-    most: int
-    spz: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Settings:
     """The settings of a job.
 
@@ -110,7 +95,7 @@ class Settings:
     nan: str
     block: int
     parameters: ForestParameters
-    chunks: Chunks | None = None
+    chunks: Chunked | None = None
     filters: Sieve | None = None
     frame: tuple[str, str] | None = None
     asked: Asked = AUTOMATIC
@@ -164,7 +149,7 @@ class Settings:
         return len(self.ratios) or len(self.counts)
 
     @property
-    def chunked(self) -> Chunks:
+    def chunked(self) -> Chunked:
         """The chunks of results that have them."""
         assert self.chunks is not None, "tasks of chunks are for jobs that have them"  # noqa: S101
         return self.chunks
@@ -174,54 +159,7 @@ class Settings:
         return {"version": VERSION, **asdict(self)}
 
 
-def settings_of(data: Mapping[str, Any]) -> Settings:
-    """Settings from what `Settings.to_dict` made of them, by way of JSON.
-
-    Raises:
-        FormatError: They are damaged, or of another version.
-    """
-    try:
-        if data["version"] != VERSION:
-            raise FormatError(
-                "The job was begun by another version of nanogs; remove its folder and begin anew."
-            )
-        layout = dict(data["layout"])
-        layout["extras"] = tuple((str(name), str(kind)) for name, kind in layout["extras"])
-        return Settings(
-            inputs=tuple(
-                InputFile(**{**each, "access": Access(each["access"])}) for each in data["inputs"]
-            ),
-            layout=Layout(**{k: _frozen(v) for k, v in layout.items()}),
-            segments=tuple(Segment(**each) for each in data["segments"]),
-            ratios=tuple(map(float, data["ratios"])),
-            counts=tuple(map(int, data["counts"])),
-            nan=str(data["nan"]),
-            block=int(data["block"]),
-            parameters=ForestParameters(**data["parameters"]),
-            chunks=Chunks(**data["chunks"]) if data.get("chunks") else None,
-            filters=_sieve_of(data["filters"]) if data.get("filters") else None,
-            frame=(*data["frame"],) if data.get("frame") else None,
-            asked=Asked(**{k: _frozen(v) for k, v in data["asked"].items()}),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise FormatError(
-            f"The job's manifest is damaged ({error}); remove its folder and begin anew."
-        ) from None
-
-
-def _sieve_of(data: Mapping[str, Any]) -> Sieve:
-    filters = tuple((str(kind), tuple(map(float, values))) for kind, values in data["plain"])
-    return Sieve(filters, tuple(map(int, data["left"])), tuple(map(int, data["kept"])))
-
-
-def differences(before: Settings, now: Settings) -> list[str]:
-    """Names of what differs between two jobs."""
-    return [
-        each.name
-        for each in fields(Settings)
-        if getattr(before, each.name) != getattr(now, each.name)
-    ]
-
-
-def _frozen(value: Any) -> Any:  # noqa: ANN401 - any field's
-    return tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+def differences(before: Mapping[str, Any], now: Settings) -> list[str]:
+    """Names of what differs between two jobs, the first as JSON holds it."""
+    plain = json.loads(json.dumps(now.to_dict()))
+    return [name for name, value in plain.items() if before.get(name) != value]

@@ -26,7 +26,7 @@ from nanogs.pipeline.partition import partition
 from nanogs.pipeline.parts import write_rest
 from nanogs.pipeline.presets import Parameters, renders
 from nanogs.pipeline.scene import Scene, Task
-from nanogs.pipeline.settings import SOG, Settings
+from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.spill import spill
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.trials import (
@@ -133,7 +133,7 @@ def stages_of(settings: Settings) -> Iterator[tuple[JobStage, int]]:
 def job_stages(settings: Settings) -> list[Stage]:
     """The stages of a job in blocks, and how long each takes beside the others."""
     ratios = settings.ratios or tuple(count / settings.splats for count in settings.counts)
-    packing = PACKING if settings.chunks is not None and settings.chunks.layout == SOG else 1.0
+    packing = settings.chunks.weight if settings.chunks else 1.0
     stages = []
     for stage, level in stages_of(settings):
         share = ratios[level] if stage.levels is None else 1.0
@@ -216,9 +216,6 @@ def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) ->
         for number, stages in enumerate(each)
     ]
     return [*build_stages(parameters, splats), *levels]
-
-
-PACKING = 25.0  # seconds for a million splats of streamed SOG
 
 
 def _unpack(work: Work, task: Task) -> Record:

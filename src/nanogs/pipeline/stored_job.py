@@ -25,6 +25,7 @@ from nanogs.pipeline.settings import Settings, differences
 from nanogs.pipeline.stages import job_stages
 from nanogs.pipeline.workers import workers_of
 from nanogs.progress import WAITING, Progress, Tracker
+from nanogs.sink import Written
 from nanogs.store.scratch import Scratch, is_url, open_scratch
 from nanogs.threads import use_threads
 
@@ -81,7 +82,7 @@ class BlockJob:
 
     def run(
         self, where: Where, clock: StageClock, told: Progress | None, *, resume: bool
-    ) -> tuple[Done, list[int]]:
+    ) -> tuple[Done, list[Written]]:
         """Do what is left of the job.
 
         Args:
@@ -91,7 +92,7 @@ class BlockJob:
             resume: Whether a job that was begun is continued.
 
         Returns:
-            What was done, and the splats of each result.
+            What was done, and each result as it was written.
 
         Raises:
             NanogsError: The job is another one, cannot be done, or is in use.
@@ -113,10 +114,10 @@ class BlockJob:
                 )
                 progress.begin("write")
                 with clock.time("write"):
-                    counts = self.ending.finish(done, self.folder, progress)
+                    written = self.ending.finish(done, self.folder, progress)
             self._remove(scratch)
         progress.finish()
-        return done, counts
+        return done, written
 
     def _found(self, *, resume: bool) -> str | None:
         """The scratch of the job that a run before has begun, or None for a new one.

@@ -4,7 +4,6 @@ Workers read the inputs and read and write the scratch, which all of them must s
 name. What a task makes is in the scratch: a worker that goes takes nothing with it that was done.
 """
 
-import json
 import socket
 import threading
 import time
@@ -19,7 +18,7 @@ from nanogs._version import __version__
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.formatting import counted
 from nanogs.pipeline.scene import Task
-from nanogs.pipeline.settings import settings_of
+from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.stages import do
 from nanogs.pipeline.work import MARK, Work
 from nanogs.store.scratch import open_scratch
@@ -56,15 +55,13 @@ class Workers:
         Raises:
             NanogsError: A task failed, or the workers or the scheduler are lost.
         """
-        place, text = work.scratch.place, json.dumps(work.settings.to_dict())
         done: SimpleQueue[futures.Future[None]] = SimpleQueue()
         left: dict[futures.Future[None], Task] = {}
         since = time.monotonic()
         try:
             for task in tasks:
                 future = self._begin(
-                    do_task, place, text, task.stage, task.number, task.level, self.threads,
-                    __version__,
+                    do_task, work.scratch.place, work.settings, task, self.threads, __version__
                 )  # fmt: skip
                 left[future] = task
                 future.add_done_callback(done.put)
@@ -227,10 +224,8 @@ def _lost() -> OutputError:
 
 def do_task(
     place: str,
-    settings: str,
-    stage: str,
-    number: int,
-    level: int,
+    settings: Settings,
+    task: Task,
     threads: int | None,
     version: str,
 ) -> None:
@@ -238,10 +233,8 @@ def do_task(
 
     Args:
         place: Folder or URL of the scratch.
-        settings: Of the job, as JSON.
-        stage: Of the task.
-        number: Of the task.
-        level: Of the task.
+        settings: Of the job.
+        task: To be done.
         threads: To use; None takes all.
         version: Of the caller's nanogs.
 
@@ -256,8 +249,8 @@ def do_task(
         )
     try:
         with _ONE, use_threads(threads) as used:
-            work = Work(open_scratch(place), settings_of(json.loads(settings)), used)
+            work = Work(open_scratch(place), settings, used)
             work.record(MARK)
-            do(work, Task(stage, number, level))
+            do(work, task)
     except NanogsError as error:
         raise type(error)(f"On the worker {host}: {error}") from None

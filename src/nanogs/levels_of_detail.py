@@ -1,28 +1,31 @@
-"""Write the levels of a model into a folder, one at a time, with what describes them."""
+"""`nanogs.write_levels`: levels of a model in a folder, with what describes them.
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+Here who makes levels (`pipeline`) and who lays them out (`lod`) meet, and nowhere else.
+"""
+
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from nanogs._version import __version__
 from nanogs.bar import drawn
 from nanogs.frames import change_frame
-from nanogs.io.folder import atomic_folder
 from nanogs.io.models import Model, as_splats
-from nanogs.lod.chunks import Written
-from nanogs.lod.file_levels import PLY
-from nanogs.lod.layout import NAMES, Layout, LevelWriter, check_options, made_files, writer
-from nanogs.lod.manifest import ChunkedLevel, Level, Manifest, describe_chunks, describe_level
+from nanogs.lod.folder import PLY, LevelsFolder
+from nanogs.lod.layout import Layout, chunks_of
+from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.measured import LevelJudge, level_judge
-from nanogs.pipeline.levels import judged_levels
+from nanogs.pipeline.in_blocks import simplify_into
+from nanogs.pipeline.levels import check_ratios, judged_levels
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters
-from nanogs.pipeline.target import target_count
+from nanogs.pipeline.stages import levels_stages
+from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.report import SimplifyReport
-from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.pipeline.stored_job import Where
 
 _NO_PARAMETERS = ("preset", "cameras", "nan", "threads", "max_memory")
 
@@ -72,55 +75,27 @@ def write_levels(
     """
     layout, splats = Layout(layout), as_splats(model)
     name = source or (Path(model).name if isinstance(model, str | PathLike) else "a model")
-    entries: list[Level | ChunkedLevel] = []
-    reports: list[SimplifyReport] = []
-    left_out: list[str] = []
-    check_options(layout, chunk, plain=plain)
+    chunks = chunks_of(layout, chunk, plain=plain)
+    sink = LevelsFolder(Path(folder), overwrite, name, chunks, suffix)
     stages = write_levels_stages(
         _parameters(options), len(splats), ratios, layout, suffix, measured=measured
     )
+    reports: list[SimplifyReport] = []
     with drawn(progress) as tell:
         tracker = Tracker(tell, stages)
         made = judged_levels(splats, ratios, judged=measured, progress=tracker.passing(), **options)
-        threads = options.get("threads")
         judge = LevelJudge()
         if measured:
-            judge = level_judge(splats, suffix, frame, threads, tracker)
-        with atomic_folder(Path(folder), made_files, overwrite=overwrite) as temporary:
-            out = writer(layout, temporary, chunk, plain=plain, suffix=suffix)
-            for ratio in ratios:
-                report, written, losses = _write_next(made, out, frame, tracker)
-                # Said once of the finest level, and of others where it is not the same.
-                prefix = f"Level {len(reports)}: " if reports else ""
-                left_out += [prefix + loss for loss in losses if loss not in left_out]
+            judge = level_judge(splats, suffix, frame, options.get("threads"), tracker)
+        with sink.filled() as filling:
+            for small, report in made:
+                tracker.begin("write")
+                filling.add(change_frame(small, *frame) if frame else small, tracker.part)
                 reports.append(report)
-                if layout is Layout.FILES:
-                    path = temporary / written.names[0]
-                    entries.append(judge.of_file(describe_level(path, ratio, report), path))
-                else:
-                    entries.append(describe_chunks(*written, ratio, report))
-            manifest = _manifest(name, entries, reports, [*left_out, *judge.notes])
-            if judge.views:
-                manifest = replace(manifest, protocol=judge.views.protocol)
-            out.finish(manifest)
-            if layout is not Layout.FILES:  # what describes the chunks is there now
-                manifest = judge.of_chunks(manifest, temporary / NAMES[layout])
+                del small  # or it would be kept while the next one is made
+            manifest = filling.finish(reports, judge)
         tracker.finish()
         return manifest, tuple(reports)
-
-
-def _write_next(
-    made: Iterator[tuple[Splats, SimplifyReport]],
-    out: LevelWriter,
-    frame: tuple[str, str] | None,
-    progress: Tracker,
-) -> tuple[SimplifyReport, Written, tuple[str, ...]]:
-    """Make and write one level; nothing of it is kept but its report and what was left out."""
-    small, report = next(made)
-    if frame:
-        small = change_frame(small, *frame)
-    progress.begin("write")
-    return report, out.add(small, progress.part), out.losses(small)
 
 
 def write_levels_stages(
@@ -136,8 +111,6 @@ def write_levels_stages(
 
     Where levels are measured, "measure" comes first, and the rest of it belongs to the writing.
     """
-    from nanogs.pipeline.stages import levels_stages
-
     measure = [measure_stage(splats)] if measured else []
     counts = [target_count(splats, ratio, None) for ratio in ratios]
     stages = levels_stages(parameters, splats, counts)
@@ -154,20 +127,45 @@ def _parameters(options: dict[str, Any]) -> Parameters:
     return parameters(options.get("preset", DEFAULT_PRESET), overrides)
 
 
-def _manifest(
-    source: str,
-    entries: list[Level | ChunkedLevel],
-    reports: list[SimplifyReport],
-    left_out: list[str],
-) -> Manifest:
-    first = reports[0]
-    notes = [note for report in reports for note in report.notes]
-    return Manifest(
-        generator=f"nanogs {__version__}",
-        source=source,
-        source_count=first.input_count,
-        preset=first.preset,
-        parameters=first.parameters,
-        levels=tuple(entries),
-        notes=tuple(dict.fromkeys([*notes, *left_out])),
-    )
+def write_levels_in_blocks(
+    inputs: Sequence[Path],
+    folder: Path,
+    ratios: Sequence[float],
+    *,
+    layout: Layout = Layout.FILES,
+    chunk: int | None = None,
+    plain: bool = False,
+    suffix: str = PLY,
+    overwrite: bool = False,
+    where: "Where",
+    progress: Progress | None = None,
+    **options: Any,  # noqa: ANN401 - as `simplify_into` takes them
+) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
+    """Make the levels from one forest of each block; all of the folder appears or nothing.
+
+    Args:
+        inputs: The parts of one scene.
+        folder: The folder to make.
+        ratios: As `levels` takes them.
+        layout: As `write_levels` takes it; in chunks, each block has a tree of its own, and what
+            describes the folder joins them.
+        chunk: As `write_levels` takes it, and so are `plain`, `suffix` and `overwrite`.
+        plain: See there.
+        suffix: See there.
+        overwrite: See there.
+        where: The tasks are done.
+        progress: Called with each step.
+        **options: As `simplify_into` takes them.
+
+    Returns:
+        What the manifest says, and the report of each level.
+
+    Raises:
+        NanogsError: As for `simplify_blocks`, or the folder may not be replaced.
+    """
+    check_ratios(ratios)
+    source, goals = ", ".join(part.name for part in inputs), [Goal(ratio=each) for each in ratios]
+    chunks = chunks_of(layout, chunk, plain=plain)
+    sink = LevelsFolder(folder, overwrite, source, chunks, suffix)
+    written, reports = simplify_into(sink, inputs, goals, where, progress, **options)
+    return describe_levels(source, reports, written), tuple(reports)

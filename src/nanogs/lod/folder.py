@@ -1,0 +1,196 @@
+"""The sink of levels: a folder with a file a level, or with chunks in one of their layouts."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nanogs.errors import FormatError
+from nanogs.findings import join_findings
+from nanogs.io import losses, save
+from nanogs.io.folder import atomic_folder, check_folder_writable, move_folder
+from nanogs.io.models import as_splats
+from nanogs.lod import manifest, streamed_sog, tiles
+from nanogs.lod.cells import Cells
+from nanogs.lod.chunks import ChunkLayout, Tree, plain_paths
+from nanogs.lod.manifest import Manifest, describe_levels
+from nanogs.lod.measured import LevelJudge
+from nanogs.progress import Parts, untold
+from nanogs.report import SimplifyReport
+from nanogs.sink import BlockChunks, Filling, Written, refuse_large
+from nanogs.source import Source
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs._types import Array
+
+PLY = ".ply"
+_NOTHING = LevelJudge()
+
+
+@dataclass(frozen=True, slots=True)
+class LevelsFolder:
+    """A sink of levels; see `sink.Sink`.
+
+    Attributes:
+        place: The folder to make.
+        overwrite: Replace the folder if it holds nothing but earlier levels.
+        source: Name of the model for the manifest.
+        chunks: How levels are divided; None for files of their own.
+        suffix: Format of such files.
+    """
+
+    place: Path
+    overwrite: bool
+    source: str
+    chunks: ChunkLayout | None = None
+    suffix: str = PLY
+
+    def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
+        """As `Sink` says."""
+        if self.chunks is None:
+            refuse_large(self.place / level_name(0, self.suffix), count, row, max_memory)
+
+    def check(self) -> None:
+        """As `Sink` says."""
+        check_folder_writable(self.place, made_files, overwrite=self.overwrite)
+
+    def open(self, making: Path) -> "LevelsFilling":
+        """As `Sink` says."""
+        shutil.rmtree(making, ignore_errors=True)
+        making.mkdir()
+        return self._filling(making)
+
+    @contextmanager
+    def filled(self) -> Iterator["LevelsFilling"]:
+        """The sink opened beside its place, which it takes when the block ends without an error.
+
+        Raises:
+            OutputError: The folder may not be replaced, or it cannot be written.
+        """
+        with atomic_folder(self.place, made_files, overwrite=self.overwrite) as making:
+            yield self._filling(making)
+
+    def _filling(self, making: Path) -> "LevelsFilling":
+        if self.chunks is None:
+            return _Files(making, self.source, self.suffix)
+        return _Chunks(making, self.source, self.chunks)
+
+    def move(self, made: Path) -> None:
+        """As `Sink` says."""
+        move_folder(made, self.place, made_files, overwrite=self.overwrite)
+
+    def files(self, made: Path) -> Sequence[str]:
+        """As `Sink` says."""
+        first = self.chunks.name if self.chunks else manifest.NAME
+        return (first, *sorted((made_files(made) or frozenset()) - {first}))
+
+
+class LevelsFilling(Filling):
+    """A folder that is being filled, level by level."""
+
+    def __init__(self, folder: Path, source: str) -> None:
+        super().__init__()
+        self._folder, self._source = folder, source
+
+    def finish(self, reports: Sequence[SimplifyReport], judge: LevelJudge = _NOTHING) -> Manifest:
+        """Write what describes the folder, and measure each level.
+
+        Args:
+            reports: Of each level.
+            judge: Measures levels.
+        """
+        raise NotImplementedError
+
+
+class _Files(LevelsFilling):
+    """A file a level, `level_0` and so on, and `levels.json`."""
+
+    def __init__(self, folder: Path, source: str, suffix: str) -> None:
+        super().__init__(folder, source)
+        self._suffix = suffix
+
+    def add(self, model: Splats | Source, tell: Parts = untold) -> None:
+        tell(0, 1)
+        path = self._folder / level_name(len(self.written), self._suffix)
+        save(model, path)
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        size, left_out = path.stat().st_size, () if self._suffix == PLY else losses(model, path)
+        self.written.append(Written(len(model), (path.name,), size, left_out, digest))
+
+    def finish(self, reports: Sequence[SimplifyReport], judge: LevelJudge = _NOTHING) -> Manifest:
+        files = [(self._folder / name, 0) for each in self.written for name in each.files]
+        made = judge.of(describe_levels(self._source, reports, self.written), files)
+        text = json.dumps(made.to_dict(), indent=2, allow_nan=False)
+        (self._folder / manifest.NAME).write_text(text + "\n", encoding="utf-8")
+        return made
+
+
+class _Chunks(LevelsFilling):
+    """Chunks of all levels, in one of their layouts."""
+
+    def __init__(self, folder: Path, source: str, layout: ChunkLayout) -> None:
+        super().__init__(folder, source)
+        self._layout = layout
+        self._cells: list[Mapping[str, Array]] = []  # of each block
+        self._levels: list[list[list[Any]]] = []  # chunks of each block of each level
+
+    def add(self, model: Splats | Source, tell: Parts = untold) -> None:
+        splats, level = as_splats(model), len(self.written)
+        cells = self._cells[0] if level else self._layout.divide(splats.means)
+        finer = self._levels[-1][0] if level else None
+        self.add_blocks([self._layout.encode(splats, cells, finer, f"{level}_", tell)])
+
+    def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
+        names: list[str] = []
+        cells, chunks, splats, size, left_out = [], [], 0, 0, []
+        for block in blocks:
+            for name, data in block.files:
+                self._write(name, data)
+                names.append(name)
+                size += len(data)
+            cells.append(block.cells)
+            chunks.append(block.chunks)
+            left_out.append(block.losses)
+            splats += block.splats
+        self._cells = self._cells or cells
+        self._levels.append(chunks)
+        # A model in a folder of its own is named by what describes it.
+        named = [n for n in names if "/" not in n or n.endswith(f"/{streamed_sog.META}")]
+        self.written.append(Written(splats, named, size, join_findings(left_out)))
+
+    def _write(self, name: str, data: bytes) -> None:
+        if not plain_paths([name]):
+            raise FormatError(f"{name!r} is no name of a chunk; remove the folder of the job.")
+        path = self._folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(data)
+
+    def finish(self, reports: Sequence[SimplifyReport], judge: LevelJudge = _NOTHING) -> Manifest:
+        trees = [
+            Tree(Cells(**cells), [level[block] for level in self._levels])
+            for block, cells in enumerate(self._cells)
+            if cells
+        ]
+        path = self._folder / self._layout.name
+        text = self._layout.describe(trees, [each.splats for each in self.written])
+        path.write_text(text, encoding="utf-8")
+        made = describe_levels(self._source, reports, self.written)
+        return judge.of(made, [(path, level) for level in range(len(self.written))])
+
+
+def level_name(level: int, suffix: str = PLY) -> str:
+    """The file of a level; 0 is the finest."""
+    return f"level_{level}{suffix}"
+
+
+def made_files(folder: Path) -> frozenset[str] | None:
+    """The files of a folder that `nanogs lod` made, in any layout; None for other folders."""
+    owners = (manifest.made_files, streamed_sog.made_files, tiles.made_files)
+    known = [names for made in owners if (names := made(folder)) is not None]
+    return frozenset[str]().union(*known) if known else None

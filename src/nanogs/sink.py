@@ -1,0 +1,288 @@
+"""Where results go: a file, or a folder of levels of detail, whoever makes them.
+
+A sink is handed to whoever makes results: `lod` has one for each layout of levels, and `OneFile` is
+here. It is opened at a place of its own, takes results one after the other, the finest first, and
+its name is given to what it made when that is complete.
+"""
+
+import os
+import shutil
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from nanogs._types import Array, F
+from nanogs.errors import OptionError
+from nanogs.io import check_writable, registry, save
+from nanogs.io.atomic import atomic_write
+from nanogs.io.format import FormatOptions
+from nanogs.progress import Parts, untold
+from nanogs.report import SimplifyReport
+from nanogs.source import Source
+from nanogs.splats import Splats
+
+PLACED = 24  # bytes a splat of a level that is divided: its cell and place
+
+
+class Written(NamedTuple):
+    """A result as it was written.
+
+    Attributes:
+        splats: In it.
+        files: Each model's file, as a path from the folder with slashes.
+        bytes: Size of these files and of those that they name.
+        losses: The parts of the model that they leave out, one sentence each.
+        sha256: Of the file where it is one, hexadecimal.
+    """
+
+    splats: int
+    files: Sequence[str]
+    bytes: int
+    losses: Sequence[str] = ()
+    sha256: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BlockChunks:
+    """A block of a result in chunks: all of it, or what one block of a job is left with.
+
+    Attributes:
+        cells: What divides it, as `Chunked.divide` gives it; empty where there is nothing at all.
+        splats: In it.
+        losses: The parts that its files leave out, one sentence each.
+        files: Name and contents of each file, one at a time.
+        chunks: Plain data that tell its layout of the chunks; complete once all files are taken.
+    """
+
+    cells: Mapping[str, Array]
+    splats: int = 0
+    losses: Sequence[str] = ()
+    files: Iterable[tuple[str, bytes]] = ()
+    chunks: list[Any] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Encoding:
+    """Memory and time that it takes to make chunks; none where there are none.
+
+    Attributes:
+        file: Bytes for the file that is being made.
+        each: Bytes for each splat of a block.
+        described: Bytes for what describes the folder, which is held whole in the end.
+        seconds: Of one processor, for all files.
+    """
+
+    file: float = 0.0
+    each: float = 0.0
+    described: float = 0.0
+    seconds: float = 0.0
+
+    def held(self, block: int) -> float:
+        """Most bytes at any time, with blocks of so many splats."""
+        return max(self.file + block * self.each, self.described)
+
+    def most(self, room: float, block: int) -> int:
+        """Splats of a block for which there is room, and no more than so many."""
+        if self.each == 0:
+            return block
+        if self.described > room:
+            return 0
+        return max(min(block, int((room - self.file) / self.each)), 0)
+
+    def remedy(self) -> str:
+        """Advice on what takes less, to end a sentence about memory."""
+        if self.each == 0:
+            return "."
+        size = "larger" if self.described > self.file else "smaller"
+        return f" and {self.held(0) / 1e6:,.0f} MB for chunks; a {size} `chunk` takes less."
+
+
+class Chunked(Protocol):
+    """A layout that divides results into chunks: plain data, which travel to any worker."""
+
+    @property
+    def weight(self) -> float:
+        """Seconds of a machine for a million splats."""
+
+    def divide(self, means: F) -> dict[str, Array]:
+        """Divide space around (N, 3) finite centres, N at least 1, of the finest result."""
+
+    def encode(
+        self,
+        splats: Splats,
+        cells: Mapping[str, Array],
+        finer: Sequence[Any] | None,
+        prefix: str,
+        tell: Parts = untold,
+    ) -> BlockChunks:
+        """The files of a block, which are made as they are taken.
+
+        Args:
+            splats: N splats, all finite.
+            cells: As `divide` gives them, of this block's finest result.
+            finer: Chunks of this block's next finer result; None for the finest.
+            prefix: How names of files begin.
+            tell: Told of the parts that are done.
+        """
+
+    def encoding(self, row: int, degree: int, splats: int, shares: Sequence[float]) -> Encoding:
+        """Memory and time for all chunks.
+
+        Args:
+            row: Bytes of a splat.
+            degree: Of the spherical harmonics.
+            splats: Of the whole model.
+            shares: Shares that the results keep of them; a block can keep more than others.
+        """
+
+
+class Filling(ABC):
+    """A sink that has been opened, and is being filled.
+
+    Attributes:
+        written: Results so far.
+    """
+
+    def __init__(self) -> None:
+        self.written: list[Written] = []
+
+    @abstractmethod
+    def add(self, model: Splats | Source, tell: Parts = untold) -> None:
+        """Write the next result, which is one block, and tell how much of it is written."""
+
+    def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
+        """Write the next result, of whose blocks the sink's chunks have made the files."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def finish(self, reports: Sequence[SimplifyReport]) -> object:
+        """Write what describes all results, given the report of each."""
+
+
+class Sink(Protocol):
+    """Where results go."""
+
+    @property
+    def place(self) -> Path:
+        """The file or folder to make."""
+
+    @property
+    def overwrite(self) -> bool:
+        """Whether what is there is replaced, as far as it may be."""
+
+    @property
+    def chunks(self) -> Chunked | None:
+        """How results are divided; None where each is one file."""
+
+    def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
+        """Refuse results that would have to be held whole and are too large for that.
+
+        Args:
+            count: Splats of the largest.
+            row: Bytes of a splat.
+            max_memory: Bytes, or None for no limit.
+
+        Raises:
+            OptionError: They are too large, or their format is not written.
+        """
+
+    def check(self) -> None:
+        """Look whether results can be written.
+
+        Raises:
+            OutputError: They cannot.
+        """
+
+    def open(self, making: Path) -> Filling:
+        """Begin at a place with the same suffix; what is there of a run before is removed."""
+
+    def move(self, made: Path) -> None:
+        """Give its name to what was made, across file systems if need be.
+
+        Raises:
+            OutputError: There is something of that name which stays, or it cannot be written.
+        """
+
+    def files(self, made: Path) -> Sequence[str]:
+        """Name all files of what was made, as paths from it; that which tells of them first."""
+
+
+@dataclass(frozen=True, slots=True)
+class OneFile:
+    """A sink of one result.
+
+    Attributes:
+        place: The file to write.
+        overwrite: Whether a file that exists is replaced.
+        format_options: As `save` takes them.
+    """
+
+    place: Path
+    overwrite: bool
+    format_options: FormatOptions | None = None
+    chunks: None = None
+
+    def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
+        """As `Sink` says; folders are refused too."""
+        refuse_large(self.place, count, row, max_memory)
+
+    def check(self) -> None:
+        """As `Sink` says."""
+        check_writable(self.place, overwrite=self.overwrite, format_options=self.format_options)
+
+    def open(self, making: Path) -> Filling:
+        """As `Sink` says."""
+        return _File(making, self.format_options)
+
+    def move(self, made: Path) -> None:
+        """As `Sink` says."""
+        self.check()
+        target = Path(os.path.realpath(self.place))
+        if not target.exists() and made.stat().st_dev == target.parent.stat().st_dev:
+            made.replace(target)
+            return
+        with atomic_write(self.place, overwrite=self.overwrite) as out, made.open("rb") as source:
+            shutil.copyfileobj(source, out, 1 << 22)
+        made.unlink()
+
+    def files(self, made: Path) -> Sequence[str]:  # noqa: ARG002 - it is one
+        """As `Sink` says."""
+        return (".",)
+
+
+class _File(Filling):
+    def __init__(self, making: Path, format_options: FormatOptions | None) -> None:
+        super().__init__()
+        self._making, self._options = making, format_options
+
+    def add(self, model: Splats | Source, tell: Parts = untold) -> None:
+        tell(0, 1)
+        save(model, self._making, overwrite=True, format_options=self._options)
+        size = self._making.stat().st_size
+        self.written.append(Written(len(model), (self._making.name,), size))
+
+    def finish(self, reports: Sequence[SimplifyReport]) -> None:
+        """A file speaks for itself."""
+
+
+def refuse_large(path: Path, count: int, row: int, max_memory: int | None) -> None:
+    """Refuse a result that would have to be held whole and is too large for that.
+
+    Args:
+        path: What is to be written.
+        count: Splats of it.
+        row: Bytes of a splat.
+        max_memory: Bytes, or None for no limit.
+
+    Raises:
+        OptionError: It is too large, a folder, or in a format that is not written.
+    """
+    registry.writer(path)  # which refuses folders
+    known = registry.writable(path)
+    if not known.streams and max_memory is not None and 3 * count * row > max_memory:
+        raise OptionError(
+            f"{path}: {known.suffix} is not written block by block, and {count:,} splats are too"
+            " many to be held whole; name a .ply file, or raise `max_memory`."
+        )
