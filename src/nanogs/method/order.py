@@ -3,6 +3,7 @@
 import numpy as np
 
 from nanogs._types import F64, I64, U64
+from nanogs.morton import spread_bits
 
 _BITS = 21  # three axes in 63 bits
 _TAIL = 0.01  # share of the centres on either side that does not set the size of the cells
@@ -48,7 +49,7 @@ def codes_in(means: F64, low: F64, width: float) -> U64:
     for axis in range(3):
         cells = (means[:, axis] - low[axis]) * ((1 << _BITS) / width)
         cells = np.clip(cells, 0, (1 << _BITS) - 1, out=cells)
-        codes |= _spread(cells.astype(np.uint64), axis)
+        codes |= spread_bits(cells.astype(np.uint64), axis)
     return codes
 
 
@@ -59,24 +60,3 @@ def morton_order(means: F64) -> I64:
         means: (N, 3) finite, scene units.
     """
     return np.argsort(morton_codes(means), kind="stable")
-
-
-_SPREADING = tuple(
-    (np.uint64(shift), np.uint64(mask))
-    for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    )
-)
-
-
-def _spread(values: U64, axis: int) -> U64:
-    """Put two zero bits between the low 21 bits of each value, shifted by the axis; in place."""
-    for shift, mask in _SPREADING:
-        values |= values << shift
-        values &= mask
-    values <<= np.uint64(axis)
-    return values

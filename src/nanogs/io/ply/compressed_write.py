@@ -17,6 +17,7 @@ from nanogs.io.in_order import in_order
 from nanogs.io.ply.compressed_read import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED
 from nanogs.io.ply.write import header
 from nanogs.io.rotations import split_quats
+from nanogs.morton import spread_bits
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.stored import SH_C0
@@ -133,11 +134,9 @@ def _codes(means: F32, rows: I64) -> U32:
     codes = np.empty(len(rows), np.uint32)
     for number, block in enumerate(blocks):
         points = means[block].astype(np.float64)
-        cells = np.minimum((points - corner) * scale, _CELLS - 1).astype(np.uint32)
-        for shift, mask in ((16, 0xFF0000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-            cells = (cells ^ (cells << np.uint32(shift))) & np.uint32(mask)
-        bits = cells[:, 0] | cells[:, 1] << np.uint32(1) | cells[:, 2] << np.uint32(2)
-        codes[number * BLOCK_ROWS :][: len(block)] = bits
+        cells = np.minimum((points - corner) * scale, _CELLS - 1).astype(np.uint64)
+        bits = [spread_bits(cells[:, axis].copy(), axis) for axis in range(3)]
+        codes[number * BLOCK_ROWS :][: len(block)] = np.bitwise_or.reduce(bits)
     return codes
 
 

@@ -11,7 +11,7 @@ from nanogs._types import F64, Array
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
 from nanogs.io.files import BLOCK_ROWS, unreadable
-from nanogs.io.parts import fill, row_blocks
+from nanogs.io.parts import row_blocks
 from nanogs.io.ply.header import Element, Header
 
 _MAX_TOKEN = 400  # characters; the longest double in plain decimals has about 330
@@ -47,9 +47,12 @@ def iter_blocks(header: Header) -> Iterator[Block]:
     Raises:
         FormatError: A row of text is not what the header says, or the file cannot be read.
     """
-    blocks = _ascii_blocks if header.encoding == "ascii" else _binary_blocks
+    if header.encoding != "ascii":
+        for element in header.elements:
+            yield from iter_span(header, element, 0, element.count) if element.count else ()
+        return
     try:
-        yield from blocks(header)
+        yield from _ascii_blocks(header)
     except OSError as error:
         raise unreadable(header.path, error) from error
 
@@ -127,20 +130,6 @@ def _check_ascii_size(header: Header) -> None:
 def _spans(count: int) -> Iterator[slice]:
     for start in range(0, count, BLOCK_ROWS):
         yield slice(start, min(start + BLOCK_ROWS, count))
-
-
-def _binary_blocks(header: Header) -> Iterator[Block]:
-    """Blocks in one buffer, which the next overwrites: a mapped file would count as memory."""
-    with header.path.open("rb", buffering=0) as file:
-        file.seek(header.size)
-        for element in header.elements:
-            if element.count == 0:
-                continue
-            buffer = np.empty(min(element.count, BLOCK_ROWS), element.dtype(header.order))
-            for span in _spans(element.count):
-                values = buffer[: span.stop - span.start]
-                fill(header.path, file, values)
-                yield Block(element, span, values)
 
 
 def _ascii_blocks(header: Header) -> Iterator[Block]:

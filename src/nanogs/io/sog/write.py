@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from nanogs._types import F32, F64, I64, U8, U16, U64, Array
+from nanogs._types import F32, F64, I64, U8, U16, Array
 from nanogs._version import __version__
 from nanogs.errors import OutputError
 from nanogs.formatting import counted
@@ -27,6 +27,7 @@ from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.palette import palette
 from nanogs.io.sog.texture import MAX_SIDE, encode
+from nanogs.morton import spread_bits
 from nanogs.progress import Parts, untold
 from nanogs.splats import RenderMode, Splats
 
@@ -215,20 +216,8 @@ def _morton_order(codes: U16, groups: I64 | None) -> I64:
     """Rows by their group, then by the interleaved bits of their codes; ties as they come."""
     key = np.zeros(len(codes), np.uint64)
     for axis in range(3):
-        key |= _spread(codes[:, axis].astype(np.uint64)) << np.uint64(axis)
+        key |= spread_bits(codes[:, axis].astype(np.uint64), axis)
     return np.argsort(key, kind="stable") if groups is None else np.lexsort((key, groups))
-
-
-def _spread(bits: U64) -> U64:
-    """16 bits, each followed by two zeros; the masks double the gaps, as is usual."""
-    for shift, mask in (
-        (16, 0x0000_FF00_00FF),
-        (8, 0x00F0_0F00_F00F),
-        (4, 0x0C30_C30C_30C3),
-        (2, 0x2492_4924_9249),
-    ):
-        bits = (bits | bits << np.uint64(shift)) & np.uint64(mask)
-    return bits
 
 
 def _quats(quats: F32) -> U8:

@@ -6,7 +6,7 @@ The layout is in `header`. No more is ever inflated than the header's count allo
 import struct
 from collections.abc import Callable, Iterator
 from itertools import accumulate
-from typing import TYPE_CHECKING, BinaryIO, cast
+from typing import TYPE_CHECKING, BinaryIO
 
 from nanogs.formatting import counted
 from nanogs.io.spz.header import (
@@ -17,7 +17,6 @@ from nanogs.io.spz.header import (
     TOC_ENTRY,
     Header,
     Inflater,
-    Plain,
     damaged,
     opened,
 )
@@ -67,19 +66,20 @@ def window_bytes(header: Header) -> int:
 
 def _plain(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
     """The columns of versions 1 to 3; the extension records come after them."""
-    inflater = (Inflater if header.gzip else Plain)(header.path, file)
-    inflater.read(LEGACY_HEADER.size)
+    inflater = Inflater(header.path, file) if header.gzip else None
+    plain = inflater or file
+    plain.read(LEGACY_HEADER.size)
     for width in header.columns().values():
         for size in _pieces(header, width):
-            piece = inflater.read(size)
+            piece = plain.read(size)
             if len(piece) < size:
                 raise damaged(header, f"the columns end before {counted(header.count, 'splat')}")
             yield piece
     allowed = _MAX_EXTENSIONS if header.flags & EXTENSIONS else 0
-    records = inflater.read(allowed + 1)
+    records = plain.read(allowed + 1)
     if len(records) > allowed:
         raise damaged(header, f"more data than {counted(header.count, 'splat has', 'splats have')}")
-    if inflater.trailing():
+    if inflater and inflater.trailing():
         raise damaged(header, "something follows its data")
     notes += _extension_notes(header, records)
 
@@ -96,15 +96,15 @@ def _streams(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes
     places = _places(header, file)
     for (name, width), (_, at, size) in zip(header.columns().items(), places, strict=True):
         short = damaged(header, f"its {name} do not expand to {width * header.count:,} bytes")
-        file.seek(at)
-        reader = _expander(_Span(file, size))
-        for wanted in _pieces(header, width):
-            piece = _drain(reader.read, wanted)
-            if len(piece) < wanted:
+        with header.section.part(at, size).opened() as packed:
+            reader = _expander(packed)
+            for wanted in _pieces(header, width):
+                piece = _drain(reader.read, wanted)
+                if len(piece) < wanted:
+                    raise short
+                yield piece
+            if reader.read(1):
                 raise short
-            yield piece
-        if reader.read(1):
-            raise short
     file.seek(HEADER.size)
     records = file.read(header.toc - HEADER.size) if header.flags & EXTENSIONS else b""
     notes += _extension_notes(header, records)
@@ -116,19 +116,6 @@ def _drain(read: Callable[[int], bytes], size: int) -> bytes:
     while len(out) < size and (piece := read(size - len(out))):
         out += piece
     return bytes(out)
-
-
-class _Span:
-    """Some bytes of an open file, from its present place on, as a file."""
-
-    def __init__(self, file: BinaryIO, size: int) -> None:
-        self._file, self._left = file, size
-
-    def read(self, size: int) -> bytes:
-        """The next bytes."""
-        data = self._file.read(min(size, self._left))
-        self._left -= len(data)
-        return data
 
 
 def _places(header: Header, file: BinaryIO) -> list[tuple[str, int, int]]:
@@ -153,11 +140,11 @@ def _contents(header: Header, file: BinaryIO) -> list[int]:
     return [packed for packed, _ in entries]
 
 
-def _expander(source: _Span) -> "ZstdDecompressionReader":
+def _expander(packed: BinaryIO) -> "ZstdDecompressionReader":
     import zstandard
 
     decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW)
-    return decompressor.stream_reader(cast("BinaryIO", source), read_across_frames=True)
+    return decompressor.stream_reader(packed, read_across_frames=True)
 
 
 def _extension_notes(header: Header, records: bytes) -> list[str]:

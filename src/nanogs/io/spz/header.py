@@ -186,21 +186,6 @@ def damaged(header: Header, what: str) -> FormatError:
     return FormatError(f"{header.path} is damaged: {what}; export or download it again.")
 
 
-class Plain:
-    """The bytes of a file that nothing packs, as `Inflater` gives those of a packed one."""
-
-    def __init__(self, _path: Path, file: BinaryIO) -> None:
-        self.file = file
-
-    def read(self, size: int) -> bytes:
-        """The next bytes; fewer than asked for only at the end."""
-        return self.file.read(size)
-
-    def trailing(self) -> bool:
-        """Whether anything follows what has been read."""
-        return bool(self.file.read(1))
-
-
 class Inflater:
     """The bytes inside a gzip file, never more at a time than asked for."""
 
