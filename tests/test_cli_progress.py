@@ -164,7 +164,8 @@ def test_the_report_is_one_line(tmp_path):
     assert ", 33.10 dB on 12 held-out views of 512 pixels, 6 s" in said(files, judged=judged)
     nanogs.save(random_splats(100), tmp_path / "in.ply")
     for more, lines in (((), 1), (("-v",), 10)):
-        shown = command("simplify", "in.ply", "out.ply", "-r", "0.1", "-w", *more, cwd=tmp_path)
+        given = ("-r", "0.1", "-w", "--views", "4", "--steps", "2", *more)
+        shown = command("simplify", "in.ply", "out.ply", *given, cwd=tmp_path)
         lines_said = [line for line in shown.splitlines() if not re.match(r"\d+/\d+ ", line)]
         assert len(lines_said) >= lines
         assert re.fullmatch(r"100 (→|->) 10 splats in out.ply, .* [kM]?B, .* s", lines_said[-1])

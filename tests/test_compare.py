@@ -34,6 +34,11 @@ def camera(name="front", *, size=48, away=False):
     return Camera(size, size, size, size, size / 2, size / 2, pose, name)
 
 
+def simplified(splats, ratio):
+    """Some smaller model: how it was made is not the point."""
+    return nanogs.simplify(splats, ratio=ratio, preset="fast")[0]
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """A model, and two simplifications of it."""
@@ -41,13 +46,13 @@ def files(tmp_path_factory):
     splats = random_splats(2000, degree=1)
     nanogs.save(splats, folder / "scene.ply")
     for ratio in (0.1, 0.5):
-        nanogs.save(nanogs.simplify(splats, ratio=ratio)[0], folder / f"small_{ratio}.ply")
+        nanogs.save(simplified(splats, ratio), folder / f"small_{ratio}.ply")
     return folder
 
 
 def test_a_model_equals_itself_and_a_smaller_one_does_not():
     splats = random_splats(500)
-    small, _ = nanogs.simplify(splats, ratio=0.2)
+    small = simplified(splats, 0.2)
     models = [NamedModel("same", splats), NamedModel("small", small)]
     comparison, _ = compare_models(NamedModel("ref", splats), models, [camera()])
     same, smaller = comparison.models
@@ -60,7 +65,7 @@ def test_a_model_equals_itself_and_a_smaller_one_does_not():
 
 def test_means_are_over_the_views():
     splats = random_splats(500)
-    small, _ = nanogs.simplify(splats, ratio=0.2)
+    small = simplified(splats, 0.2)
     cameras = [camera("a"), camera("b", size=64)]
     comparison, _ = compare_models(NamedModel("r", splats), [NamedModel("s", small)], cameras)
     model = comparison.models[0]
@@ -77,7 +82,7 @@ def test_one_equal_view_does_not_hide_what_the_others_lack():
 
 def test_an_empty_view_is_left_out_of_the_mean_and_named():
     splats = random_splats(300)
-    small, _ = nanogs.simplify(splats, ratio=0.2)
+    small = simplified(splats, 0.2)
     with_empty, _ = compare_models(
         NamedModel("r", splats), [NamedModel("s", small)], [camera(), camera("back", away=True)]
     )
@@ -124,9 +129,8 @@ def test_error_map_is_black_where_equal_and_bright_where_not():
 
 def test_plot_has_a_line_for_each_name_and_leaves_infinity_out():
     splats = random_splats(400)
-    models = [NamedModel("ours", nanogs.simplify(splats, ratio=r)[0]) for r in (0.5, 0.2, 0.1)] + [
-        NamedModel("all", splats)
-    ]
+    models = [NamedModel("ours", simplified(splats, ratio)) for ratio in (0.5, 0.2, 0.1)]
+    models.append(NamedModel("all", splats))
     comparison, _ = compare_models(NamedModel("r", splats), models, [camera()])
     svg = rate_distortion_plot(comparison.models)
     assert svg.startswith("<svg")

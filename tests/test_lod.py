@@ -106,7 +106,8 @@ def test_every_file_is_what_the_command_simplify_writes(scene, tmp_path, preset)
 
 
 def test_the_manifest_describes_the_files(scene, tmp_path):
-    result = run("lod", scene, tmp_path / "levels", "--levels", "0.5,0.1,0.02", "--json")
+    options = ["--levels", "0.5,0.1,0.02", "--json", *FEW]
+    result = run("lod", scene, tmp_path / "levels", *options)
     assert result.returncode == 0, result.stderr
     assert result.stderr == ""
     manifest = json.loads((tmp_path / "levels" / "levels.json").read_text())

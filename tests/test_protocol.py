@@ -17,6 +17,7 @@ from nanogs.views.automatic import automatic_cameras
 from viewer_bundle import require_bundle
 
 WORDS = "8 held-out views of 512 pixels"
+FEW = ("--views", "4", "--steps", "2")  # a small fit
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +61,7 @@ def test_simplify_lod_compare_and_view_say_the_same(scene, tmp_path):
 def test_what_is_said_is_of_the_file(scene, tmp_path):
     """Packed, turned into another frame, and in chunks."""
     fast = ("--preset", "fast", "--measure")
-    for name, *options in (("a.spz", *fast), ("a.ply", "--frame", "rub")):
+    for name, *options in (("a.spz", *fast), ("a.ply", "--frame", "rub", *FEW)):
         run_of = said("simplify", scene, tmp_path / name, "-r", "0.1", *options)
         seen = nanogs.load(tmp_path / name)
         if run_of["frames"]:
@@ -80,13 +81,13 @@ def test_nothing_is_measured_where_nothing_is_rendered_unless_asked(scene, tmp_p
     assert said("simplify", scene, tmp_path / "a.ply", *fast)["judged"] is None
     asked = run("simplify", scene, tmp_path / "a.ply", *fast, "--measure", "-v")
     assert f"dB on {WORDS}" in asked.stderr
-    quick = said("simplify", scene, tmp_path / "a.ply", "-r", "0.1", "-w", "--no-measure")
+    quick = said("simplify", scene, tmp_path / "a.ply", "-r", "0.1", "-w", "--no-measure", *FEW)
     assert quick["judged"] is None
 
 
 def test_a_file_that_is_not_read_is_not_measured(scene, tmp_path):
     require_bundle()
-    result = run("simplify", scene, tmp_path / "a.html", "-r", "0.1")
+    result = run("simplify", scene, tmp_path / "a.html", "-r", "0.1", *FEW)
     assert result.returncode == 0
     assert "not measured: nanogs does not read .html files." in result.stderr
 
@@ -102,7 +103,8 @@ def test_a_result_that_cannot_be_measured_says_why(tmp_path):
 
 def test_levels_that_are_not_read_are_not_measured(scene, tmp_path):
     require_bundle()
-    made = said("lod", scene, tmp_path / "a", "--format", "html", "--levels", "0.1", "--measure")
+    given = ("--format", "html", "--levels", "0.1", "--measure", *FEW)
+    made = said("lod", scene, tmp_path / "a", *given)
     assert made["notes"] == ["Nothing was measured: nanogs does not read .html files."]
     assert made["protocol"] is None
 

@@ -60,7 +60,7 @@ def test_the_size_is_that_of_the_file(tmp_path, count):
 
 
 @pytest.mark.parametrize("preset", ["fast", "default", "paper"])
-def test_the_file_is_as_large_as_it_may_be(splats, tmp_path, preset):
+def test_the_file_is_as_large_as_it_may_be(splats, tmp_path, preset, small_views):
     size = 20_000
     small, report = nanogs.simplify(splats, size=size, preset=preset)
     path = tmp_path / "a.ply"
@@ -124,9 +124,11 @@ def test_without_a_formula_the_same_count_is_found_by_writing(splats, monkeypatc
         (".sog", "fast", {}),
     ],
 )
-def test_a_compressed_file_is_no_larger_than_asked(splats, tmp_path, suffix, preset, options):
+def test_a_compressed_file_is_no_larger_than_asked(
+    splats, tmp_path, suffix, preset, options, small_views
+):
     size = {".spz": 6_000, ".sog": 12_000}[suffix]
-    given = {"preset": preset} | ({"views": 3} if preset == "default" else {})
+    given = {"preset": preset}
     small, report = nanogs.simplify(
         splats, size=size, format=suffix, format_options=options, **given
     )
