@@ -1,7 +1,9 @@
 """Checked values from a format's JSON. `where` is the file and the field, for the message."""
 
 import json
+from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -69,6 +71,24 @@ def plain_name(value: object, where: str) -> str:
 def is_plain(name: str) -> bool:
     """Whether a name leads nowhere: on no system a path, a drive or a device."""
     return name not in ("", ".", "..") and not set(name) & set('/\\:*?"<>|') and name.isprintable()
+
+
+def local_path(folder: Path, uri: object, where: str) -> Path:
+    """The file that a relative URI names, in a folder or below it.
+
+    Args:
+        folder: Of the file that holds the reference.
+        uri: The reference; what follows a `?` or `#` says nothing to a file system.
+        where: The file and the field, for the message.
+
+    Raises:
+        FormatError: It is no text, or leads elsewhere: to another folder or another machine.
+    """
+    plain = uri.partition("#")[0].partition("?")[0] if isinstance(uri, str) else ""
+    parts = [part for part in unquote(plain).split("/") if part != "."]
+    if not parts or not all(map(is_plain, parts)):
+        raise refused(where, "must name a file in the same folder or below it")
+    return folder.joinpath(*parts)
 
 
 def refused(where: str, what: str) -> FormatError:

@@ -222,40 +222,17 @@ def _unpacked(packed: Packed) -> UnpackedColumns:
 
 
 class Whole(FileSource):
-    """A file that is only read whole; the first time that some rows are, it is held.
+    """A file that is only read whole, by `load`; the first time that some rows are, it is held."""
 
-    Args:
-        path: The file.
-        inspect: Describes it.
-        read: Reads it.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        inspect: Callable[[Path], FileInfo],
-        read: Callable[[Path], Splats],
-    ) -> None:
-        super().__init__(path)
-        self._inspect, self._read = inspect, read
-        self._held: Splats | None = None
-
-    @cached_property
-    def info(self) -> FileInfo:
-        """The file's description of itself."""
-        return self._inspect(self.path)
+    _held: Splats | None = None
 
     def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
         if self._held is None:
-            found = self._read(self.path)
+            found = self.load()
             # Of the whole, whatever rows are read: plain texts are not added up.
             self._held = replace(found, notes=tuple(map(str, found.notes)))
         return self._held.span(start, stop)
-
-    def load(self) -> Splats:
-        """The whole model."""
-        return self._read(self.path)
 
     def close(self) -> None:
         """Let go of the model."""

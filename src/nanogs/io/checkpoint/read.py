@@ -21,6 +21,7 @@ from nanogs.errors import FormatError, ModelError
 from nanogs.io.checkpoint.torch_file import TorchFile
 from nanogs.io.checkpoint.torch_pickle import Tensor
 from nanogs.io.info import FileInfo
+from nanogs.io.parts import Whole
 from nanogs.io.ply.header import printable
 from nanogs.splats import MAX_SH_DEGREE, Splats
 from nanogs.stored import alphas, base_colour
@@ -36,37 +37,50 @@ _RANK = re.compile(r"(.*_rank)[0-9]+(\.[^.]+)")
 _KINDS = {"f4": "float", "f8": "double", "f2": "float16", "bf": "bfloat16"}
 
 
-def read(path: Path) -> Splats:
-    """Read a checkpoint.
+class Checkpoint(Whole):
+    """A checkpoint, described without reading its numbers.
 
     Raises:
         FormatError: It is damaged, names code, or holds no splats of a known trainer.
     """
-    file = TorchFile(path)
-    found = _find(path, file.content)
-    arrays = {name: _floats(path, name, file.array(tensor)) for name, tensor in found.items()}
-    count = len(arrays["means"])
-    try:
-        return Splats(
-            means=arrays["means"],
-            log_scales=arrays["scales"].astype(np.float32),
-            quats=arrays["quats"].astype(np.float32),
-            opacity_logits=arrays["opacities"].astype(np.float32).reshape(count),
-            sh=_harmonics(arrays, count),
-            notes=_other_ranks(path),
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._file = TorchFile(path)
+        self._found = found = _find(path, self._file.content)
+        self.info = FileInfo(
+            path=path,
+            format="checkpoint",
+            encoding=self._file.encoding,
+            file_bytes=self._file.file_bytes,
+            splats=found["means"].shape[0] if found["means"].shape else 0,
+            sh_degree=_degree(path, found),
+            double_means=found["means"].storage.kind == "f8",
+            properties=tuple(
+                (name, _KINDS.get(tensor.storage.kind, tensor.storage.kind))
+                for name, tensor in found.items()
+            ),
         )
-    except (ModelError, ValueError) as error:
-        raise FormatError(f"{path}: {error} Save the splats again.") from None
+
+    def load(self) -> Splats:
+        """The whole model."""
+        arrays = {n: _floats(self.path, n, self._file.array(t)) for n, t in self._found.items()}
+        count = len(arrays["means"])
+        try:
+            return Splats(
+                means=arrays["means"],
+                log_scales=arrays["scales"].astype(np.float32),
+                quats=arrays["quats"].astype(np.float32),
+                opacity_logits=arrays["opacities"].astype(np.float32).reshape(count),
+                sh=_harmonics(arrays, count),
+                notes=_other_ranks(self.path),
+            )
+        except (ModelError, ValueError) as error:
+            raise FormatError(f"{self.path}: {error} Save the splats again.") from None
 
 
-def inspect(path: Path) -> FileInfo:
-    """Describe a checkpoint without reading its numbers.
-
-    Raises:
-        FormatError: As for `read`, except for what only the numbers show.
-    """
-    file = TorchFile(path)
-    found = _find(path, file.content)
+def _degree(path: Path, found: Mapping[str, Tensor]) -> int:
+    """The SH degree, from the shapes of the tensors."""
     rest = [tensor for name, tensor in found.items() if name in ("shN", "features_rest")]
     coefficients = 1 + (rest[0].shape[1] if rest and len(rest[0].shape) == 3 else 0)
     degrees = {(degree + 1) ** 2: degree for degree in range(MAX_SH_DEGREE + 1)}
@@ -75,16 +89,7 @@ def inspect(path: Path) -> FileInfo:
             f"{path}: {coefficients} coefficients of harmonics are those of no degree from 0 to"
             f" {MAX_SH_DEGREE}; save the splats again."
         )
-    return FileInfo(
-        path=path,
-        format="checkpoint",
-        encoding=file.encoding,
-        file_bytes=file.file_bytes,
-        splats=found["means"].shape[0] if found["means"].shape else 0,
-        sh_degree=degrees[coefficients],
-        double_means=found["means"].storage.kind == "f8",
-        properties=tuple((n, _KINDS.get(t.storage.kind, t.storage.kind)) for n, t in found.items()),
-    )
+    return degrees[coefficients]
 
 
 def _find(path: Path, content: Any) -> dict[str, Tensor]:  # noqa: ANN401 - whatever was saved

@@ -16,8 +16,8 @@ from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.files import input_size
 from nanogs.io.gltf.rows import Accessor
+from nanogs.io.json_fields import local_path
 from nanogs.io.section import Section
-from nanogs.io.uris import local_path
 
 # Python takes up to 25 times a JSON text's size; those of splats have some 10 KB.
 MAX_JSON_BYTES = 4 << 20

@@ -15,9 +15,9 @@ from nanogs.io.gltf.colours import to_display
 from nanogs.io.gltf.document import Document, Part
 from nanogs.io.gltf.rows import Accessor, Body
 from nanogs.io.gltf.scene import EXTENSION, Placed, Pose
+from nanogs.io.info import FileInfo
 from nanogs.io.spz import read as spz
-from nanogs.io.spz.header import Header, read_header
-from nanogs.splats import RenderMode
+from nanogs.io.spz.header import read_header
 from nanogs.stored import logit
 
 MAX_DEGREE = 3
@@ -48,25 +48,13 @@ class Rows:
         pose: From the primitive to the frame of `.ply` files.
         linear: Whether its colours are linear light.
         accessors: By attribute.
-        degree: SH degree.
+        info: The description of its splats.
     """
 
     pose: Pose
     linear: bool
     accessors: dict[str, Accessor]
-    degree: int
-
-    encoding = "binary_little_endian"
-    mode = RenderMode.DEFAULT
-
-    @property
-    def count(self) -> int:
-        """Splats."""
-        return self.accessors["POSITION"].count
-
-    def properties(self) -> tuple[tuple[str, str], ...]:
-        """Name and type of each column."""
-        return tuple((name, _TYPE_NAMES[a.kind]) for name, a in self.accessors.items())
+    info: FileInfo
 
     def holds_logarithms(self, body: Body) -> bool:
         """Whether some scale is below 0, which linear ones are not."""
@@ -89,7 +77,7 @@ class Rows:
 
             means, quats = block("POSITION"), block(attribute("ROTATION"))[:, [3, 0, 1, 2]]
             scales = block(attribute("SCALE"))
-            for i, name in enumerate(coefficients(self.degree)):
+            for i, name in enumerate(coefficients(self.info.sh_degree)):
                 out["sh"][span, i] = block(name)
             out["opacity_logits"][span] = logit(block(attribute("OPACITY"))[:, 0])
             part = {name: array[span] for name, array in out.items()}
@@ -103,40 +91,21 @@ class Packed:
     Attributes:
         pose: From the primitive to the frame of `.ply` files.
         linear: Whether its colours are linear light.
-        header: Of the SPZ data.
+        source: The SPZ data.
     """
 
     pose: Pose
     linear: bool
-    header: Header
+    source: spz.SpzSource
 
     @property
-    def encoding(self) -> str:
-        """How the columns are packed."""
-        return spz.encoding(self.header)
-
-    @property
-    def mode(self) -> RenderMode:
-        """The model's properties as the SPZ data have them."""
-        return spz.render_mode(self.header)
-
-    @property
-    def count(self) -> int:
-        """Splats."""
-        return self.header.count
-
-    @property
-    def degree(self) -> int:
-        """SH degree."""
-        return self.header.degree
-
-    def properties(self) -> tuple[tuple[str, str], ...]:
-        """Name and type of each column."""
-        return spz.properties(self.header)
+    def info(self) -> FileInfo:
+        """The description of its splats."""
+        return self.source.info
 
     def decode_all(self, out: dict[str, Any]) -> tuple[str, ...]:
         """Fill arrays with all rows; what is to be said of them."""
-        splats = spz.SpzSource(self.header.path, self.header).load()
+        splats = self.source.load()
         out["sh"][:, : splats.sh.shape[1]] = splats.sh
         out["opacity_logits"][:] = splats.opacity_logits
         stored = (splats.means, splats.quats, splats.log_scales)
@@ -166,7 +135,8 @@ def primitive_of(document: Document, placed: Placed, linear: bool) -> Primitive:
         raise placed.primitive.error("with splats must be of mode 0, points")
     if packed:
         view = splatting.part("extensions").part(PACKED).integer("bufferView")
-        return Packed(placed.pose, linear, read_header(document.view(view)))
+        source = spz.SpzSource(document.path, read_header(document.view(view)))
+        return Packed(placed.pose, linear, source)
     return _rows(document, placed, linear)
 
 
@@ -183,7 +153,16 @@ def _rows(document: Document, placed: Placed, linear: bool) -> Rows:
     }
     if len({accessor.count for accessor in accessors.values()}) > 1:
         raise attributes.error("have different counts")
-    return Rows(placed.pose, linear, accessors, degree)
+    info = FileInfo(
+        path=document.path,
+        format="glb",
+        encoding="binary_little_endian",
+        file_bytes=0,
+        splats=accessors["POSITION"].count,
+        sh_degree=degree,
+        properties=tuple((name, _TYPE_NAMES[each.kind]) for name, each in accessors.items()),
+    )
+    return Rows(placed.pose, linear, accessors, info)
 
 
 def _degree(attributes: Part) -> int:

@@ -10,7 +10,7 @@ travel in the primitive's `extras`.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -36,7 +36,6 @@ from nanogs.io.gltf.primitives import (
     primitive_of,
 )
 from nanogs.io.gltf.scene import EXTENSION, placed_splats
-from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, Whole
 from nanogs.splats import RenderMode, Splats, empty_arrays
 
@@ -64,11 +63,11 @@ class _Scene:
 
     @property
     def count(self) -> int:
-        return sum(primitive.count for primitive in self.primitives)
+        return sum(primitive.info.splats for primitive in self.primitives)
 
     @property
     def degree(self) -> int:
-        return max(primitive.degree for primitive in self.primitives)
+        return max(primitive.info.sh_degree for primitive in self.primitives)
 
     @property
     def mode(self) -> RenderMode:
@@ -79,30 +78,20 @@ class _Scene:
         return any(isinstance(primitive, Packed) for primitive in self.primitives)
 
 
-def read_placed(path: Path, above: F64) -> Splats:
-    """Read the splats of a file in a scene that places it.
+def open_gltf(path: Path, above: F64 | None = None) -> FileSource:
+    """The splats of a `.glb` or `.gltf` file, one primitive after the other.
 
     Args:
         path: The file.
-        above: (4, 4) float64: from the file's frame to that of the scene, both y up.
-
-    Raises:
-        FormatError: As for `open_gltf`, or the place mirrors or shears the splats.
-    """
-    return _Rows(_scene(path, above)).load()
-
-
-def open_gltf(path: Path) -> FileSource:
-    """The splats of a `.glb` or `.gltf` file, one primitive after the other.
+        above: (4, 4) float64: from the file's frame to that of a scene that it is in, both y up.
 
     Raises:
         FormatError: The file cannot be read, is damaged, holds no splats or only such as are
-            packed in an unknown way, or refers to files elsewhere.
+            packed in an unknown way, or refers to files elsewhere; or the place mirrors or shears
+            the splats.
     """
-    rows = _Rows(_scene(path, np.eye(4)))
-    if not rows.packed:
-        return rows
-    return Whole(path, lambda _path: rows.info, lambda _path: rows.load())
+    scene = _scene(path, np.eye(4) if above is None else above)
+    return (_Packed if scene.packed else _Rows)(scene)
 
 
 class _Rows(FileSource):
@@ -110,16 +99,14 @@ class _Rows(FileSource):
 
     def __init__(self, scene: _Scene) -> None:
         super().__init__(scene.document.path)
-        self._scene, self.packed = scene, scene.packed
-        first = scene.primitives[0]
-        self.info = FileInfo(
+        self._scene = scene
+        self.info = replace(
+            scene.primitives[0].info,
             path=self.path,
             format=self.path.suffix.lower().lstrip("."),
-            encoding=first.encoding,
             file_bytes=scene.document.file_bytes,
             splats=scene.count,
             sh_degree=scene.degree,
-            properties=first.properties(),
             render_mode=scene.mode,
             comments=tuple(scene.comments),
         )
@@ -152,7 +139,7 @@ class _Rows(FileSource):
         # Whatever bits there are: NaN, infinity, zero scales.
         with self._body() as body, np.errstate(all="ignore"):
             for primitive in scene.primitives:
-                end = first + primitive.count
+                end = first + primitive.info.splats
                 low, high = max(start, first), min(stop, end)
                 part = {name: array[low - start : high - start] for name, array in out.items()}
                 if isinstance(primitive, Packed):
@@ -170,6 +157,14 @@ class _Rows(FileSource):
         )
 
 
+class _Packed(Whole, _Rows):
+    """The same where some are packed."""
+
+    def load(self) -> Splats:
+        """All splats."""
+        return super(Whole, self)._span(0, self.count)  # of `_Rows`
+
+
 def _scene(path: Path, above: F64) -> _Scene:
     """The primitives of a file, every count in it checked against the file's size."""
     document = read_document(path)
@@ -185,7 +180,7 @@ def _scene(path: Path, above: F64) -> _Scene:
         linear = _colour_space(scene, each.primitive)
         primitive = primitive_of(document, each, linear)
         scene.primitives.append(primitive)
-        _describe(scene, each.primitive, primitive.mode)
+        _describe(scene, each.primitive, primitive.info.render_mode)
         _check_memory(scene)
     if len(scene.modes) > 1:
         scene.notes.append(f"The primitives have several render modes; {scene.mode} was taken.")

@@ -12,6 +12,7 @@ Earth the scene is: far from the origin, where single precision is coarser than 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,9 @@ from nanogs.io.container import Folder
 from nanogs.io.files import input_size
 from nanogs.io.gltf import read as gltf
 from nanogs.io.info import FileInfo
-from nanogs.io.json_fields import numbers, parse, refused, rows, table
+from nanogs.io.json_fields import local_path, numbers, parse, refused, rows, table
 from nanogs.io.parts import Whole
 from nanogs.io.sog.levels import common_mode, joined_info, joined_notes
-from nanogs.io.uris import local_path
 from nanogs.splats import Splats, concatenate
 
 MAX_BYTES = 8 << 20  # of a tileset.json; a tile has some 300 bytes for 10 K splats or more
@@ -100,7 +100,7 @@ class TilesLevel(Whole):
     """The tiles of a level, one after the other."""
 
     def __init__(self, tileset: _Tileset, level: int, tiles: list[_Tile]) -> None:
-        super().__init__(tileset.path, self._describe, self._joined)
+        super().__init__(tileset.path)
         self._tileset, self._level, self._tiles = tileset, level, tiles
 
     @property
@@ -118,14 +118,17 @@ class TilesLevel(Whole):
         drawn = (tileset.level(number) for number in range(tileset.levels()))
         return tuple(sum(counts[f] for tile in level for f in tile.contents) for level in drawn)
 
-    def _describe(self, path: Path) -> FileInfo:
+    @cached_property
+    def info(self) -> FileInfo:
         """The description, from those of the contents."""
         infos = [gltf.open_gltf(file).info for tile in self._tiles for file in tile.contents]
-        return joined_info(path, "3d tiles", infos, sum(info.splats for info in infos))
+        return joined_info(self.path, "3d tiles", infos, sum(info.splats for info in infos))
 
-    def _joined(self, _path: Path) -> Splats:
+    def load(self) -> Splats:
+        """The splats of all tiles."""
         tileset = self._tileset
-        models = [gltf.read_placed(f, tile.above) for tile in self._tiles for f in tile.contents]
+        places = [(file, tile.above) for tile in self._tiles for file in tile.contents]
+        models = [gltf.open_gltf(file, above).load() for file, above in places]
         which = f"Level {self._level} was read, of {tileset.levels()} from 0, the finest, on."
         notes = joined_notes([model.notes for model in models], [which, *tileset.notes])
         mode = common_mode({model.render_mode for model in models})

@@ -43,10 +43,7 @@ def open_compressed(header: Header) -> FileSource:
     Raises:
         FormatError: An element does not have the properties or rows of this layout.
     """
-    source = _Chunks(header)
-    if header.encoding != "ascii":
-        return source
-    return Whole(header.path, lambda _path: source.info, lambda _path: source.load())
+    return (_Text if header.encoding == "ascii" else _Chunks)(header)
 
 
 class _Chunks(FileSource):
@@ -94,6 +91,10 @@ class _Chunks(FileSource):
             for block in iter_span(self._header, element, low, high):
                 rows[name][block.rows] = block.values
         return _splats(self._header, rows, self._degree, start - first * CHUNK_ROWS)
+
+
+class _Text(Whole, _Chunks):
+    """The same as text."""
 
 
 def _splats(header: Header, rows: dict[str, Array], degree: int, skipped: int = 0) -> Splats:

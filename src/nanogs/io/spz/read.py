@@ -65,12 +65,12 @@ class SpzSource(Packed):
         self.info = FileInfo(
             path=path,
             format="spz",
-            encoding=encoding(header),
+            encoding=_encoding(header),
             file_bytes=header.file_bytes,
             splats=header.count,
             sh_degree=header.degree,
-            properties=properties(header),
-            render_mode=render_mode(header),
+            properties=_properties(header),
+            render_mode=_render_mode(header),
         )
 
     @cached_property
@@ -108,10 +108,10 @@ def _decoded(header: Header, columns: Mapping[str, U8]) -> Splats:
         out["sh"][span, 0] = _COLOURS[block["colours"]]
         if header.degree:
             out["sh"][span, 1:] = _SH[block["sh"]].reshape(-1, coefficients - 1, 3)
-    return Splats(**out, render_mode=render_mode(header))
+    return Splats(**out, render_mode=_render_mode(header))
 
 
-def properties(header: Header) -> tuple[tuple[str, str], ...]:
+def _properties(header: Header) -> tuple[tuple[str, str], ...]:
     """Name and type of each stored column, as `FileInfo` has them."""
     position = "float16" if header.version == 1 else "int24"
     rotation = "uchar" if header.version <= 2 else "uint"
@@ -119,14 +119,14 @@ def properties(header: Header) -> tuple[tuple[str, str], ...]:
     return tuple((name, types.get(name, "uchar")) for name in header.columns())
 
 
-def encoding(header: Header) -> str:
+def _encoding(header: Header) -> str:
     """How the columns are packed, as `FileInfo` says it."""
     if header.version > LAST_GZIP:
         return "zstd"
     return "gzip" if header.gzip else "binary_little_endian"
 
 
-def render_mode(header: Header) -> RenderMode:
+def _render_mode(header: Header) -> RenderMode:
     """The model's properties as the flags have them."""
     return RenderMode.MIP if header.flags & ANTIALIASED else RenderMode.DEFAULT
 

@@ -7,6 +7,7 @@ and the stage is turned into the frame of `.ply` files, from y up or from z up.
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from nanogs.formatting import counted
 from nanogs.io.files import BLOCK_ROWS, input_size, unreadable
 from nanogs.io.gltf.scene import pose_of
 from nanogs.io.info import FileInfo
+from nanogs.io.parts import Whole
 from nanogs.io.usda.text import Layer, Prim, read_layer
 from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate, empty_arrays
 from nanogs.stored import logit
@@ -42,34 +44,33 @@ class _Field:
     degree: int
 
 
-def read(path: Path) -> Splats:
-    """Read the splats of all prims, one after the other.
+class UsdaFile(Whole):
+    """A `.usda` file: the splats of all prims, one after the other."""
 
-    Raises:
-        FormatError: The file cannot be read, is damaged, holds no splats, or transforms them in a
-            way that no splat stays one.
-    """
-    layer = _layer(path)
-    return concatenate([_decoded(layer, each) for each in _fields(layer)])
+    @cached_property
+    def info(self) -> FileInfo:
+        """The description, by the places of the numbers."""
+        layer = _layer(self.path)
+        fields = list(_fields(layer))
+        return FileInfo(
+            path=self.path,
+            format="usda",
+            encoding="ascii",
+            file_bytes=len(layer.text),
+            splats=sum(each.count for each in fields),
+            sh_degree=max(each.degree for each in fields),
+            properties=tuple((name, "float") for name in _WIDTHS),
+        )
 
+    def load(self) -> Splats:
+        """The whole model.
 
-def inspect(path: Path) -> FileInfo:
-    """Describe a file by the places of its numbers.
-
-    Raises:
-        FormatError: As for `read`, except for what only the numbers show.
-    """
-    layer = _layer(path)
-    fields = list(_fields(layer))
-    return FileInfo(
-        path=path,
-        format="usda",
-        encoding="ascii",
-        file_bytes=len(layer.text),
-        splats=sum(each.count for each in fields),
-        sh_degree=max(each.degree for each in fields),
-        properties=tuple((name, "float") for name in _WIDTHS),
-    )
+        Raises:
+            FormatError: The file cannot be read, is damaged, holds no splats, or transforms them in
+                a way that no splat stays one.
+        """
+        layer = _layer(self.path)
+        return concatenate([_decoded(layer, each) for each in _fields(layer)])
 
 
 def _layer(path: Path) -> Layer:
