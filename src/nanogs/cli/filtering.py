@@ -7,6 +7,8 @@ from nanogs.cli.console import warn
 from nanogs.cli.file_options import Edits
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
+from nanogs.pipeline.rows import Changes
+from nanogs.splats import MAX_SH_DEGREE
 
 
 def parse_filters(edits: Edits) -> list[filters.Filter]:
@@ -34,6 +36,23 @@ def _crop(text: str) -> filters.Filter:
     raise OptionError(
         f"--crop is box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, each a number, not {text!r}."
     )
+
+
+def parse_changes(edits: Edits, psnr: float | None = None) -> Changes:
+    """The changes that options ask for, all but the frame, which each file has its own of.
+
+    Raises:
+        OptionError: One of them makes no sense, or a PSNR would be of another model.
+    """
+    degree = edits.sh_degree
+    if degree is not None and not 0 <= degree <= MAX_SH_DEGREE:
+        raise OptionError(f"--sh-degree is from 0 to {MAX_SH_DEGREE}, not {degree}.")
+    if degree is not None and psnr is not None:
+        raise OptionError(
+            "--psnr is against the whole model, of which --sh-degree leaves out some; run"
+            " `nanogs convert --sh-degree` first."
+        )
+    return Changes(parse_filters(edits), degree)
 
 
 def report_filters(reports: Iterable[filters.FilterReport]) -> None:

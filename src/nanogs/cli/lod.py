@@ -1,6 +1,7 @@
 """`nanogs lod`."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -82,7 +83,7 @@ def lod(
     """
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
-        from nanogs.cli import framing, lod_run, many, reading
+        from nanogs.cli import filtering, framing, lod_run, many
         from nanogs.io.collect import Pair
         from nanogs.lod.layout import chunks_of, output_of
         from nanogs.pipeline.levels import check_ratios
@@ -96,8 +97,8 @@ def lod(
     turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
     chunks_of(output.layout, chunk, plain=plain)  # or it is refused
     request = lod_run.Request(
-        parts=parts, output=output, ratios=ratios, method=method, turn=turn, chunk=chunk,
-        plain=plain, reading=reading.parse_reading(method.edits), overwrite=overwrite,
+        parts=parts, output=output, ratios=ratios, method=method, chunk=chunk, plain=plain,
+        changes=replace(filtering.parse_changes(method.edits), frame=turn), overwrite=overwrite,
     )  # fmt: skip
     show = partial(lod_run.print_levels, verbose=verbose, chosen=levels is not None)
     [run] = many.run_all(

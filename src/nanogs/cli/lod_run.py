@@ -15,7 +15,6 @@ from nanogs.cli.importing import uncollected
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
 from nanogs.cli.plan import Plan, plan_run, sees_to_output, show_plan
-from nanogs.cli.reading import Reading
 from nanogs.cli.simplify_report import warn_of_input
 from nanogs.clock import StageClock
 from nanogs.formatting import bytes_text, counted, number_text, time_text
@@ -29,6 +28,8 @@ from nanogs.lod.manifest import ChunkedLevel, Level, Manifest
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.presets import renders
+from nanogs.pipeline.reading import read_changed, reading_stages
+from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.progress import Progress, Tracker
 from nanogs.report import SimplifyReport
@@ -43,8 +44,7 @@ class Request:
         output: Where the levels go.
         ratios: From the finest level to the coarsest.
         method: How they are made.
-        reading: What is done to the model first.
-        turn: Frames from and to which the levels are turned, or None.
+        changes: What else is done to the model, and to levels.
         chunk: Most splats of a chunk of the finest level, or None.
         plain: Whether the contents of 3D Tiles are not packed.
         overwrite: Replace the folder if nanogs lod made it.
@@ -54,8 +54,7 @@ class Request:
     output: Output
     ratios: tuple[float, ...]
     method: Method
-    reading: Reading
-    turn: tuple[str, str] | None
+    changes: Changes
     chunk: int | None
     plain: bool
     overwrite: bool
@@ -114,7 +113,7 @@ def _plan(request: Request, parts: Sequence[Path]) -> Plan:
     goals = [Goal(ratio=ratio) for ratio in request.ratios]
     chunks = chunks_of(output.layout, request.chunk, plain=request.plain)
     return plan_run(
-        parts, output.folder, goals, method, request.reading, request.turn, chunks,
+        parts, output.folder, goals, method, request.changes, chunks,
         levels=True,
     )  # fmt: skip
 
@@ -129,9 +128,9 @@ def _in_blocks(
     with plan.executor() as executor:
         manifest, reports = write_levels_in_blocks(
             plan.parts, plan.target, request.ratios, max_memory=plan.process_memory,
-            job=blocks.job, scratch=blocks.scratch, resume=blocks.resume, changes=plan.changes,
-            where=Where(plan.threads, executor, blocks.patience), progress=progress,
-            **request.given,
+            job=blocks.job, scratch=blocks.scratch, resume=blocks.resume,
+            changes=plan.block_changes(), progress=progress,
+            where=Where(plan.threads, executor, blocks.patience), **request.given,
         )  # fmt: skip
     return manifest, reports, reports[0].blocks.filters if reports[0].blocks else ()
 
@@ -149,15 +148,15 @@ def _whole(
         method.chosen, info.splats, request.ratios, output.layout, output.suffix,
         measured=method.measured,
     )  # fmt: skip
-    progress = Tracker(told, [*plan.reading.stages(info.splats), *stages])
-    prepared = plan.reading.load(plan.parts, progress, StageClock())
+    progress = Tracker(told, [*reading_stages(plan.changes, info.splats), *stages])
+    prepared = read_changed(plan.parts, plan.changes, progress, StageClock())
     splats = prepared.splats
     manifest, reports = write_levels(
         splats,
         output.folder,
         request.ratios,
         source=", ".join(part.name for part in plan.parts),
-        frame=plan.turn,
+        frame=plan.changes.frame,
         measured=method.measured,
         cameras=requested_cameras(splats, method.cameras, method.up, method.chosen),
         threads=method.threads,

@@ -9,7 +9,6 @@ from typing import Any
 
 from nanogs.cli.console import err, key_value_table, show
 from nanogs.cli.method import Method
-from nanogs.cli.reading import Reading, inspect_parts, read_parts
 from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo
@@ -24,6 +23,7 @@ from nanogs.pipeline.job import usable_rows
 from nanogs.pipeline.memory import MemoryPlan, plan_file
 from nanogs.pipeline.plan import ScalePlan
 from nanogs.pipeline.presets import effective, renders
+from nanogs.pipeline.reading import inspect_parts, prepare, read_parts
 from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.target import Goal
 from nanogs.sink import Chunked
@@ -39,8 +39,7 @@ class Plan:
         parts: The files of the model, parts of one scene.
         target: The file or folder that is written.
         method: What the options say of how.
-        reading: What is done to the model first.
-        turn: Frames from and to which results are turned, or None.
+        changes: What else is done to the model, and to results.
         goals: What is asked: of one result, or of each level, the finest first.
         chunks: Of levels that lie in some, or None.
         levels: Whether results are levels, which are measured one by one: views are held meanwhile.
@@ -54,8 +53,7 @@ class Plan:
     parts: Sequence[Path]
     target: Path
     method: Method
-    reading: Reading
-    turn: tuple[str, str] | None
+    changes: Changes
     goals: Sequence[Goal]
     chunks: Chunked | None
     levels: bool
@@ -81,12 +79,6 @@ class Plan:
         return is_begun(self.method, self.target)
 
     @property
-    def changes(self) -> Changes:
-        """Changes to a model in blocks besides making it smaller."""
-        asked = asked_views(self.method.cameras, self.method.up)
-        return Changes(self.reading.filters, self.reading.sh_degree, self.turn, asked)
-
-    @property
     def process_memory(self) -> int | None:
         """Bytes that each process may take in blocks; None where the library finds it."""
         blocks = self.method.blocks
@@ -101,6 +93,10 @@ class Plan:
         if self.method.threads is None and workers is not None:
             return max((cpu_count() or 1) // workers, 1)
         return self.method.threads
+
+    def block_changes(self) -> Changes:
+        """The changes, with the views to look from: a file of cameras is read for them."""
+        return replace(self.changes, asked=asked_views(self.method.cameras, self.method.up))
 
     def executor(self) -> AbstractContextManager[Any]:
         """Who does the tasks of a model in blocks."""
@@ -126,9 +122,9 @@ class Plan:
             count = self.goal.target(blocks.splats, lambda _count: 0)
             info = replace(self.info, splats=blocks.splats)
             return replace(self, blocks=blocks, info=info, count=count)
-        if self.goal.size is None and not self.reading.filters:
+        if self.goal.size is None and not self.changes.filters:
             return self
-        splats = self.reading.prepare(read_parts(self.parts)).splats
+        splats = prepare(read_parts(self.parts), self.changes).splats
         usable = usable_rows(splats, self.method.nan)
         count = target_of(self.goal, splats, len(usable), self.target)
         return replace(self, info=replace(self.info, splats=len(splats)), count=count)
@@ -139,8 +135,10 @@ class Plan:
         elsewhere = blocks.scheduler is not None
         size = block_memory(self.process_memory, None, folder, elsewhere=elsewhere)
         chosen = block_parameters(method.preset, method.overrides)
-        nan, changes = method.nan, self.changes
-        return plan_job(self.parts, self.goals, chosen, *size, nan, self.chunks, changes)[1]
+        plan = plan_job(
+            self.parts, self.goals, chosen, *size, method.nan, self.chunks, self.block_changes()
+        )
+        return plan[1]
 
     def notes(self) -> list[str]:
         """What the user should know of how it is done, one sentence each."""
@@ -164,7 +162,7 @@ class Plan:
         wishes = {
             "--size": self.goal.size is not None,
             "--psnr": self.goal.psnr is not None,
-            "--drop-floaters": any(each.whole for each in self.reading.filters),
+            "--drop-floaters": any(each.whole for each in self.changes.filters),
             "--measure": bool(self.method.measure),
             "a model in a pipe, which blocks cannot read or write,": piped,
             f"the preset {self.method.preset}": isinstance(self.method.chosen, PaperParameters),
@@ -213,8 +211,7 @@ def plan_run(
     target: Path,
     goals: Sequence[Goal],
     method: Method,
-    reading: Reading,
-    turn: tuple[str, str] | None,
+    changes: Changes,
     chunks: Chunked | None = None,
     *,
     levels: bool = False,
@@ -227,8 +224,7 @@ def plan_run(
         target: See there.
         goals: See there.
         method: See there.
-        reading: See there.
-        turn: See there.
+        changes: See there.
         chunks: See there.
         levels: See there.
         piped: Whether a model comes from stdin or goes to stdout.
@@ -241,7 +237,7 @@ def plan_run(
     if goals[0].size is None:
         count = goals[0].target(info.splats, lambda _count: 0)
     plan = Plan(
-        parts=parts, target=target, method=method, reading=reading, turn=turn, goals=goals,
+        parts=parts, target=target, method=method, changes=changes, goals=goals,
         chunks=chunks, levels=levels, info=info, count=count, free=allowed_memory(limit),
     )  # fmt: skip
     if (limit is None and plan.begun) or plan.memory().peak > plan.free.bytes:

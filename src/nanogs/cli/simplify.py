@@ -60,7 +60,7 @@ def simplify(
     """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
-        from nanogs.cli import many, reading, simplify_run
+        from nanogs.cli import filtering, many, simplify_run
         from nanogs.cli.simplify_report import print_report
         from nanogs.pipeline.target import Goal
 
@@ -71,7 +71,7 @@ def simplify(
     request = simplify_run.Request(
         goal=Goal(ratio, count, size, psnr),
         method=method,
-        reading=reading.parse_reading(method.edits, psnr),
+        changes=filtering.parse_changes(method.edits, psnr),
         joined=joined,
         piped=DASH in paths,
         saving={"overwrite": overwrite, "format_options": {"spz_version": spz_version}},

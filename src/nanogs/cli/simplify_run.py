@@ -13,7 +13,6 @@ from nanogs.cli.importing import uncollected
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
 from nanogs.cli.plan import Plan, plan_run, sees_to_output, show_plan
-from nanogs.cli.reading import Reading
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.filters import FilterReport
@@ -27,6 +26,8 @@ from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.in_blocks import simplify_blocks
 from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.presets import renders
+from nanogs.pipeline.reading import read_changed, reading_stages
+from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
@@ -41,7 +42,7 @@ class Request:
     Attributes:
         goal: The wish.
         method: How it is met.
-        reading: What is done to the model first.
+        changes: What else is done to models.
         joined: Inputs that are parts of one scene, or none.
         piped: Whether a model comes from stdin or goes to stdout.
         saving: What `save` takes.
@@ -50,7 +51,7 @@ class Request:
 
     goal: Goal
     method: Method
-    reading: Reading
+    changes: Changes
     joined: tuple[Path, ...]
     piped: bool
     saving: dict[str, Any]
@@ -91,18 +92,20 @@ def _plan(request: Request, pair: Pair) -> Plan:
     if not begun and not (method.dry_run and request.folder_later):
         check_writable(target, **request.saving)
     parts = request.joined or (pair.source,)
-    return plan_run(parts, target, (goal,), method, request.reading, turn, piped=request.piped)
+    return plan_run(
+        parts, target, (goal,), method, replace(request.changes, frame=turn), piped=request.piped
+    )
 
 
 def _in_blocks(plan: Plan, saving: dict[str, Any], progress: Progress) -> Run:
     """Simplify a model that does not fit."""
-    start, blocks, reading = time.perf_counter(), plan.method.blocks, plan.reading
+    start, blocks, changes = time.perf_counter(), plan.method.blocks, plan.changes
     with plan.executor() as executor:
         report = simplify_blocks(
             plan.parts, plan.target, ratio=plan.goal.ratio, count=plan.goal.count,
             max_memory=plan.process_memory, job=blocks.job, scratch=blocks.scratch,
-            resume=blocks.resume, filters=reading.filters, sh_degree=reading.sh_degree,
-            frame=plan.turn, cameras=plan.method.cameras, up=plan.method.up,
+            resume=blocks.resume, filters=changes.filters, sh_degree=changes.sh_degree,
+            frame=changes.frame, cameras=plan.method.cameras, up=plan.method.up,
             threads=plan.threads, executor=executor, patience=blocks.patience,
             progress=progress, **plan.method.given, **saving,
         )  # fmt: skip
@@ -120,7 +123,7 @@ def _whole(plan: Plan, saving: dict[str, Any], told: Progress) -> Run:
     if renders(method.chosen) or method.measured:
         when_compiling(compile_ahead)
     progress = Tracker(told, _stages(plan))
-    prepared = plan.reading.load(plan.parts, progress, clock)
+    prepared = read_changed(plan.parts, plan.changes, progress, clock)
     splats = prepared.splats
     small, report = simplify(
         splats,
@@ -136,8 +139,8 @@ def _whole(plan: Plan, saving: dict[str, Any], told: Progress) -> Run:
         progress=progress.passing(),
         **method.given,
     )
-    if plan.turn:
-        small = change_frame(small, *plan.turn)
+    if plan.changes.frame:
+        small = change_frame(small, *plan.changes.frame)
     progress.begin("write")
     with clock.time("write"):
         save(small, target, progress=progress.passing(), **saving)
@@ -148,7 +151,7 @@ def _whole(plan: Plan, saving: dict[str, Any], told: Progress) -> Run:
         progress.begin("measure")
         with clock.time("measure"):
             judged, unmeasured = judge_file(
-                splats, target, turn=plan.turn, threads=method.threads, tell=progress.part
+                splats, target, turn=plan.changes.frame, threads=method.threads, tell=progress.part
             )
     progress.finish()
     notes = (*plan.notes(), *report.notes, *prepared.notes, *losses(small, target), *unmeasured)
@@ -158,7 +161,11 @@ def _whole(plan: Plan, saving: dict[str, Any], told: Progress) -> Run:
 
 def _run(plan: Plan, report: SimplifyReport, took: Sequence[FilterReport]) -> Run:
     """The report with what there is to say of the files."""
-    files: dict[str, Any] = {"read_count": plan.info.splats, "filters": took, "frames": plan.turn}
+    files: dict[str, Any] = {
+        "read_count": plan.info.splats,
+        "filters": took,
+        "frames": plan.changes.frame,
+    }
     files |= {"input": plan.name, "output": str(plan.target)}
     files |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(plan.target)}
     return Run(report, files)
@@ -173,7 +180,7 @@ def _stages(plan: Plan) -> list[Stage]:
     write = Stage("write", write_weight(suffix, plan.count or splats // 10))
     measured = plan.method.measured and plan.goal.psnr is None
     measure = [measure_stage(splats)] if measured else []
-    return [*plan.reading.stages(splats), *method, write, *measure]
+    return [*reading_stages(plan.changes, splats), *method, write, *measure]
 
 
 def print_plan(run: Run) -> None:

@@ -1,0 +1,104 @@
+"""Reading a model to be simplified: parts are joined, splats and bands left out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from nanogs.clock import StageClock
+from nanogs.filters import FilterReport, apply
+from nanogs.io import FileInfo, inspect, load
+from nanogs.io import open as open_model
+from nanogs.pipeline.rows import Changes
+from nanogs.pipeline.weights import read_weight
+from nanogs.progress import Stage, Tracker
+from nanogs.source import Joined
+from nanogs.splats import Splats
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A model as it is simplified.
+
+    Attributes:
+        splats: The model.
+        took: What each filter took.
+        notes: What else the user should know, one sentence each.
+    """
+
+    splats: Splats
+    took: tuple[FilterReport, ...]
+    notes: tuple[str, ...]
+
+
+def reading_stages(changes: Changes, splats: int) -> list[Stage]:
+    """The stages of `read_changed`."""
+    read = [Stage("read", read_weight(splats))]
+    return [*read, Stage("filter", read_weight(splats))] if changes.filters else read
+
+
+def read_changed(
+    paths: Sequence[Path], changes: Changes, progress: Tracker, clock: StageClock
+) -> Prepared:
+    """Read a model of one or several files, and prepare it.
+
+    Args:
+        paths: The files, parts of one scene.
+        changes: As `prepare` takes them.
+        progress: Told of the stages.
+        clock: Gets their seconds.
+
+    Raises:
+        NanogsError: A file cannot be read, or a filter leaves nothing.
+    """
+    progress.begin("read")
+    with clock.time("read"):
+        splats = read_parts(paths)
+    if not changes.filters:
+        return prepare(splats, changes)
+    progress.begin("filter")
+    with clock.time("filter"):
+        return prepare(splats, changes)
+
+
+def prepare(splats: Splats, changes: Changes) -> Prepared:
+    """Leave out splats and harmonics that are not wanted; results are turned, and not the model.
+
+    Raises:
+        ModelError: A filter leaves nothing.
+    """
+    left, took = apply(splats, changes.filters)
+    degree = changes.sh_degree
+    if degree is None or degree >= left.sh_degree:
+        return Prepared(left, took, ())
+    note = (
+        f"Spherical harmonics above degree {degree} were dropped first; PSNR is against the model"
+        " without them."
+    )
+    return Prepared(left.with_sh_degree(degree), took, (note,))
+
+
+def inspect_parts(paths: Sequence[Path]) -> FileInfo:
+    """The first file's description, with the splats and bytes of all.
+
+    Raises:
+        FormatError: A file cannot be read.
+    """
+    infos = [inspect(path) for path in paths]
+    return replace(
+        infos[0],
+        splats=sum(info.splats for info in infos),
+        file_bytes=sum(info.file_bytes for info in infos),
+        sh_degree=max(info.sh_degree for info in infos),
+    )
+
+
+def read_parts(paths: Sequence[Path]) -> Splats:
+    """The model of one file, or of several that are its parts.
+
+    Raises:
+        NanogsError: A file cannot be read, or they do not go together.
+    """
+    if len(paths) == 1:
+        return load(paths[0])
+    with Joined([open_model(path) for path in paths]) as source:
+        return source.load()
