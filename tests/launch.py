@@ -41,6 +41,17 @@ def run(*arguments, text=True, data=b"", cwd=None, env=None, timeout=120):
     return subprocess.CompletedProcess(words, code, *said)
 
 
+def run_here(*arguments):
+    """Run it in this process, where what it calls can be patched; its exit code."""
+    import nanogs.cli
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["nanogs", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            nanogs.cli.main()
+    return ended.value.code
+
+
 def read_early(env=os.environ):
     """The variables that what is imported reads at once."""
     names = ("NUMBA_", "PYTHON", "OMP_", "OPENBLAS_", "COLUMNS", "TERM", "NO_COLOR", "FORCE_COLOR")

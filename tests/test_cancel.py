@@ -97,7 +97,7 @@ def test_a_run_that_is_cancelled_leaves_nothing(tmp_path, command, number):
         "render": ["out", "--views", "60"],
     }[command]
     delays = random.Random(f"{command} {number}")
-    for _ in range(6):
+    for _ in range(4):
         child = started(command, tmp_path / "in.ply", *arguments, cwd=tmp_path)
         code, said = cancelled(child, number, delays.uniform(0, 1.5))
         assert_nothing_left(code, said, number, tmp_path, ["in.ply"])

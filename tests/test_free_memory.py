@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 import nanogs
+from launch import run_here as command
 from nanogs import memory
 from nanogs.cli.failures import sentence_of
 from nanogs.datasets.synthetic import make_scene
@@ -193,17 +194,6 @@ def little(monkeypatch):
     """Memory for half of what the scene takes."""
     free = Memory(22_000_000, "free on this machine")
     monkeypatch.setattr(memory, "free_memory", lambda **_: free)
-
-
-def command(*args):
-    """Run the command in this process; its exit code."""
-    import nanogs.cli
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["nanogs", *map(str, args)])
-        with pytest.raises(SystemExit) as ended:
-            nanogs.cli.main()
-    return ended.value.code
 
 
 def test_a_model_that_does_not_fit_goes_to_blocks_and_says_so(scene, tmp_path, little, capsys):

@@ -1,5 +1,7 @@
 """Trained models and what other tools made of them; skipped where they are absent."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -18,12 +20,18 @@ SCENES = {
 }
 
 
+@cache
+def tenth(name):
+    """A scene, a tenth of it, and the report."""
+    splats = nanogs.load(scene_path(SCENES[name][0]))
+    return splats, *nanogs.simplify(splats, ratio=0.1)
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_a_tenth_is_exact_valid_and_survives_a_file(name, tmp_path):
-    file, count = SCENES[name]
-    splats = nanogs.load(scene_path(file))
+    count = SCENES[name][1]
+    splats, small, report = tenth(name)
     assert len(splats) == count
-    small, report = nanogs.simplify(splats, ratio=0.1)
     assert len(small) == report.achieved_count == -(-count // 10)
     assert report.dropped_nonfinite == 0
     assert small.finite().all()
@@ -76,10 +84,10 @@ def test_better_than_the_peers_and_as_bright_as_the_original(name):
     In views of 512 pixels the mean of each channel may be off by 1/255. In smaller ones, which the
     method does not look at, rasterisers widen the original's thin splats more than merged ones.
     """
-    splats = nanogs.load(scene_path(SCENES[name][0]))
+    splats, small, _ = tenth(name)
     cameras = automatic_cameras(splats, 4, width=256, height=256, split="test")
     for ratio in (0.1, 0.01):
-        ours, _ = nanogs.simplify(splats, ratio=ratio)
+        ours = small if ratio == 0.1 else nanogs.simplify(splats, ratio=ratio)[0]
         peers = [nanogs.load(peer_path(f"{name}_{ratio:g}_st-{kind}.ply"))
                  for kind in ("uniform", "adaptive")]  # fmt: skip
         models = [NamedModel("", model) for model in (ours, *peers)]

@@ -102,15 +102,23 @@ def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
         (["--ratio", "0.1", "--preset", "paper"], "paper needs the whole model"),
         (["--ratio", "0.1", "--max-memory", "100MB"], "is 100 MB and must be at least"),
         (["--ratio", "0.1", "--workers", "2", "--scheduler", "tcp://x:1"], "not both"),
-        (["--ratio", "0.1", "--scheduler", "tcp://127.0.0.1:9"], "No Dask scheduler answers"),
     ],
 )
 def test_what_cannot_be_done_in_blocks_is_said(scene, tmp_path, memory, more, said):
-    if "--scheduler" in more:
-        pytest.importorskip("distributed")
     given = [] if "--max-memory" in more else ["--max-memory", "215MB"]
     _, text = run("simplify", scene, tmp_path / "a.ply", *given, *more, code=2)
     assert said in " ".join(text.split())
+    assert [path.name for path in tmp_path.iterdir()] == []
+
+
+def test_a_scheduler_that_does_not_answer_is_said(scene, tmp_path, monkeypatch, capsys):
+    """In this process, where patience can be short."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("nanogs.pipeline.cluster._PATIENCE", 0.4)
+    given = ["--ratio", "0.1", "--max-memory", "215MB", "--scheduler", "tcp://127.0.0.1:9"]
+    assert launch.run_here("simplify", scene, tmp_path / "a.ply", *given) == 2
+    said = capsys.readouterr().err
+    assert "error: No Dask scheduler answers at 'tcp://127.0.0.1:9'" in " ".join(said.split())
     assert [path.name for path in tmp_path.iterdir()] == []
 
 
