@@ -158,9 +158,9 @@ def test_boxes_enclose_the_ellipsoids_and_touch_them():
         points = points + 2 * np.cross(v[i], np.cross(v[i], points) + w[i] * points)
         low = np.minimum(low, (splats.means[i] + points).min(axis=0))
         high = np.maximum(high, (splats.means[i] + points).max(axis=0))
-    assert (box.low <= low + 1e-6).all()
-    assert (box.high >= high - 1e-6).all()
-    assert np.allclose([box.low, box.high], [low, high], atol=0.01 * (high - low).max())
+    assert (box[0] <= low + 1e-6).all()
+    assert (box[1] >= high - 1e-6).all()
+    assert np.allclose([box[0], box[1]], [low, high], atol=0.01 * (high - low).max())
 
 
 # The folder
@@ -210,9 +210,9 @@ def test_the_tree_is_binary_and_its_boxes_enclose_the_splats(path):
             rows = np.arange(place["offset"], place["offset"] + place["count"])
             part = io.load(path.parent / meta["filenames"][place["file"]]).take(rows)
             box = box_around(part, 1.0)
-            slack = 0.05 * (box.high - box.low).max()  # for the quantisation
-            assert (box.low >= leaf["bound"]["min"] - slack).all()
-            assert (box.high <= leaf["bound"]["max"] + slack).all()
+            slack = 0.05 * (box[1] - box[0]).max()  # for the quantisation
+            assert (box[0] >= leaf["bound"]["min"] - slack).all()
+            assert (box[1] <= leaf["bound"]["max"] + slack).all()
 
 
 def test_same_bytes_again_and_for_any_number_of_threads(splats, path, tmp_path):

@@ -9,11 +9,10 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from nanogs._types import F64, I64, Array, F
+from nanogs._types import I64, Array, F
 from nanogs._version import __version__
 from nanogs.errors import OptionError
 from nanogs.io.json_fields import is_plain
-from nanogs.lod.boxes import Box
 from nanogs.lod.cells import Cells, divide
 from nanogs.progress import Parts, untold
 from nanogs.sink import PLACED, BlockChunks, Encoding
@@ -61,22 +60,6 @@ class Tree(NamedTuple):
     levels: Sequence[Sequence[Any]]
 
 
-class Takes(NamedTuple):
-    """What a layout's chunks take.
-
-    Attributes:
-        weight: Seconds of a machine for a million splats.
-        file: Bytes while a file is made, over those of its splats.
-        pixels: Bytes a splat of it besides.
-        seconds: Of a processor for a splat, without and with harmonics of higher degrees.
-    """
-
-    weight: float
-    file: float
-    pixels: int
-    seconds: tuple[float, float]
-
-
 @dataclass(frozen=True, slots=True)
 class ChunkLayout(ABC):
     """A layout that divides levels; see `sink.Chunked`.
@@ -88,7 +71,9 @@ class ChunkLayout(ABC):
     most: int
     name: ClassVar[str]  # of the file that tells of the others
     suffix: ClassVar[str]  # of a model as its files hold it
+    weight: ClassVar[float]  # seconds of a machine for a million splats
     chunks_a_file: ClassVar[int] = 1
+    held: ClassVar[tuple[float, int]]  # for a file: bytes over those of its splats, and a splat
 
     def __post_init__(self) -> None:
         """Refuse what is no size of chunks.
@@ -98,11 +83,6 @@ class ChunkLayout(ABC):
         """
         if self.most < 1:
             raise OptionError(f"A chunk must hold at least 1 splat, not {self.most}.")
-
-    @property
-    def weight(self) -> float:
-        """As `Chunked` says."""
-        return self._takes.weight
 
     def divide(self, means: F) -> dict[str, Array]:
         """As `Chunked` says: the fields of `Cells`."""
@@ -129,18 +109,19 @@ class ChunkLayout(ABC):
 
     def encoding(self, row: int, degree: int, splats: int, shares: Sequence[float]) -> Encoding:
         """As `Chunked` says, from measurements of one file."""
-        takes, largest = self._takes, max(shares)
+        largest, (over, each) = max(shares), self.held
         at_once = min(self.most * self.chunks_a_file, splats * largest)
         return Encoding(
-            file=_OUTSIDE + at_once * (takes.file * row + takes.pixels),
+            file=_OUTSIDE + at_once * (over * row + each),
             each=min(1.0, 2 * largest) * (row + PLACED),
             described=splats * largest / self.most * _DESCRIBED,
-            seconds=sum(int(share * splats) for share in shares) * takes.seconds[degree > 0],
+            seconds=sum(int(share * splats) for share in shares) * self._seconds[degree > 0],
         )
 
     @property
     @abstractmethod
-    def _takes(self) -> Takes: ...
+    def _seconds(self) -> tuple[float, float]:
+        """Of a processor for a splat, without and with harmonics of higher degrees."""
 
     @abstractmethod
     def _made(
@@ -160,17 +141,6 @@ class ChunkLayout(ABC):
             trees: One or more, neighbours beside each other.
             counts: Splats of each level.
         """
-
-
-def numbers_of(box: Box) -> list[float]:
-    """A box as plain data."""
-    return [*box.low.tolist(), *box.high.tolist()]
-
-
-def box_of(numbers: Sequence[float]) -> Box:
-    """The box that `numbers_of` was given."""
-    corners: F64 = np.array(numbers).reshape(2, 3)
-    return Box(*corners)
 
 
 def generator() -> str:

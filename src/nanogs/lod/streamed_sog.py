@@ -16,17 +16,14 @@ import numpy as np
 
 from nanogs._types import F64, I64
 from nanogs.io.registry import LEVELS
-from nanogs.lod.boxes import Box, box_around, union
+from nanogs.lod.boxes import box_around, union
 from nanogs.lod.cells import Cells
 from nanogs.lod.chunks import (
     ChunkLayout,
     Made,
     SortedLevel,
-    Takes,
     Tree,
-    box_of,
     generator,
-    numbers_of,
     plain_paths,
     read_own,
 )
@@ -37,7 +34,7 @@ from nanogs.splats import Splats
 # larger ones would bring fine levels too early.
 _DEVIATIONS = 1.0
 META = "meta.json"
-_Node = tuple[dict[str, Any], Box]
+_Node = tuple[dict[str, Any], F64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +48,9 @@ class StreamedSog(ChunkLayout):
     suffix: ClassVar[str] = ".sog"
     chunks_a_file: ClassVar[int] = 4  # full ones; that makes files of 1 to 2 MB
 
-    @property
-    def _takes(self) -> Takes:
-        return Takes(25.0, 6.0, 300, (1e-5, 8e-5))
+    weight: ClassVar[float] = 25.0
+    held: ClassVar[tuple[float, int]] = 6.0, 300
+    _seconds: ClassVar[tuple[float, float]] = 1e-5, 8e-5
 
     def _made(
         self,
@@ -105,14 +102,14 @@ class _Leaves:
     def __init__(self, cells: Cells) -> None:
         self._cells = cells
         self._entries: list[dict[str, dict[str, int]]] = [{} for _ in range(cells.count)]
-        self._boxes: list[list[Box]] = [[] for _ in range(cells.count)]
+        self._boxes: list[list[F64]] = [[] for _ in range(cells.count)]
 
     def add(self, level: int, file: int, places: Sequence[Any]) -> None:
         """Note the places in a file of a level; the finest level, which fills all leaves, first."""
-        for leaf, offset, splats, *box in places:
+        for leaf, offset, splats, box in places:
             place = {"file": file, "offset": offset, "count": splats}
             self._entries[leaf][str(level)] = place
-            self._boxes[leaf].append(box_of(box))
+            self._boxes[leaf].append(np.array(box))
 
     def tree(self) -> _Node:
         """The tree and the box around all of it; from the leaves up, as boxes grow."""
@@ -141,14 +138,14 @@ def _parent(near: _Node, far: _Node) -> _Node:
     return {"bound": _bound(box), "children": [near[0], far[0]]}, box
 
 
-def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[list[float]]:
+def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[list[Any]]:
     """Number, first row, splats and box of each leaf of a model that has anything in it."""
     offset = 0
     for leaf in range(first, end):
         if count := int(counts[leaf]):
             rows = np.arange(offset, offset + count)
             box = box_around(part.take(rows), _DEVIATIONS)
-            yield [leaf, offset, count, *numbers_of(box)]
+            yield [leaf, offset, count, box.tolist()]
             offset += count
 
 
@@ -180,9 +177,9 @@ def _runs(counts: I64, most: int) -> Iterator[tuple[int, int]]:
         yield first, len(counts)
 
 
-def _bound(box: Box) -> dict[str, list[float]]:
+def _bound(box: F64) -> dict[str, list[float]]:
     """The box in single precision, rounded outwards."""
-    return {"min": _rounded(box.low, -np.inf), "max": _rounded(box.high, np.inf)}
+    return {"min": _rounded(box[0], -np.inf), "max": _rounded(box[1], np.inf)}
 
 
 def _rounded(corner: F64, towards: float) -> list[float]:

@@ -25,14 +25,11 @@ from nanogs.lod.chunks import (
     ChunkLayout,
     Made,
     SortedLevel,
-    Takes,
     Tree,
-    box_of,
-    numbers_of,
     plain_paths,
     read_own,
 )
-from nanogs.lod.tileset import Tile, Tiled, describe
+from nanogs.lod.tileset import describe
 from nanogs.progress import Parts
 from nanogs.splats import Splats
 
@@ -89,9 +86,12 @@ class Tiles(ChunkLayout):
     name: ClassVar[str] = TILESET
     suffix: ClassVar[str] = ".glb"
 
+    weight: ClassVar[float] = 1.0
+    held: ClassVar[tuple[float, int]] = 2.5, 0
+
     @property
-    def _takes(self) -> Takes:
-        return Takes(1.0, 2.5, 0, (2e-6, 4e-6) if self.packed else (1e-6, 1e-6))
+    def _seconds(self) -> tuple[float, float]:
+        return (2e-6, 4e-6) if self.packed else (1e-6, 1e-6)
 
     def _made(
         self, level: SortedLevel, finer: Sequence[Any] | None, prefix: str, tell: Parts
@@ -105,9 +105,9 @@ class Tiles(ChunkLayout):
                 continue
             name, file = f"{prefix}{number}.glb", io.BytesIO()
             form_of(packed=self.packed).write(part, file)
-            box = numbers_of(box_around(part, _DEVIATIONS))
+            box = box_around(part, _DEVIATIONS)
             tell(number + 1, len(nodes))
-            yield [node, name, box, _width(part)], {name: file.getvalue()}
+            yield [node, name, box.tolist(), _width(part)], {name: file.getvalue()}
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """As `ChunkLayout` says."""
@@ -115,24 +115,7 @@ class Tiles(ChunkLayout):
 
     def describe(self, trees: Sequence[Tree], counts: Sequence[int]) -> str:
         """As `ChunkLayout` says."""
-        levels = [_of_level([tree.levels[n] for tree in trees]) for n in range(len(counts))]
-        found = [
-            Tiled(tree.cells, [level[number] for level in levels])
-            for number, tree in enumerate(trees)
-        ]
-        return describe(found, form_of(packed=self.packed).extensions)
-
-
-def _of_level(trees: Sequence[Sequence[Any]]) -> list[dict[int, Tile]]:
-    """The tiles of a level in each tree; those without splats are as wide as others typically."""
-    typical = float(np.median([width for tree in trees for _, file, _, width in tree if file]))
-    return [
-        {
-            node: Tile(file, box_of(box), width) if file else Tile(None, None, typical)
-            for node, file, box, width in tree
-        }
-        for tree in trees
-    ]
+        return describe(trees, len(counts), form_of(packed=self.packed).extensions)
 
 
 def made_files(folder: Path) -> frozenset[str] | None:

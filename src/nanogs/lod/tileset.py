@@ -2,61 +2,48 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nanogs._types import F64
-from nanogs.lod.boxes import Box, union
+from nanogs.lod.boxes import union
 from nanogs.lod.cells import Cells
-from nanogs.lod.chunks import generator
+from nanogs.lod.chunks import Tree, generator
 
 # Runtimes learn from it which extensions the contents use; that glTF is a content is core in 1.1.
 _CONTENT = "3DTILES_content_gltf"
 
 
-@dataclass(frozen=True, slots=True)
-class Tile:
-    """A cell of one level.
+class Tile(NamedTuple):
+    """A cell of one level: its file and the box around its splats, or neither, and their width.
 
-    Attributes:
-        content: Its file, or None where the level has nothing in it.
-        box: Around its splats; None without any.
-        width: The typical visible width of its splats, scene units; of the whole level's for an
-            empty one.
+    The width is what is visible of a typical splat, scene units; of the level's, without splats.
     """
 
     content: str | None
-    box: Box | None
+    box: F64 | None
     width: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tiled:
-    """A tree of tiles: the scene, or a block of it.
-
-    Attributes:
-        cells: What divides it.
-        levels: Tiles by their node, in the order of the walk; the finest level first.
-    """
-
-    cells: Cells
-    levels: Sequence[Mapping[int, Tile]]
-
-
-def describe(trees: Sequence[Tiled], extensions: Mapping[str, Sequence[str]]) -> str:
+def describe(trees: Sequence[Tree], levels: int, extensions: Mapping[str, Sequence[str]]) -> str:
     """The contents of `tileset.json`.
 
     Tiles of the coarsest level come first; each is replaced by those below it.
 
     Args:
-        trees: One or more, of the same number of levels.
+        trees: One or more, whose chunks are as `Tiles` describes them.
+        levels: Their number.
         extensions: Those of glTF that the contents use and require.
     """
-    tops = [top for tree in trees for top in _tops(tree)]
+    found = [_of_level([tree.levels[level] for tree in trees]) for level in range(levels)]
+    tops = [
+        _tile(tree.cells, [level[number] for level in found], node)
+        for number, tree in enumerate(trees)
+        for node in found[-1][number]
+    ]
     box = union(box for _, box in tops)
-    diagonal = float(np.linalg.norm(box.high - box.low))
+    diagonal = float(np.linalg.norm(box[1] - box[0]))
     root = tops[0][0]
     if len(tops) > 1:
         # Without a content, and so wrong by as much as there is to see.
@@ -72,32 +59,36 @@ def describe(trees: Sequence[Tiled], extensions: Mapping[str, Sequence[str]]) ->
     return json.dumps(data, separators=(",", ":"), allow_nan=False)
 
 
-def _tops(tree: Tiled) -> list[tuple[dict[str, Any], Box]]:
-    depth = len(tree.levels) - 1
-    return [_tile(tree, depth, node) for node in tree.levels[depth]]
+def _of_level(trees: Sequence[Sequence[Any]]) -> list[dict[int, Tile]]:
+    """The tiles of a level in each tree; those without splats are as wide as others typically."""
+    typical = float(np.median([width for tree in trees for _, file, _, width in tree if file]))
+    return [
+        {
+            node: Tile(file, np.array(box), width) if file else Tile(None, None, typical)
+            for node, file, box, width in tree
+        }
+        for tree in trees
+    ]
 
 
-def _tile(tree: Tiled, level: int, node: int) -> tuple[dict[str, Any], Box]:
-    """A tile with all below it, and the box around all of that."""
-    own = tree.levels[level][node]
-    below = [_tile(tree, level - 1, inner) for inner in _inside(tree, level, node)]
+def _tile(
+    cells: Cells, levels: Sequence[Mapping[int, Tile]], node: int
+) -> tuple[dict[str, Any], F64]:
+    """A tile of the last of some levels with all below it, and the box around all of that."""
+    own, (first, end) = levels[-1][node], cells.leaves[node]
+    finer = levels[-2] if len(levels) > 1 else {}
+    below = [
+        _tile(cells, levels[:-1], inner) for inner in finer if first <= cells.leaves[inner, 0] < end
+    ]
     children = [tile for tile, _ in below]
-    box = union([*([own.box] if own.box else []), *(box for _, box in below)])
+    box = union([*([] if own.box is None else [own.box]), *(box for _, box in below)])
     tile = _described(box, max(own.width, _error(children)) if children else 0.0)
     if own.content:
         tile["content"] = {"uri": own.content}
     return tile | ({"children": children} if children else {}), box
 
 
-def _inside(tree: Tiled, level: int, node: int) -> list[int]:
-    """The nodes of the next finer level's tiles in a tile's cell."""
-    if level == 0:
-        return []
-    first, end = tree.cells.leaves[node]
-    return [n for n in tree.levels[level - 1] if first <= tree.cells.leaves[n, 0] < end]
-
-
-def _described(box: Box, error: float) -> dict[str, Any]:
+def _described(box: F64, error: float) -> dict[str, Any]:
     return {"boundingVolume": {"box": _volume(box)}, "geometricError": error}
 
 
@@ -106,9 +97,9 @@ def _error(tiles: list[dict[str, Any]]) -> float:
     return float(max((tile["geometricError"] for tile in tiles), default=0.0))
 
 
-def _volume(box: Box) -> list[float]:
+def _volume(box: F64) -> list[float]:
     """The centre and the three half axes of a box, in the frame of the tileset."""
-    corners = np.stack([_turned(box.low), _turned(box.high)])
+    corners = np.stack([_turned(corner) for corner in box])
     centre, half = corners.mean(axis=0), np.abs(corners[1] - corners[0]) / 2
     return [*centre.tolist(), *np.diag(half).ravel().tolist()]
 
