@@ -127,6 +127,19 @@ def test_the_manifest_describes_the_files(scene, tmp_path):
     assert manifest["protocol"]["views"] == 8
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"layout": "tiles"}, '"files", "streamed sog", "3d tiles"'),
+        ({"suffix": ".obj"}, r"\.obj"),
+        ({"layout": "files", "chunk": 5}, "not divided"),
+    ],
+)
+def test_what_is_no_layout_is_refused_before_the_work(tmp_path, given, words):
+    with pytest.raises(OptionError, match=words):
+        write_levels(tmp_path / "missing.ply", tmp_path / "l", [0.1], **given)
+
+
 def test_nothing_is_measured_where_nothing_is_rendered(splats, tmp_path):
     manifest, _ = write_levels(splats, tmp_path / "l", [0.1], source="a.ply", preset="fast")
     assert manifest.levels[0].psnr is manifest.levels[0].ssim is manifest.protocol is None

@@ -36,7 +36,7 @@ def write_levels(
     ratios: Sequence[float],
     *,
     source: str | None = None,
-    layout: Layout = Layout.FILES,
+    layout: Layout | str = Layout.FILES,
     chunk: int | None = None,
     plain: bool = False,
     suffix: str = PLY,
@@ -53,7 +53,7 @@ def write_levels(
         folder: The folder to make.
         ratios: As `levels` takes them.
         source: Name of the model for the manifest; by default that of its file.
-        layout: ".ply files", "streamed sog" or "3d tiles".
+        layout: "files", one a level; "streamed sog" or "3d tiles".
         chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
             default.
         plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
@@ -69,14 +69,14 @@ def write_levels(
         What the manifest says, and the report of each level.
 
     Raises:
-        OptionError: As for `levels`, or the layout has no such chunks or contents.
+        OptionError: As for `levels`, there is no such layout, it has no such chunks or contents, or
+            the format of the files is not written.
         ModelError: As for `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
-    layout, splats = Layout(layout), as_splats(model)
-    name = source or (Path(model).name if isinstance(model, str | PathLike) else "a model")
     chunks = chunks_of(layout, chunk, plain=plain)
-    sink = LevelsFolder(Path(folder), overwrite, name, chunks, suffix)
+    name = source or (Path(model).name if isinstance(model, str | PathLike) else "a model")
+    sink, splats = LevelsFolder(Path(folder), overwrite, name, chunks, suffix), as_splats(model)
     stages = write_levels_stages(
         _parameters(options), len(splats), ratios, layout, suffix, measured=measured
     )
@@ -102,7 +102,7 @@ def write_levels_stages(
     parameters: Parameters,
     splats: int,
     ratios: Sequence[float],
-    layout: Layout,
+    layout: Layout | str,
     suffix: str = PLY,
     *,
     measured: bool = False,
@@ -114,7 +114,7 @@ def write_levels_stages(
     measure = [measure_stage(splats)] if measured else []
     counts = [target_count(splats, ratio, None) for ratio in ratios]
     stages = levels_stages(parameters, splats, counts)
-    ending = ".sog" if layout is Layout.SOG else suffix
+    ending = ".sog" if layout == Layout.SOG else suffix
     writes = [Stage("write", write_weight(ending, count)) for count in counts]
     first = len(stages) - len(counts)
     pairs = zip(stages[first:], writes, strict=True)
@@ -143,19 +143,9 @@ def write_levels_in_blocks(
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make the levels from one forest of each block; all of the folder appears or nothing.
 
-    Args:
-        inputs: The parts of one scene.
-        folder: The folder to make.
-        ratios: As `levels` takes them.
-        layout: As `write_levels` takes it; in chunks, each block has a tree of its own, and what
-            describes the folder joins them.
-        chunk: As `write_levels` takes it, and so are `plain`, `suffix` and `overwrite`.
-        plain: See there.
-        suffix: See there.
-        overwrite: See there.
-        where: The tasks are done.
-        progress: Called with each step.
-        **options: As `simplify_into` takes them.
+    Inputs, the parts of one scene, and options are as `simplify_into` takes them, and all else as
+    `write_levels` does. In chunks, each block has a tree of its own, and what describes the folder
+    joins them.
 
     Returns:
         What the manifest says, and the report of each level.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from nanogs.errors import FormatError
 from nanogs.findings import join_findings
-from nanogs.io import losses, save
+from nanogs.io import losses, registry, save
 from nanogs.io.folder import atomic_folder, check_folder_writable, move_folder
 from nanogs.io.models import as_splats
 from nanogs.lod import manifest, streamed_sog, tiles
@@ -49,6 +49,14 @@ class LevelsFolder:
     source: str
     chunks: ChunkLayout | None = None
     suffix: str = PLY
+
+    def __post_init__(self) -> None:
+        """Refuse a format of files that is not written.
+
+        Raises:
+            OptionError: It is not.
+        """
+        registry.writer(Path(level_name(0, self.suffix)))
 
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
         """As `Sink` says."""

@@ -90,7 +90,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
     return Output(path, Layout.FILES, ending)
 
 
-def chunks_of(layout: Layout, chunk: int | None, *, plain: bool) -> ChunkLayout | None:
+def chunks_of(layout: Layout | str, chunk: int | None, *, plain: bool) -> ChunkLayout | None:
     """How levels are divided in a layout; None where each is a file.
 
     Args:
@@ -99,17 +99,20 @@ def chunks_of(layout: Layout, chunk: int | None, *, plain: bool) -> ChunkLayout 
         plain: Whether the contents of 3D Tiles are not packed.
 
     Raises:
-        OptionError: The size of chunks is below 1 or given for a layout without chunks, or plain
-            contents are asked for outside of 3D Tiles.
+        OptionError: There is no such layout, the size of chunks is below 1 or given for a layout
+            without chunks, or plain contents are asked for outside of 3D Tiles.
     """
-    if chunk is not None and layout is Layout.FILES:
+    if layout not in list(Layout):
+        known = ", ".join(f'"{each}"' for each in Layout)
+        raise OptionError(f'There is no layout "{layout}"; there are {known}.')
+    if chunk is not None and layout == Layout.FILES:
         raise OptionError(
             "The size of chunks is for lod-meta.json and tileset.json; levels as files of their"
             " own are not divided."
         )
-    if plain and layout is not Layout.TILES:
+    if plain and layout != Layout.TILES:
         raise OptionError("Contents are plain or packed in 3D Tiles only; write a tileset.json.")
     most = CHUNK if chunk is None else chunk
-    if layout is Layout.TILES:
+    if layout == Layout.TILES:
         return Tiles(most, packed=not plain)
-    return StreamedSog(most) if layout is Layout.SOG else None
+    return StreamedSog(most) if layout == Layout.SOG else None

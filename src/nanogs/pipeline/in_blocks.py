@@ -169,21 +169,9 @@ def simplify_into(
 ) -> tuple[list[Written], list[SimplifyReport]]:
     """Simplify files block by block, and give the results to a sink.
 
-    Args:
-        sink: Where they go; it is opened when they are made, and gets its name after that.
-        inputs: The parts of one scene.
-        goals: What is asked, finest first: ratios, or one count.
-        where: The tasks are done.
-        progress: Called with each step.
-        preset: As `simplify_blocks` takes it, and so are the others that follow.
-        max_memory: See there.
-        block: See there.
-        job: See there.
-        scratch: See there.
-        resume: See there.
-        nan: See there.
-        changes: What else is done to the model.
-        **overrides: See there.
+    Inputs are parts of one scene; goals are ratios, the finest first, or one count. `where` the
+    tasks are done and `changes` to the model stand for what `simplify_blocks` takes one by one, and
+    all else is as there.
 
     Returns:
         Each result as it was written, and its report.
