@@ -360,10 +360,10 @@ def test_public_names_are_the_same_whatever_is_imported_before(before):
 def test_blocks_are_asked_for_all_that_the_options_say(scene, tmp_path, monkeypatch):
     """Each option reaches the library, which is not called here."""
 
-    def taken(inputs, output, **given):
-        raise OptionError(repr((inputs, output)) + repr(sorted(given.items())))
+    def taken(request, _told):
+        raise OptionError(repr(request))
 
-    monkeypatch.setattr("nanogs.cli.simplify_run.simplify_blocks", taken)
+    monkeypatch.setattr("nanogs.cli.simplify_run.simplify_files", taken)
     words = "--cameras orbit --up 0,0,1 --ratio 0.2 --crop box:0,0,0,1,1,1 --sh-degree 0 --k 5"
     words += " --frame rub --scratch s --patience 3 --max-memory 210.1MB --threads 1 --nan error"
     with pytest.raises(OptionError) as told:
@@ -372,10 +372,9 @@ def test_blocks_are_asked_for_all_that_the_options_say(scene, tmp_path, monkeypa
             standalone_mode=False,
         )
     for part in (
-        "('cameras', 'orbit')", "('up', Direction(x=0.0, y=0.0, z=1.0))", "('k', 5)",
-        "('ratio', 0.2)", "('sh_degree', 0)", "('frame', ('rdf', 'rub'))", "('nan', 'error')",
-        "('scratch', 's')", "('patience', 3.0)", "('max_memory', 210100000)", "name='crop'",
-        "('threads', 1)", "('resume', False)", "('overwrite', False)",
+        "cameras='orbit'", "up=Direction(x=0.0, y=0.0, z=1.0)", "'k': 5", "ratio=0.2",
+        "sh_degree=0", "frame=('rdf', 'rub')", "nan='error'", "scratch='s'", "patience=3.0",
+        "max_memory=210100000", "name='crop'", "threads=1", "resume=False", "overwrite=False",
     ):  # fmt: skip
         assert part in str(told.value), part
 

@@ -150,11 +150,16 @@ def test_time_left_does_not_shrink_while_kernels_are_compiled():
 
 def test_the_report_is_one_line(tmp_path):
     def said(files, **told):
-        known = {"achieved_count": 50_000, "judged": None, "total_seconds": 6.2}
+        known = {
+            "read_count": 500_000,
+            "achieved_count": 50_000,
+            "judged": None,
+            "total_seconds": 6.2,
+        }
         report = SimpleNamespace(**known | told)
         return summary(Run(report, files)).replace("->", "→")
 
-    files = {"read_count": 500_000, "input_bytes": 76_000_000, "output_bytes": 1_200_000}
+    files = {"input_bytes": 76_000_000, "output_bytes": 1_200_000}
     files |= {"input": "a.ply", "output": "b.ply"}
     assert said(files) == "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s"
     packed = files | {"input": "a.sog", "input_bytes": 1_100_000}

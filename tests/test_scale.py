@@ -333,7 +333,7 @@ def test_other_formats_are_written_too(scene, tmp_path):
 
 def test_presets_that_need_the_whole_model_are_refused(scene, tmp_path):
     with pytest.raises(OptionError, match="paper"):
-        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.5, preset="paper")
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.5, preset="paper", block=100)
     assert names(tmp_path) == []
 
 

@@ -38,7 +38,7 @@ COUNT, BLOCK = 48_000, 18_000
 MEMORY = int((LIBRARIES + held_bytes(BLOCK, COUNT, Layout(0, False, (), "default", (), ()),
                                      PRESETS["fast"], 0.1)) / 0.95) + 1  # fmt: skip
 QUICK = {"preset": "fast", "rounds": 2}
-GIVEN = {"ratio": 0.1, "max_memory": MEMORY, "threads": 1, **QUICK}
+GIVEN = {"ratio": 0.1, "block": BLOCK, "threads": 1, **QUICK}
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def expected(scene, tmp_path_factory):
 def started(scene, out, *more, env=None):
     """The command, running."""
     command = [sys.executable, "-m", "nanogs", "simplify", scene, out, "--ratio", "0.1"]
-    command += ["--max-memory", f"{MEMORY}B", "--threads", "1"]
+    command += ["--max-memory", f"{MEMORY}B", "--threads", "1", "--job", f"{out}.job"]
     command += ["--preset", "fast", "--rounds", "2", *more]
     return subprocess.Popen(
         list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env
@@ -404,7 +404,7 @@ def test_resume_with_an_output_in_the_way_says_so_at_once(scene, tmp_path, expec
     enough = ["--max-memory", "2GB", "-w"]
     done = subprocess.run([*map(str, fits), *enough], capture_output=True, text=True)
     assert done.returncode == 2
-    assert "resume it with the --max-memory it was begun with" in done.stderr
+    assert "holds another job (its segments, block, parameters differ)" in done.stderr
     report = nanogs.simplify_blocks(scene, out, overwrite=True, resume=True, **GIVEN)
     assert report.blocks.resumed >= 3
     assert out.read_bytes() == expected

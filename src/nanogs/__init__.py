@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from nanogs.levels_of_detail import write_levels
     from nanogs.model_info import info
     from nanogs.pipeline.api import simplify
-    from nanogs.pipeline.in_blocks import simplify_blocks
+    from nanogs.pipeline.files import simplify_blocks
     from nanogs.pipeline.levels import levels
     from nanogs.pipeline.presets import PRESETS as presets  # noqa: N811 - read like a module
     from nanogs.raster.camera import Camera
@@ -76,7 +76,7 @@ _HOMES = {
     "render": "views.api",
     "save": "io",
     "simplify": "pipeline.api",
-    "simplify_blocks": "pipeline.in_blocks",
+    "simplify_blocks": "pipeline.files",
     "write_levels": "levels_of_detail",
 }
 _ATTRIBUTES = {"presets": "PRESETS"}  # what they are called there, if not the same

@@ -112,8 +112,6 @@ class BlocksReport:
         seen: Splats that blocks saw of others, in all.
         handed: Splats that moved to a group of another block.
         resumed: Tasks that a run before had done.
-        read: Splats of the inputs, before filters.
-        filters: What each filter took.
     """
 
     blocks: int
@@ -123,8 +121,6 @@ class BlocksReport:
     seen: int
     handed: int
     resumed: int
-    read: int
-    filters: tuple[FilterReport, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +158,8 @@ class SimplifyReport:
         size_probes: The counts written to find one that fits, in order; none where the size of a
             file is known beforehand.
         blocks: How the model was divided, or None where it was held whole.
+        read_count: Splats of the inputs, before filters.
+        filters: What each filter took.
         judged: The result held against the input as `nanogs compare` does it, on views that nothing
             was learnt from; None where that was not measured, as it is only for an asked PSNR.
     """
@@ -191,6 +189,8 @@ class SimplifyReport:
     achieved_size: int | None = None
     size_probes: tuple[SizeProbeReport, ...] = ()
     blocks: BlocksReport | None = None
+    read_count: int = 0
+    filters: tuple[FilterReport, ...] = ()
     judged: Judged | None = None
 
     def to_dict(self) -> dict[str, Any]:

@@ -92,12 +92,7 @@ class Blocks:
 
     def unused(self) -> list[str]:
         """Say that options for blocks had no effect on a model that is held whole."""
-        named: dict[str, object] = {
-            "--job": self.job,
-            "--resume": self.resume,
-            "--scratch": self.scratch,
-        }
-        named |= {"--workers": self.workers, "--scheduler": self.scheduler}
+        named: dict[str, object] = {"--workers": self.workers, "--scheduler": self.scheduler}
         found = " and ".join(option for option, value in named.items() if value)
         if not found:
             return []

@@ -132,7 +132,7 @@ def _in_blocks(
             changes=plan.block_changes(), progress=progress,
             where=Where(plan.threads, executor, blocks.patience), **request.given,
         )  # fmt: skip
-    return manifest, reports, reports[0].blocks.filters if reports[0].blocks else ()
+    return manifest, reports, reports[0].filters
 
 
 def _whole(

@@ -9,7 +9,7 @@ from typing import Any
 
 from nanogs.cli.console import err, key_value_table, show
 from nanogs.cli.method import Method
-from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.errors import NotEnoughMemoryError
 from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
@@ -17,6 +17,7 @@ from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.api import target_of
 from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.cluster import executor_of
+from nanogs.pipeline.files import Request, plan_files
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.in_blocks import block_memory, block_parameters, plan_job
 from nanogs.pipeline.job import usable_rows
@@ -216,6 +217,7 @@ def plan_run(
     *,
     levels: bool = False,
     piped: bool = False,
+    saving: dict[str, Any] | None = None,
 ) -> Plan:
     """Plan a run, and decide whether the model is held whole; only headers are read.
 
@@ -228,6 +230,7 @@ def plan_run(
         chunks: See there.
         levels: See there.
         piped: Whether a model comes from stdin or goes to stdout.
+        saving: What `save` takes, of one result; the library then decides.
 
     Raises:
         NanogsError: It cannot be done.
@@ -240,16 +243,31 @@ def plan_run(
         parts=parts, target=target, method=method, changes=changes, goals=goals,
         chunks=chunks, levels=levels, info=info, count=count, free=allowed_memory(limit),
     )  # fmt: skip
-    if (limit is None and plan.begun) or plan.memory().peak > plan.free.bytes:
+    if saving is not None:
+        divided = plan_files(asked(plan, saving)).divided
+    else:
+        divided = plan.begun or plan.memory().peak > plan.free.bytes
+    if divided:
         plan.refuse_whole_model_wishes(piped=piped)
-        return replace(plan, divided=True)
-    if plan.begun:
-        raise OptionError(
-            f"{job_folder(target, method.blocks.job)} holds a job in blocks, and this model fits"
-            " into the memory given; resume it with the --max-memory it was begun with, or remove"
-            " the folder."
-        )
-    return plan
+    return replace(plan, divided=divided)
+
+
+def asked(plan: Plan, saving: dict[str, Any]) -> Request:
+    """What is asked of the library.
+
+    Args:
+        plan: Of one result.
+        saving: What `save` takes.
+    """
+    method, blocks = plan.method, plan.method.blocks
+    return Request(
+        inputs=tuple(plan.parts), output=plan.target, goal=plan.goal, preset=method.preset,
+        overrides=method.overrides, measured=method.measure, max_memory=blocks.max_memory,
+        job=blocks.job, scratch=blocks.scratch, resume=blocks.resume, nan=method.nan,
+        filters=plan.changes.filters, sh_degree=plan.changes.sh_degree, frame=plan.changes.frame,
+        cameras=method.cameras, up=method.up, threads=plan.threads, patience=blocks.patience,
+        **saving,
+    )  # fmt: skip
 
 
 def show_plan(plan: Plan, text: str) -> None:

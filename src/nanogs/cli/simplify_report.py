@@ -49,12 +49,12 @@ def warn_of_input(notes: Iterable[str], dropped: int) -> None:
 def print_report(run: Run, *, verbose: bool) -> None:
     """Show on stderr what was delivered, in a line; with `verbose` all that is known of it."""
     report: SimplifyReport = run.report
-    report_filters(run.files["filters"])
+    report_filters(run.report.filters)
     warn_of_input(report.notes, report.dropped_nonfinite)
     if report.prune_limited:
         warn("Pruning alone would have gone below the asked count; the most opaque were kept.")
     if verbose:
-        counts = {"input": run.files["read_count"], "output": report.achieved_count}
+        counts = {"input": run.report.read_count, "output": report.achieved_count}
         show_report(report, {end: _file_text(run, end, count) for end, count in counts.items()})
     say(summary(run))
 
@@ -69,7 +69,7 @@ def summary(run: Run) -> str:
     files, report, to = run.files, run.report, arrow()
     made = counted(report.achieved_count, "splat")
     parts = [
-        f"{files['read_count']:,} {to} {made} in {files['output']}",
+        f"{report.read_count:,} {to} {made} in {files['output']}",
         sizes_text(files["input_bytes"], files["output_bytes"], to) + _formats_text(run, to),
         report.judged.text if report.judged else "",
         time_text(report.total_seconds),

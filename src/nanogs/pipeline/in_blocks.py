@@ -1,4 +1,4 @@
-"""`nanogs.simplify_blocks`: from files that need not fit into memory to a smaller one."""
+"""From files that do not fit into memory to a sink of smaller ones, block by block."""
 
 import shutil
 import time
@@ -7,14 +7,12 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nanogs.bar import drawn
 from nanogs.clock import StageClock
-from nanogs.defaults import DEFAULT_MEMORY, PATIENCE
+from nanogs.defaults import DEFAULT_MEMORY
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.folder import job_folder, read_manifest
 from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.plan import (
@@ -34,120 +32,14 @@ from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.unpack import cost_of
 from nanogs.progress import Progress
-from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
-from nanogs.sink import Chunked, OneFile, Sink, Written
+from nanogs.sink import Chunked, Sink, Written
 from nanogs.store.columns import row_bytes
 from nanogs.store.scratch import is_url
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
-    from distributed import Client
-
-    from nanogs.filters import Filter
-    from nanogs.io.format import FormatOptions
     from nanogs.pipeline.run import Done
     from nanogs.pipeline.stored_job import Where
-    from nanogs.views.cameras import Cameras
-
-
-def simplify_blocks(
-    inputs: str | PathLike[str] | Sequence[str | PathLike[str]],
-    output: str | PathLike[str],
-    *,
-    ratio: float | None = None,
-    count: int | None = None,
-    preset: str = DEFAULT_PRESET,
-    max_memory: int | str | None = None,
-    block: int | None = None,
-    job: str | PathLike[str] | None = None,
-    scratch: str | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-    nan: NanPolicy = "drop",
-    filters: "Sequence[Filter]" = (),
-    sh_degree: int | None = None,
-    frame: tuple[str, str] | None = None,
-    cameras: "Cameras | None" = None,
-    up: Sequence[float] | None = None,
-    threads: int | None = None,
-    executor: "Client | Executor | None" = None,
-    patience: float = PATIENCE,
-    format_options: "FormatOptions | None" = None,
-    progress: Progress | bool | None = None,
-    **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
-) -> SimplifyReport:
-    """Simplify files block by block, in bounded memory, here or elsewhere.
-
-    The result does not depend on where, in how many processes or in how many runs it was made; it
-    does depend on the size of the blocks. Each block is looked at, chosen and fitted as a whole
-    model is, a coarse level of all others around it, on views of the whole scene.
-
-    Args:
-        inputs: A file, or several that are parts of one scene.
-        output: The file to write; .ply, .compressed.ply, .splat, .npz and .spz files are written
-            block by block, others are held whole.
-        ratio: Compaction ratio in (0, 1]; exactly one of both is given.
-        count: Splats to deliver.
-        preset: Name of a preset that grows a forest: any but `paper`.
-        max_memory: Bytes that each process may take, a number or text like "4GB"; it decides the
-            size of the blocks. By default what is free, less a tenth; 4 GB with an executor. A job
-            that is resumed keeps its blocks.
-        block: Splats of a block, in place of that.
-        job: Folder for what has to survive a crash; by default the output's name with `.job`. It
-            is removed when the run ends well.
-        scratch: Folder or URL of the intermediate files, which all workers must see; by default in
-            the job folder.
-        resume: Continue the job in that folder; without one, begin it.
-        overwrite: Replace the output if it exists.
-        nan: "drop" splats that hold a NaN or an infinite value, or raise an "error".
-        filters: What leaves out splats first, such as `nanogs.filters.box(low, high)`; the inputs
-            are read once more for them. One that has to see the whole model is refused.
-        sh_degree: The highest degree of spherical harmonics that stays; all by default.
-        frame: From and to which the result is turned, such as ("rdf", "rub").
-        cameras: Views that matter, for presets that look: "auto", "orbit", "inside", "roam", a file
-            or folder of cameras, or cameras; by default automatic.
-        up: Up direction of views that are found, scene coordinates.
-        threads: Threads to use in a process; all of its machine by default.
-        executor: Whose workers do the work: a Dask client, or a `concurrent.futures.Executor` such
-            as a ProcessPoolExecutor. It is used as it is, and not closed.
-        patience: Seconds to wait for workers where a Dask cluster has none, before the run ends.
-        format_options: Of the output's format, as `save` takes them.
-        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
-            each `nanogs.progress.Step`, its parts tasks; with "wait" in place of a stage
-            while a cluster has no worker.
-        **overrides: Parameters of the preset to replace.
-
-    Returns:
-        The report; its `blocks` say how the work was divided.
-
-    Raises:
-        NanogsError: Something in the inputs or options makes no sense, the output cannot be
-            written, or workers were lost. The job folder is then kept for `resume`, unless nothing
-            was begun.
-    """
-    paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
-    from nanogs.pipeline.stored_job import Where  # here, as `--help` and `info` do without Numba
-
-    with drawn(progress) as tell:
-        _, [report] = simplify_into(
-            OneFile(Path(output), overwrite, format_options),
-            [Path(path) for path in paths],
-            (Goal(ratio=ratio, count=count),),
-            Where(threads, executor, patience),
-            tell,
-            preset=preset,
-            max_memory=None if max_memory is None else as_bytes(max_memory),
-            block=block,
-            job=job,
-            scratch=scratch,
-            resume=resume,
-            nan=nan,
-            changes=Changes(filters, sh_degree, frame, asked_views(cameras, up)),
-            **overrides,
-        )
-    return report
 
 
 def simplify_into(

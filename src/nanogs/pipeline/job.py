@@ -141,6 +141,7 @@ class Job:
             preset=self.preset,
             parameters=asdict(self.parameters),
             input_count=len(self.splats),
+            read_count=len(self.splats),
             asked_ratio=goal.ratio,
             asked_count=asked_count,
             asked_size=goal.size,

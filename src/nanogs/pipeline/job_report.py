@@ -74,9 +74,9 @@ def report_of(
             seen=sum(int(record.facts["seen"]) for record in settled),
             handed=sum(count_of(record) for record in settled),
             resumed=done.kept,
-            read=settings.read,
-            filters=_filter_reports(settings),
         ),
+        read_count=settings.read,
+        filters=_filter_reports(settings),
     )
 
 

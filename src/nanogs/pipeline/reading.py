@@ -1,8 +1,9 @@
 """Reading a model to be simplified: parts are joined, splats and bands left out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from nanogs.clock import StageClock
 from nanogs.filters import FilterReport, apply
@@ -15,8 +16,7 @@ from nanogs.source import Joined
 from nanogs.splats import Splats
 
 
-@dataclass(frozen=True, slots=True)
-class Prepared:
+class Prepared(NamedTuple):
     """A model as it is simplified.
 
     Attributes:

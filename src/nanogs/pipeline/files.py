@@ -1,0 +1,401 @@
+"""`nanogs.simplify_blocks`: from files to a smaller one, in memory or in blocks."""
+
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nanogs.bar import drawn
+from nanogs.clock import StageClock
+from nanogs.defaults import PATIENCE
+from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.filters import Filter
+from nanogs.formatting import bytes_text
+from nanogs.frames import change_frame
+from nanogs.io import check_writable, losses, registry, save
+from nanogs.io import open as open_model
+from nanogs.io.files import splat_bytes
+from nanogs.memory import Memory, allowed_memory
+from nanogs.pipeline.api import refuse_searches, simplify
+from nanogs.pipeline.asked import asked_views
+from nanogs.pipeline.cameras import requested_cameras
+from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
+from nanogs.pipeline.in_blocks import block_parameters, simplify_into
+from nanogs.pipeline.job import NanPolicy, import_stages
+from nanogs.pipeline.memory import MemoryPlan, plan_memory
+from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
+from nanogs.pipeline.reading import read_changed, reading_stages
+from nanogs.pipeline.rows import Changes
+from nanogs.pipeline.target import Goal, target_count
+from nanogs.pipeline.weights import measure_stage, write_weight
+from nanogs.progress import Progress, Stage, Tracker
+from nanogs.quantities import as_bytes
+from nanogs.report import SimplifyReport
+from nanogs.sink import OneFile
+from nanogs.source import joined_layout
+from nanogs.splats import Splats
+from nanogs.store.columns import row_bytes
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from distributed import Client
+
+    from nanogs.io.format import FormatOptions
+    from nanogs.raster.camera import Camera
+    from nanogs.views.cameras import Cameras
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Request:
+    """A smaller file, as it is asked for; the fields are the arguments of `simplify_blocks`.
+
+    Attributes:
+        goal: What is asked.
+        overrides: Parameters of the preset to replace, by name.
+        measured: Whether the result is held against the input as `nanogs compare` does it; None
+            for where the preset renders anyway and the model is in memory.
+    """
+
+    inputs: tuple[Path, ...]
+    output: Path
+    goal: Goal
+    preset: str = DEFAULT_PRESET
+    overrides: dict[str, Any] = field(default_factory=dict)
+    measured: bool | None = False
+    max_memory: int | None = None
+    block: int | None = None
+    job: Path | None = None
+    scratch: str | None = None
+    resume: bool = False
+    overwrite: bool = False
+    nan: NanPolicy = "drop"
+    filters: Sequence[Filter] = ()
+    sh_degree: int | None = None
+    frame: tuple[str, str] | None = None
+    cameras: "Cameras | None" = None
+    up: Sequence[float] | None = None
+    threads: int | None = None
+    executor: "Client | Executor | None" = None
+    patience: float = PATIENCE
+    format_options: "FormatOptions | None" = None
+
+    @property
+    def parameters(self) -> Parameters:
+        """Of the method.
+
+        Raises:
+            OptionError: There is no such preset or parameter.
+        """
+        return parameters(self.preset, self.overrides)
+
+    @property
+    def changes(self) -> Changes:
+        """What is done to the model besides making it smaller."""
+        views = asked_views(self.cameras, self.up)
+        return Changes(self.filters, self.sh_degree, self.frame, views)
+
+    @property
+    def folder(self) -> Path:
+        """Of the job, if it becomes one."""
+        return job_folder(self.output, self.job)
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a job to continue."""
+        return self.resume and (self.folder / MANIFEST).exists()
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a request is going to be met.
+
+    Attributes:
+        splats: Of the inputs.
+        memory: What it takes in memory.
+        allowed: What it may take.
+        divided: Whether it is made in blocks.
+    """
+
+    splats: int
+    memory: MemoryPlan
+    allowed: Memory
+    divided: bool
+
+
+def simplify_blocks(
+    inputs: str | PathLike[str] | Sequence[str | PathLike[str]],
+    output: str | PathLike[str],
+    *,
+    ratio: float | None = None,
+    count: int | None = None,
+    size: int | str | None = None,
+    psnr: float | None = None,
+    measured: bool | None = False,
+    preset: str = DEFAULT_PRESET,
+    max_memory: int | str | None = None,
+    block: int | None = None,
+    job: str | PathLike[str] | None = None,
+    scratch: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    nan: NanPolicy = "drop",
+    filters: "Sequence[Filter]" = (),
+    sh_degree: int | None = None,
+    frame: tuple[str, str] | None = None,
+    cameras: "Cameras | None" = None,
+    up: Sequence[float] | None = None,
+    threads: int | None = None,
+    executor: "Client | Executor | None" = None,
+    patience: float = PATIENCE,
+    format_options: "FormatOptions | None" = None,
+    progress: Progress | bool | None = None,
+    **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
+) -> SimplifyReport:
+    """Simplify files of any size: in memory where that is enough, otherwise block by block.
+
+    Blocks take bounded memory, here or elsewhere. Each block is looked at, chosen and fitted as a
+    whole model is, a coarse level of all others around it, on views of the whole scene. The result
+    does not depend on where, in how many processes or in how many runs it was made; it does depend
+    on the size of the blocks.
+
+    Args:
+        inputs: A file, or several that are parts of one scene.
+        output: The file to write; .ply, .compressed.ply, .splat, .npz and .spz files are written
+            block by block, others are held whole.
+        ratio: Compaction ratio in (0, 1]; exactly one of the four is given.
+        count: Splats to deliver.
+        size: As `simplify` takes it; a model in blocks cannot be asked for it.
+        psnr: As `simplify` takes it; a model in blocks cannot be asked for it.
+        measured: Hold the file against the model, as `nanogs compare` does; not in blocks. With
+            None that is done where the preset renders anyway and the model is in memory.
+        preset: Name of a preset; in blocks one that grows a forest: any but `paper`.
+        max_memory: Bytes that each process may take, a number or text like "4GB"; it decides
+            whether there are blocks, and their size. By default what is free, less a tenth; 4 GB
+            with an executor. A job that is resumed keeps its blocks.
+        block: Splats of a block, in place of that. Where it, `job`, `scratch` or `executor` is
+            given, the model is made in blocks, of which there may be one.
+        job: Folder for what has to survive a crash; by default, of a model in blocks, the output's
+            name with `.job`. It is removed when the run ends well.
+        scratch: Folder or URL of the intermediate files, which all workers must see; by default in
+            the job folder.
+        resume: Continue the job in that folder; without one, begin it.
+        overwrite: Replace the output if it exists.
+        nan: "drop" splats that hold a NaN or an infinite value, or raise an "error".
+        filters: What leaves out splats first, such as `nanogs.filters.box(low, high)`; the inputs
+            are read once more for them. One that has to see the whole model is refused.
+        sh_degree: The highest degree of spherical harmonics that stays; all by default.
+        frame: From and to which the result is turned, such as ("rdf", "rub").
+        cameras: Views that matter, for presets that look: "auto", "orbit", "inside", "roam", a file
+            or folder of cameras, or cameras; by default automatic.
+        up: Up direction of views that are found, scene coordinates.
+        threads: Threads to use in a process; all of its machine by default.
+        executor: Whose workers do the work: a Dask client, or a `concurrent.futures.Executor` such
+            as a ProcessPoolExecutor. It is used as it is, and not closed.
+        patience: Seconds to wait for workers where a Dask cluster has none, before the run ends.
+        format_options: Of the output's format, as `save` takes them.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`, its parts tasks; with "wait" in place of a stage
+            while a cluster has no worker.
+        **overrides: Parameters of the preset to replace.
+
+    Returns:
+        The report; its `blocks` say how the work was divided, if it was.
+
+    Raises:
+        NanogsError: Something in the inputs or options makes no sense, the output cannot be
+            written, or workers were lost. The job folder is then kept for `resume`, unless nothing
+            was begun.
+    """
+    paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
+    request = Request(
+        inputs=tuple(map(Path, paths)), output=Path(output),
+        goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr),
+        preset=preset, overrides=overrides, measured=measured,
+        max_memory=None if max_memory is None else as_bytes(max_memory), block=block,
+        job=None if job is None else Path(job), scratch=scratch, resume=resume,
+        overwrite=overwrite, nan=nan, filters=filters, sh_degree=sh_degree, frame=frame,
+        cameras=cameras, up=up, threads=threads, executor=executor, patience=patience,
+        format_options=format_options,
+    )  # fmt: skip
+    with drawn(progress) as tell:
+        return simplify_files(request, tell)
+
+
+def plan_files(request: Request) -> Plan:
+    """Decide between a model in memory and blocks, for every caller; no row is read.
+
+    In memory it is where that is enough, unless what only jobs have is asked for: blocks of a size,
+    a job or scratch folder, workers elsewhere, or that it can be continued.
+
+    Raises:
+        NanogsError: An input cannot be read, or there is no such preset or parameter.
+    """
+    chosen, sources = request.parameters, [open_model(path) for path in request.inputs]
+    splats, layout = sum(source.count for source in sources), joined_layout(sources)
+    target, allowed = _most(request.goal, splats), allowed_memory(request.max_memory)
+    extra = row_bytes(layout) - splat_bytes(layout.sh_degree)
+    memory = plan_memory(splats, layout.sh_degree, extra, chosen, target, judged=_judged(request))
+    asked = request.block or request.job or request.scratch or request.executor or request.resume
+    return Plan(splats, memory, allowed, bool(asked or memory.peak > allowed.bytes))
+
+
+def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
+    """Do what is asked for, in memory or in blocks.
+
+    Args:
+        request: What is asked for.
+        told: Called with each step.
+
+    Raises:
+        NanogsError: It cannot be done.
+    """
+    refuse_searches(request.goal, request.preset, request.output)
+    plan = plan_files(request)
+    if not plan.divided:
+        return _in_memory(request, plan, told)
+    _refuse_what_needs_all(request, plan)
+    from nanogs.pipeline.stored_job import Where  # which brings Numba
+
+    _, [report] = simplify_into(
+        OneFile(request.output, request.overwrite, request.format_options),
+        request.inputs,
+        (request.goal,),
+        Where(request.threads, request.executor, request.patience),
+        told,
+        preset=request.preset,
+        max_memory=request.max_memory,
+        block=request.block,
+        job=request.job,
+        scratch=request.scratch,
+        resume=request.resume,
+        nan=request.nan,
+        changes=request.changes,
+        **request.overrides,
+    )
+    return report
+
+
+def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
+    """Read, simplify and write; what the whole call took is in the report."""
+    start, clock, goal = time.perf_counter(), StageClock(), request.goal
+    output, options = request.output, request.format_options
+    if request.resume and not request.overwrite:
+        refuse_finished(request.folder, output)
+    check_writable(output, overwrite=request.overwrite, format_options=options)
+    import_stages(request.parameters)
+    tracker = Tracker(told, _stages(request, plan))
+    changes = Changes(request.filters, request.sh_degree, request.frame)
+    splats, filtered, notes = read_changed(request.inputs, changes, tracker, clock)
+    small, report = simplify(
+        splats, ratio=goal.ratio, count=goal.count, size=goal.size, psnr=goal.psnr,
+        format=_suffix(output), preset=request.preset, nan=request.nan, threads=request.threads,
+        cameras=_cameras(request, splats), max_memory=request.max_memory,
+        progress=tracker.passing(), format_options=options, **request.overrides,
+    )  # fmt: skip
+    if request.frame:
+        small = change_frame(small, *request.frame)
+    tracker.begin("write")
+    with clock.time("write"):
+        save(
+            small, output, overwrite=request.overwrite, format_options=options,
+            progress=tracker.passing(),
+        )  # fmt: skip
+    judged = report.judged
+    if _measured(request) and judged is None:
+        from nanogs.scoring.held_out import judge_file  # which brings Numba
+
+        tracker.begin("measure")
+        with clock.time("measure"):
+            judged, unmeasured = judge_file(
+                splats, output, turn=request.frame, threads=request.threads, tell=tracker.part
+            )
+            notes += unmeasured
+    tracker.finish()
+    return replace(
+        report,
+        judged=judged,
+        notes=(*report.notes, *notes, *losses(small, output)),
+        read_count=plan.splats,
+        filters=filtered,
+        seconds=_around(clock, report.seconds),
+        total_seconds=time.perf_counter() - start,
+    )
+
+
+def _cameras(request: Request, splats: Splats) -> "Sequence[Camera] | None":
+    """Cameras for presets that render; None for those that they choose themselves."""
+    given = request.cameras
+    if given is None or isinstance(given, str | PathLike):
+        named = "auto" if given is None else os.fspath(given)
+        return requested_cameras(splats, named, request.up, request.parameters)
+    from nanogs.views.cameras import given_cameras
+
+    return given_cameras(given)
+
+
+def _stages(request: Request, plan: Plan) -> list[Stage]:
+    """The stages to come: reading, filters, the method's own ones, writing, measuring."""
+    from nanogs.pipeline.stages import simplify_stages
+
+    splats, suffix, goal = plan.splats, request.output.suffix, request.goal
+    count = None if goal.size is not None else goal.target(splats, lambda _count: 0)
+    stages = reading_stages(Changes(request.filters), splats)
+    stages += simplify_stages(request.parameters, goal, splats, count, suffix)
+    stages.append(Stage("write", write_weight(suffix, count or splats // 10)))
+    return [*stages, measure_stage(splats)] if _measured(request) and not goal.psnr else stages
+
+
+def _most(goal: Goal, splats: int) -> int:
+    """Splats of the largest result that there may be."""
+    if goal.size is not None or goal.psnr is not None or (goal.count or 0) > splats:
+        return splats
+    return target_count(splats, goal.ratio, goal.count)
+
+
+def _judged(request: Request) -> bool:
+    return _measured(request) or request.goal.psnr is not None
+
+
+def _measured(request: Request) -> bool:
+    return renders(request.parameters) if request.measured is None else request.measured
+
+
+def _suffix(output: Path) -> str:
+    known = registry.find(output)
+    return known.suffix if known else output.suffix
+
+
+def _around(clock: StageClock, inner: dict[str, float]) -> dict[str, float]:
+    """Seconds of reading, then those of the method, then those of what follows."""
+    first = {name: value for name, value in clock.seconds.items() if name in ("read", "filter")}
+    return first | inner | clock.seconds
+
+
+def _refuse_what_needs_all(request: Request, plan: Plan) -> None:
+    """Refuse what only a model in memory can be asked.
+
+    Raises:
+        NotEnoughMemoryError: Something asked for needs the whole model, for which memory lacks.
+        OptionError: The same, where blocks were asked for.
+    """
+    block_parameters(request.preset, request.overrides)
+    request.changes.check()
+    wishes = {
+        "`size`": request.goal.size is not None,
+        "`psnr`": request.goal.psnr is not None,
+        "measuring": bool(request.measured),
+    }
+    for wish, asked in wishes.items():
+        if asked and plan.memory.peak <= plan.allowed.bytes:
+            raise OptionError(f"In blocks there is no {wish}, which needs the whole model.")
+        if asked:
+            name = ", ".join(path.name for path in request.inputs)
+            raise NotEnoughMemoryError(
+                f"{name} takes about {bytes_text(plan.memory.peak)} of memory, and {plan.allowed};"
+                f" blocks would take less, but {wish} needs the whole model: leave that out, or"
+                " give it more memory."
+            )

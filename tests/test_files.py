@@ -1,0 +1,97 @@
+"""From files to a file: one call for models of any size."""
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs import filters
+from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.memory import LIBRARIES
+from nanogs.pipeline.files import Request, plan_files
+from nanogs.pipeline.target import Goal
+
+COUNT = 3000
+QUICK = {"preset": "fast", "threads": 1}
+
+
+@pytest.fixture(scope="module")
+def splats():
+    return random_splats(COUNT, degree=1)
+
+
+@pytest.fixture(scope="module")
+def scene(splats, tmp_path_factory):
+    path = tmp_path_factory.mktemp("files") / "scene.ply"
+    nanogs.save(splats, path)
+    return path
+
+
+def test_what_fits_into_memory_is_made_there(splats, scene, tmp_path):
+    out = tmp_path / "a.ply"
+    report = nanogs.simplify_blocks(scene, out, ratio=0.1, **QUICK)
+    small, _ = nanogs.simplify(splats, ratio=0.1, **QUICK)
+    nanogs.save(small, tmp_path / "b.ply")
+    assert out.read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert (report.blocks, report.read_count, report.achieved_count) == (None, COUNT, 300)
+    assert {"read", "match", "write"} <= set(report.seconds)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply", "b.ply"]
+
+
+def test_what_does_not_fit_is_divided_by_whoever_asks(scene, tmp_path):
+    tight = LIBRARIES + 400_000
+    plan = plan_files(request(scene, tmp_path, max_memory=tight))
+    assert plan.divided
+    assert plan.memory.peak > 400_000
+    assert not plan_files(request(scene, tmp_path, max_memory=LIBRARIES + 2 * 10**8)).divided
+    with pytest.raises(OptionError, match="must be at least"):  # less than any block takes
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, max_memory=tight, **QUICK)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("given", [{"block": 500}, {"job": "kept"}, {"scratch": "files"}])
+def test_jobs_are_made_in_blocks_however_small(scene, tmp_path, given):
+    given = {name: tmp_path / value if isinstance(value, str) else value
+             for name, value in given.items()}  # fmt: skip
+    given = {name: str(value) if name == "scratch" else value for name, value in given.items()}
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, **given, **QUICK)
+    assert report.blocks.blocks == (1 if "block" not in given else report.blocks.blocks)
+    assert report.achieved_count == 300
+
+
+def test_it_does_in_one_call_what_takes_several(splats, scene, tmp_path):
+    kept = [filters.opaque_enough(0.3)]
+    out = tmp_path / "a.ply"
+    report = nanogs.simplify_blocks(
+        [scene, scene], out, ratio=0.2, filters=kept, sh_degree=0, frame=("rdf", "rub"),
+        measured=True, **QUICK,
+    )  # fmt: skip
+    left = 2 * int((splats.opacities() >= 0.3).sum())
+    assert (report.read_count, report.filters[0].left) == (2 * COUNT, left)
+    assert report.achieved_count == -(-left // 5)
+    assert report.judged is not None
+    assert any("above degree 0 were dropped" in note for note in report.notes)
+    small = nanogs.load(out)
+    assert small.sh_degree == 0
+    low, high = splats.means.min(axis=0), splats.means.max(axis=0)
+    assert (np.sort([-low[1], -high[1]])[0] - 1e-3 <= small.means[:, 1]).all()
+
+
+@pytest.mark.parametrize("goal", [{"size": 20_000}, {"psnr": 15.0}])
+def test_sizes_and_psnr_are_met_in_memory_and_refused_in_blocks(scene, tmp_path, goal):
+    out = tmp_path / "a.ply"
+    report = nanogs.simplify_blocks(scene, out, **goal, **QUICK)
+    assert report.achieved_count < COUNT
+    if "size" in goal:
+        assert out.stat().st_size <= 20_000
+    with pytest.raises(OptionError, match="needs the whole model"):
+        nanogs.simplify_blocks(scene, tmp_path / "b.ply", block=500, **goal, **QUICK)
+    with pytest.raises(NotEnoughMemoryError, match="needs the whole model"):
+        nanogs.simplify_blocks(
+            scene, tmp_path / "b.ply", max_memory=LIBRARIES + 400_000, **goal, **QUICK
+        )
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+def request(scene, folder, **given):
+    return Request(inputs=(scene,), output=folder / "a.ply", goal=Goal(ratio=0.1), **given)
