@@ -29,15 +29,12 @@ def atomic_write(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
         OutputError: The target exists and `overwrite` is off, or it cannot be written.
     """
     target = _target(path, overwrite=overwrite)
-    try:
-        with temporary(target, _make) as made:
-            with made.open("wb") as file:
-                yield file
-                file.flush()
-                os.fsync(file.fileno())
-            _take_place(made, target, path, overwrite=overwrite)
-    except OSError as error:
-        raise output_error(path, error) from error
+    with writing(path), temporary(target, _make) as made:
+        with made.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        _take_place(made, target, path, overwrite=overwrite)
 
 
 def check_writable(path: Path, *, overwrite: bool = False) -> None:
@@ -48,11 +45,8 @@ def check_writable(path: Path, *, overwrite: bool = False) -> None:
     """
     target = _target(path, overwrite=overwrite)
     # Only creating a file shows read-only mounts and access lists.
-    try:
-        with temporary(target, _make):
-            pass
-    except OSError as error:
-        raise output_error(path, error) from error
+    with writing(path), temporary(target, _make):
+        pass
 
 
 def _make(path: Path) -> None:
@@ -61,12 +55,10 @@ def _make(path: Path) -> None:
 
 def _target(path: Path, *, overwrite: bool) -> Path:
     """The file to replace, links resolved, after every check that changes nothing."""
-    try:
+    with writing(path):
         target = Path(os.path.realpath(path))
         _check_target(path, target, overwrite=overwrite)
-    except OSError as error:
-        raise output_error(path, error) from error
-    return target
+        return target
 
 
 def _check_target(path: Path, target: Path, *, overwrite: bool) -> None:
@@ -92,6 +84,19 @@ def _take_place(made: Path, target: Path, path: Path, *, overwrite: bool) -> Non
     if target.exists():
         made.chmod(stat.S_IMODE(target.stat().st_mode))
     made.replace(target)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """What the system refuses in the block becomes an `OutputError`.
+
+    Args:
+        path: What is written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise output_error(path, error) from error
 
 
 def output_error(path: Path, error: OSError) -> OutputError:

@@ -4,21 +4,25 @@ import zipfile
 import zlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO
 
 from nanogs.errors import FormatError
-from nanogs.io.files import input_size, unreadable
+from nanogs.io.files import input_size, reading
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1
 _DAMAGE = (OSError, EOFError, ValueError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
-class Container(Protocol):
-    """Files by plain name."""
+class Folder:
+    """Files by plain name, in one folder."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
 
     def where(self, name: str) -> str:
         """The file as the user may call it, for messages."""
+        return str(self._path / name)
 
     def size(self, name: str) -> int:
         """Bytes of a file, unpacked.
@@ -26,6 +30,7 @@ class Container(Protocol):
         Raises:
             FormatError: There is no such file, or it is no plain one.
         """
+        return input_size(self._path / name)
 
     def bytes_on_disk(self, names: Iterable[str]) -> int:
         """Bytes of the files of those names as they are stored, with what holds them.
@@ -33,6 +38,7 @@ class Container(Protocol):
         Raises:
             FormatError: As for `size`.
         """
+        return sum(map(self.size, names))
 
     def read(self, name: str, limit: int) -> bytes:
         """The first `limit` bytes of a file, or all of it where it is shorter.
@@ -40,46 +46,20 @@ class Container(Protocol):
         Raises:
             FormatError: As for `size`, or the file cannot be read.
         """
-
-
-class Folder:
-    """Files in one folder."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def where(self, name: str) -> str:
-        """The file's path."""
-        return str(self._path / name)
-
-    def size(self, name: str) -> int:
-        """Bytes of a file; see `Container`."""
-        return input_size(self._path / name)
-
-    def bytes_on_disk(self, names: Iterable[str]) -> int:
-        """Bytes of the files; see `Container`."""
-        return sum(map(self.size, names))
-
-    def read(self, name: str, limit: int) -> bytes:
-        """The beginning of a file; see `Container`."""
         self.size(name)
-        path = self._path / name
-        try:
-            with path.open("rb") as file:
-                return file.read(limit)
-        except OSError as error:
-            raise unreadable(path, error) from error
+        with reading(self._path / name) as file:
+            return file.read(limit)
 
 
-class Bundle:
-    """Files in one zip.
+class Bundle(Folder):
+    """Files by plain name, in one zip.
 
     Raises:
         FormatError: The file is no zip or is damaged.
     """
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path = path
+        super().__init__(path)
         try:
             self._zip = zipfile.ZipFile(file)
         except _DAMAGE as error:
@@ -92,17 +72,17 @@ class Bundle:
         return f"{self._path}: {name}"
 
     def size(self, name: str) -> int:
-        """Bytes of a file as the zip states them; see `Container`."""
+        """Bytes of a file as the zip states them; see `Folder`."""
         return self._entry(name).file_size
 
     def bytes_on_disk(self, names: Iterable[str]) -> int:
-        """Bytes of the zip, in which the files must be; see `Container`."""
+        """Bytes of the zip, in which the files must be; see `Folder`."""
         for name in names:
             self._entry(name)
         return input_size(self._path)
 
     def read(self, name: str, limit: int) -> bytes:
-        """The beginning of a file, its checksum checked at its end; see `Container`."""
+        """The beginning of a file, its checksum checked at its end; see `Folder`."""
         entry = self._entry(name)
         try:
             with self._zip.open(entry) as file:

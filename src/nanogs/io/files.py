@@ -1,7 +1,10 @@
 """Checks on an input file that every reader makes first."""
 
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from nanogs.errors import FormatError
 
@@ -38,12 +41,27 @@ def input_size(path: Path) -> int:
         raise FormatError(f"{path} is no regular file; copy the model to a file first.")
     if status.st_size == 0:
         raise FormatError(f"{path} is empty (0 bytes); export or download it again.")
+    with reading(path) as file:
+        refuse_stand_in(path, file.read(TOLD_BY))
+    return status.st_size
+
+
+@contextmanager
+def reading(path: Path, buffering: int = -1) -> Iterator[BinaryIO]:
+    """A file, open for reading bytes.
+
+    Args:
+        path: The file.
+        buffering: As `open` takes it.
+
+    Raises:
+        FormatError: The system refuses, now or in the block.
+    """
     try:
-        with path.open("rb") as file:
-            refuse_stand_in(path, file.read(TOLD_BY))
+        with path.open("rb", buffering=buffering) as file:
+            yield file
     except OSError as error:
         raise unreadable(path, error) from error
-    return status.st_size
 
 
 def refuse_stand_in(path: Path, start: bytes) -> None:

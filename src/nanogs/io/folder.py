@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 from nanogs.cleanup import undisturbed
 from nanogs.errors import ExistsError, OutputError
-from nanogs.io.atomic import output_error
+from nanogs.io.atomic import writing
 from nanogs.io.temporary import left_beside, locked, name_beside, temporary
 
 Ours = Callable[[Path], frozenset[str] | None]
@@ -34,13 +34,10 @@ def atomic_folder(path: Path, ours: Ours, *, overwrite: bool = False) -> Iterato
         OutputError: The folder exists and may not be replaced, or it cannot be made.
     """
     target = _target(path, ours, overwrite=overwrite)
-    try:
-        with temporary(target, Path.mkdir) as made:
-            yield made
-            # Looked at again: minutes may have passed.
-            _take_place(made, _target(path, ours, overwrite=overwrite), ours)
-    except OSError as error:
-        raise output_error(path, error) from error
+    with writing(path), temporary(target, Path.mkdir) as made:
+        yield made
+        # Looked at again: minutes may have passed.
+        _take_place(made, _target(path, ours, overwrite=overwrite), ours)
 
 
 def move_folder(folder: Path, path: Path, ours: Ours, *, overwrite: bool = False) -> None:
@@ -57,10 +54,8 @@ def move_folder(folder: Path, path: Path, ours: Ours, *, overwrite: bool = False
     """
     target = _target(path, ours, overwrite=overwrite)
     if folder.stat().st_dev == target.parent.stat().st_dev:
-        try:
+        with writing(path):
             _take_place(folder, target, ours)
-        except OSError as error:
-            raise output_error(path, error) from error
         return
     with atomic_folder(path, ours, overwrite=overwrite) as made:
         shutil.copytree(folder, made, dirs_exist_ok=True)
@@ -74,22 +69,17 @@ def check_folder_writable(path: Path, ours: Ours, *, overwrite: bool = False) ->
         OutputError: As for `atomic_folder`.
     """
     target = _target(path, ours, overwrite=overwrite)
-    try:
-        with temporary(target, Path.mkdir):
-            pass
-    except OSError as error:
-        raise output_error(path, error) from error
+    with writing(path), temporary(target, Path.mkdir):
+        pass
 
 
 def _target(path: Path, ours: Ours, *, overwrite: bool) -> Path:
     """The folder to make, links resolved, after every check that changes nothing."""
-    try:
+    with writing(path):
         target = Path(os.path.realpath(path))
         _finish_swaps(target, ours)
         _check_target(path, target, ours, overwrite=overwrite)
-    except OSError as error:
-        raise output_error(path, error) from error
-    return target
+        return target
 
 
 def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> None:

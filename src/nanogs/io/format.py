@@ -38,18 +38,6 @@ def unread(path: Path) -> NoReturn:
     raise FormatError(f"{path}: nanogs writes this format but does not read it; name another file.")
 
 
-def _nothing(_splats: Splats) -> tuple[str, ...]:
-    return ()
-
-
-def _ready() -> None:
-    pass
-
-
-def _steady(_splats: Splats) -> Sequence[int]:
-    return ()
-
-
 @dataclass(frozen=True, slots=True)
 class WriteOption:
     """A choice in writing a format: what the writer calls it, and what it may be."""
@@ -81,18 +69,18 @@ class Format:
     open: Callable[[Path], FileSource]
     write: Writer | None = None
     file_bytes: Sizer | None = None
-    losses: Losses = _nothing
+    losses: Losses = lambda _splats: ()
     open_level: Callable[[Path, int], FileSource] | None = None
     frame: str = UNSTATED
     axes: str | None = TRAINED
     turns: bool = False
-    leaps: Callable[[Splats], Sequence[int]] = _steady
+    leaps: Callable[[Splats], Sequence[int]] = lambda _splats: ()
     options: Mapping[str, WriteOption] = field(default_factory=dict)
     write_folder: FolderWriter | None = None
     tells: bool = False
     streams: bool = False
     ours: Ours | None = None
-    check: Callable[[], None] = _ready
+    check: Callable[[], None] = lambda: None
     starts: tuple[bytes, ...] = ()
     holds: str = ""
 

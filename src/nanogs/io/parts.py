@@ -20,7 +20,7 @@ import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import FormatError, OutputError
-from nanogs.io.files import BLOCK_ROWS, unreadable
+from nanogs.io.files import BLOCK_ROWS, reading
 from nanogs.io.info import FileInfo
 from nanogs.source import Layout, Source
 from nanogs.splats import Splats
@@ -257,15 +257,12 @@ def row_blocks(
         FormatError: The file cannot be read, or ends before the last row.
     """
     buffer = np.empty(min(count, BLOCK_ROWS), dtype)
-    try:
-        with path.open("rb", buffering=0) as file:
-            file.seek(offset)
-            for start in range(0, count, BLOCK_ROWS):
-                values = buffer[: min(count - start, BLOCK_ROWS)]
-                fill(path, file, values)
-                yield slice(start, start + len(values)), values
-    except OSError as error:
-        raise unreadable(path, error) from error
+    with reading(path, buffering=0) as file:
+        file.seek(offset)
+        for start in range(0, count, BLOCK_ROWS):
+            values = buffer[: min(count - start, BLOCK_ROWS)]
+            fill(path, file, values)
+            yield slice(start, start + len(values)), values
 
 
 def fill(path: Path, file: BinaryIO, values: Array) -> None:

@@ -15,14 +15,14 @@ import warnings
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal, NoReturn, Protocol
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 
 from nanogs._types import Array
 from nanogs.errors import FormatError
 from nanogs.io.checkpoint.torch_pickle import Storage, Tensor, end_of_pickle, unpickled
-from nanogs.io.files import input_size, unreadable
+from nanogs.io.files import input_size, reading
 from nanogs.io.ply.header import printable
 
 # An object takes up to 72 times its bytes in the pickle; a tensor has 130, a model some ten.
@@ -48,17 +48,6 @@ _DAMAGE = (
 )
 
 
-class _Container(Protocol):
-    """How the object and the storages lie in a file."""
-
-    content: Any
-    order: Literal["<", ">"]
-    encoding: str
-
-    def numbers(self, storage: Storage, size: int) -> bytes:
-        """The bytes of a storage, of so many at most."""
-
-
 class TorchFile:
     """A file of `torch.save`.
 
@@ -73,21 +62,18 @@ class TorchFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.file_bytes = input_size(path)
-        try:
-            with path.open("rb") as file:
-                start = file.read(len(LEGACY_START))
-        except OSError as error:
-            raise unreadable(path, error) from error
+        with reading(path) as file:
+            start = file.read(len(LEGACY_START))
         if not start.startswith((b"PK\x03\x04", LEGACY_START)):
             raise FormatError(
                 f"{path} begins neither like a zip file nor like an old file of torch.save; give"
                 " the checkpoint itself."
             )
         try:
-            kind = _Zip if start.startswith(b"PK") else _Legacy
+            kind: type[_Zip | _Legacy] = _Zip if start.startswith(b"PK") else _Legacy
             with warnings.catch_warnings():  # of odd escapes in texts, which are damage
                 warnings.simplefilter("ignore")
-                self._file: _Container = kind(path, self.file_bytes)
+                self._file = kind(path, self.file_bytes)
         except _DAMAGE as error:
             self._damaged(error)
         self.content, self.encoding = self._file.content, self._file.encoding
@@ -152,7 +138,7 @@ class _Zip:
         self.content = unpickled(data, path)
 
     def numbers(self, storage: Storage, size: int) -> bytes:
-        """The bytes of a storage; see `_Container`."""
+        """The bytes of a storage, of so many at most."""
         with zipfile.ZipFile(self._path) as archive:
             return self._read(archive, f"data/{storage.key}", size)
 
@@ -198,7 +184,7 @@ class _Legacy:
         self._places = dict(self._located(keys, kinds, at, size))
 
     def numbers(self, storage: Storage, size: int) -> bytes:
-        """The bytes of a storage; see `_Container`."""
+        """The bytes of a storage, of so many at most."""
         start, count = self._places[storage.key]
         if count != storage.size:
             raise ValueError(f"a storage of {count} numbers in place of {storage.size}")

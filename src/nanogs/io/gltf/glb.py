@@ -7,9 +7,10 @@ file, most of its bytes, are taken out before its JSON is read, which has a limi
 
 import struct
 from pathlib import Path
+from typing import BinaryIO
 
 from nanogs.errors import FormatError
-from nanogs.io.files import input_size, unreadable
+from nanogs.io.files import input_size, reading
 from nanogs.io.gltf.document import DATA, Document, check_length, damaged, parsed
 from nanogs.io.section import Section
 
@@ -27,14 +28,12 @@ def read_document(path: Path) -> Document:
         FormatError: The file cannot be read, is damaged, or its JSON is too long.
     """
     size = input_size(path)
-    try:
-        with path.open("rb") as file:
-            start = file.read(64)
+    with reading(path) as file:
+        start = file.read(64)
+        file.seek(0)
         if start.lstrip().startswith(b"{"):
-            return _read_text(path, path.read_bytes())
-        return _read_glb(path, size)
-    except OSError as error:
-        raise unreadable(path, error) from error
+            return _read_text(path, file.read())
+        return _read_glb(path, file, size)
 
 
 def _read_text(path: Path, text: bytes) -> Document:
@@ -60,18 +59,17 @@ def _lift(text: bytes) -> tuple[bytes, dict[str, bytes]]:
     return b"".join([*pieces, text[done:]]), lifted
 
 
-def _read_glb(path: Path, size: int) -> Document:
-    with path.open("rb") as file:
-        _check_header(path, file.read(12), size)
-        length, kind = _chunk(path, file.read(_CHUNK.size), file.tell(), size)
-        if kind != JSON_CHUNK:
-            raise damaged(path, f"its first chunk is {kind!r} and not JSON")
-        check_length(path, length)
-        root = parsed(path, file.read(length))
-        at = file.tell()
-        length, kind = 0, BODY_CHUNK
-        if at < size:
-            length, kind = _chunk(path, file.read(_CHUNK.size), at + _CHUNK.size, size)
+def _read_glb(path: Path, file: BinaryIO, size: int) -> Document:
+    _check_header(path, file.read(12), size)
+    length, kind = _chunk(path, file.read(_CHUNK.size), file.tell(), size)
+    if kind != JSON_CHUNK:
+        raise damaged(path, f"its first chunk is {kind!r} and not JSON")
+    check_length(path, length)
+    root = parsed(path, file.read(length))
+    at = file.tell()
+    length, kind = 0, BODY_CHUNK
+    if at < size:
+        length, kind = _chunk(path, file.read(_CHUNK.size), at + _CHUNK.size, size)
     if kind != BODY_CHUNK:  # an unknown chunk, which is to be ignored
         length = 0
     return Document(path, root, Section(path, at + _CHUNK.size, length))

@@ -8,7 +8,7 @@ import numpy as np
 
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
-from nanogs.io.files import input_size, unreadable
+from nanogs.io.files import input_size, reading
 
 _HEADER_BYTES = 4096
 _SECTION_BYTES = 1024
@@ -93,12 +93,10 @@ def read_headers(path: Path) -> Headers:
         raise FormatError(
             f"{path} has {size} bytes, less than the {_HEADER_BYTES} of a .ksplat header; {AGAIN}"
         )
-    try:
-        header = np.fromfile(path, _HEADER, 1)[0]
+    with reading(path) as file:
+        header = np.frombuffer(file.read(_HEADER_BYTES), _HEADER)[0]
         _check_header(path, header, size)
-        tables = np.fromfile(path, _SECTION, int(header["sections"]), offset=_HEADER_BYTES)
-    except OSError as error:
-        raise unreadable(path, error) from error
+        tables = np.frombuffer(file.read(_SECTION_BYTES * int(header["sections"])), _SECTION)
     mode = int(header["mode"])
     sections = [{name: table[name].item() for name in _SECTION.names or ()} for table in tables]
     degree = _degree(path, sections)

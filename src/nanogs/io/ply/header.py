@@ -12,7 +12,7 @@ import numpy as np
 
 from nanogs.errors import FormatError
 from nanogs.io import render_tag
-from nanogs.io.files import input_size, unreadable
+from nanogs.io.files import input_size, reading
 
 MAX_HEADER_BYTES = 1 << 20
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
@@ -119,11 +119,8 @@ def read_header(path: Path) -> Header:
         FormatError: The file cannot be read, is not a PLY, or its header is damaged.
     """
     header = Header(path, input_size(path))
-    try:
-        with path.open("rb") as file:
-            _parse(header, file)
-    except OSError as error:
-        raise unreadable(path, error) from error
+    with reading(path) as file:
+        _parse(header, file)
     if not header.encoding:
         raise FormatError(f"{path}: the header has no 'format' line; export the file again.")
     return header

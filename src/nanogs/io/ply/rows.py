@@ -10,7 +10,7 @@ import numpy as np
 from nanogs._types import F64, Array
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
-from nanogs.io.files import BLOCK_ROWS, unreadable
+from nanogs.io.files import BLOCK_ROWS, reading
 from nanogs.io.parts import row_blocks
 from nanogs.io.ply.header import Element, Header
 
@@ -51,10 +51,7 @@ def iter_blocks(header: Header) -> Iterator[Block]:
         for element in header.elements:
             yield from iter_span(header, element, 0, element.count) if element.count else ()
         return
-    try:
-        yield from _ascii_blocks(header)
-    except OSError as error:
-        raise unreadable(header.path, error) from error
+    yield from _ascii_blocks(header)
 
 
 def iter_span(header: Header, element: Element, start: int, stop: int) -> Iterator[Block]:
@@ -133,7 +130,7 @@ def _spans(count: int) -> Iterator[slice]:
 
 
 def _ascii_blocks(header: Header) -> Iterator[Block]:
-    with header.path.open("rb") as file:
+    with reading(header.path) as file:
         file.seek(header.size)
         for element in header.elements:
             for span in _spans(element.count):

@@ -16,8 +16,8 @@ import numpy as np
 
 from nanogs._types import F32, U8, U16, Array
 from nanogs.errors import FormatError
-from nanogs.io.container import Bundle, Container, Folder
-from nanogs.io.files import BLOCK_ROWS, check_expansion, input_size, splat_bytes, unreadable
+from nanogs.io.container import Bundle, Folder
+from nanogs.io.files import BLOCK_ROWS, check_expansion, input_size, reading, splat_bytes
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import parse
 from nanogs.io.parts import Column, ColumnReader, Packed
@@ -177,21 +177,17 @@ class SogSource(Packed):
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Container, str]]:
+def _opened(path: Path) -> Iterator[tuple[Folder, str]]:
     """The files of a model, and the name of its `meta.json` among them."""
     input_size(path)
     if not path.name.lower().endswith(".sog"):
         yield Folder(path.parent), path.name
         return
-    try:
-        file = path.open("rb")
-    except OSError as error:
-        raise unreadable(path, error) from error
-    with file:
+    with reading(path) as file:
         yield Bundle(path, file), META
 
 
-def _sh_degree(container: Container, meta: Meta) -> int:
+def _sh_degree(container: Folder, meta: Meta) -> int:
     """The SH degree, from the palette's width where `meta.json` does not tell."""
     if meta.degree is not None:
         return meta.degree
@@ -202,7 +198,7 @@ def _sh_degree(container: Container, meta: Meta) -> int:
     return _DEGREE_OF_WIDTH[width]
 
 
-def _checked_sizes(container: Container, meta: Meta, degree: int) -> dict[str, tuple[int, int]]:
+def _checked_sizes(container: Folder, meta: Meta, degree: int) -> dict[str, tuple[int, int]]:
     """Compare the sizes that the textures state with the count, before any is decoded."""
     sizes = {}
     for texture, name in meta.files.items():

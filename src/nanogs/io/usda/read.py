@@ -17,7 +17,7 @@ from nanogs._types import F64, Array
 from nanogs.errors import FormatError
 from nanogs.findings import negative_scales
 from nanogs.formatting import counted
-from nanogs.io.files import BLOCK_ROWS, input_size, unreadable
+from nanogs.io.files import BLOCK_ROWS, input_size, reading
 from nanogs.io.gltf.scene import pose_of
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Whole
@@ -75,10 +75,8 @@ class UsdaFile(Whole):
 
 def _layer(path: Path) -> Layer:
     input_size(path)
-    try:
-        return read_layer(path, path.read_bytes())
-    except OSError as error:
-        raise unreadable(path, error) from error
+    with reading(path) as file:
+        return read_layer(path, file.read())
 
 
 def _fields(layer: Layer) -> Iterator[_Field]:
