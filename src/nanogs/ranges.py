@@ -18,7 +18,7 @@ class Parameter:
         unit: What follows the range, such as " pixels".
         help: Of the command's option; empty where it has none.
         option: The option's name, where it is not the parameter's.
-        views: Whether the option is about views.
+        views: Whether it is about views.
     """
 
     low: float

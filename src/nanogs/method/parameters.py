@@ -52,9 +52,9 @@ class ForestParameters:
         28, help="Steps of fitting the result to renders of the original; 0 fits nothing."
     )
     views: int = parameter(14, 1, views=True, help="Views of the original to render.")
-    further: int = parameter(0)
-    roaming: int = parameter(0)
-    view_size: int = parameter(896, 16, 8192, unit=" pixels")
+    further: int = parameter(0, views=True)
+    roaming: int = parameter(0, views=True)
+    view_size: int = parameter(896, 16, 8192, unit=" pixels", views=True)
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 from nanogs.errors import OptionError, did_you_mean
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
+from nanogs.ranges import known_parameters
 
 Parameters: TypeAlias = PaperParameters | ForestParameters
 
@@ -80,8 +81,8 @@ def effective(chosen: Parameters) -> dict[str, Any]:
     """The parameters that have an effect, by name: without views, none that is about views."""
     unused: set[str] = set()
     if isinstance(chosen, ForestParameters) and not chosen.measure:
-        views = {"steps", "views", "further", "roaming", "view_size"}
-        unused = {"hidden"} if chosen.steps else {"hidden"} | views
+        views = {name for name, known in known_parameters(chosen).items() if known.views}
+        unused = {"hidden"} if chosen.steps else {"hidden", "steps"} | views
     return {name: value for name, value in dataclasses.asdict(chosen).items() if name not in unused}
 
 
