@@ -9,6 +9,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import FormatError
+from nanogs.io.files import input_size, reading
 
 
 def parse(data: bytes, where: str) -> dict[str, Any]:
@@ -24,6 +25,22 @@ def parse(data: bytes, where: str) -> dict[str, Any]:
             f"{where} is no JSON or is cut short ({error}); export or download the model again."
         ) from error
     return table(value, where)
+
+
+def read_json(path: Path, limit: int) -> dict[str, Any]:
+    """The object that a small JSON file holds.
+
+    Args:
+        path: The file.
+        limit: The most bytes that it may have.
+
+    Raises:
+        FormatError: It cannot be read, is larger, or holds no object.
+    """
+    if input_size(path) > limit:
+        raise refused(str(path), f"is too large for what it should hold, with over {limit:,} bytes")
+    with reading(path) as file:
+        return parse(file.read(limit), str(path))
 
 
 def table(value: object, where: str) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from weakref import finalize
 import numpy as np
 
 from nanogs._types import Array
-from nanogs.errors import FormatError, OutputError
+from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io.files import BLOCK_ROWS, reading
 from nanogs.io.info import FileInfo
 from nanogs.source import Layout, Source
@@ -237,6 +237,16 @@ class Whole(FileSource):
     def close(self) -> None:
         """Let go of the model."""
         self._held = None
+
+
+def check_level(path: Path, level: int, count: int) -> None:
+    """Refuse a level of detail that a file has not.
+
+    Raises:
+        OptionError: As said.
+    """
+    if not 0 <= level < count:
+        raise OptionError(f"{path} has levels 0 to {count - 1}; level {level} is not among them.")
 
 
 def row_blocks(

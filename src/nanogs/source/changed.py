@@ -36,7 +36,23 @@ class _Changed(Source):
         self._source.close()
 
 
-class Turned(_Changed):
+class _Mapped(_Changed):
+    """A source each of whose rows is changed by itself."""
+
+    def __init__(self, source: Source, change: Callable[[Splats], Splats]) -> None:
+        super().__init__(source)
+        self._change = change
+
+    def _span(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        return self._change(self._source.read(start, stop))
+
+    def load(self) -> Splats:
+        """The whole model."""
+        return self._change(self._source.load())
+
+
+class Turned(_Mapped):
     """A model in another frame; see `nanogs.frames`.
 
     Args:
@@ -50,19 +66,10 @@ class Turned(_Changed):
 
     def __init__(self, source: Source, before: str, after: str) -> None:
         change_between(before, after)
-        super().__init__(source)
-        self._turn: Callable[[Splats], Splats] = lambda rows: change_frame(rows, before, after)
-
-    def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
-        return self._turn(self._source.read(start, stop))
-
-    def load(self) -> Splats:
-        """The whole model."""
-        return self._turn(self._source.load())
+        super().__init__(source, lambda rows: change_frame(rows, before, after))
 
 
-class Reduced(_Changed):
+class Reduced(_Mapped):
     """A model without the bands of spherical harmonics above a degree.
 
     Args:
@@ -71,17 +78,8 @@ class Reduced(_Changed):
     """
 
     def __init__(self, source: Source, degree: int) -> None:
-        super().__init__(source)
-        self._degree = degree
+        super().__init__(source, lambda rows: rows.with_sh_degree(degree))
         self.columns = replace(self.columns, sh_degree=min(self.columns.sh_degree, degree))
-
-    def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
-        return self._source.read(start, stop).with_sh_degree(self._degree)
-
-    def load(self) -> Splats:
-        """The whole model."""
-        return self._source.load().with_sh_degree(self._degree)
 
 
 class Filtered(_Changed):

@@ -19,13 +19,11 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F64
-from nanogs.errors import FormatError, OptionError
-from nanogs.io.container import Folder
-from nanogs.io.files import input_size
+from nanogs.errors import FormatError
 from nanogs.io.gltf import read as gltf
 from nanogs.io.info import FileInfo
-from nanogs.io.json_fields import local_path, numbers, parse, refused, rows, table
-from nanogs.io.parts import Whole
+from nanogs.io.json_fields import local_path, numbers, read_json, refused, rows, table
+from nanogs.io.parts import Whole, check_level
 from nanogs.io.sog.levels import common_mode, joined_info, joined_notes
 from nanogs.splats import Splats, concatenate
 
@@ -76,11 +74,7 @@ class _Tileset:
         Raises:
             OptionError: There is no such level.
         """
-        count = self.levels()
-        if not 0 <= number < count:
-            raise OptionError(
-                f"{self.path} has levels 0 to {count - 1}; level {number} is not among them."
-            )
+        check_level(self.path, number, self.levels())
         deepest = max(tile.depth for tile in _all(self.root) if tile.contents)
         return list(_drawn(self.root, deepest - number))
 
@@ -170,10 +164,7 @@ class _Reader:
         self._tilesets += 1
         if self._tilesets > _MAX_TILESETS:
             raise refused(str(path), f"is one of more than {_MAX_TILESETS} tilesets")
-        if input_size(path) > MAX_BYTES:
-            raise refused(str(path), f"has more than {MAX_BYTES} bytes")
-        data = parse(Folder(path.parent).read(path.name, MAX_BYTES), str(path))
-        return table(data.get("root"), f"{path}, root")
+        return table(read_json(path, MAX_BYTES).get("root"), f"{path}, root")
 
     def tile(self, data: dict[str, Any], place: "_Place") -> _Tile:
         """A tile and all below it.

@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from nanogs._types import Array
-from nanogs.errors import FormatError, OptionError
+from nanogs.errors import FormatError
 from nanogs.formatting import counted
-from nanogs.io.container import Folder
 from nanogs.io.files import input_size
 from nanogs.io.info import FileInfo
-from nanogs.io.json_fields import integer, is_plain, parse, refused, rows, table
-from nanogs.io.parts import Column, ColumnReader, Packed
+from nanogs.io.json_fields import integer, is_plain, read_json, refused, rows, table
+from nanogs.io.parts import Column, ColumnReader, Packed, check_level
 from nanogs.io.sog.meta import MAX_COUNT
 from nanogs.io.sog.read import SogSource
 from nanogs.splats import RenderMode, Splats, empty_arrays, padded
@@ -74,10 +73,7 @@ class Levels:
             OptionError: There is no such level.
             FormatError: It holds nothing.
         """
-        if not 0 <= level < len(self.levels):
-            raise OptionError(
-                f"{path} has levels 0 to {len(self.levels) - 1}; level {level} is not among them."
-            )
+        check_level(path, level, len(self.levels))
         if not self.levels[level]:
             raise refused(f"{path}, tree", f"holds nothing of level {level}")
         return self.levels[level]
@@ -89,9 +85,7 @@ def read_manifest(path: Path) -> Levels:
     Raises:
         FormatError: It is missing, damaged, or names a file outside its folder.
     """
-    if input_size(path) > MAX_MANIFEST_BYTES:
-        raise refused(str(path), "is too large for a manifest")
-    data = parse(Folder(path.parent).read(path.name, MAX_MANIFEST_BYTES), str(path))
+    data = read_json(path, MAX_MANIFEST_BYTES)
     if data.get("version", 1) != 1:
         raise refused(str(path), "is of a newer version than 1, which nanogs does not read")
     depth = integer(data.get("lodLevels"), f"{path}, lodLevels", 1, _MAX_LEVELS)

@@ -7,19 +7,28 @@ index, RGB each. The stage has y up; the numbers stay in the frame of the model,
 about z takes there. Nine digits give every float32 back.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import BinaryIO
 
 import numpy as np
 
-from nanogs._types import F32, F64, Array
+from nanogs._types import F32, Array
 from nanogs._version import __version__
 from nanogs.io import limits
 from nanogs.io.files import BLOCK_ROWS
+from nanogs.source import InMemory
 from nanogs.splats import Splats
 
 SUFFIX = ".usda"
 _REACH = 3.0  # standard deviations that the extent holds
+# Type and name of each array, and what encodes a block of splats, (R, width).
+_ATTRIBUTES: dict[str, Callable[[Splats], Array]] = {
+    "point3f[] positions": lambda block: block.means,
+    "quatf[] orientations": Splats.unit_quats,
+    "float3[] scales": Splats.scales,
+    "float[] opacities": lambda block: block.opacities()[:, None],
+    "float3[] radiance:sphericalHarmonicsCoefficients": lambda block: block.sh.reshape(-1, 3),
+}
 _HEADER = """#usda 1.0
 (
     customLayerData = {{
@@ -52,13 +61,14 @@ def write(splats: Splats, file: BinaryIO) -> None:
     low, high = (_rows(corner[None]).rstrip(",") for corner in _extent(splats))
     text = _HEADER.format(version=__version__, low=low, high=high, degree=splats.sh_degree)
     file.write(text.encode())
-    for name, encode in _attributes(splats):
+    for name, encode in _ATTRIBUTES.items():
         file.write(f"    {name} = [".encode())
-        for start in range(0, len(splats), BLOCK_ROWS):
-            text = _rows(encode(slice(start, start + BLOCK_ROWS)))
-            last = start + BLOCK_ROWS >= len(splats)
-            file.write((text[:-1] if last else text + "\n").encode())
-        file.write(b"]\n")
+        lines = (_rows(encode(block)) for block in InMemory(splats).blocks(BLOCK_ROWS))
+        last = next(lines)
+        for line in lines:
+            file.write(f"{last}\n".encode())
+            last = line
+        file.write(f"{last[:-1]}]\n".encode())
     file.write(b"}\n")
 
 
@@ -67,22 +77,6 @@ def losses(splats: Splats) -> tuple[str, ...]:
     out = limits.left_out(splats, SUFFIX)
     out += limits.rounded(splats, SUFFIX)
     return (*out, *limits.lost_mode(splats, SUFFIX))
-
-
-def _attributes(splats: Splats) -> Iterator[tuple[str, Callable[[slice], Array]]]:
-    """Type and name of each array, and what encodes a range of splats, (R, width)."""
-    yield "point3f[] positions", lambda rows: splats.means[rows]
-    yield "quatf[] orientations", lambda rows: splats.span(rows.start, rows.stop).unit_quats()
-    yield "float3[] scales", lambda rows: splats.span(rows.start, rows.stop).scales()
-    yield "float[] opacities", lambda rows: _alphas(splats, rows)
-    yield (
-        "float3[] radiance:sphericalHarmonicsCoefficients",
-        lambda rows: splats.sh[rows].reshape(-1, 3),
-    )
-
-
-def _alphas(splats: Splats, rows: slice) -> F64:
-    return splats.span(rows.start, rows.stop).opacities()[:, None]
 
 
 def _extent(splats: Splats) -> tuple[F32, F32]:
