@@ -24,11 +24,12 @@ _arrays splats frames gsplat_arrays metrics
 filters source
 raster
 io
+memory needs
 datasets views
 fit
 report
 sink method
-memory needs summary
+summary
 view scoring
 store lod
 pipeline levels_of_detail model_info conversion

@@ -1,5 +1,6 @@
 """Pictures of a source, some rows at a time: bit for bit those of the model held whole."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,12 @@ from hypothesis import strategies as st
 import nanogs
 from builders import random_splats
 from conftest import scene_path
+from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.memory import LIBRARIES
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare
+from nanogs.scoring.held_out import held_out
 from nanogs.source import InMemory
 from nanogs.splats import RenderMode, concatenate
 from nanogs.views import stand_in as standing
@@ -22,6 +26,12 @@ from nanogs.views.cameras import cameras_for
 from nanogs.views.roam import roaming_cameras
 from nanogs.views.stand_in import stand_in
 from nanogs.views.streamed import Part, Streamed, renderings
+from test_free_memory import command
+
+
+def squeezed(capsys):
+    """What was said on stderr, on one line."""
+    return " ".join(capsys.readouterr().err.split())
 
 
 class Counted(InMemory):
@@ -187,3 +197,96 @@ def test_a_stand_in_covers_as_much_as_the_model():
     bare = stand_in(splats)
     assert bare.sh_degree == 0
     np.testing.assert_array_equal(bare.log_scales, splats.log_scales)
+
+
+# ---- what is told of models: the same numbers ----------------------------------------------------
+
+
+@pytest.fixture
+def little(monkeypatch):
+    """Blocks of rows and tiles of pictures are planned with next to nothing."""
+    monkeypatch.setattr("nanogs.needs._STREAMED", 10_000)
+    monkeypatch.setattr("nanogs.views.plan.LEAST", 100_000)
+    made = []
+    held_room = streamed.drawable
+
+    def drawable(model, room):
+        made.append(room)
+        return held_room(model, room)
+
+    monkeypatch.setattr("nanogs.scoring.comparison.drawable", drawable)
+    return made
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pair")
+    scene = make_scene(3000)
+    means = scene.means.copy()
+    means[7] = np.nan
+    nanogs.save(replace(scene, means=means), folder / "scene.ply")
+    nanogs.save(scene.take(np.arange(0, 3000, 2)).with_sh_degree(1), folder / "small.ply")
+    return [folder / "scene.ply", folder / "small.ply"]
+
+
+@pytest.mark.parametrize("kind", ["files", "sources", "models"])
+def test_a_comparison_has_the_same_numbers_in_little_memory(pair, kind, little):
+    options = {"cameras": ["auto", "roam"], "pixels": [96, 128], "views": 3}
+    expected = nanogs.compare(*pair, **options)
+    assert set(little) == {None}
+    made = {"files": str, "sources": nanogs.open, "models": nanogs.load}[kind]
+    models, names = [made(path) for path in pair], [pair[1].name]
+    little.clear()
+    memory = LIBRARIES + (4_400_000 if kind == "models" else 3_800_000)
+    found = nanogs.compare(*models, names=names, max_memory=memory, **options)
+    assert len(set(little)) == 1
+    assert 100_000 < little[0] < 1_500_000
+    found, expected = found.to_dict(), expected.to_dict()
+    for each in (found, expected):
+        each.pop("reference")
+        for one in (each, *each["further"]):
+            one.pop("reference", None)
+            for model in one["models"]:
+                model.pop("file_bytes")
+    assert found == expected
+
+
+def test_a_comparison_that_fits_in_no_way_is_refused_before_work(pair, monkeypatch):
+    monkeypatch.setattr("nanogs.views.plan.LEAST", 10**9)
+    with pytest.raises(NotEnoughMemoryError, match=r"Comparing these models takes about 1\.\d+ GB"):
+        nanogs.compare(*pair, pixels=32, max_memory="211MB")
+
+
+def test_the_command_compares_in_little_memory(pair, tmp_path, little, capsys):
+    given = ["compare", *pair, "--sizes", "48", "--views", "3", "--json"]
+    assert command(*given) == 0
+    expected = json.loads(capsys.readouterr().out)
+    little.clear()
+    assert command(*given, "--max-memory", f"{LIBRARIES + 1_500_000}") == 0
+    assert None not in little
+    assert json.loads(capsys.readouterr().out) == expected
+    page = tmp_path / "page.html"
+    given = ["compare", *pair, "--max-memory", f"{LIBRARIES + 1_300_000}", "--views", "2"]
+    assert command(*given, "--sizes", "48", "--report", page, "--no-interactive", "-q") == 0
+    assert page.read_text().count("data:image/") == 6
+    monkey = [*given, "--sizes", "48", "--report", tmp_path / "b.html"]
+    assert command(*monkey) == 2
+    assert "or leave the models out of the page (--no-interactive)" in squeezed(capsys)
+    assert not (tmp_path / "b.html").exists()
+
+
+@pytest.mark.parametrize("how", [nanogs.open, InMemory])
+def test_views_that_are_held_out_judge_sources_alike(pair, how, little):
+    splats, small = map(nanogs.load, pair)
+    expected = held_out(splats)
+    opened = [how(path if how is nanogs.open else nanogs.load(path)) for path in pair]
+    told = []
+    most = LIBRARIES + 122 * 512**2 * 8
+    found = held_out(opened[0], lambda done, parts: told.append((done, parts)), max_memory=most)
+    assert told[-1] == (8, 8)
+    assert found.judge(opened[1]) == expected.judge(small)
+    assert found.psnr(opened[1]) == expected.psnr(small) == found.psnr(small)
+    for one, other in zip(found.views, expected.views, strict=True):
+        assert one.image.tobytes() == other.image.tobytes()
+    with pytest.raises(NotEnoughMemoryError, match=r"Measuring takes about .*leave out"):
+        held_out(opened[0], max_memory=LIBRARIES + 1000)

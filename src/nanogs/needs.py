@@ -4,11 +4,15 @@ Measured on half a million splats of SH degree 3; Python and its libraries come 
 """
 
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 
-from nanogs.io import FileInfo, registry
+from nanogs.io import FileInfo, inspect, registry
 from nanogs.io.files import splat_bytes
+from nanogs.io.models import Model
 from nanogs.io.parts import FileSource, Packed, Whole
+from nanogs.source import Source
+from nanogs.splats import Splats
 
 _PREPARED, _DRAWN = 45, 136  # a splat: as the rasteriser reads it, and as one view lists it
 _PICTURE, _KEPT = 90, 32  # a pixel: of the view at hand, and of each that is kept to compare with
@@ -23,7 +27,40 @@ _ROWS = 25_000_000  # blocks of rows on their way from file to file, filtered an
 # A splat: of .spz of version 4 a column is packed whole, and .compressed.ply is sorted by centres.
 _COLUMN = {".spz": 90, ".compressed.ply": 60}
 _DOUBLE = 12  # more bytes for a centre in double precision
+_STREAMED = 60_000_000  # blocks of rows that are read and projected, and rows to place cameras by
 _COUNTED = 20  # a splat: what the percentiles of `info` are from
+
+
+def models_bytes(models: Sequence[Model], *, all_of_it: bool) -> int:
+    """Bytes that reading models takes.
+
+    Args:
+        models: Models, or paths.
+        all_of_it: Count those too that are held already.
+
+    Raises:
+        FormatError: A path is no model.
+    """
+    read = 0
+    for model in models:
+        if isinstance(model, str | PathLike):
+            read += model_bytes(inspect(model))
+        elif isinstance(model, Source):
+            read += model.count * splat_bytes(model.columns.sh_degree)
+        elif isinstance(model, Splats) and all_of_it:
+            read += len(model) * splat_bytes(model.sh_degree)
+    return read
+
+
+def streaming_bytes(source: Source) -> tuple[int, int]:
+    """Rendering a model some rows at a time, beside the pictures and the splats that they draw.
+
+    Returns:
+        Bytes that it takes throughout, and those that it takes before any splat is held.
+    """
+    if isinstance(source, Packed):
+        return _STREAMED, source.memory
+    return _STREAMED + (_held(source) if isinstance(source, FileSource) else 0), 0
 
 
 def model_bytes(info: FileInfo) -> int:

@@ -6,7 +6,7 @@ from nanogs.errors import ExistsError, NanogsError
 
 # Arguments of Python, as the library's sentences name them, that the command has as options.
 _ARGUMENT = re.compile(
-    r"`(cameras|chunk|count|format|images|job|k|level|max_memory|model_pattern|nan|pixels|psnr"
+    r"`(cameras|chunk|count|format|images|interactive|job|k|level|max_memory|model_pattern|nan|pixels|psnr"
     r"|ratio|resume|scheduler|scratch|size|up|views)(?:=([^`]+))?`"
 )
 
@@ -24,5 +24,5 @@ def with_options(text: str) -> str:
 def _option(argument: re.Match[str]) -> str:
     """Say an argument as an option: `--nan drop` for `nan="drop"`, `--resume` for `resume=True`."""
     name, value = argument.groups()
-    option = f"--{name.replace('_', '-')}"
-    return option if value in (None, "True") else f"{option} {value.strip(chr(34))}"
+    option = f"--{'no-' * (value == 'False')}{name.replace('_', '-')}"
+    return option if value in (None, "True", "False") else f"{option} {value.strip(chr(34))}"

@@ -1,6 +1,7 @@
 """`nanogs.compare`: how much models look like their original."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -9,12 +10,13 @@ from typing import TYPE_CHECKING, TypeAlias
 from nanogs.bar import drawn
 from nanogs.errors import OptionError
 from nanogs.io import inspect
-from nanogs.io.models import Model, as_splats
-from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.io.models import Model, as_splats, opened
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background
+from nanogs.quantities import as_bytes
 from nanogs.raster.camera import Camera
-from nanogs.scoring.needed import LESS, needed_bytes
+from nanogs.scoring.needed import room_for_comparison
+from nanogs.source import Source
 from nanogs.splats import Splats
 from nanogs.views.cameras import Cameras, given_cameras
 
@@ -36,7 +38,7 @@ def compare(
     background: Background = BLACK,
     metrics: Sequence[str] = (),
     threads: int | None = None,
-    max_memory: int | None = None,
+    max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> "Comparison":
     """Score models against their original, on views that no method learns from.
@@ -57,7 +59,9 @@ def compare(
         background: RGB in [0, 1] behind the splats.
         metrics: Further ones: "flip", "lpips"; each needs its extra.
         threads: Threads to use; all by default. The result does not depend on it.
-        max_memory: Bytes that this process may take; by default what is free.
+        max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
+            what is free, less a tenth. Models that do not fit are read some rows at a time, as
+            often as it takes: the numbers are the same.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`.
 
@@ -68,27 +72,35 @@ def compare(
     Raises:
         FormatError: A model or the cameras cannot be read.
         ModelError: The original is seen in none of the views.
-        NotEnoughMemoryError: It takes more memory than is free or allowed.
+        NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
         OptionError: An argument is out of range, or no model is given.
     """
     called, asked = _names(models, names), _asked(cameras, pixels)
     largest, most = asked.pictures(views)
-    needed = needed_bytes((original, *models), largest, most, all_of_it=bool(max_memory))
-    refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), LESS)
-    first = _named(_file_name(original) or "original", original)
-    others = [_named(name, model) for name, model in zip(called, models, strict=True)]
-    # Here and not above: these bring Numba.
-    from nanogs.scoring.on_sets import compare_on_sets
-    from nanogs.threads import use_threads
-
-    with use_threads(threads), drawn(progress) as tell:
-        sets = asked.sets(first.splats, views, up)
-        stages = [Stage("render", 1.0), Stage("score", float(len(others)))]
-        tracker = Tracker(tell, stages * len(sets))
-        comparison, _ = compare_on_sets(
-            first, others, sets, background=background, extras=metrics, progress=tracker
+    given = (original, *models)
+    with ExitStack() as stack:
+        names = [_file_name(original) or "original", *called]
+        sources = [
+            stack.enter_context(opened(model, name))
+            for name, model in zip(names, given, strict=True)
+        ]
+        room = room_for_comparison(
+            given, sources, largest, most, None if max_memory is None else as_bytes(max_memory)
         )
-        tracker.finish()
+        # Here and not above: these bring Numba.
+        from nanogs.scoring.on_sets import compare_on_sets
+        from nanogs.threads import use_threads
+
+        first, *others = map(_named, names, given, sources, [room is None] * len(given))
+        with use_threads(threads), drawn(progress) as tell:
+            sets = asked.sets(first.splats, views, up)
+            stages = [Stage("render", 1.0), Stage("score", float(len(others)))]
+            tracker = Tracker(tell, stages * len(sets))
+            comparison, _ = compare_on_sets(
+                first, others, sets, background=background, extras=metrics, room=room,
+                progress=tracker,
+            )  # fmt: skip
+            tracker.finish()
     return comparison
 
 
@@ -110,14 +122,14 @@ class _Asked:
         return largest, max(found_views(self.sources, views), default=0)
 
     def sets(
-        self, splats: Splats, views: int | None, up: Sequence[float] | None
+        self, model: Splats | Source, views: int | None, up: Sequence[float] | None
     ) -> "list[ViewSet]":
         """The views, which are found from the original where they are not given."""
         from nanogs.scoring.view_sets import ViewSet, view_sets
 
         if self.cameras:
             return [ViewSet(self.cameras, "given")]
-        return view_sets(splats, self.sources, self.sizes, views=views, up=up)
+        return view_sets(model, self.sources, self.sizes, views=views, up=up)
 
 
 def _asked(cameras: Cameras | Sequence[str], pixels: Pixels) -> _Asked:
@@ -150,9 +162,9 @@ def _file_name(model: Model) -> str | None:
     return Path(model).name if isinstance(model, str | PathLike) else None
 
 
-def _named(name: str, model: Model) -> "NamedModel":
+def _named(name: str, model: Model, source: Splats | Source, whole: bool) -> "NamedModel":
+    """A model and its name; read whole if that is wanted, else as its source."""
     from nanogs.scoring.comparison import NamedModel
 
-    splats = as_splats(model, name)
     file_bytes = inspect(model).file_bytes if isinstance(model, str | PathLike) else None
-    return NamedModel(name, splats, file_bytes)
+    return NamedModel(name, as_splats(model, name) if whole else source, file_bytes)

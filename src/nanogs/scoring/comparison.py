@@ -11,7 +11,7 @@ from nanogs.progress import Tracker
 from nanogs.protocol import BLACK, Background, Judged, Kind, Protocol
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import lens_notes
-from nanogs.raster.rendering import Rendering, prepare
+from nanogs.raster.rendering import Rendering
 from nanogs.scoring.pictures import data_uri, error_map
 from nanogs.scoring.scores import (
     ModelScore,
@@ -20,7 +20,9 @@ from nanogs.scoring.scores import (
     reference_views,
     score,
 )
+from nanogs.source import Source, source_of
 from nanogs.splats import Splats
+from nanogs.views.streamed import drawable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,13 +31,19 @@ class NamedModel:
 
     Attributes:
         name: Its name; models of one name are taken as one method at several sizes.
-        splats: The model.
+        splats: The model; a source is read some rows at a time where `compare_models` is given
+            room for that, and held else.
         file_bytes: Size of its file, or None.
     """
 
     name: str
-    splats: Splats
+    splats: Splats | Source
     file_bytes: int | None = None
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of its spherical harmonics."""
+        return source_of(self.splats).columns.sh_degree
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -121,6 +129,7 @@ def compare_models(
     background: Background = BLACK,
     extras: Sequence[str] = (),
     pictures: bool = False,
+    room: int | None = None,
     progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
     """Score models against a reference model.
@@ -133,6 +142,8 @@ def compare_models(
         background: RGB in [0, 1] behind the splats.
         extras: Further metrics, names in `scoring.EXTRA_METRICS`.
         pictures: Also make the pictures for a page; otherwise the sheets are empty.
+        room: Bytes for the splats of pictures, to read models some rows at a time; None to hold
+            them.
         progress: Told of the stages "render", of the reference, and "score".
 
     Raises:
@@ -141,16 +152,18 @@ def compare_models(
     """
     progress = progress or Tracker(None, [])
     progress.begin("render")
-    prepared = prepare(reference.splats)
-    views, skipped = reference_views(prepared, cameras, background, progress.part)
+    drawn = drawable(reference.splats, room)
+    views, skipped = reference_views(drawn, cameras, background, progress.part)
+    del drawn
     notes = [
         f"{name}: nothing of the reference is seen; left out of every mean" for name in skipped
     ]
-    if prepared.skipped:
-        notes.append(f"the reference: {undrawn(prepared.skipped)}")
+    first = views[0].rendering
+    if first and first.skipped:
+        notes.append(f"the reference: {undrawn(first.skipped)}")
     notes += [*_degree_notes(reference, models), *lens_notes(cameras)]
     scores, sheets = score_models(
-        models, views, background, extras=extras, pictures=pictures, progress=progress
+        models, views, background, extras=extras, pictures=pictures, room=room, progress=progress
     )
     protocol = protocol_of(views, kind, None if kind == "given" else "test", background)
     return _comparison(
@@ -167,6 +180,7 @@ def compare_with_photographs(
     background: Background,
     extras: Sequence[str] = (),
     pictures: bool = False,
+    room: int | None = None,
     progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
     """Score models against photographs.
@@ -179,6 +193,7 @@ def compare_with_photographs(
         background: RGB in [0, 1] behind the splats and the photographs' transparent parts.
         extras: Further metrics, names in `scoring.EXTRA_METRICS`.
         pictures: Also make the pictures for a page.
+        room: As for `compare_models`.
         progress: Told of the stages "render", of the reference, and "score".
 
     Raises:
@@ -192,6 +207,7 @@ def compare_with_photographs(
         background,
         extras=extras,
         pictures=pictures,
+        room=room,
         progress=progress or Tracker(None, []),
     )
     protocol = protocol_of(views, "photographs", split, background)
@@ -213,6 +229,7 @@ def score_models(
     *,
     extras: Sequence[str],
     pictures: bool,
+    room: int | None,
     progress: Tracker,
 ) -> tuple[list[ModelScore], list[Sheet]]:
     """Score every model on the same views, and make the pictures on the way if they are wanted."""
@@ -238,7 +255,7 @@ def score_models(
         scores.append(
             score(
                 model.name,
-                prepare(model.splats),
+                drawable(model.splats, room),
                 views,
                 background,
                 file_bytes=model.file_bytes,
@@ -251,11 +268,11 @@ def score_models(
 
 def _degree_notes(reference: NamedModel, models: Sequence[NamedModel]) -> list[str]:
     """Lower degrees are rendered as they are; the reader should know what the score includes."""
-    degree = reference.splats.sh_degree
+    degree = reference.sh_degree
     return [
-        f"{model.name}: SH degree {model.splats.sh_degree}, the reference has {degree}"
+        f"{model.name}: SH degree {model.sh_degree}, the reference has {degree}"
         for model in models
-        if model.splats.sh_degree != degree
+        if model.sh_degree != degree
     ]
 
 

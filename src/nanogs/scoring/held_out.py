@@ -11,14 +11,19 @@ from pathlib import Path
 from nanogs.errors import FormatError, ModelError
 from nanogs.frames import change_frame
 from nanogs.io import load, registry
+from nanogs.memory import allowed_memory
 from nanogs.metrics import psnr
+from nanogs.needs import pictures_bytes
 from nanogs.progress import Parts, untold
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Judged, Protocol
-from nanogs.raster.rendering import prepare, render
+from nanogs.raster.rendering import PreparedSplats
 from nanogs.scoring.scores import ReferenceView, mean_psnr, reference_views, score
+from nanogs.source import Source
 from nanogs.splats import Splats
 from nanogs.threads import use_threads
 from nanogs.views.cameras import cameras_for
+from nanogs.views.plan import room_for_splats
+from nanogs.views.streamed import Streamed, drawable, renderings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,21 +33,29 @@ class HeldOut:
     Attributes:
         views: Those in which it is seen; 3 MB each.
         protocol: What they are.
+        max_memory: Bytes that this process may take, where models are read some rows at a time; by
+            default what is free.
     """
 
     views: Sequence[ReferenceView]
     protocol: Protocol
+    max_memory: int | None = None
 
-    def psnr(self, small: Splats) -> float:
-        """The PSNR that `judge` gives, alone and in half the time, dB."""
-        prepared = prepare(small)
-        shown = (render(prepared, view.camera, background=BLACK) for view in self.views)
-        pairs = zip(self.views, shown, strict=True)
-        return mean_psnr([psnr(view.image, rendering.shown()) for view, rendering in pairs])
+    def psnr(self, small: Splats | Source) -> float:
+        """The PSNR that `judge` gives, alone and in half the time, dB.
 
-    def judge(self, small: Splats) -> Judged:
-        """Hold a model against the original."""
-        means = score("", prepare(small), self.views, BLACK)
+        Raises:
+            FormatError: The source cannot be read.
+            NotEnoughMemoryError: The source cannot be rendered in so little memory.
+        """
+        cameras = [view.camera for view in self.views]
+        shown = renderings(_drawable(small, self.max_memory), cameras, background=BLACK)
+        pairs = zip(shown, self.views, strict=True)
+        return mean_psnr([psnr(view.image, rendering.shown()) for rendering, view in pairs])
+
+    def judge(self, small: Splats | Source) -> Judged:
+        """Hold a model against the original; it raises what `psnr` does."""
+        means = score("", _drawable(small, self.max_memory), self.views, BLACK)
         return Judged(means.psnr, means.ssim, self.protocol)
 
 
@@ -78,15 +91,36 @@ def judge_file(
         return None, (f"The result was not measured: {error}",)
 
 
-def held_out(original: Splats, tell: Parts = untold) -> HeldOut:
-    """Render the original once, for any number of models; told of the views rendered.
+def held_out(
+    original: Splats | Source, tell: Parts = untold, max_memory: int | None = None
+) -> HeldOut:
+    """Render the original once, for any number of models.
+
+    Args:
+        original: The model; of a source some rows are read at a time, with the same result.
+        tell: Told of the views rendered.
+        max_memory: Bytes that this process may take, where a source is rendered; by default what is
+            free.
 
     Raises:
+        FormatError: The source cannot be read.
         ModelError: Nothing of it is visible.
+        NotEnoughMemoryError: The source cannot be rendered in so little memory.
     """
+    drawn = _drawable(original, max_memory)
     try:
         cameras = cameras_for(original, "auto", count=VIEWS, width=PIXELS, height=PIXELS)
-        views, _ = reference_views(prepare(original), cameras, BLACK, tell, depth=False)
+        views, _ = reference_views(drawn, cameras, BLACK, tell, depth=False)
     except ModelError as error:
         raise ModelError(f"The PSNR cannot be measured: {error}") from None
-    return HeldOut(views, Protocol(views=len(views)))
+    return HeldOut(views, Protocol(views=len(views)), max_memory)
+
+
+def _drawable(model: Splats | Source, max_memory: int | None) -> PreparedSplats | Streamed:
+    """A model as it is rendered: held where it is held already, else some rows at a time."""
+    if isinstance(model, Splats):
+        return drawable(model, None)
+    pictures = pictures_bytes(PIXELS**2, VIEWS)
+    remedy = "free some, or leave out what is measured"
+    memory = allowed_memory(max_memory)
+    return drawable(model, room_for_splats("Measuring", [model], pictures, memory, remedy))

@@ -17,6 +17,7 @@ def compare_on_sets(
     background: Background = BLACK,
     extras: Sequence[str] = (),
     pictures: bool = False,
+    room: int | None = None,
     progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
     """Score models against a reference model on several sets of views.
@@ -28,6 +29,7 @@ def compare_on_sets(
         background: RGB in [0, 1] behind the splats.
         extras: Further metrics, names in `scoring.EXTRA_METRICS`.
         pictures: Also make the pictures for a page, of each kind at its first size.
+        room: As for `compare_models`.
         progress: Told of the stages "render" and "score" of each set.
 
     Raises:
@@ -45,6 +47,7 @@ def compare_on_sets(
             background=background,
             extras=extras,
             pictures=pictures and views.kind not in pictured,
+            room=room,
             progress=progress,
         )
         pictured.add(views.kind)

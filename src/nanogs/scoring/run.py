@@ -1,13 +1,15 @@
 """A comparison from file names: what `nanogs compare` does."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
-from nanogs.io import inspect, load
+from nanogs.io import open as open_model
 from nanogs.io.atomic import atomic_write
+from nanogs.io.parts import FileSource
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import compare_bytes, photographs_bytes
 from nanogs.progress import Progress, Stage, Tracker, each
@@ -17,16 +19,19 @@ from nanogs.scoring.comparison import (
     NamedModel,
     compare_with_photographs,
 )
-from nanogs.scoring.needed import LESS
+from nanogs.scoring.needed import LESS, room_for_comparison
 from nanogs.scoring.on_sets import compare_on_sets
 from nanogs.scoring.page import render_page
 from nanogs.scoring.scores import ReferenceView
 from nanogs.scoring.view_sets import Size, found_views, parse_sources, view_sets
+from nanogs.source import source_of
+from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
 from nanogs.view.pack import pack
 from nanogs.view.page import Shown, facts_of, viewer_part
 from nanogs.views.cameras import AUTOMATIC, FOUND
 from nanogs.views.opening import Opening, opening_for
+from nanogs.views.plan import LEAST
 
 if TYPE_CHECKING:
     from nanogs.raster.camera import Camera
@@ -70,7 +75,8 @@ def compare_files(
         split: Photographs to use, "test" or "train".
         report: Page to write, or None.
         interactive: Put the models into the page too, to be loaded and moved there.
-        max_memory: Bytes that this process may take; by default what is free.
+        max_memory: Bytes that this process may take; by default what is free, less a tenth. Models
+            that do not fit are read some rows at a time, with the same numbers.
         overwrite: Replace the page if it exists.
         progress: Called with each `nanogs.progress.Step`.
 
@@ -81,44 +87,66 @@ def compare_files(
         check_built()
     page = interactive if report else None
     paths = (reference, *tests)
-    infos = [inspect(path) for _name, path in paths]
-    sources = [] if photos else parse_sources(cameras)
-    counts = found_views(sources, views)
-    needed = compare_bytes(infos, _most_pixels(sizes), max(counts, default=0), paged=bool(page))
-    refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), LESS)
-    tracker = Tracker(progress, _stages(len(paths), counts, sizes, page))
-    tracker.begin("read")
-    models = []
-    for (name, path), info in each(list(zip(paths, infos, strict=True)), tracker.part):
-        models.append(NamedModel(name, load(path), info.file_bytes))
-    options: dict[str, Any] = {"extras": extras, "pictures": bool(report), "progress": tracker}
-    start: Kind | Camera
-    if photos is None:
-        behind = background or BLACK
-        sets = view_sets(models[0].splats, sources, sizes, views=views, up=up)
-        start = AUTOMATIC.get(sources[0], "auto") if sources[0] in FOUND else sets[0].cameras[0]
-        comparison, sheets = compare_on_sets(
-            models[0], models[1:], sets, background=behind, **options
-        )
-    else:
-        tracker.begin("photographs")
-        behind, frames = photographs(photos, images, split, background, max_memory)
-        comparison, sheets = compare_with_photographs(
-            str(photos), models, frames, split=split, background=behind, **options
-        )
-        start = frames[0].camera
+    kinds = [] if photos else parse_sources(cameras)
+    counts = found_views(kinds, views)
+    with ExitStack() as stack:
+        sources = [stack.enter_context(open_model(path)) for _name, path in paths]
+        room = _room(sources, _most_pixels(sizes), max(counts, default=0), page, max_memory)
+        tracker = Tracker(progress, _stages(len(paths), counts, sizes, page))
+        tracker.begin("read")
+        models = []
+        for (name, _path), source in each(list(zip(paths, sources, strict=True)), tracker.part):
+            model = source.load() if room is None else source
+            models.append(NamedModel(name, model, source.info.file_bytes))
+        options: dict[str, Any] = {"extras": extras, "pictures": bool(report), "progress": tracker}
+        start: Kind | Camera
+        if photos is None:
+            behind = background or BLACK
+            sets = view_sets(models[0].splats, kinds, sizes, views=views, up=up)
+            start = AUTOMATIC.get(kinds[0], "auto") if kinds[0] in FOUND else sets[0].cameras[0]
+            comparison, sheets = compare_on_sets(
+                models[0], models[1:], sets, background=behind, room=room, **options
+            )
+        else:
+            tracker.begin("photographs")
+            behind, frames = photographs(photos, images, split, background, max_memory)
+            room = None if room is None else max(room - _bytes_of(frames), LEAST)
+            comparison, sheets = compare_with_photographs(
+                str(photos), models, frames, split=split, background=behind, room=room, **options
+            )
+            start = frames[0].camera
     if report:
         viewer = None
         if interactive:
             tracker.begin("encode")
-            opening = opening_for(models[0].splats, start, up)
-            viewer = viewer_part(_shown(models, comparison, opening), opening, behind)
+            viewer = _viewer(models, comparison, start, up, behind)
         tracker.begin("write")
         page_text = render_page(comparison, sheets, f"{reference[0]}: comparison", viewer)
         with atomic_write(report, overwrite=overwrite) as file:
             file.write(page_text.encode("utf-8"))
     tracker.finish()
     return comparison
+
+
+def _room(
+    sources: Sequence[FileSource],
+    pixels: int,
+    views: int,
+    page: bool | None,
+    max_memory: int | None,
+) -> int | None:
+    """As `room_for_comparison`; a page that holds the models is made of models that are held."""
+    if not page:
+        paths = [source.path for source in sources]
+        return room_for_comparison(paths, sources, pixels, views, max_memory)
+    needed = compare_bytes([source.info for source in sources], pixels, views, paged=True)
+    remedy = f"{LESS}, or leave the models out of the page (`interactive=False`)"
+    refuse_too_large("Comparing these models", needed, allowed_memory(max_memory), remedy)
+    return None
+
+
+def _bytes_of(frames: Sequence[ReferenceView]) -> int:
+    return sum(frame.image.nbytes for frame in frames)
 
 
 def _most_pixels(sizes: Sequence[Size]) -> int:
@@ -147,24 +175,41 @@ def _stages(
     return stages + ([] if page is None else [Stage("write", 1.0)])
 
 
-def _shown(models: Sequence[NamedModel], comparison: Comparison, start: Opening) -> list[Shown]:
+def _viewer(
+    models: Sequence[NamedModel],
+    comparison: Comparison,
+    start: "Kind | Camera",
+    up: Sequence[float] | None,
+    behind: Background,
+) -> str:
+    """The part of a page in which the models move."""
+    held = [source_of(model.splats).load() for model in models]
+    opening = opening_for(held[0], start, up)
+    return viewer_part(_shown(models, held, comparison, opening), opening, behind)
+
+
+def _shown(
+    models: Sequence[NamedModel],
+    held: Sequence[Splats],
+    comparison: Comparison,
+    start: Opening,
+) -> list[Shown]:
     """The models as the page's viewer has them, with their scores."""
     judged: list[Judged | None] = [comparison.judged(i) for i in range(len(comparison.models))]
     if len(judged) < len(models):  # the original is what the others are held against
         judged = [None, *judged]
-    original = models[0].splats
     return [
         Shown(
             model.name,
             facts_of(
-                len(model.splats),
+                len(splats),
                 model.file_bytes,
-                reference=None if place == 0 else len(original),
+                reference=None if place == 0 else len(held[0]),
                 judged=score,
             ),
-            pack(model.splats, start),
+            pack(splats, start),
         )
-        for place, (model, score) in enumerate(zip(models, judged, strict=True))
+        for place, (model, splats, score) in enumerate(zip(models, held, judged, strict=True))
     ]
 
 

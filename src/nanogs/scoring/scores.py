@@ -11,10 +11,11 @@ from nanogs._types import F32
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import undrawn
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
-from nanogs.progress import Parts, each, untold
+from nanogs.progress import Parts, untold
 from nanogs.protocol import Background
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, Rendering, render
+from nanogs.raster.rendering import PreparedSplats, Rendering
+from nanogs.views.streamed import Streamed, renderings
 
 HIGHEST = 100.0  # dB that a view counts at most, where not all are equal
 EXTRA_METRICS: Mapping[str, Callable[[F32, F32], float]] = {"flip": flip, "lpips": lpips}
@@ -93,7 +94,7 @@ class ModelScore:
 
 
 def reference_views(
-    reference: PreparedSplats,
+    reference: PreparedSplats | Streamed,
     cameras: Iterable[Camera],
     background: Background,
     tell: Parts = untold,
@@ -116,8 +117,9 @@ def reference_views(
         ModelError: No view shows anything.
     """
     views, empty = [], []
-    for camera in each(cameras, tell):
-        rendering = render(reference, camera, background=background, depth=depth)
+    known = list(cameras)
+    shown = renderings(reference, known, background=background, depth=depth, tell=tell)
+    for rendering, camera in zip(shown, known, strict=True):
         if rendering.alpha.any():
             kept = rendering if depth else None
             views.append(ReferenceView(camera, rendering.shown(), kept))
@@ -130,7 +132,7 @@ def reference_views(
 
 def score(
     name: str,
-    model: PreparedSplats,
+    model: PreparedSplats | Streamed,
     views: Sequence[ReferenceView],
     background: Background,
     *,
@@ -159,15 +161,17 @@ def score(
             )
     scores = []
     notes: dict[str, None] = {}
-    for view in views:
-        with_depth = view.rendering is not None
-        rendering = render(model, view.camera, background=background, depth=with_depth)
+    skipped, with_depth = 0, any(view.rendering is not None for view in views)
+    cameras = [view.camera for view in views]
+    shown = renderings(model, cameras, background=background, depth=with_depth)
+    for rendering, view in zip(shown, views, strict=True):
+        skipped = rendering.skipped
         scores.append(_score_view(view, rendering, extras))
         notes.update(dict.fromkeys(rendering.notes))
         if on_view:
             on_view(view, rendering, scores[-1])
-    if model.skipped:
-        notes[undrawn(model.skipped)] = None
+    if skipped:
+        notes[undrawn(skipped)] = None
     worst = min(scores, key=lambda entry: entry.psnr)
     return ModelScore(
         name=name,

@@ -8,6 +8,7 @@ from nanogs.errors import OptionError
 from nanogs.formatting import counted
 from nanogs.protocol import Kind, usual_views
 from nanogs.raster.camera import Camera
+from nanogs.source import Source
 from nanogs.splats import Splats
 from nanogs.views.cameras import FOUND, cameras_for
 
@@ -44,7 +45,7 @@ def found_views(sources: Sequence[str], views: int | None) -> list[int]:
 
 
 def view_sets(
-    splats: Splats,
+    model: Splats | Source,
     sources: Sequence[str],
     sizes: Sequence[Size],
     *,
@@ -54,7 +55,7 @@ def view_sets(
     """Test views of each source at each size, in that order; a source looks the same way at all.
 
     Args:
-        splats: The original.
+        model: The original.
         sources: Names in `render.source.FOUND`, or one camera file.
         sizes: Of the views that are found.
         views: How many of each source; as many as usual by default.
@@ -77,12 +78,16 @@ def view_sets(
     return [
         made
         for source, count in zip(sources, counts, strict=True)
-        for made in _of_source(splats, source, sizes, count, up)
+        for made in _of_source(model, source, sizes, count, up)
     ]
 
 
 def _of_source(
-    splats: Splats, source: str, sizes: Sequence[Size], count: int, up: Sequence[float] | None
+    model: Splats | Source,
+    source: str,
+    sizes: Sequence[Size],
+    count: int,
+    up: Sequence[float] | None,
 ) -> list[ViewSet]:
     """The views of one source, at each size."""
     made: list[ViewSet] = []
@@ -91,7 +96,7 @@ def _of_source(
         shape = width / height
         if shape not in shapes:
             shapes[shape] = cameras_for(
-                splats, source, count=count, width=width, height=height, up=up
+                model, source, count=count, width=width, height=height, up=up
             )
         cameras = shapes[shape]
         notes: tuple[str, ...] = ()

@@ -31,8 +31,8 @@ from nanogs.raster.rendering import (
     render,
     rendering_of,
 )
-from nanogs.source import Source
-from nanogs.splats import RenderMode
+from nanogs.source import Source, source_of
+from nanogs.splats import RenderMode, Splats
 from nanogs.views.arena import Arena
 
 BLOCK_ROWS = 1 << 15  # rows that are read and projected at once
@@ -53,6 +53,18 @@ class Streamed:
 
     def __len__(self) -> int:
         return self.source.count
+
+
+def drawable(model: Splats | Source, room: int | None) -> PreparedSplats | Streamed:
+    """A model as `renderings` takes it.
+
+    Args:
+        model: The model.
+        room: Bytes for the splats of pictures, to read it some rows at a time; None to hold it.
+    """
+    if room is not None:
+        return Streamed(source_of(model), room)
+    return prepare(model if isinstance(model, Splats) else model.load())
 
 
 def renderings(
