@@ -493,7 +493,10 @@ def models(tmp_path_factory):
 @pytest.mark.parametrize(
     ("given", "need"),
     [
-        (["render", "large.ply", "a.png", "-w"], "render_bytes(large, 1280 * 720)"),
+        (
+            ["render", "large.ply", "a.png", "-w"],
+            "model_bytes(large) + needs.drawn_bytes(300_000) + needs.shown_bytes(1280 * 720, 0)",
+        ),
         (
             ["compare", "large.ply", "small.ply"],
             "compare_bytes([large, small], 512**2, 8, paged=0)",

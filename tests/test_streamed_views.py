@@ -204,18 +204,18 @@ def test_a_stand_in_covers_as_much_as_the_model():
 
 @pytest.fixture
 def little(monkeypatch):
-    """Blocks of rows and tiles of pictures are planned with next to nothing."""
+    """Blocks and tiles are planned with next to nothing; the rooms for splats that are taken."""
     monkeypatch.setattr("nanogs.needs._STREAMED", 10_000)
     monkeypatch.setattr("nanogs.views.plan.LEAST", 100_000)
-    made = []
-    held_room = streamed.drawable
+    rooms = []
 
-    def drawable(model, room):
-        made.append(room)
-        return held_room(model, room)
+    class Arena(streamed.Arena):
+        def __init__(self, budget, *others):
+            rooms.append(budget)
+            super().__init__(budget, *others)
 
-    monkeypatch.setattr("nanogs.scoring.comparison.drawable", drawable)
-    return made
+    monkeypatch.setattr(streamed, "Arena", Arena)
+    return rooms
 
 
 @pytest.fixture(scope="module")
@@ -233,10 +233,9 @@ def pair(tmp_path_factory):
 def test_a_comparison_has_the_same_numbers_in_little_memory(pair, kind, little):
     options = {"cameras": ["auto", "roam"], "pixels": [96, 128], "views": 3}
     expected = nanogs.compare(*pair, **options)
-    assert set(little) == {None}
+    assert not little
     made = {"files": str, "sources": nanogs.open, "models": nanogs.load}[kind]
     models, names = [made(path) for path in pair], [pair[1].name]
-    little.clear()
     memory = LIBRARIES + (4_400_000 if kind == "models" else 3_800_000)
     found = nanogs.compare(*models, names=names, max_memory=memory, **options)
     assert len(set(little)) == 1
@@ -261,9 +260,9 @@ def test_the_command_compares_in_little_memory(pair, tmp_path, little, capsys):
     given = ["compare", *pair, "--sizes", "48", "--views", "3", "--json"]
     assert command(*given) == 0
     expected = json.loads(capsys.readouterr().out)
-    little.clear()
+    assert not little
     assert command(*given, "--max-memory", f"{LIBRARIES + 1_500_000}") == 0
-    assert None not in little
+    assert little
     assert json.loads(capsys.readouterr().out) == expected
     page = tmp_path / "page.html"
     given = ["compare", *pair, "--max-memory", f"{LIBRARIES + 1_300_000}", "--views", "2"]
@@ -290,3 +289,38 @@ def test_views_that_are_held_out_judge_sources_alike(pair, how, little):
         assert one.image.tobytes() == other.image.tobytes()
     with pytest.raises(NotEnoughMemoryError, match=r"Measuring takes about .*leave out"):
         held_out(opened[0], max_memory=LIBRARIES + 1000)
+
+
+@pytest.mark.parametrize("how", [str, nanogs.open, nanogs.load])
+@pytest.mark.parametrize("cameras", ["auto", "roam"])
+def test_pictures_are_the_same_in_little_memory(pair, how, cameras, little):
+    options = {"views": 2, "pixels": (100, 80), "transparent": cameras == "roam"}
+    expected = nanogs.render(pair[0], cameras, **options)
+    assert not little
+    most = LIBRARIES + (2_100_000 if how is nanogs.load else 1_500_000)
+    told = []
+    found = nanogs.render(how(pair[0]), cameras, max_memory=most, progress=told.append, **options)
+    assert 100_000 < little[0] < 1_000_000
+    assert told[-1].fraction == 1
+    for one, other in zip(found, expected, strict=True):
+        assert one.tobytes() == other.tobytes()
+    with pytest.raises(NotEnoughMemoryError, match=r"Rendering .*smaller pictures \(`pixels`\)"):
+        nanogs.render(how(pair[0]), cameras, max_memory="210MB", **options)
+
+
+def test_the_command_renders_in_little_memory(pair, tmp_path, little, capsys):
+    given = ["--views", "2", "--pixels", "100x80", "--depth"]
+    assert command("render", pair[0], tmp_path / "a", *given) == 0
+    assert not little
+    assert "1 splat with a NaN" in squeezed(capsys)
+    most = LIBRARIES + 1_300_000
+    assert command("render", pair[0], tmp_path / "b", *given, "--max-memory", str(most)) == 0
+    assert little
+    assert "1 splat with a NaN" in squeezed(capsys)
+    files = sorted(path.name for path in (tmp_path / "a").iterdir())
+    assert len(files) == 4
+    for name in files:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert command("render", pair[0], tmp_path / "c", *given, "--max-memory", "210MB") == 2
+    assert "smaller pictures (--pixels)" in squeezed(capsys)
+    assert not (tmp_path / "c").exists()

@@ -16,6 +16,7 @@ from nanogs.splats import Splats
 
 _PREPARED, _DRAWN = 45, 136  # a splat: as the rasteriser reads it, and as one view lists it
 _PICTURE, _KEPT = 90, 32  # a pixel: of the view at hand, and of each that is kept to compare with
+_SHOWN = 16  # a pixel of a picture alone, with alpha
 _PHOTO = 12  # a pixel of a photograph
 _PACKED = 160  # a splat on a page: packed, as text, and in the page
 _FITTED, _FITTING = 450, 1_900  # a splat of the original, and of the model that is fitted to it
@@ -44,7 +45,7 @@ def models_bytes(models: Sequence[Model], *, all_of_it: bool) -> int:
     read = 0
     for model in models:
         if isinstance(model, str | PathLike):
-            read += model_bytes(inspect(model))
+            read += _read(inspect(model))
         elif isinstance(model, Source):
             read += model.count * splat_bytes(model.columns.sh_degree)
         elif isinstance(model, Splats) and all_of_it:
@@ -69,14 +70,14 @@ def model_bytes(info: FileInfo) -> int:
     return info.splats * row
 
 
-def render_bytes(info: FileInfo, pixels: int) -> int:
-    """Bytes for rendering a model.
+def drawn_bytes(splats: int) -> int:
+    """So many splats while a view of them is rendered, beside the model."""
+    return splats * (_PREPARED + _DRAWN)
 
-    Args:
-        info: The model.
-        pixels: Of the largest view.
-    """
-    return _read(info) + info.splats * (_PREPARED + _DRAWN) + pixels * _PICTURE
+
+def shown_bytes(pixels: int, views: int) -> int:
+    """Pictures that are kept, and the view at hand."""
+    return pixels * (_PICTURE + _SHOWN * views)
 
 
 def compare_bytes(infos: Sequence[FileInfo], pixels: int, views: int, *, paged: bool) -> int:

@@ -50,8 +50,7 @@ def render(
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli.console import say
     from nanogs.cli.progress import shown
-    from nanogs.io import inspect, load
-    from nanogs.needs import render_bytes
+    from nanogs.io import open as open_model
 
     count = views or (1 if _is_picture(target) else 8)
     width, height = options.parse_pixels(pixels)
@@ -60,24 +59,22 @@ def render(
     from nanogs.progress import Stage, Tracker
     from nanogs.threads import use_threads
     from nanogs.views.cameras import cameras_for
+    from nanogs.views.plan import room_for_pictures
     from nanogs.views.png import render_images
 
-    run.refuse_too_large(
-        f"Rendering {source}",
-        render_bytes(inspect(source), width * height),
-        "free some, or render smaller pictures (--pixels) or a smaller model",
-    )
     stages = [Stage("read", 1.0), Stage("cameras", 0.5), Stage("render", 0.3 * count)]
-    with shown(quiet=run.hushed) as watch, use_threads(run.threads):
-        progress = Tracker(watch, stages)
-        progress.begin("read")
-        splats = load(source)
-        progress.begin("cameras")
-        chosen = cameras_for(splats, cameras, count=count, width=width, height=height, up=up)
-        written, notes = render_images(
-            splats, chosen, target, background=color, transparent=transparent, depth=depth,
-            overwrite=run.overwrite, progress=progress.passing(),
-        )  # fmt: skip
+    with open_model(source) as opened:
+        room = room_for_pictures(source, opened, width * height, 0, run.max_memory)
+        with shown(quiet=run.hushed) as watch, use_threads(run.threads):
+            progress = Tracker(watch, stages)
+            progress.begin("read")
+            model = opened.load() if room is None else opened
+            progress.begin("cameras")
+            chosen = cameras_for(model, cameras, count=count, width=width, height=height, up=up)
+            written, notes = render_images(
+                model, chosen, target, background=color, transparent=transparent, depth=depth,
+                overwrite=run.overwrite, room=room, progress=progress.passing(),
+            )  # fmt: skip
     said = f"{target}: {counted(len(written), 'image')}"
     report = {"input": str(source), "images": written, "notes": notes}
     run.tell(report, partial(say, said), notes)

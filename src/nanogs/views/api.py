@@ -4,10 +4,14 @@ from collections.abc import Sequence
 
 from nanogs._types import F32
 from nanogs.bar import drawn
-from nanogs.io.models import Model, as_splats
-from nanogs.progress import Progress, Stage, Tracker, each
+from nanogs.io.models import Model, opened
+from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background
-from nanogs.views.cameras import Cameras, chosen_cameras
+from nanogs.quantities import as_bytes
+from nanogs.raster.camera import Camera
+from nanogs.source import source_of
+from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
+from nanogs.views.plan import room_for_pictures
 
 
 def render(
@@ -20,6 +24,7 @@ def render(
     background: Background = BLACK,
     transparent: bool = False,
     threads: int | None = None,
+    max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
 ) -> list[F32]:
     """Pictures of a model, one for each view; the same bytes for any number of threads.
@@ -35,6 +40,9 @@ def render(
         background: RGB in [0, 1].
         transparent: Give straight alpha too, and no background.
         threads: Threads to use; all by default.
+        max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
+            what is free, less a tenth. A model that does not fit is read some rows at a time, as
+            often as it takes: the pictures are the same.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`; the views are
             parts of one stage.
@@ -46,23 +54,33 @@ def render(
     Raises:
         FormatError: The model or the cameras cannot be read.
         ModelError: Nothing of the model is visible, so that no views are found.
+        NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
         OptionError: An argument is out of range.
     """
-    splats = as_splats(model)
-    chosen, _ = chosen_cameras(splats, cameras, views, pixels, up)
-    # Here and not above: these bring Numba.
-    from nanogs.raster.images import straight
-    from nanogs.raster.rendering import prepare
-    from nanogs.raster.rendering import render as render_one
-    from nanogs.threads import use_threads
+    wanted = known_cameras(cameras)
+    with opened(model) as source:
+        most = None if max_memory is None else as_bytes(max_memory)
+        room = room_for_pictures(model, source, *_pictures(wanted, views, pixels), most)
+        some = source_of(source).load() if room is None else source
+        # Here and not above: these bring Numba.
+        from nanogs.raster.images import straight
+        from nanogs.threads import use_threads
+        from nanogs.views.streamed import drawable, renderings
 
-    behind = BLACK if transparent else background  # straight alpha is taken from one over black
-    images = []
-    with use_threads(threads), drawn(progress) as tell:
-        tracker = Tracker(tell, [Stage("render", 1.0)])
-        prepared = prepare(splats)
-        for camera in each(chosen, tracker.part):
-            rendering = render_one(prepared, camera, background=behind)
-            images.append(straight(rendering) if transparent else rendering.shown())
-        tracker.finish()
+        behind = BLACK if transparent else background  # straight alpha is taken from one over black
+        with use_threads(threads), drawn(progress) as tell:
+            chosen, _ = chosen_cameras(some, wanted, views, pixels, up)
+            tracker = Tracker(tell, [Stage("render", 1.0)])
+            shown = renderings(drawable(some, room), chosen, background=behind, tell=tracker.part)
+            images = [straight(each) if transparent else each.shown() for each in shown]
+            tracker.finish()
     return images
+
+
+def _pictures(
+    wanted: str | list[Camera], views: int, pixels: int | tuple[int, int]
+) -> tuple[int, int]:
+    """Pixels of the largest view, and the number of views."""
+    if not isinstance(wanted, str):
+        return max(camera.width * camera.height for camera in wanted), len(wanted)
+    return pixels**2 if isinstance(pixels, int) else pixels[0] * pixels[1], views

@@ -97,6 +97,18 @@ def chosen_cameras(
     return found, FOUND.get(source, "given")
 
 
+def known_cameras(cameras: Cameras) -> str | list[Camera]:
+    """How cameras are found from the model, or those that were given or are in a file.
+
+    Raises:
+        NanogsError: There is no such file, it cannot be read, or they are no cameras.
+    """
+    if not isinstance(cameras, str | PathLike):
+        return given_cameras(cameras)
+    source = os.fspath(cameras)
+    return source if source in FOUND else cameras_from(source)
+
+
 def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:
     """One camera or several.
 

@@ -4,25 +4,26 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from nanogs._types import Array
 from nanogs.errors import OptionError
 from nanogs.formatting import undrawn
 from nanogs.io.atomic import atomic_write
 from nanogs.io.folder import atomic_folder
-from nanogs.progress import Progress, Stage, Tracker, each
+from nanogs.progress import Progress, Stage, Tracker
 from nanogs.raster.camera import Camera
 from nanogs.raster.images import color_image, depth_image
 from nanogs.raster.lens import lens_notes
-from nanogs.raster.rendering import PreparedSplats, prepare, render
+from nanogs.raster.rendering import Rendering
+from nanogs.source import Source
 from nanogs.splats import Splats
+from nanogs.views.streamed import drawable, renderings
 
 _PHOTO = re.compile(r"\.(png|jpe?g|webp)$", re.IGNORECASE)
 
 
 def render_images(
-    splats: Splats,
+    model: Splats | Source,
     cameras: Sequence[Camera],
     target: Path,
     *,
@@ -30,12 +31,13 @@ def render_images(
     transparent: bool = False,
     depth: bool = False,
     overwrite: bool = False,
+    room: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[list[str], list[str]]:
     """Render each camera into a PNG file named after it, or a single one into a file of any name.
 
     Args:
-        splats: The model.
+        model: The model.
         cameras: The views; their names become file names.
         target: A folder, made if it is missing (not its parents); or, of one camera, a `.png` file.
         background: RGB in [0, 1].
@@ -43,6 +45,8 @@ def render_images(
         depth: Also write `<name>_depth.png`, 16 bits: 65535 is the nearest depth of the view, 1 the
             farthest, 0 nothing.
         overwrite: Replace files that exist.
+        room: Bytes for the splats of pictures, to read the model some rows at a time; None to hold
+            it.
         progress: Called with each `nanogs.progress.Step`; the views are parts of one stage.
 
     Returns:
@@ -53,11 +57,13 @@ def render_images(
         OutputError: The folder cannot be made, or a file exists or cannot be written.
     """
     folder, names = _places(target, cameras)
-    options: dict[str, Any] = {"background": background, "transparent": transparent, "depth": depth}
     tracker = Tracker(progress, [Stage("render", 1.0)])
-    views = each(zip(cameras, names, strict=True), tracker.part)
+    shown = renderings(
+        drawable(model, room), cameras, background=background, depth=depth, tell=tracker.part
+    )
+    options = {"transparent": transparent, "depth": depth, "overwrite": overwrite}
     with _filled(folder) as place:
-        files, notes = _render(prepare(splats), views, place, overwrite=overwrite, **options)
+        files, notes = _write(shown, names, place, **options)
     tracker.finish()
     return [str(folder / name) for name in files], [*lens_notes(cameras), *notes]
 
@@ -76,21 +82,21 @@ def _nothing_of(_folder: Path) -> None:
     """Pictures that exist are not replaced."""
 
 
-def _render(
-    prepared: PreparedSplats,
-    views: Iterable[tuple[Camera, str]],
+def _write(
+    shown: Iterable[Rendering],
+    names: Iterable[str],
     folder: Path,
     *,
-    background: tuple[float, float, float],
     transparent: bool,
     depth: bool,
     overwrite: bool,
 ) -> tuple[list[str], list[str]]:
-    """Render each camera into a folder; the names of the files, and what the user should know."""
+    """Write each picture into a folder; the names of the files, and what the user should know."""
     written: list[str] = []
     notes: dict[str, None] = {}
-    for camera, name in views:
-        rendering = render(prepared, camera, background=background, depth=depth)
+    skipped = 0
+    for rendering, name in zip(shown, names, strict=True):
+        skipped = rendering.skipped
         images: dict[str, Array] = {f"{name}.png": color_image(rendering, transparent)}
         if depth:
             images[f"{name}_depth.png"] = depth_image(rendering)
@@ -100,8 +106,8 @@ def _render(
         notes.update(dict.fromkeys(rendering.notes))
         if not rendering.alpha.any():
             notes[f"{name}: nothing of the model is seen"] = None
-    if prepared.skipped:
-        notes[undrawn(prepared.skipped)] = None
+    if skipped:
+        notes[undrawn(skipped)] = None
     return written, list(notes)
 
 
