@@ -24,7 +24,7 @@ def compiled():
 
 compile_later_stages()
 ahead = compiled()
-nanogs.simplify(make_scene(1000), ratio=0.1)
+nanogs.simplify(make_scene(1000), ratio=0.1, steps=2, views=2, view_size=64)
 for (module, name), signatures in compiled().items():
     if signatures - ahead[module, name]:
         print(module.split(".")[-1])

@@ -197,12 +197,12 @@ def test_models_and_paths_the_wrong_way_round(tmp_path):
 
 
 def test_compare_has_the_numbers_of_the_command(files):
-    said = json.loads(run("compare", *files, "--json").stdout)
-    found = nanogs.compare(*files)
+    said = json.loads(run("compare", *files, "--views", "3", "--pixels", "96", "--json").stdout)
+    found = nanogs.compare(*files, views=3, pixels=96)
     assert json.loads(json.dumps(found.to_dict())) == said
     assert found.models[0].name == "small.spz"
     assert found.models[0].file_bytes == files[1].stat().st_size
-    [model] = nanogs.compare(*map(nanogs.load, files)).models
+    [model] = nanogs.compare(*map(nanogs.load, files), views=3, pixels=96).models
     assert (model.psnr, model.ssim) == (found.models[0].psnr, found.models[0].ssim)
     assert (model.name, model.file_bytes) == ("model 1", None)
 

@@ -249,32 +249,28 @@ CHROMIUM = next(
 @pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed")
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 @pytest.mark.parametrize("width", [1200, 390])
-def test_the_page_in_a_browser(files, tmp_path, width):
+def test_the_page_in_a_browser(browser, files, tmp_path, width):
     """No request leaves it, every picture decodes, and it fits a phone."""
-    from playwright.sync_api import sync_playwright
-
     page_file = Path(tmp_path / "page.html")
     tests = [("ours", files / "small_0.1.ply"), ("ours", files / "small_0.5.ply")]
     compare_files(
         ("<b>ref</b>", files / "scene.ply"), tests, views=2, sizes=[(64, 64)], report=page_file
     )
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": width, "height": 800})
-        requests = []
-        page.on("request", lambda request: requests.append(request.url))
-        page.goto(page_file.as_uri())
-        pictures = page.evaluate(
-            "Promise.all([...document.images].map(i => i.decode().then(() => i.naturalWidth)))"
-        )
-        heading, fits = page.evaluate(
-            "[document.querySelector('h1').textContent,"
-            " document.documentElement.scrollWidth <= window.innerWidth]"
-        )
-        plots = page.evaluate("document.querySelectorAll('svg').length")
-        if folder := os.environ.get("NANOGS_SCREENSHOTS"):
-            page.screenshot(path=f"{folder}/compare_{width}.png", full_page=True)
-        browser.close()
+    page = browser.new_page(viewport={"width": width, "height": 800})
+    requests = []
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(page_file.as_uri())
+    pictures = page.evaluate(
+        "Promise.all([...document.images].map(i => i.decode().then(() => i.naturalWidth)))"
+    )
+    heading, fits = page.evaluate(
+        "[document.querySelector('h1').textContent,"
+        " document.documentElement.scrollWidth <= window.innerWidth]"
+    )
+    plots = page.evaluate("document.querySelectorAll('svg').length")
+    if folder := os.environ.get("NANOGS_SCREENSHOTS"):
+        page.screenshot(path=f"{folder}/compare_{width}.png", full_page=True)
+    page.close()
     assert [url for url in requests if not url.startswith(("file:", "data:"))] == []
     assert pictures == [64] * (2 + 2 * (1 + 2 + 2))  # two at a time with the line, and all below
     assert "<b>ref</b>" in heading  # a name is text, never markup
@@ -282,26 +278,42 @@ def test_the_page_in_a_browser(files, tmp_path, width):
     assert plots == 1
 
 
-@pytest.fixture
-def opened(files, tmp_path):
-    """Opens a report of two views and two models in Chromium, of a width and a scheme."""
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium."""
     if not CHROMIUM:
         pytest.skip("Chromium is not installed")
     from playwright.sync_api import sync_playwright
 
-    report = tmp_path / "page.html"
-    tests = [("tenth", files / "small_0.1.ply"), ("half", files / "small_0.5.ply")]
-    compare_files(("all", files / "scene.ply"), tests, views=2, sizes=[(64, 64)], report=report)
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-
-        def open_page(**options):
-            page = browser.new_context(**options).new_page()
-            page.goto(report.as_uri())
-            return page
-
-        yield open_page
+        yield browser
         browser.close()
+
+
+@pytest.fixture(scope="module")
+def report(files, tmp_path_factory):
+    """A report of two views and two models."""
+    report = tmp_path_factory.mktemp("report") / "page.html"
+    tests = [("tenth", files / "small_0.1.ply"), ("half", files / "small_0.5.ply")]
+    compare_files(("all", files / "scene.ply"), tests, views=2, sizes=[(64, 64)], report=report)
+    return report
+
+
+@pytest.fixture
+def opened(browser, report):
+    """Opens the report, in a window of some width and scheme."""
+    contexts = []
+
+    def open_page(**options):
+        contexts.append(browser.new_context(**options))
+        page = contexts[-1].new_page()
+        page.goto(report.as_uri())
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
 
 
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}

@@ -721,7 +721,7 @@ def test_every_kernel_is_compiled_for_one_layout_of_its_arguments():
 import importlib, pkgutil
 import nanogs, nanogs.kernels
 from nanogs.datasets.synthetic import make_scene
-small, _ = nanogs.simplify(make_scene(1000), ratio=0.1)
+small, _ = nanogs.simplify(make_scene(1000), ratio=0.1, steps=2, views=2, view_size=64)
 for module in pkgutil.iter_modules(nanogs.kernels.__path__, "nanogs.kernels."):
     for name, value in vars(importlib.import_module(module.name)).items():
         options = getattr(value, "targetoptions", {})

@@ -102,6 +102,12 @@ def test_plain_functions_compiled_do_as_their_python_says():
     assert run.returncode == 0, run.stdout
 
 
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """A folder for plain kernels, where no vectors are found that were compiled before."""
+    return str(tmp_path_factory.mktemp("plain"))
+
+
 UNTRIED = """
 from types import SimpleNamespace
 from nanogs.kernels.simd import choice
@@ -121,7 +127,7 @@ vectors.Table.load = vectors.read = changed
     [(UNTRIED, "0.62 to 0.68, and this is 0.99.0"), (BROKEN, "do not compile with Numba")],
     ids=["untried", "broken"],
 )
-def test_where_the_vectors_cannot_be_trusted_the_plain_way_is_taken_and_said(first, why, tmp_path):
+def test_where_the_vectors_cannot_be_trusted_the_plain_way_is_taken_and_said(first, why, plain):
     code = (
         f"{first}\n"
         "import numpy as np\n"
@@ -131,7 +137,7 @@ def test_where_the_vectors_cannot_be_trusted_the_plain_way_is_taken_and_said(fir
         "print(choice.chosen().value, choice.reason())\n"
         "print(nearest_neighbours(means, 6, 1).tolist())\n"
     )
-    said, told = python(code, NUMBA_CACHE_DIR=str(tmp_path))
+    said, told = python(code, NUMBA_CACHE_DIR=plain)
     chosen, found = said.strip().split("\n")
     assert chosen.startswith("plain ")
     assert why in chosen
