@@ -1,6 +1,7 @@
 """Checked values from a format's JSON. `where` is the file and the field, for the message."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -58,12 +59,14 @@ def rows(value: object, where: str, length: int | None = None) -> list[Any]:
     return value
 
 
-def integer(value: object, where: str, least: int, most: int) -> int:
+def integer(value: object, where: str, least: int, most: int | None = None) -> int:
     """Return an integer of a range, refusing anything else with a `FormatError`."""
     if isinstance(value, float) and value.is_integer():
         value = int(value)  # written by a language that has but one kind of number
-    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
-        raise refused(where, f"must be an integer from {least} to {most}")
+    limit = math.inf if most is None else most
+    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= limit:
+        up_to = "on" if most is None else f"to {most}"
+        raise refused(where, f"must be an integer from {least} {up_to}")
     return value
 
 

@@ -16,7 +16,7 @@ from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.files import input_size
 from nanogs.io.gltf.rows import Accessor
-from nanogs.io.json_fields import local_path
+from nanogs.io.json_fields import integer, local_path, numbers, refused, rows, table
 from nanogs.io.section import Section
 
 # Python takes up to 25 times a JSON text's size; those of splats have some 10 KB.
@@ -39,16 +39,16 @@ class Part:
         """The error that something about this object is not as it must be."""
         return FormatError(f"{self.path}: {self.where} {what}; {_AGAIN}")
 
+    def _at(self, key: str) -> str:
+        return f"{self.path}: {self.where}.{key}"
+
     def integer(self, key: str, default: int | None = None) -> int:
         """A number that counts something or is an index.
 
         Raises:
             FormatError: It is missing without a default, or no integer from 0 on.
         """
-        value = self.data.get(key, default)
-        if type(value) is not int or value < 0:
-            raise self.error(f"has no count or index {key!r}, but {_shown(value)}")
-        return value
+        return integer(self.data.get(key, default), self._at(key), 0)
 
     def text(self, key: str, default: str = "") -> str:
         """A string, or the default where there is none.
@@ -58,7 +58,7 @@ class Part:
         """
         value = self.data.get(key, default)
         if not isinstance(value, str):
-            raise self.error(f"has no text {key!r}, but {_shown(value)}")
+            raise refused(self._at(key), "must be a text")
         return value
 
     def part(self, key: str) -> "Part":
@@ -67,9 +67,7 @@ class Part:
         Raises:
             FormatError: It is no object.
         """
-        value = self.data.get(key, {})
-        if not isinstance(value, dict):
-            raise self.error(f"has no object {key!r}, but {_shown(value)}")
+        value = table(self.data.get(key, {}), self._at(key))
         return Part(self.path, f"{self.where}.{key}", value)
 
     def items(self, key: str) -> list[Any]:
@@ -78,10 +76,7 @@ class Part:
         Raises:
             FormatError: It is no array.
         """
-        value = self.data.get(key, [])
-        if not isinstance(value, list):
-            raise self.error(f"has no array {key!r}, but {_shown(value)}")
-        return value
+        return rows(self.data.get(key, []), self._at(key))
 
     def indices(self, key: str) -> list[int]:
         """An array of indices.
@@ -89,11 +84,7 @@ class Part:
         Raises:
             FormatError: It is no array, or holds something else.
         """
-        values = self.items(key)
-        for value in values:
-            if type(value) is not int or value < 0:
-                raise self.error(f"has {_shown(value)} among the indices {key!r}")
-        return values
+        return [integer(value, self._at(key), 0) for value in self.items(key)]
 
     def at(self, key: str, index: int) -> "Part":
         """The object at an index of an array.
@@ -112,22 +103,7 @@ class Part:
         Raises:
             FormatError: There are others.
         """
-        values = self.data.get(key, list(default))
-        good = isinstance(values, list) and len(values) == len(default)
-        if not good or not all(type(value) in (int, float) for value in values):
-            raise self.error(f"needs {len(default)} numbers {key!r}")
-        try:
-            array = np.array(values, np.float64)
-        except OverflowError:
-            array = np.full(len(default), np.inf)
-        if not np.isfinite(array).all():
-            raise self.error(f"needs finite numbers {key!r}")
-        return array
-
-
-def _shown(value: object) -> str:
-    text = ascii(value)
-    return text if len(text) <= 40 else text[:40] + "..."
+        return numbers(self.data.get(key, list(default)), self._at(key), len(default))
 
 
 @dataclass(frozen=True, slots=True)
