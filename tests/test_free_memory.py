@@ -296,15 +296,34 @@ def test_blocks_that_are_resumed_keep_their_size_whatever_is_free(scene, tmp_pat
     assert report.blocks.resumed > 0
 
 
-@pytest.mark.parametrize("option", [["--workers", "2"], ["--resume"], ["--scratch", "x"]])
-def test_options_for_blocks_that_have_no_effect_are_named(scene, tmp_path, capsys, option):
-    given = ["simplify", scene, tmp_path / "a.ply", "-r", "0.1", "--preset", "fast", *option]
+@pytest.mark.parametrize(
+    ("option", "name", "asked"),
+    [
+        (["--workers", "2"], "simplify", ["-r", "0.1"]),
+        (["--workers", "2"], "lod", ["--levels", "0.1"]),
+        (["--resume"], "lod", ["--levels", "0.1"]),
+        (["--scratch", "x"], "lod", ["--levels", "0.1"]),
+    ],
+)
+def test_options_for_blocks_that_have_no_effect_are_named(
+    scene, tmp_path, capsys, option, name, asked
+):
+    target = tmp_path / ("a.ply" if name == "simplify" else "a")
+    given = [name, scene, target, *asked, "--preset", "fast", *option]
     assert command(*given, "--json") == 0
     (note, *_rest) = json.loads(capsys.readouterr().out)["notes"]
     assert f"{option[0]} had no effect" in note
     assert command(*given, "--json", "-w", "--max-memory", "4GB") == 0
     (note, *_rest) = json.loads(capsys.readouterr().out)["notes"]
     assert note.startswith("The model fits into --max-memory")
+
+
+@pytest.mark.parametrize("option", [["--resume"], ["--scratch", "x"]])
+def test_a_job_of_one_block_is_no_news(scene, tmp_path, capsys, option, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = ["simplify", scene, "a.ply", "-r", "0.1", "--preset", "fast", *option]
+    assert command(*given) == 0
+    assert "in blocks" not in capsys.readouterr().err
 
 
 # ---- whatever still runs out ------------------------------------------------------------------

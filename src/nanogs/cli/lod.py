@@ -1,7 +1,6 @@
 """`nanogs lod`."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -83,10 +82,11 @@ def lod(
     """
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
-        from nanogs.cli import filtering, framing, lod_run, many
+        from nanogs.cli import framing, lod_run, many, plan
         from nanogs.io.collect import Pair
         from nanogs.lod.layout import chunks_of, output_of
         from nanogs.pipeline.levels import check_ratios
+        from nanogs.pipeline.target import Goal
 
     # Whatever can be refused is refused before minutes of computing.
     method.check(paths)
@@ -96,13 +96,16 @@ def lod(
     output = output_of(target, level_format)
     turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
     chunks_of(output.layout, chunk, plain=plain)  # or it is refused
-    request = lod_run.Request(
-        parts=parts, output=output, ratios=ratios, method=method, chunk=chunk, plain=plain,
-        changes=replace(filtering.parse_changes(method.edits), frame=turn), overwrite=overwrite,
+    wishes = lod_run.Wishes(
+        wish=plan.wish_of(
+            method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder, frame=turn,
+            overwrite=overwrite,
+        ),
+        method=method, output=output, ratios=ratios, chunk=chunk, plain=plain,
     )  # fmt: skip
     show = partial(lod_run.print_levels, verbose=verbose, chosen=levels is not None)
     [run] = many.run_all(
-        [Pair(parts[0], output.folder)], partial(lod_run.run_levels, request),
+        [Pair(parts[0], output.folder)], partial(lod_run.run_levels, wishes),
         lod_run.print_plan if method.dry_run else show,
         method, file_options.Files(), writes=not method.dry_run,
     )  # fmt: skip

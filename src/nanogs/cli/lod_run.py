@@ -14,7 +14,7 @@ from nanogs.cli.filtering import report_filters
 from nanogs.cli.importing import uncollected
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
-from nanogs.cli.plan import Plan, plan_run, sees_to_output, show_plan
+from nanogs.cli.plan import Plan, plan_run, show_plan
 from nanogs.cli.simplify_report import warn_of_input
 from nanogs.clock import StageClock
 from nanogs.formatting import bytes_text, counted, number_text, time_text
@@ -26,6 +26,7 @@ from nanogs.lod.folder import made_files
 from nanogs.lod.layout import Layout, Output, chunks_of
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest
 from nanogs.pipeline.cameras import requested_cameras
+from nanogs.pipeline.files import Request
 from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.reading import read_changed, reading_stages
@@ -36,56 +37,47 @@ from nanogs.report import SimplifyReport
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
-    """A request, as the options make it.
+class Wishes:
+    """What is asked for, as the options say it.
 
     Attributes:
-        parts: The files of the model.
+        wish: What is asked of the library for the finest level.
+        method: What the options say of how.
         output: Where the levels go.
         ratios: From the finest level to the coarsest.
-        method: How they are made.
-        changes: What else is done to the model, and to levels.
         chunk: Most splats of a chunk of the finest level, or None.
         plain: Whether the contents of 3D Tiles are not packed.
-        overwrite: Replace the folder if nanogs lod made it.
     """
 
-    parts: Sequence[Path]
+    wish: Request
+    method: Method
     output: Output
     ratios: tuple[float, ...]
-    method: Method
-    changes: Changes
     chunk: int | None
     plain: bool
-    overwrite: bool
 
     @property
     def given(self) -> dict[str, Any]:
         """What the library takes, whole models and blocks alike."""
-        own: dict[str, Any] = {
-            "layout": self.output.layout,
-            "chunk": self.chunk,
-            "plain": self.plain,
-            "suffix": self.output.suffix,
-        }
-        return self.method.given | own | {"overwrite": self.overwrite}
+        own = {"layout": self.output.layout, "suffix": self.output.suffix, "chunk": self.chunk}
+        own |= {"plain": self.plain, "overwrite": self.wish.overwrite}
+        return self.method.given | own
 
 
-def run_levels(request: Request, pair: Pair, progress: Progress) -> Run:
+def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
     """Make levels, or plan to; the manifest with the reports.
 
     Raises:
         NanogsError: It cannot be done.
     """
-    parts = (pair.source, *request.parts[1:])  # stdin is a file by now
-    plan, method, output = _plan(request, parts), request.method, request.output
+    plan, method, output = _plan(wishes, pair.source), wishes.method, wishes.output
     if not method.hushed and (plan.divided or method.dry_run):
         for note in plan.notes():
             warn(note)
     if method.dry_run:
         shown = plan.shown()
-        counts = [target_count(shown.info.splats, ratio, None) for ratio in request.ratios]
-        asked = [{"ratio": r, "count": c} for r, c in zip(request.ratios, counts, strict=True)]
+        counts = [target_count(shown.info.splats, ratio, None) for ratio in wishes.ratios]
+        asked = [{"ratio": r, "count": c} for r, c in zip(wishes.ratios, counts, strict=True)]
         told: dict[str, Any] = {
             "levels": asked,
             "layout": output.layout,
@@ -94,7 +86,7 @@ def run_levels(request: Request, pair: Pair, progress: Progress) -> Run:
         return Run(shown, {"input": plan.name} | told)
     start = time.perf_counter()
     make = _in_blocks if plan.divided else _whole
-    manifest, reports, took = make(request, plan, progress)
+    manifest, reports, took = make(wishes, plan, progress)
     run: dict[str, Any] = {
         "input": plan.name,
         "output": str(output.path),
@@ -105,64 +97,62 @@ def run_levels(request: Request, pair: Pair, progress: Progress) -> Run:
     return Run(manifest, run | {"total_seconds": time.perf_counter() - start})
 
 
-def _plan(request: Request, parts: Sequence[Path]) -> Plan:
+def _plan(wishes: Wishes, source: Path) -> Plan:
     """Check what can be checked without the splats, and plan."""
-    output, method = request.output, request.method
-    if not sees_to_output(method, output.folder, overwrite=request.overwrite):
-        check_folder_writable(output.folder, made_files, overwrite=request.overwrite)
-    goals = [Goal(ratio=ratio) for ratio in request.ratios]
-    chunks = chunks_of(output.layout, request.chunk, plain=request.plain)
-    return plan_run(
-        parts, output.folder, goals, method, request.changes, chunks,
-        levels=True,
-    )  # fmt: skip
+    wish, output = wishes.wish, wishes.output
+    wish = replace(wish, inputs=(source, *wish.inputs[1:]))  # stdin is a file by now
+    if not wish.goes_on():
+        check_folder_writable(output.folder, made_files, overwrite=wish.overwrite)
+    goals = [Goal(ratio=ratio) for ratio in wishes.ratios]
+    chunks = chunks_of(output.layout, wishes.chunk, plain=wishes.plain)
+    return plan_run(wish, wishes.method, goals, chunks)
 
 
 def _in_blocks(
-    request: Request, plan: Plan, progress: Progress
+    wishes: Wishes, plan: Plan, progress: Progress
 ) -> tuple[Manifest, Sequence[SimplifyReport], Sequence[Any]]:
     """Make levels of a model that does not fit; with what filters took."""
     from nanogs.pipeline.stored_job import Where  # which brings Numba
 
-    blocks = plan.method.blocks
+    wish = plan.wish
     with plan.executor() as executor:
         manifest, reports = write_levels_in_blocks(
-            plan.parts, plan.target, request.ratios, max_memory=plan.process_memory,
-            job=blocks.job, scratch=blocks.scratch, resume=blocks.resume,
-            changes=plan.block_changes(), progress=progress,
-            where=Where(plan.threads, executor, blocks.patience), **request.given,
+            wish.inputs, wish.output, wishes.ratios, max_memory=plan.process_memory,
+            job=wish.job, scratch=wish.scratch, resume=wish.resume, changes=wish.changes,
+            where=Where(wish.threads, executor, wish.patience), progress=progress,
+            **wishes.given,
         )  # fmt: skip
     return manifest, reports, reports[0].filters
 
 
 def _whole(
-    request: Request, plan: Plan, told: Progress
+    wishes: Wishes, plan: Plan, told: Progress
 ) -> tuple[Manifest, Sequence[SimplifyReport], Sequence[Any]]:
     """Read, and make every level; with what filters took."""
-    method, info, output = plan.method, plan.info, request.output
+    wish, splats, output = plan.wish, plan.info.splats, wishes.output
+    chosen, measured = wish.parameters, plan.method.measured
     with uncollected():
-        import_stages(method.chosen)
-    if renders(method.chosen) or method.measured:
+        import_stages(chosen)
+    if renders(chosen) or measured:
         when_compiling(compile_ahead)
     stages = write_levels_stages(
-        method.chosen, info.splats, request.ratios, output.layout, output.suffix,
-        measured=method.measured,
-    )  # fmt: skip
-    progress = Tracker(told, [*reading_stages(plan.changes, info.splats), *stages])
-    prepared = read_changed(plan.parts, plan.changes, progress, StageClock())
-    splats = prepared.splats
+        chosen, splats, wishes.ratios, output.layout, output.suffix, measured=measured
+    )
+    changes = Changes(wish.filters, wish.sh_degree, wish.frame)
+    progress = Tracker(told, [*reading_stages(changes, splats), *stages])
+    prepared = read_changed(wish.inputs, changes, progress, StageClock())
     manifest, reports = write_levels(
-        splats,
+        prepared.splats,
         output.folder,
-        request.ratios,
-        source=", ".join(part.name for part in plan.parts),
-        frame=plan.changes.frame,
-        measured=method.measured,
-        cameras=requested_cameras(splats, method.cameras, method.up, method.chosen),
-        threads=method.threads,
-        max_memory=method.blocks.max_memory,
+        wishes.ratios,
+        source=", ".join(part.name for part in wish.inputs),
+        frame=wish.frame,
+        measured=measured,
+        cameras=requested_cameras(prepared.splats, plan.method.cameras, wish.up, chosen),
+        threads=wish.threads,
+        max_memory=wish.max_memory,
         progress=progress.passing(),
-        **request.given,
+        **wishes.given,
     )
     notes = (*plan.notes(), *manifest.notes, *prepared.notes)
     return replace(manifest, notes=notes), reports, prepared.took

@@ -60,7 +60,7 @@ def simplify(
     """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
-        from nanogs.cli import filtering, many, simplify_run
+        from nanogs.cli import many, plan, simplify_run
         from nanogs.cli.simplify_report import print_report
         from nanogs.pipeline.target import Goal
 
@@ -68,18 +68,20 @@ def simplify(
     joined = tuple(paths[:-1]) if method.blocks.join else ()
     pairs = many.plan_pairs([paths[0], paths[-1]] if joined else paths, files)
     method.check(paths)
-    request = simplify_run.Request(
-        goal=Goal(ratio, count, size, psnr),
+    options_of_format = {"spz_version": spz_version}
+    wishes = simplify_run.Wishes(
+        wish=plan.wish_of(
+            method, Goal(ratio, count, size, psnr), overwrite=overwrite,
+            format_options=options_of_format,
+        ),
         method=method,
-        changes=filtering.parse_changes(method.edits, psnr),
         joined=joined,
         piped=DASH in paths,
-        saving={"overwrite": overwrite, "format_options": {"spz_version": spz_version}},
         folder_later=files.out_dir is not None and not files.out_dir.exists(),
-    )
+    )  # fmt: skip
     show = partial(print_report, verbose=verbose)
     runs = many.run_all(
-        pairs, partial(simplify_run.run_one, request),
+        pairs, partial(simplify_run.run_one, wishes),
         simplify_run.print_plan if method.dry_run else show,
         method, files, writes=not method.dry_run,
     )  # fmt: skip

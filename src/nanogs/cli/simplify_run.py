@@ -10,66 +10,60 @@ from nanogs.cli.framing import frames_of
 from nanogs.cli.importing import uncollected
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
-from nanogs.cli.plan import Plan, asked, plan_run, sees_to_output, show_plan
+from nanogs.cli.plan import Plan, plan_run, show_plan
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
 from nanogs.io import bytes_on_disk, check_writable, registry
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
 from nanogs.pipeline.api import refuse_searches
-from nanogs.pipeline.files import simplify_files
+from nanogs.pipeline.files import Request, simplify_files
 from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.presets import renders
-from nanogs.pipeline.rows import Changes
-from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress
 from nanogs.protocol import Protocol
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
+class Wishes:
     """The wishes for every file, checked.
 
     Attributes:
-        goal: The wish.
-        method: How it is met.
-        changes: What else is done to models.
+        wish: What is asked of the library, but for the files.
+        method: What the options say of how.
         joined: Inputs that are parts of one scene, or none.
         piped: Whether a model comes from stdin or goes to stdout.
-        saving: What `save` takes.
         folder_later: Whether the folder of the results is still to be made.
     """
 
-    goal: Goal
+    wish: Request
     method: Method
-    changes: Changes
     joined: tuple[Path, ...]
     piped: bool
-    saving: dict[str, Any]
     folder_later: bool
 
 
-def run_one(request: Request, pair: Pair, progress: Progress) -> Run:
+def run_one(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
     """Simplify a file, or plan to; the report.
 
     Raises:
         NanogsError: It cannot be done.
     """
-    plan, method = _plan(request, pair), request.method
+    plan, method = _plan(wishes, pair), wishes.method
     if plan.divided and not method.hushed:
         for note in plan.notes():
             warn(note)
     if method.dry_run:
-        shown, goal = plan.shown(), plan.goal
+        shown, goal = plan.shown(), plan.wish.goal
         asked: dict[str, Any] = {"asked_ratio": goal.ratio, "asked_count": shown.count}
         asked |= {"asked_size": goal.size, "asked_psnr": goal.psnr}
         return Run(shown, {"input": plan.name} | asked)
-    return _made(plan, request.saving, progress)
+    return _made(plan, progress)
 
 
-def _plan(request: Request, pair: Pair) -> Plan:
+def _plan(wishes: Wishes, pair: Pair) -> Plan:
     """Check the files and the goal, and plan."""
-    goal, method, target = request.goal, request.method, pair.target
+    method, target, goal = wishes.method, pair.target, wishes.wish.goal
     refuse_searches(goal, method.preset, target)
     turn = frames_of(pair, method.edits.frame)
     if turn and goal.size is not None and not registry.has_known_size(target):
@@ -77,43 +71,39 @@ def _plan(request: Request, pair: Pair) -> Plan:
             f"--frame changes the size of a {target.suffix} file that --size has found; turn"
             " it with `nanogs convert` before."
         )
-    begun = sees_to_output(method, target, overwrite=request.saving["overwrite"])
-    if not begun and not (method.dry_run and request.folder_later):
-        check_writable(target, **request.saving)
-    parts = request.joined or (pair.source,)
-    return plan_run(
-        parts, target, (goal,), method, replace(request.changes, frame=turn), piped=request.piped,
-        saving=request.saving,
-    )  # fmt: skip
+    inputs = wishes.joined or (pair.source,)
+    wish = replace(wishes.wish, inputs=inputs, output=target, frame=turn)
+    if not wish.goes_on() and not (method.dry_run and wishes.folder_later):
+        check_writable(target, overwrite=wish.overwrite, format_options=wish.format_options)
+    return plan_run(wish, method, piped=wishes.piped)
 
 
-def _made(plan: Plan, saving: dict[str, Any], progress: Progress) -> Run:
+def _made(plan: Plan, progress: Progress) -> Run:
     """Simplify a file, and measure the result."""
-    wish = asked(plan, saving)
+    wish = plan.wish
     with uncollected():
-        import_stages(plan.method.chosen)
-    if not plan.divided and (renders(plan.method.chosen) or plan.method.measured):
-        when_compiling(compile_ahead)
+        import_stages(wish.parameters)
     if plan.divided:
         with plan.executor() as executor:
             wish = replace(wish, executor=executor, max_memory=plan.process_memory)
             report = simplify_files(wish, progress)
     else:
+        if renders(wish.parameters) or plan.method.measured:
+            when_compiling(compile_ahead)
         report = simplify_files(wish, progress)
-    report = replace(report, notes=(*plan.notes(), *report.notes))
-    files: dict[str, Any] = {"frames": plan.changes.frame}
-    files |= {"input": plan.name, "output": str(plan.target)}
-    files |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(plan.target)}
+        report = replace(report, notes=(*plan.notes(), *report.notes))
+    files: dict[str, Any] = {"frames": wish.frame, "input": plan.name, "output": str(wish.output)}
+    files |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(wish.output)}
     return Run(report, files)
 
 
 def print_plan(run: Run) -> None:
     """Show on stderr what a run would do."""
     plan: Plan = run.report
-    if plan.count is None and plan.goal.size is not None:
-        text = f"as many splats as fit into {plan.goal.size:,} B, found by writing some"
+    if plan.count is None and plan.wish.goal.size is not None:
+        text = f"as many splats as fit into {plan.wish.goal.size:,} B, found by writing some"
     elif plan.count is None:
-        text = f"as few splats as reach {plan.goal.psnr:g} dB on {Protocol().text}"
+        text = f"as few splats as reach {plan.wish.goal.psnr:g} dB on {Protocol().text}"
     else:
         text = f"{counted(plan.count, 'splat')} ({plan.count / plan.info.splats:.3%})"
     show_plan(plan, text)

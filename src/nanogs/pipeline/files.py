@@ -60,9 +60,9 @@ class Request:
             for where the preset renders anyway and the model is in memory.
     """
 
-    inputs: tuple[Path, ...]
-    output: Path
     goal: Goal
+    inputs: tuple[Path, ...] = ()
+    output: Path = Path()
     preset: str = DEFAULT_PRESET
     overrides: dict[str, Any] = field(default_factory=dict)
     measured: bool | None = False
@@ -107,6 +107,16 @@ class Request:
     def begun(self) -> bool:
         """Whether there is a job to continue."""
         return self.resume and (self.folder / MANIFEST).exists()
+
+    def goes_on(self) -> bool:
+        """Whether there is a job to continue, which sees to its output itself.
+
+        Raises:
+            OutputError: There is none to continue, but an output.
+        """
+        if self.resume and not self.overwrite:
+            refuse_finished(self.folder, self.output)
+        return self.begun
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,8 +293,7 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
     """Read, simplify and write; what the whole call took is in the report."""
     start, clock, goal = time.perf_counter(), StageClock(), request.goal
     output, options = request.output, request.format_options
-    if request.resume and not request.overwrite:
-        refuse_finished(request.folder, output)
+    request.goes_on()
     check_writable(output, overwrite=request.overwrite, format_options=options)
     import_stages(request.parameters)
     tracker = Tracker(told, _stages(request, plan))
