@@ -18,6 +18,12 @@ hypothesis.settings.load_profile("nanogs")
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
+def pytest_collection_modifyitems(items):
+    """Files with slow tests go first: what is left when others have ended is soon done."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 def scene_path(name: str) -> Path:
     """A file or folder of the real scenes; skips the test where they are absent."""
     path = Path(os.environ.get("NANOGS_SCENES", SHARED / "scenes")) / name

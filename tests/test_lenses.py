@@ -2,6 +2,7 @@
 
 import json
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -75,6 +76,7 @@ def pattern(x, y):
     return np.stack([red, 0.5 + 0.4 * np.sin(3 * x * y + x), 0.5 + 0.3 * np.cos(6 * y)], axis=-1)
 
 
+@cache
 def taken(model):
     """What a camera with that lens sees of the pattern: each pixel's ray is found by iteration."""
     (fx, fy, cx, cy), lens = split_params(model)
