@@ -3,8 +3,10 @@
 import copy
 import dataclasses
 import json
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from conftest import scene_path
 from nanogs import io
 from nanogs.findings import Finding, join_findings
 from nanogs.io import registry
+from nanogs.io.formats import FAMILIES
 from nanogs.model_info import info as describe
 from nanogs.splats import RenderMode
 from strategies import splats
@@ -159,3 +162,14 @@ def test_real_scenes(name):
     info = describe(scene_path(name))
     assert info.file.splats == len(nanogs.load(scene_path(name)))
     assert info.scale.min < info.scale.median < info.scale.max
+
+
+def test_every_family_of_formats_is_known():
+    folder = Path(io.__file__).parent
+    files = [*folder.glob("*.py"), *folder.glob("*/__init__.py")]
+    found = {
+        file.parent.name if file.name == "__init__.py" else file.stem
+        for file in files
+        if re.search(r"^FORMATS = ", file.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert sorted(found) == sorted(FAMILIES)

@@ -238,7 +238,8 @@ def test_a_changed_description_leads_to_no_file_elsewhere(tmp_path):
 def test_groups_stay_together_and_in_their_order(tmp_path):
     model = random_model(60, 0)
     groups = np.arange(60) * 7 % 3
-    sog_write.write_files(model, tmp_path, groups)
+    for name, data in sog_write.contents(model, groups).items():
+        (tmp_path / name).write_bytes(data)
     back = io.load(tmp_path / "meta.json")
     rows = cKDTree(model.means).query(back.means)[1]
     assert groups[rows].tolist() == [0] * 20 + [1] * 20 + [2] * 20

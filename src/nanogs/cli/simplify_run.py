@@ -66,7 +66,7 @@ def _plan(wishes: Wishes, pair: Pair) -> Plan:
     method, target, goal = wishes.method, pair.target, wishes.wish.goal
     refuse_searches(goal, method.preset, target)
     turn = frames_of(pair, method.edits.frame)
-    if turn and goal.size is not None and not registry.has_known_size(target):
+    if turn and goal.size is not None and registry.writable(target).file_bytes is None:
         raise OptionError(
             f"--frame changes the size of a {target.suffix} file that --size has found; turn"
             " it with `nanogs convert` before."

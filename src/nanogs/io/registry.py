@@ -144,15 +144,6 @@ def _foreign(name: str, known: Format) -> str:
     return f"{name} is for {' and '.join(suffixes)} files, not for {known.suffix}; leave it out."
 
 
-def has_known_size(path: Path) -> bool:
-    """Whether the size of files of that suffix is known before they are written.
-
-    Raises:
-        OptionError: As for `writer`.
-    """
-    return writable(path).file_bytes is not None
-
-
 def sizer(path: Path) -> Sizer:
     """The function that tells how large a file of that suffix will be.
 

@@ -133,7 +133,7 @@ def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
     """
     if goal.psnr is not None:
         refuse_search(preset, "a PSNR")
-    elif goal.size is not None and not registry.has_known_size(path):
+    elif goal.size is not None and registry.writable(path).file_bytes is None:
         known = registry.find(path)
         refuse_search(preset, f"the size of a {known.suffix if known else path.suffix} file")
 
@@ -152,7 +152,7 @@ def target_of(goal: Goal, splats: Splats, available: int, path: Path) -> int | N
     """
     if goal.size is None:
         return goal.target(available, lambda _count: 0)
-    if not registry.has_known_size(path):
+    if registry.writable(path).file_bytes is None:
         return None
     file_bytes = registry.sizer(path)
     return goal.target(available, lambda count: file_bytes(splats, count))

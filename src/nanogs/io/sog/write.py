@@ -72,27 +72,8 @@ def write_folder(splats: Splats, path: Path, *, overwrite: bool = False) -> None
             made.
     """
     with atomic_folder(path, ours, overwrite=overwrite) as folder:
-        write_files(splats, folder)
-
-
-def write_files(splats: Splats, folder: Path, groups: I64 | None = None) -> int:
-    """Write `meta.json` and its textures into a folder that is being filled.
-
-    Args:
-        splats: N splats.
-        folder: Where to; it exists.
-        groups: As `contents` takes them.
-
-    Returns:
-        Bytes written.
-
-    Raises:
-        OutputError: As for `write`.
-    """
-    files = contents(splats, groups)
-    for name, data in files.items():
-        (folder / name).write_bytes(data)
-    return sum(map(len, files.values()))
+        for name, data in contents(splats).items():
+            (folder / name).write_bytes(data)
 
 
 def contents(splats: Splats, groups: I64 | None = None, tell: Parts = untold) -> dict[str, bytes]:
