@@ -71,6 +71,24 @@ def depth_keys(features: F32, boxes: I64, keys: U64) -> int:
 
 
 @kernel
+def extent_of(boxes: I64) -> tuple[int, int, int, int]:
+    """The tiles that hold all boxes: first column and row, and those after the last; 0 of none.
+
+    boxes: (N,) from `project_splats`.
+    """
+    left = top = right = bottom = 0
+    for box in boxes:
+        if box == HIDDEN:
+            continue
+        x, y, across, down = unpack_box(box)
+        if right == 0:
+            left, top = x, y
+        left, top = min(left, x), min(top, y)
+        right, bottom = max(right, x + across), max(bottom, y + down)
+    return left, top, right, bottom
+
+
+@kernel
 def cut_boxes(
     boxes: I64, left: int, top: int, right: int, bottom: int, rows: I64, cut: I64
 ) -> tuple[int, int, int]:

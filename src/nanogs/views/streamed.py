@@ -17,7 +17,7 @@ from nanogs._types import F32, F64, I64
 from nanogs.errors import NotEnoughMemoryError
 from nanogs.formatting import bytes_text
 from nanogs.kernels.blocks import TILE
-from nanogs.kernels.listing import cut_boxes
+from nanogs.kernels.listing import cut_boxes, extent_of
 from nanogs.progress import Parts, each, untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import (
@@ -171,20 +171,23 @@ class _Pass:
 
     Attributes:
         now: What is gathered; the last ones are left for a later pass where room runs out.
-        skipped: Rows that are not finite.
     """
 
-    def __init__(self, arena: Arena, parts: Sequence[Part]) -> None:
-        self._arena = arena
+    def __init__(self, arena: Arena, parts: Sequence[Part], extents: "_Extents") -> None:
+        self._arena, self._extents = arena, extents
         self.now = [_Gathered(part) for part in parts]
-        self.skipped = 0
 
-    def add(self, block: PreparedSplats, cameras: Sequence[Camera]) -> None:
-        """Project a block onto each view, and keep what the parts draw."""
-        self.skipped += block.skipped
-        for view, group in groupby(list(self.now), lambda gathered: gathered.part.view):
+    def wants(self, number: int) -> bool:
+        """Whether some part may draw splats of a block."""
+        return any(self._extents.meets(number, gathered.part) for gathered in self.now)
+
+    def add(self, number: int, block: PreparedSplats, cameras: Sequence[Camera]) -> None:
+        """Project a block onto each view that may show it, and keep what the parts draw."""
+        wanted = [one for one in self.now if self._extents.meets(number, one.part)]
+        for view, group in groupby(wanted, lambda gathered: gathered.part.view):
             if self.now[-1].part.view >= view:  # there was room for some of its parts
                 projected = project_rows(block, cameras[view])
+                self._extents.note(number, view, projected[2])
                 for gathered in group:
                     self._keep(gathered, *projected)
 
@@ -225,6 +228,26 @@ class _Pass:
             self._arena.give(self.now.pop().pages)
 
 
+class _Extents:
+    """The tiles of each view that each block was found to draw in, so as to read it no further."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[int, int], tuple[int, int, int, int]] = {}
+
+    def note(self, number: int, view: int, boxes: I64) -> None:
+        """Remember where a block's splats are drawn; boxes: (N,) of the view."""
+        if (number, view) not in self._known:
+            self._known[number, view] = extent_of(boxes)
+
+    def meets(self, number: int, part: Part) -> bool:
+        """Whether a block may draw in a part of a view."""
+        if (number, part.view) not in self._known:
+            return True
+        left, top, right, bottom = self._known[number, part.view]
+        across = max(left, part.left) < min(right, part.right)
+        return across and max(top, part.top) < min(bottom, part.bottom)
+
+
 @dataclass(slots=True)
 class _Sheet:
     """A picture of which some parts are drawn."""
@@ -243,7 +266,9 @@ class _Drawing:
         self._source, self._cameras, self._behind = model.source, cameras, behind
         self._arena = Arena(model.budget, model.source.count, len(cameras))
         self._sheets: dict[int, _Sheet] = {}
-        self._tell, self._done, self._skipped = tell, 0, 0
+        self._extents = _Extents()
+        self._skipped: dict[int, int] = {}  # rows of each block that are not finite
+        self._tell, self._done = tell, 0
 
     def renderings(self) -> Iterator[Rendering]:
         """The pictures, in the order of the cameras."""
@@ -262,15 +287,14 @@ class _Drawing:
 
     def _gather(self, parts: Sequence[Part]) -> _Pass:
         """Read the source once, for some parts or the first of them."""
-        passed = _Pass(self._arena, parts)
-        read = 0
-        for block in self._source.blocks(BLOCK_ROWS):
+        passed, count = _Pass(self._arena, parts, self._extents), self._source.count
+        for number, start in enumerate(range(0, count, BLOCK_ROWS)):
             coming = passed.now[-1].part.view - self._done
-            share = coming * read / self._source.count
-            self._tell(self._done + share, len(self._cameras))
-            passed.add(prepare(block), self._cameras)
-            read += len(block)
-        self._skipped = passed.skipped
+            self._tell(self._done + coming * start / count, len(self._cameras))
+            if passed.wants(number):
+                block = prepare(self._source.read(start, min(start + BLOCK_ROWS, count)))
+                self._skipped[number] = block.skipped
+                passed.add(number, block, self._cameras)
         return passed
 
     def _left(self, passed: _Pass, waiting: Sequence[Part]) -> list[Part]:
@@ -317,4 +341,5 @@ class _Drawing:
         self._done += 1
         sheet = self._sheets.pop(view)
         mode = RenderMode(self._source.columns.render_mode)
-        return rendering_of(sheet.image, sheet.left, sheet.drawn, self._skipped, mode)
+        skipped = sum(self._skipped.values())
+        return rendering_of(sheet.image, sheet.left, sheet.drawn, skipped, mode)
