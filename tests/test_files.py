@@ -77,18 +77,40 @@ def test_it_does_in_one_call_what_takes_several(splats, scene, tmp_path):
     assert (np.sort([-low[1], -high[1]])[0] - 1e-3 <= small.means[:, 1]).all()
 
 
-@pytest.mark.parametrize("goal", [{"size": 20_000}, {"psnr": 15.0}])
-def test_sizes_and_psnr_are_met_in_memory_and_refused_in_blocks(scene, tmp_path, goal):
+@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".splat", ".npz", ".sog"])
+def test_a_size_is_met_in_memory_and_in_blocks(scene, tmp_path, suffix):
+    out, wish = tmp_path / f"a{suffix}", {"size": 20_000}
+    report = nanogs.simplify_blocks(scene, out, **wish, **QUICK)
+    assert (report.asked_size, report.achieved_size) == (20_000, out.stat().st_size)
+    divided = tmp_path / f"b{suffix}"
+    if suffix == ".sog":
+        with pytest.raises(OptionError, match=r"`size` of a \.sog file, which needs the whole"):
+            nanogs.simplify_blocks(scene, divided, block=500, **wish, **QUICK)
+        return
+    blocks = nanogs.simplify_blocks(scene, divided, block=500, **wish, **QUICK)
+    assert blocks.blocks.blocks > 1
+    assert (blocks.asked_size, blocks.achieved_size) == (20_000, divided.stat().st_size)
+    assert 0.97 * 20_000 < blocks.achieved_size <= 20_000
+    assert blocks.achieved_count == report.achieved_count
+
+
+def test_a_size_for_everything_and_one_for_nothing(scene, tmp_path):
     out = tmp_path / "a.ply"
-    report = nanogs.simplify_blocks(scene, out, **goal, **QUICK)
+    whole = nanogs.simplify_blocks(scene, out, size="1GB", block=500, **QUICK)
+    assert whole.achieved_count == COUNT
+    with pytest.raises(OptionError, match="too small"):
+        nanogs.simplify_blocks(scene, tmp_path / "b.ply", size=100, block=500, **QUICK)
+
+
+def test_a_psnr_is_met_in_memory_and_refused_in_blocks(scene, tmp_path):
+    out = tmp_path / "a.ply"
+    report = nanogs.simplify_blocks(scene, out, psnr=15.0, **QUICK)
     assert report.achieved_count < COUNT
-    if "size" in goal:
-        assert out.stat().st_size <= 20_000
     with pytest.raises(OptionError, match="needs the whole model"):
-        nanogs.simplify_blocks(scene, tmp_path / "b.ply", block=500, **goal, **QUICK)
+        nanogs.simplify_blocks(scene, tmp_path / "b.ply", block=500, psnr=15.0, **QUICK)
     with pytest.raises(NotEnoughMemoryError, match="needs the whole model"):
         nanogs.simplify_blocks(
-            scene, tmp_path / "b.ply", max_memory=LIBRARIES + 400_000, **goal, **QUICK
+            scene, tmp_path / "b.ply", max_memory=LIBRARIES + 400_000, psnr=15.0, **QUICK
         )
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
 

@@ -17,12 +17,13 @@ from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.api import target_of
 from nanogs.pipeline.cluster import executor_of
 from nanogs.pipeline.files import Request, plan_files
-from nanogs.pipeline.in_blocks import block_memory, block_parameters, plan_job
+from nanogs.pipeline.in_blocks import block_memory, block_parameters, count_of, plan_job
 from nanogs.pipeline.job import usable_rows
 from nanogs.pipeline.memory import MemoryPlan, plan_file
 from nanogs.pipeline.plan import ScalePlan
 from nanogs.pipeline.presets import effective, renders
 from nanogs.pipeline.reading import inspect_parts, prepare, read_parts
+from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.target import Goal
 from nanogs.sink import Chunked
 
@@ -91,24 +92,25 @@ class Plan:
         """
         wish = self.wish
         if self.divided:
-            blocks = self._divide()
-            count = wish.goal.target(blocks.splats, lambda _count: 0)
+            settings, blocks = self._divide()
+            left = count_of(wish.goal, blocks.splats, settings.layout, wish.sizer)
             info = replace(self.info, splats=blocks.splats)
-            return replace(self, blocks=blocks, info=info, count=count)
+            return replace(self, blocks=blocks, info=info, count=left)
         if wish.goal.size is None and not wish.filters:
             return self
         splats = prepare(read_parts(wish.inputs), wish.changes).splats
         count = target_of(wish.goal, splats, len(usable_rows(splats, wish.nan)), wish.output)
         return replace(self, info=replace(self.info, splats=len(splats)), count=count)
 
-    def _divide(self) -> ScalePlan:
+    def _divide(self) -> tuple[Settings, ScalePlan]:
         wish, elsewhere = self.wish, self.method.blocks.scheduler is not None
         folder = wish.folder if wish.resume else None
         size = block_memory(self.process_memory, None, folder, elsewhere=elsewhere)
         chosen = block_parameters(wish.preset, wish.overrides)
         return plan_job(
-            wish.inputs, self.goals, chosen, *size, wish.nan, self.chunks, wish.changes
-        )[1]
+            wish.inputs, self.goals, chosen, *size, wish.nan, self.chunks, wish.changes,
+            wish.sizer if wish.goal.size is not None else None,
+        )  # fmt: skip
 
     def notes(self) -> list[str]:
         """What the user should know of how it is done, one sentence each."""
@@ -131,7 +133,8 @@ class Plan:
             NotEnoughMemoryError: Something asked for needs the whole model.
         """
         wishes = {
-            "--size": self.wish.goal.size is not None,
+            f"--size of a {self.wish.output.suffix} file": self.wish.goal.size is not None
+            and self.wish.sizer is None,
             "--psnr": self.wish.goal.psnr is not None,
             "--drop-floaters": any(each.whole for each in self.wish.filters),
             "--measure": bool(self.method.measure),

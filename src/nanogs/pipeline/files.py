@@ -15,9 +15,10 @@ from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.filters import Filter
 from nanogs.formatting import bytes_text
 from nanogs.frames import change_frame
-from nanogs.io import check_writable, losses, registry, save
+from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.files import splat_bytes
+from nanogs.io.format import Sizer
 from nanogs.memory import Memory, allowed_memory
 from nanogs.pipeline.api import refuse_searches, simplify
 from nanogs.pipeline.asked import asked_views
@@ -99,6 +100,11 @@ class Request:
         return Changes(self.filters, self.sh_degree, self.frame, views)
 
     @property
+    def sizer(self) -> Sizer | None:
+        """Bytes of the output's format for a count; None where only writing a file tells."""
+        return registry.writable(self.output).file_bytes
+
+    @property
     def folder(self) -> Path:
         """Of the job, if it becomes one."""
         return job_folder(self.output, self.job)
@@ -178,7 +184,8 @@ def simplify_blocks(
             block by block, others are held whole.
         ratio: Compaction ratio in (0, 1]; exactly one of the four is given.
         count: Splats to deliver.
-        size: As `simplify` takes it; a model in blocks cannot be asked for it.
+        size: As `simplify` takes it; in blocks for formats whose size is known before a file is
+            written: .ply, .compressed.ply, .splat and .npz.
         psnr: As `simplify` takes it; a model in blocks cannot be asked for it.
         measured: Hold the file against the model, as `nanogs compare` does; not in blocks. With
             None that is done where the preset renders anyway and the model is in memory.
@@ -284,8 +291,11 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
         resume=request.resume,
         nan=request.nan,
         changes=request.changes,
+        sizer=request.sizer,
         **request.overrides,
     )
+    if request.goal.size is not None:
+        return replace(report, achieved_size=bytes_on_disk(request.output))
     return report
 
 
@@ -394,7 +404,8 @@ def _refuse_what_needs_all(request: Request, plan: Plan) -> None:
     block_parameters(request.preset, request.overrides)
     request.changes.check()
     wishes = {
-        "`size`": request.goal.size is not None,
+        f"`size` of a {_suffix(request.output)} file": request.goal.size is not None
+        and request.sizer is None,
         "`psnr`": request.goal.psnr is not None,
         "measuring": bool(request.measured),
     }

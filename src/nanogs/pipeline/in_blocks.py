@@ -11,6 +11,7 @@ from nanogs.clock import StageClock
 from nanogs.defaults import DEFAULT_MEMORY
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
+from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.folder import job_folder, read_manifest
@@ -29,12 +30,13 @@ from nanogs.pipeline.rows import (
     sift,
 )
 from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.target import Goal, target_count
+from nanogs.pipeline.target import Goal, count_for_size, target_count
 from nanogs.pipeline.unpack import cost_of
 from nanogs.progress import Progress
 from nanogs.report import SimplifyReport
 from nanogs.sink import Chunked, Sink, Written
-from nanogs.store.columns import row_bytes
+from nanogs.source import Layout
+from nanogs.store.columns import empty_columns, row_bytes, splats_of
 from nanogs.store.scratch import is_url
 
 if TYPE_CHECKING:
@@ -57,13 +59,14 @@ def simplify_into(
     resume: bool = False,
     nan: NanPolicy = "drop",
     changes: Changes = NOTHING,
+    sizer: Sizer | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[list[Written], list[SimplifyReport]]:
     """Simplify files block by block, and give the results to a sink.
 
-    Inputs are parts of one scene; goals are ratios, the finest first, or one count. `where` the
-    tasks are done and `changes` to the model stand for what `simplify_blocks` takes one by one, and
-    all else is as there.
+    Inputs are parts of one scene; goals are ratios, the finest first, or one of another kind, of
+    which a size takes a `sizer`. `where` the tasks are done and `changes` to the model stand for
+    what `simplify_blocks` takes one by one, and all else is as there.
 
     Returns:
         Each result as it was written, and its report.
@@ -76,13 +79,15 @@ def simplify_into(
     max_memory, block = block_memory(
         max_memory, block, folder if resume else None, elsewhere=where.executor is not None
     )
-    settings, plan = plan_job(inputs, goals, chosen, max_memory, block, nan, sink.chunks, changes)
+    settings, plan = plan_job(
+        inputs, goals, chosen, max_memory, block, nan, sink.chunks, changes, sizer
+    )
     # Here and not above: these bring Numba, which `--help` and `info` do without.
     from nanogs.pipeline.ending import Ending
     from nanogs.pipeline.job_report import report_of
     from nanogs.pipeline.stored_job import BlockJob
 
-    most = target_count(settings.splats, goals[0].ratio, goals[0].count)
+    most = count_of(goals[0], settings.splats, settings.layout, sizer)
     sink.refuse_large(most, row_bytes(settings.layout), max_memory)
     if not resume:
         refuse_full_disk(plan, folder, scratch)
@@ -150,6 +155,7 @@ def plan_job(
     nan: NanPolicy,
     chunks: Chunked | None = None,
     changes: Changes = NOTHING,
+    sizer: Sizer | None = None,
 ) -> tuple[Settings, ScalePlan]:
     """Plan the job, and what it takes; only headers are read, but for filters all rows.
 
@@ -162,6 +168,7 @@ def plan_job(
         nan: "drop" or "error".
         chunks: Of the results, or None where each is one file.
         changes: What else is done to the model.
+        sizer: As `count_of` takes it.
 
     Raises:
         NanogsError: An input cannot be read, filters leave nothing or need the whole model, or the
@@ -171,7 +178,7 @@ def plan_job(
     inputs, layout = look_at(paths, changes)
 
     def planned(splats: int) -> ScalePlan:
-        shares = tuple(target_count(splats, g.ratio, g.count) / splats for g in goals)
+        shares = tuple(count_of(goal, splats, layout, sizer) / splats for goal in goals)
         return plan_blocks(splats, layout, chosen, shares, max_memory, block, chunks)
 
     plan = planned(sum(each.splats for each in inputs))
@@ -184,7 +191,9 @@ def plan_job(
         layout=layout,
         segments=segments_of(plan.splats, plan.segment),
         ratios=tuple(goal.ratio for goal in goals if goal.ratio is not None),
-        counts=tuple(goal.count for goal in goals if goal.count is not None),
+        counts=tuple(
+            count_of(goal, plan.splats, layout, sizer) for goal in goals if goal.ratio is None
+        ),
         nan=nan,
         block=plan.block,
         parameters=chosen,
@@ -194,6 +203,24 @@ def plan_job(
         asked=changes.asked,
     )
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
+
+
+def count_of(goal: Goal, splats: int, layout: Layout, sizer: Sizer | None) -> int:
+    """Splats of a result: by a ratio, a count, or a size where it is known beforehand.
+
+    Args:
+        goal: What is asked.
+        splats: Of the model.
+        layout: Its columns.
+        sizer: Bytes of a file, as `registry.sizer` gives them; needed for a size.
+
+    Raises:
+        OptionError: Not even one splat fits, or there are fewer than are asked for.
+    """
+    if goal.size is None or sizer is None:
+        return target_count(splats, goal.ratio, goal.count)
+    like = splats_of(empty_columns(layout, 0), layout)
+    return count_for_size(splats, goal.size, lambda count: sizer(like, count))
 
 
 def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None:

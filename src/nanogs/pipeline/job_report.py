@@ -52,6 +52,7 @@ def report_of(
         input_count=settings.splats,
         asked_ratio=goal.ratio,
         asked_count=target,
+        asked_size=goal.size,
         dropped_nonfinite=sum(int(record.facts["dropped"]) for record in segments),
         pruned=0,
         prune_threshold=0.0,
