@@ -5,15 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from nanogs.cli import options
 from nanogs.defaults import PATIENCE
 from nanogs.errors import OptionError
 
 DASH = Path("-")
 """Stands for stdin or stdout."""
-_PANEL = "Models larger than memory, and several machines"
+_option = options.in_panel("Models larger than memory, and several machines")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,56 +20,35 @@ class Blocks:
 
     max_memory: Annotated[
         int | None,
-        typer.Option(
+        _option(
+            "Memory that a process may take, e.g. 4GB: a model that needs more is simplified in"
+            " blocks.",
             parser=options.parse_memory,
-            help="Memory that a process may take, e.g. 4GB: a model that needs more is simplified"
-            " in blocks.",
             metavar="SIZE",
-            rich_help_panel=_PANEL,
         ),
     ] = None
-    join: Annotated[
-        bool,
-        typer.Option("--join", help="All inputs are parts of one scene.", rich_help_panel=_PANEL),
-    ] = False
+    join: Annotated[bool, _option("All inputs are parts of one scene.", "--join")] = False
     job: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder for what survives a crash; removed at the end.",
-            show_default="OUT.job",
-            rich_help_panel=_PANEL,
-        ),
+        _option("Folder for what survives a crash; removed at the end.", show_default="OUT.job"),
     ] = None
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Continue the job in that folder.", rich_help_panel=_PANEL),
-    ] = False
+    resume: Annotated[bool, _option("Continue the job in that folder.", "--resume")] = False
     scratch: Annotated[
         str | None,
-        typer.Option(
-            help="Folder or URL of the intermediate files, which all workers see.",
+        _option(
+            "Folder or URL of the intermediate files, which all workers see.",
             show_default="in the job folder",
-            rich_help_panel=_PANEL,
         ),
     ] = None
-    workers: Annotated[
-        int | None,
-        typer.Option(min=1, help="Processes on this machine.", rich_help_panel=_PANEL),
-    ] = None
+    workers: Annotated[int | None, _option("Processes on this machine.", min=1)] = None
     scheduler: Annotated[
         str | None,
-        typer.Option(
-            help="Dask scheduler whose workers do the work, e.g. tcp://host:8786.",
-            rich_help_panel=_PANEL,
-        ),
+        _option("Dask scheduler whose workers do the work, e.g. tcp://host:8786."),
     ] = None
     patience: Annotated[
         float,
-        typer.Option(
-            min=0,
-            help="Seconds to wait for workers where a scheduler has none.",
-            metavar="SECONDS",
-            rich_help_panel=_PANEL,
+        _option(
+            "Seconds to wait for workers where a scheduler has none.", min=0, metavar="SECONDS"
         ),
     ] = PATIENCE
 

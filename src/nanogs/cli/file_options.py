@@ -12,9 +12,9 @@ import typer
 from nanogs.cli import options
 from nanogs.errors import OptionError
 
-_SEVERAL = "Several files"
-_PIPES = "Pipes (- in place of a file)"
-_FILTERS = "Filters (before anything else, in this order)"
+_several = options.in_panel("Several files")
+_pipe = options.in_panel("Pipes (- in place of a file)")
+_filter = options.in_panel("Filters (before anything else, in this order)")
 
 
 class Frames(NamedTuple):
@@ -48,45 +48,14 @@ Paths = Annotated[
         " models, folders of them or patterns.",
     ),
 ]
-OutDir = Annotated[
-    Path | None,
-    typer.Option(
-        help="Folder for the results; made if missing.",
-        metavar="FOLDER",
-        rich_help_panel=_SEVERAL,
-    ),
-]
-FormatOption = Annotated[
-    str | None,
-    typer.Option(
-        "--format",
-        help="Format of the results, e.g. sog.",
-        show_default="each file's own",
-        metavar="FORMAT",
-        autocompletion=options.complete_format,
-        rich_help_panel=_SEVERAL,
-    ),
-]
 From = Annotated[
     str | None,
-    typer.Option(
+    _pipe(
+        "Format of stdin, e.g. splat.",
         "--from",
-        help="Format of stdin, e.g. splat.",
         show_default="by its first bytes",
         metavar="FORMAT",
         autocompletion=options.complete_format,
-        rich_help_panel=_PIPES,
-    ),
-]
-To = Annotated[
-    str | None,
-    typer.Option(
-        "--to",
-        help="Format of stdout, e.g. spz.",
-        show_default="that of IN",
-        metavar="FORMAT",
-        autocompletion=options.complete_format,
-        rich_help_panel=_PIPES,
     ),
 ]
 
@@ -95,10 +64,30 @@ To = Annotated[
 class Files:
     """Options of commands that read and write models: several of them, or a pipe."""
 
-    out_dir: OutDir = None
-    out_format: FormatOption = None
+    out_dir: Annotated[
+        Path | None, _several("Folder for the results; made if missing.", metavar="FOLDER")
+    ] = None
+    out_format: Annotated[
+        str | None,
+        _several(
+            "Format of the results, e.g. sog.",
+            "--format",
+            show_default="each file's own",
+            metavar="FORMAT",
+            autocompletion=options.complete_format,
+        ),
+    ] = None
     read_as: From = None
-    write_as: To = None
+    write_as: Annotated[
+        str | None,
+        _pipe(
+            "Format of stdout, e.g. spz.",
+            "--to",
+            show_default="that of IN",
+            metavar="FORMAT",
+            autocompletion=options.complete_format,
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,22 +113,15 @@ class Edits:
     ] = None
     crop: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="REGION",
-            help="Keep what lies in box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, scene units of IN;"
+        _filter(
+            "Keep what lies in box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r, scene units of IN;"
             " several times: in all of them.",
-            rich_help_panel=_FILTERS,
+            metavar="REGION",
         ),
     ] = None
-    min_opacity: Annotated[
-        float | None,
-        typer.Option(help="Leave out splats with an alpha below this.", rich_help_panel=_FILTERS),
-    ] = None
+    min_opacity: Annotated[float | None, _filter("Leave out splats with an alpha below this.")] = (
+        None
+    )
     drop_floaters: Annotated[
-        bool,
-        typer.Option(
-            "--drop-floaters",
-            help="Leave out splats far from all others but a few.",
-            rich_help_panel=_FILTERS,
-        ),
+        bool, _filter("Leave out splats far from all others but a few.", "--drop-floaters")
     ] = False

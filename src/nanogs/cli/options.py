@@ -77,81 +77,69 @@ def complete_format(start: str) -> list[str]:
 
 VIEWS = "Views (automatic, or from a file)"
 
-Views = Annotated[
-    int, typer.Option("--views", min=1, help="Number of automatic views.", rich_help_panel=VIEWS)
+
+def in_panel(panel: str) -> Callable[..., Any]:
+    """What makes options of a panel of the help, as `typer.Option` does; the help comes first."""
+
+    def option(help: str, *names: str, **more: Any) -> Any:  # noqa: A002, ANN401 - typer's own
+        return typer.Option(*names, help=help, rich_help_panel=panel, **more)
+
+    return option
+
+
+_view = in_panel(VIEWS)
+_KINDS = (
+    "auto, orbit (around an object), inside (a room or landscape), roam (anywhere, near and far), "
+)
+_FILES = "or a file or folder: transforms.json, cameras.json, COLMAP."
+
+Views = Annotated[int, _view("Number of automatic views.", "--views", min=1)]
+ViewsOfKinds = Annotated[
+    int | None,
+    _view(
+        "Number of automatic views of each kind.", "--views", min=1, show_default="8; 24 of roam"
+    ),
 ]
 Pixels = Annotated[
-    str,
-    typer.Option(
-        help="Width and height of an automatic view: 512 or 1280x720.",
-        metavar="W[xH]",
-        rich_help_panel=VIEWS,
-    ),
+    str, _view("Width and height of an automatic view: 512 or 1280x720.", metavar="W[xH]")
 ]
 Sizes = Annotated[
     str,
-    typer.Option(
+    _view(
+        "Width and height of the automatic views, 512 or 1280x720; several with commas between,"
+        " each for itself.",
         "--sizes",
         "--pixels",
-        help="Width and height of the automatic views, 512 or 1280x720; several with commas "
-        "between, each for itself.",
         metavar="W[xH],...",
-        rich_help_panel=VIEWS,
     ),
 ]
-Cameras = Annotated[
+Cameras = Annotated[str, _view(f"{_KINDS}{_FILES}", metavar="CAMERAS")]
+Kinds = Annotated[
     str,
-    typer.Option(
-        help="auto, orbit (around an object), inside (a room or landscape), roam (anywhere, near "
-        "and far), or a file or folder: transforms.json, cameras.json, COLMAP.",
+    _view(
+        f"{_KINDS}or several of these with commas between; {_FILES}",
+        "--cameras",
         metavar="CAMERAS",
-        rich_help_panel=VIEWS,
     ),
 ]
 Up = Annotated[
     Direction | None,
-    typer.Option(
+    _view(
+        "Up direction of automatic views: x,y,z; by default away from the ground, or 0,-1,0.",
         parser=parse_direction,
-        help="Up direction of automatic views: x,y,z; by default away from the ground, or 0,-1,0.",
         metavar="X,Y,Z",
-        rich_help_panel=VIEWS,
     ),
 ]
 BackgroundOption = Annotated[
-    str,
-    typer.Option(
-        "--background", help="black, white, or #rrggbb.", metavar="COLOUR", rich_help_panel=VIEWS
-    ),
+    str, _view("black, white, or #rrggbb.", "--background", metavar="COLOUR")
 ]
 PhotoBackground = Annotated[
     str | None,
-    typer.Option(
+    _view(
+        "black, white, or #rrggbb.",
         "--background",
-        help="black, white, or #rrggbb.",
         metavar="COLOUR",
         show_default="black; white for NeRF-Synthetic photographs with alpha",
-        rich_help_panel=VIEWS,
-    ),
-]
-ViewsOfKinds = Annotated[
-    int | None,
-    typer.Option(
-        "--views",
-        min=1,
-        help="Number of automatic views of each kind.",
-        show_default="8; 24 of roam",
-        rich_help_panel=VIEWS,
-    ),
-]
-Kinds = Annotated[
-    str,
-    typer.Option(
-        "--cameras",
-        help="auto, orbit (around an object), inside (a room or landscape), roam (anywhere, near "
-        "and far), or several of these with commas between; or a file or folder: "
-        "transforms.json, cameras.json, COLMAP.",
-        metavar="CAMERAS",
-        rich_help_panel=VIEWS,
     ),
 ]
 SpzVersion = Annotated[
