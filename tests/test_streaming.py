@@ -154,3 +154,13 @@ def test_splats_that_are_chosen_and_turned_are_not_held_either(tmp_path):
     turned = [end for end in ENDS if end != ".glb"]  # whose frame is its own
     runs = [["convert", "a.ply", f"b{end}", *changes] for end in turned]
     assert_peaks(runs, tmp_path, 0.9 * MOST)
+
+
+@LINUX
+@pytest.mark.slow
+def test_a_model_is_rendered_and_compared_within_what_is_allowed(large, tmp_path):
+    """Held whole, rendering it takes half as much again, and comparing it twice as much."""
+    render = ["render", large, "a", "--views", "2", "--pixels", "400", "-q", "--max-memory"]
+    assert_peaks([[*render, "340MB"]], tmp_path, 340e6)
+    compare = ["compare", large, large, "--views", "1", "--sizes", "400", "--max-memory", "350MB"]
+    assert_peaks([compare], tmp_path, 350e6)
