@@ -58,6 +58,7 @@ NOT = {
     # Sinks are handed in: `levels_of_detail` puts the two together.
     "lod": {"nanogs.pipeline", "nanogs.store"},
     "pipeline": {"nanogs.lod"},
+    "cli": {"numpy", "numba", "nanogs.raster", "nanogs.metrics", "nanogs.store"},  # it only asks
 }
 # Where that does not hold yet, or need not.
 STILL = {
