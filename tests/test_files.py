@@ -10,6 +10,7 @@ from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.files import Request, plan_files
 from nanogs.pipeline.target import Goal
+from nanogs.scoring.held_out import judge_file
 
 COUNT = 3000
 QUICK = {"preset": "fast", "threads": 1}
@@ -100,6 +101,31 @@ def test_a_size_for_everything_and_one_for_nothing(scene, tmp_path):
     assert whole.achieved_count == COUNT
     with pytest.raises(OptionError, match="too small"):
         nanogs.simplify_blocks(scene, tmp_path / "b.ply", size=100, block=500, **QUICK)
+
+
+@pytest.mark.parametrize("changed", [{}, {"sh_degree": 0, "frame": ("rdf", "rub")}])
+def test_what_blocks_make_is_measured_as_what_memory_does(splats, scene, tmp_path, changed):
+    out, told = tmp_path / "a.ply", []
+    report = nanogs.simplify_blocks(
+        scene, out, ratio=0.2, block=1000, measured=True, progress=told.append, **changed, **QUICK
+    )
+    assert report.blocks.blocks > 1
+    original = splats.with_sh_degree(0) if changed else splats
+    judged, notes = judge_file(original, out, turn=changed.get("frame"))
+    assert (report.judged, notes) == (judged, ())
+    fractions = [step.fraction for step in told]
+    assert fractions == sorted(fractions)
+    assert (fractions[-1], told[-1].stage) == (1, "measure")
+    assert fractions[-2] < 1
+
+
+def test_what_is_read_whole_is_not_measured_in_blocks(splats, tmp_path):
+    nanogs.save(splats, tmp_path / "scene.sog")
+    with pytest.raises(OptionError, match="not read in parts"):
+        nanogs.simplify_blocks(
+            tmp_path / "scene.sog", tmp_path / "a.ply", ratio=0.2, block=1000, measured=True,
+            **QUICK,
+        )  # fmt: skip
 
 
 def test_a_psnr_is_met_in_memory_and_refused_in_blocks(scene, tmp_path):

@@ -97,7 +97,6 @@ def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
     [
         (["--psnr", "30"], "--psnr needs the whole"),
         (["--size", "1MB"], "--size of a .sog file needs the whole"),
-        (["--ratio", "0.1", "--measure"], "--measure needs the whole"),
         (["--ratio", "0.1", "--drop-floaters"], "--drop-floaters needs the whole"),
         (["--ratio", "0.1", "--preset", "paper"], "paper needs the whole model"),
         (["--ratio", "0.1", "--max-memory", "100MB"], "is 100 MB and must be at least"),

@@ -137,7 +137,7 @@ class Plan:
             and self.wish.sizer is None,
             "--psnr": self.wish.goal.psnr is not None,
             "--drop-floaters": any(each.whole for each in self.wish.filters),
-            "--measure": bool(self.method.measure),
+            "--measure": bool(self.method.measure) and (self.levels or not self.wish.in_rows),
             "a model in a pipe, which blocks cannot read or write,": piped,
             f"the preset {self.method.preset}": isinstance(self.method.chosen, PaperParameters),
         }

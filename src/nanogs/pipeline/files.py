@@ -25,18 +25,21 @@ from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.in_blocks import block_parameters, simplify_into
+from nanogs.pipeline.inputs import access_of
 from nanogs.pipeline.job import NanPolicy, import_stages
 from nanogs.pipeline.memory import MemoryPlan, plan_memory
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
 from nanogs.pipeline.reading import read_changed, reading_stages
 from nanogs.pipeline.rows import Changes
+from nanogs.pipeline.settings import Access
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import measure_stage, write_weight
-from nanogs.progress import Progress, Stage, Tracker
+from nanogs.progress import Measuring, Parts, Progress, Stage, Tracker
+from nanogs.protocol import Judged
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
 from nanogs.sink import OneFile
-from nanogs.source import joined_layout
+from nanogs.source import Filtered, Joined, Reduced, Source
 from nanogs.splats import Splats
 from nanogs.store.columns import row_bytes
 
@@ -103,6 +106,11 @@ class Request:
     def sizer(self) -> Sizer | None:
         """Bytes of the output's format for a count; None where only writing a file tells."""
         return registry.writable(self.output).file_bytes
+
+    @property
+    def in_rows(self) -> bool:
+        """Whether any rows of the inputs are read without the others."""
+        return all(access_of(open_model(path)) is Access.ROWS for path in self.inputs)
 
     @property
     def folder(self) -> Path:
@@ -187,8 +195,9 @@ def simplify_blocks(
         size: As `simplify` takes it; in blocks for formats whose size is known before a file is
             written: .ply, .compressed.ply, .splat and .npz.
         psnr: As `simplify` takes it; a model in blocks cannot be asked for it.
-        measured: Hold the file against the model, as `nanogs compare` does; not in blocks. With
-            None that is done where the preset renders anyway and the model is in memory.
+        measured: Hold the file against the model, as `nanogs compare` does; in blocks for inputs
+            of which any rows can be read. With None that is done where the preset renders anyway
+            and the model is in memory.
         preset: Name of a preset; in blocks one that grows a forest: any but `paper`.
         max_memory: Bytes that each process may take, a number or text like "4GB"; it decides
             whether there are blocks, and their size. By default what is free, less a tenth; 4 GB
@@ -251,8 +260,9 @@ def plan_files(request: Request) -> Plan:
     Raises:
         NanogsError: An input cannot be read, or there is no such preset or parameter.
     """
-    chosen, sources = request.parameters, [open_model(path) for path in request.inputs]
-    splats, layout = sum(source.count for source in sources), joined_layout(sources)
+    with Joined([open_model(path) for path in request.inputs]) as source:
+        splats, layout = source.count, source.columns
+    chosen = request.parameters
     target, allowed = _most(request.goal, splats), allowed_memory(request.max_memory)
     extra = row_bytes(layout) - splat_bytes(layout.sh_degree)
     memory = plan_memory(splats, layout.sh_degree, extra, chosen, target, judged=_judged(request))
@@ -275,6 +285,17 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     if not plan.divided:
         return _in_memory(request, plan, told)
     _refuse_what_needs_all(request, plan)
+    if not request.measured:
+        return _in_blocks(request, told)
+    measuring = Measuring(told)
+    report = _in_blocks(request, measuring.before)
+    judged, notes = _judge(request, measuring.part)
+    measuring.finish()
+    return replace(report, judged=judged, notes=(*report.notes, *notes))
+
+
+def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:
+    """Simplify and write, block by block."""
     from nanogs.pipeline.stored_job import Where  # which brings Numba
 
     _, [report] = simplify_into(
@@ -297,6 +318,22 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     if request.goal.size is not None:
         return replace(report, achieved_size=bytes_on_disk(request.output))
     return report
+
+
+def _judge(request: Request, tell: Parts) -> tuple[Judged | None, tuple[str, ...]]:
+    """Hold the file against its inputs, some rows of both at a time."""
+    from nanogs.scoring.held_out import judge_file  # which brings Numba
+
+    source: Source = Joined([open_model(path) for path in request.inputs])
+    if request.filters:
+        source = Filtered(source, request.filters)
+    if request.sh_degree is not None and request.sh_degree < source.columns.sh_degree:
+        source = Reduced(source, request.sh_degree)
+    with source:
+        return judge_file(
+            source, request.output, turn=request.frame, threads=request.threads, tell=tell,
+            max_memory=request.max_memory,
+        )  # fmt: skip
 
 
 def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
@@ -407,7 +444,8 @@ def _refuse_what_needs_all(request: Request, plan: Plan) -> None:
         f"`size` of a {_suffix(request.output)} file": request.goal.size is not None
         and request.sizer is None,
         "`psnr`": request.goal.psnr is not None,
-        "measuring": bool(request.measured),
+        "measuring against a file that is not read in parts": request.measured
+        and not request.in_rows,
     }
     for wish, asked in wishes.items():
         if asked and plan.memory.peak <= plan.allowed.bytes:

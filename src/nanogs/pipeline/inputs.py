@@ -23,10 +23,11 @@ def input_file(source: FileSource) -> InputFile:
         FormatError: It cannot be read.
     """
     where = source.path.absolute()  # and no link followed, whose target may have another suffix
-    return InputFile(str(where), *_identity(source), source.count, _access(source))
+    return InputFile(str(where), *_identity(source), source.count, access_of(source))
 
 
-def _access(source: FileSource) -> Access:
+def access_of(source: FileSource) -> Access:
+    """How rows of a file are come by."""
     if isinstance(source, Packed):
         return Access.PACKED
     return Access.WHOLE if isinstance(source, Whole) else Access.ROWS
@@ -57,7 +58,7 @@ def open_unchanged(file: InputFile) -> FileSource:
         same = _identity(source) == (file.bytes, file.modified)
     except (OSError, FormatError):
         same = False
-    if not same or _access(source) is not file.access:
+    if not same or access_of(source) is not file.access:
         raise FormatError(f"{file.path} has changed since the job began; begin it anew.")
     return source
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from nanogs.errors import FormatError, ModelError
 from nanogs.frames import change_frame
 from nanogs.io import load, registry
+from nanogs.io import open as open_model
 from nanogs.memory import allowed_memory
 from nanogs.metrics import psnr
 from nanogs.needs import pictures_bytes
@@ -18,7 +19,7 @@ from nanogs.progress import Parts, untold
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Judged, Protocol
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.scoring.scores import ReferenceView, mean_psnr, reference_views, score
-from nanogs.source import Source
+from nanogs.source import Source, Turned
 from nanogs.splats import Splats
 from nanogs.threads import use_threads
 from nanogs.views.cameras import cameras_for
@@ -60,21 +61,23 @@ class HeldOut:
 
 
 def judge_file(
-    original: Splats,
+    original: Splats | Source,
     path: Path,
     *,
     turn: tuple[str, str] | None = None,
     threads: int | None = None,
     tell: Parts = untold,
+    max_memory: int | None = None,
 ) -> tuple[Judged | None, tuple[str, ...]]:
     """Hold a file against the original that it was made of.
 
     Args:
-        original: The model.
+        original: The model; of a source some rows are read at a time, and of the file too.
         path: The file.
         turn: Frames from and to which the file's model was turned, or None.
         threads: Threads to use; all by default.
         tell: Told of the original's views rendered.
+        max_memory: As `held_out` takes it.
 
     Returns:
         What was measured and no note; or None and why nothing could be, in a sentence.
@@ -84,9 +87,12 @@ def judge_file(
         return None, (f"The result was not measured: nanogs does not read {known.suffix} files.",)
     try:
         with use_threads(threads):
-            small = load(path)
-            back = change_frame(small, turn[1], turn[0]) if turn else small
-            return held_out(original, tell).judge(back), ()
+            views = held_out(original, tell, max_memory)
+            if isinstance(original, Splats):
+                small = load(path)
+                return views.judge(change_frame(small, turn[1], turn[0]) if turn else small), ()
+            with open_model(path) as source:
+                return views.judge(Turned(source, turn[1], turn[0]) if turn else source), ()
     except (ModelError, FormatError) as error:
         return None, (f"The result was not measured: {error}",)
 
