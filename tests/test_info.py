@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 import nanogs
 from builders import random_splats
 from conftest import scene_path
-from nanogs import io
+from nanogs import io, percentiles
 from nanogs.findings import Finding, join_findings
 from nanogs.io import registry
 from nanogs.io.formats import FAMILIES
@@ -173,3 +174,43 @@ def test_every_family_of_formats_is_known():
         if re.search(r"^FORMATS = ", file.read_text(encoding="utf-8"), re.MULTILINE)
     }
     assert sorted(found) == sorted(FAMILIES)
+
+
+@given(
+    st.lists(st.floats(0, 2.0**90, width=32), max_size=300), st.integers(1, 300), st.booleans()
+)  # fmt: skip
+def test_percentiles_are_exact_whether_values_are_held_or_counted(values, size, few):
+    values = np.array(values, np.float32)
+    if few:
+        values = np.round(values % 4)  # many alike
+    shares = (0, 1, 25, 50, 99, 100)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(percentiles, "HELD", 0)
+        counted = percentiles.Percentiles(300, shares)
+        assert counted.again
+        blocks = [values[at : at + size] for at in range(0, len(values), size)]
+        for add in (counted.add, counted.add_again):
+            for block in blocks:
+                add(block)
+    if not len(values):
+        assert counted.values() is None
+        return
+    expected = np.percentile(values.astype(np.float64), shares)
+    assert counted.values() == pytest.approx(expected, rel=1e-12)
+    held = percentiles.Percentiles(300, shares)
+    for block in blocks:
+        held.add(block)
+    assert not held.again
+    assert held.values() == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_large_model_is_described_as_a_small_one(tmp_path, monkeypatch):
+    splats = random_splats(3000, degree=1)
+    splats.means[5] = np.nan
+    nanogs.save(splats, tmp_path / "a.ply")
+    expected = nanogs.info(tmp_path / "a.ply").to_dict()
+    monkeypatch.setattr(percentiles, "HELD", 4000)  # all of the alphas, and not all of the scales
+    found = nanogs.info(tmp_path / "a.ply").to_dict()
+    for name in ("alpha", "scale"):
+        assert found.pop(name) == pytest.approx(expected.pop(name), rel=1e-6)
+    assert found == expected

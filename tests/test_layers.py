@@ -19,7 +19,7 @@ ORDER = """
 _version _types errors ranges formatting findings quantities defaults stored protocol sh charts
 progress clock cleanup threads spread morton
 kernels
-bar neighbours
+bar neighbours percentiles
 _arrays splats frames gsplat_arrays metrics
 filters source
 raster

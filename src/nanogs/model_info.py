@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nanogs._types import F32, F64
+from nanogs._types import F64
 from nanogs.findings import join_findings
 from nanogs.io import FileInfo, registry
 from nanogs.io import open as open_model
@@ -15,6 +15,7 @@ from nanogs.io.collect import model_in
 from nanogs.lod import manifest
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import info_bytes
+from nanogs.percentiles import Percentiles
 from nanogs.splats import Splats
 
 _PERCENTILES = (0, 1, 5, 25, 50, 75, 95, 99, 100)
@@ -74,9 +75,7 @@ class ModelInfo:
 
 
 def info(path: str | PathLike[str]) -> ModelInfo:
-    """Read a model once, block by block, and describe it.
-
-    Of each splat 16 bytes are held, for the percentiles.
+    """Read a model block by block, and describe it: a large one twice, for exact percentiles.
 
     Args:
         path: The file, or the folder of a model.
@@ -94,9 +93,13 @@ def info(path: str | PathLike[str]) -> ModelInfo:
             allowed_memory(None, compiled=False),
             "free some",
         )
-        census = _Census(np.empty(file.splats, np.float32), np.empty((file.splats, 3), np.float32))
+        census = _Census(
+            Percentiles(file.splats, _PERCENTILES), Percentiles(3 * file.splats, _PERCENTILES)
+        )
         for block in source.blocks():
             census.add(block)
+        for block in source.blocks() if census.again else ():
+            census.add_again(block)
     return ModelInfo(
         file=file,
         frame=registry.reader(path).frame,
@@ -104,8 +107,8 @@ def info(path: str | PathLike[str]) -> ModelInfo:
         opaque=census.opaque,
         transparent=census.transparent,
         bounds=tuple(tuple(map(float, corner)) for corner in census.bounds),
-        alpha=_spread(census.alphas[: census.usable]),
-        scale=_spread(census.scales[: census.usable].reshape(-1)),
+        alpha=_spread(census.alphas),
+        scale=_spread(census.scales),
         notes=join_findings(census.notes),
         levels=levels or manifest.level_counts(given),
         losses={suffix: join_findings(parts) for suffix, parts in census.losses.items()},
@@ -114,10 +117,10 @@ def info(path: str | PathLike[str]) -> ModelInfo:
 
 @dataclass(slots=True)
 class _Census:
-    """Counts so far, block by block; the columns are filled from the top."""
+    """Counts so far, block by block."""
 
-    alphas: F32
-    scales: F32
+    alphas: Percentiles
+    scales: Percentiles
     seen: int = 0
     usable: int = 0
     opaque: int = 0
@@ -132,20 +135,29 @@ class _Census:
             self.losses.setdefault(suffix, []).append(sentences)
         self.opaque += int((block.opacity_logits == np.inf).sum())
         self.transparent += int((block.opacity_logits == -np.inf).sum())
-        finite = block.finite()
-        rows = slice(self.usable, self.usable + int(finite.sum()))
-        self.alphas[rows] = block.opacities()[finite]
-        self.scales[rows] = block.scales()[finite]
-        means = block.means[finite].astype(np.float64)
+        usable = block.take(block.finite())
+        self.alphas.add(usable.opacities().astype(np.float32))
+        self.scales.add(usable.scales().astype(np.float32).reshape(-1))
+        means = usable.means.astype(np.float64)
         if len(means):
             both = np.concatenate([means, *(corner[None] for corner in self.bounds)])
             self.bounds = both.min(axis=0), both.max(axis=0)
         self.seen += len(block)
-        self.usable = rows.stop
+        self.usable += len(usable)
+
+    @property
+    def again(self) -> bool:
+        """Whether blocks are to be told to `add_again` too."""
+        return self.alphas.again or self.scales.again
+
+    def add_again(self, block: Splats) -> None:
+        usable = block.take(block.finite())
+        if self.alphas.again:
+            self.alphas.add_again(usable.opacities().astype(np.float32))
+        if self.scales.again:
+            self.scales.add_again(usable.scales().astype(np.float32).reshape(-1))
 
 
-def _spread(values: F32) -> Spread | None:
-    if not values.size:
-        return None
-    found = np.percentile(values, _PERCENTILES, overwrite_input=True)
-    return Spread(*map(float, found))
+def _spread(values: Percentiles) -> Spread | None:
+    found = values.values()
+    return None if found is None else Spread(*found)

@@ -29,7 +29,8 @@ _ROWS = 25_000_000  # blocks of rows on their way from file to file, filtered an
 _COLUMN = {".spz": 90, ".compressed.ply": 60}
 _DOUBLE = 12  # more bytes for a centre in double precision
 _STREAMED = 60_000_000  # blocks of rows that are read and projected, and rows to place cameras by
-_COUNTED = 20  # a splat: what the percentiles of `info` are from
+_COUNTED = 20  # a splat: what the percentiles of `info` are from; or, of many, their counts
+_TALLIED = 80_000_000
 
 
 def models_bytes(models: Sequence[Model], *, all_of_it: bool) -> int:
@@ -152,7 +153,7 @@ def convert_bytes(source: FileSource, target: Path, *, whole: bool) -> int:
 
 def info_bytes(source: FileSource) -> int:
     """Describing a model."""
-    return _held(source) + source.count * _COUNTED
+    return _held(source) + min(source.count * _COUNTED, _TALLIED)
 
 
 def _held(source: FileSource) -> int:
