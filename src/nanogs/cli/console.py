@@ -3,23 +3,17 @@
 import json
 import os
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, TextIO, TypeVar
+from dataclasses import fields, is_dataclass
+from typing import Any, TextIO
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from nanogs.formatting import plain
-
-if TYPE_CHECKING:
-    from nanogs.clock import StageClock
-    from nanogs.fit.report import RefitReport
-    from nanogs.report import SimplifyReport
 
 _WIDE = 1000  # columns in a pipe, where nothing needs to be broken
 
@@ -80,24 +74,6 @@ def print_json(data: dict[str, Any], file: TextIO | None = None) -> None:
     stream = file or sys.stdout
     json.dump(plain(data), stream, indent=2, allow_nan=False)
     stream.write("\n")
-
-
-Report = TypeVar("Report", bound="SimplifyReport | RefitReport")
-
-
-def with_file_seconds(report: Report, clock: "StageClock", start: float) -> Report:
-    """A report, a dataclass, with the seconds of reading and writing the files around it.
-
-    Args:
-        report: Its `seconds` are those of its stages.
-        clock: Holds the stages before, such as "read", and "write".
-        start: `time.perf_counter()` at the start of the command.
-    """
-    around = clock.seconds
-    after = {stage: around[stage] for stage in ("write", "measure") if stage in around}
-    seconds = {stage: spent for stage, spent in around.items() if stage not in after}
-    seconds |= report.seconds | after
-    return replace(report, seconds=seconds, total_seconds=time.perf_counter() - start)
 
 
 def key_value_table(rows: dict[str, str]) -> Table:

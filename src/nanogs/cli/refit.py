@@ -72,7 +72,6 @@ def _refit_files(
     run: options.Running,
 ) -> "RefitReport":
     """Read, fit and write; the report with the seconds of I/O."""
-    from nanogs.cli.console import with_file_seconds
     from nanogs.cli.progress import shown
     from nanogs.clock import StageClock
     from nanogs.fit.api import refit as library_refit
@@ -99,8 +98,12 @@ def _refit_files(
         progress.begin("write")
         with clock.time("write"):
             save(fitted, target, overwrite=run.overwrite, progress=progress.passing())
-    notes = (*report.notes, *losses(fitted, target))
-    return replace(with_file_seconds(report, clock, start), notes=notes)
+    return replace(
+        report,
+        notes=(*report.notes, *losses(fitted, target)),
+        seconds={"read": clock.seconds["read"]} | report.seconds | clock.seconds,
+        total_seconds=time.perf_counter() - start,
+    )
 
 
 def _stages(
