@@ -157,7 +157,7 @@ MaxMemory = Annotated[
     int | None,
     typer.Option(
         parser=parse_memory,
-        help="Memory that may be taken, e.g. 4GB: what needs more is refused before it begins.",
+        help="Memory that may be taken, e.g. 4GB: what does not go within it is refused first.",
         metavar="SIZE",
         show_default="what is free",
     ),
