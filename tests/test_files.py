@@ -1,5 +1,8 @@
 """From files to a file: one call for models of any size."""
 
+import dataclasses
+import itertools
+
 import numpy as np
 import pytest
 
@@ -8,7 +11,7 @@ from builders import random_splats
 from nanogs import filters
 from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.memory import LIBRARIES
-from nanogs.pipeline.files import Request, plan_files
+from nanogs.pipeline.request import Request, plan_files
 from nanogs.pipeline.target import Goal
 from nanogs.scoring.held_out import judge_file
 
@@ -58,6 +61,30 @@ def test_jobs_are_made_in_blocks_however_small(scene, tmp_path, given):
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, **given, **QUICK)
     assert report.blocks.blocks == (1 if "block" not in given else report.blocks.blocks)
     assert report.achieved_count == 300
+
+
+def test_blocks_report_what_memory_does(splats, scene, tmp_path):
+    """All entries that stages fill in; of one block the passes are those of the model."""
+    given = {"ratio": 0.2, "preset": "default", "views": 6, "view_size": 48, "steps": 4}
+    _, memory = nanogs.simplify(splats, **given)
+    one, many = (
+        nanogs.simplify_blocks(scene, tmp_path / f"{block}.ply", block=block, **given)
+        for block in (2 * COUNT, 1000)
+    )
+    fast = nanogs.simplify_blocks(scene, tmp_path / "f.ply", ratio=0.2, block=2 * COUNT, **QUICK)
+    _, whole = nanogs.simplify(splats, ratio=0.2, **QUICK)
+    assert fast.passes == tuple(dataclasses.replace(each, seconds={}) for each in whole.passes)
+    for report in (one, many):
+        first, last = report.passes[0], report.passes[-1]
+        assert (first.count_before, last.count_after) == (COUNT, report.blocks.blocks)
+        for before, after in itertools.pairwise(report.passes):
+            assert before.count_after == after.count_before
+        assert sum(each.merged for each in report.passes) == COUNT - report.blocks.blocks
+        assert report.shown == pytest.approx(memory.shown, abs=0.05)
+        assert [(each.balance, each.reassigned) for each in report.candidates[:3]] == [
+            (each.balance, each.reassigned) for each in memory.candidates[:3]
+        ]
+        assert report.refit.psnr_after >= report.refit.psnr_before
 
 
 def test_it_does_in_one_call_what_takes_several(splats, scene, tmp_path):

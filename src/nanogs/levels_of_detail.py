@@ -15,10 +15,10 @@ from nanogs.lod.folder import PLY, LevelsFolder
 from nanogs.lod.layout import Layout, chunks_of
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.measured import LevelJudge, level_judge
+from nanogs.pipeline.foreseen import levels_stages
 from nanogs.pipeline.in_blocks import simplify_into
 from nanogs.pipeline.levels import check_ratios, judged_levels
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters
-from nanogs.pipeline.stages import levels_stages
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker

@@ -26,10 +26,10 @@ from nanogs.lod.folder import made_files
 from nanogs.lod.layout import Layout, Output, chunks_of
 from nanogs.lod.manifest import ChunkedLevel, Level, Manifest
 from nanogs.pipeline.cameras import requested_cameras
-from nanogs.pipeline.files import Request
 from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.reading import read_changed, reading_stages
+from nanogs.pipeline.request import Request
 from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.progress import Progress, Tracker

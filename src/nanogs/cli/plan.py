@@ -16,13 +16,13 @@ from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.api import target_of
 from nanogs.pipeline.cluster import executor_of
-from nanogs.pipeline.files import Request, plan_files
 from nanogs.pipeline.in_blocks import block_memory, block_parameters, count_of, plan_job
 from nanogs.pipeline.job import usable_rows
 from nanogs.pipeline.memory import MemoryPlan, plan_file
 from nanogs.pipeline.plan import ScalePlan
 from nanogs.pipeline.presets import effective, renders
 from nanogs.pipeline.reading import inspect_parts, prepare, read_parts
+from nanogs.pipeline.request import Request, plan_files
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.target import Goal
 from nanogs.sink import Chunked

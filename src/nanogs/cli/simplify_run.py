@@ -17,9 +17,10 @@ from nanogs.io import bytes_on_disk, check_writable, registry
 from nanogs.io.collect import Pair
 from nanogs.kernels.compiling import when_compiling
 from nanogs.pipeline.api import refuse_searches
-from nanogs.pipeline.files import Request, simplify_files
+from nanogs.pipeline.files import simplify_files
 from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.presets import renders
+from nanogs.pipeline.request import Request
 from nanogs.progress import Progress
 from nanogs.protocol import Protocol
 

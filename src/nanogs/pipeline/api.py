@@ -88,7 +88,7 @@ def simplify(
     refuse_searches(goal, preset, path)
     splats = as_splats(model)
     # Here and not above: this brings Numba, which `--help` and `info` do without.
-    from nanogs.pipeline.stages import simplify_stages
+    from nanogs.pipeline.foreseen import simplify_stages
     from nanogs.threads import use_threads
 
     with use_threads(threads) as threads_used, drawn(progress) as tell:

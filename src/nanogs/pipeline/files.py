@@ -3,7 +3,7 @@
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,27 +12,19 @@ from nanogs.bar import drawn
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.errors import NotEnoughMemoryError, OptionError
-from nanogs.filters import Filter
 from nanogs.formatting import bytes_text
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
-from nanogs.io.files import splat_bytes
-from nanogs.io.format import Sizer
-from nanogs.memory import Memory, allowed_memory
 from nanogs.pipeline.api import refuse_searches, simplify
-from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.cameras import requested_cameras
-from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.in_blocks import block_parameters, simplify_into
-from nanogs.pipeline.inputs import access_of
 from nanogs.pipeline.job import NanPolicy, import_stages
-from nanogs.pipeline.memory import MemoryPlan, plan_memory
-from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
+from nanogs.pipeline.presets import DEFAULT_PRESET
 from nanogs.pipeline.reading import read_changed, reading_stages
+from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
 from nanogs.pipeline.rows import Changes
-from nanogs.pipeline.settings import Access
-from nanogs.pipeline.target import Goal, target_count
+from nanogs.pipeline.target import Goal
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Measuring, Parts, Progress, Stage, Tracker
 from nanogs.protocol import Judged
@@ -41,113 +33,16 @@ from nanogs.report import SimplifyReport
 from nanogs.sink import OneFile
 from nanogs.source import Filtered, Joined, Reduced, Source
 from nanogs.splats import Splats
-from nanogs.store.columns import row_bytes
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from distributed import Client
 
+    from nanogs.filters import Filter
     from nanogs.io.format import FormatOptions
     from nanogs.raster.camera import Camera
     from nanogs.views.cameras import Cameras
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Request:
-    """A smaller file, as it is asked for; the fields are the arguments of `simplify_blocks`.
-
-    Attributes:
-        goal: What is asked.
-        overrides: Parameters of the preset to replace, by name.
-        measured: Whether the result is held against the input as `nanogs compare` does it; None
-            for where the preset renders anyway and the model is in memory.
-    """
-
-    goal: Goal
-    inputs: tuple[Path, ...] = ()
-    output: Path = Path()
-    preset: str = DEFAULT_PRESET
-    overrides: dict[str, Any] = field(default_factory=dict)
-    measured: bool | None = False
-    max_memory: int | None = None
-    block: int | None = None
-    job: Path | None = None
-    scratch: str | None = None
-    resume: bool = False
-    overwrite: bool = False
-    nan: NanPolicy = "drop"
-    filters: Sequence[Filter] = ()
-    sh_degree: int | None = None
-    frame: tuple[str, str] | None = None
-    cameras: "Cameras | None" = None
-    up: Sequence[float] | None = None
-    threads: int | None = None
-    executor: "Client | Executor | None" = None
-    patience: float = PATIENCE
-    format_options: "FormatOptions | None" = None
-
-    @property
-    def parameters(self) -> Parameters:
-        """Of the method.
-
-        Raises:
-            OptionError: There is no such preset or parameter.
-        """
-        return parameters(self.preset, self.overrides)
-
-    @property
-    def changes(self) -> Changes:
-        """What is done to the model besides making it smaller."""
-        views = asked_views(self.cameras, self.up)
-        return Changes(self.filters, self.sh_degree, self.frame, views)
-
-    @property
-    def sizer(self) -> Sizer | None:
-        """Bytes of the output's format for a count; None where only writing a file tells."""
-        return registry.writable(self.output).file_bytes
-
-    @property
-    def in_rows(self) -> bool:
-        """Whether any rows of the inputs are read without the others."""
-        return all(access_of(open_model(path)) is Access.ROWS for path in self.inputs)
-
-    @property
-    def folder(self) -> Path:
-        """Of the job, if it becomes one."""
-        return job_folder(self.output, self.job)
-
-    @property
-    def begun(self) -> bool:
-        """Whether there is a job to continue."""
-        return self.resume and (self.folder / MANIFEST).exists()
-
-    def goes_on(self) -> bool:
-        """Whether there is a job to continue, which sees to its output itself.
-
-        Raises:
-            OutputError: There is none to continue, but an output.
-        """
-        if self.resume and not self.overwrite:
-            refuse_finished(self.folder, self.output)
-        return self.begun
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """How a request is going to be met.
-
-    Attributes:
-        splats: Of the inputs.
-        memory: What it takes in memory.
-        allowed: What it may take.
-        divided: Whether it is made in blocks.
-    """
-
-    splats: int
-    memory: MemoryPlan
-    allowed: Memory
-    divided: bool
 
 
 def simplify_blocks(
@@ -251,25 +146,6 @@ def simplify_blocks(
         return simplify_files(request, tell)
 
 
-def plan_files(request: Request) -> Plan:
-    """Decide between a model in memory and blocks, for every caller; no row is read.
-
-    In memory it is where that is enough, unless what only jobs have is asked for: blocks of a size,
-    a job or scratch folder, workers elsewhere, or that it can be continued.
-
-    Raises:
-        NanogsError: An input cannot be read, or there is no such preset or parameter.
-    """
-    with Joined([open_model(path) for path in request.inputs]) as source:
-        splats, layout = source.count, source.columns
-    chosen = request.parameters
-    target, allowed = _most(request.goal, splats), allowed_memory(request.max_memory)
-    extra = row_bytes(layout) - splat_bytes(layout.sh_degree)
-    memory = plan_memory(splats, layout.sh_degree, extra, chosen, target, judged=_judged(request))
-    asked = request.block or request.job or request.scratch or request.executor or request.resume
-    return Plan(splats, memory, allowed, bool(asked or memory.peak > allowed.bytes))
-
-
 def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     """Do what is asked for, in memory or in blocks.
 
@@ -361,7 +237,7 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
             progress=tracker.passing(),
         )  # fmt: skip
     judged = report.judged
-    if _measured(request) and judged is None:
+    if is_measured(request) and judged is None:
         from nanogs.scoring.held_out import judge_file  # which brings Numba
 
         tracker.begin("measure")
@@ -395,29 +271,14 @@ def _cameras(request: Request, splats: Splats) -> "Sequence[Camera] | None":
 
 def _stages(request: Request, plan: Plan) -> list[Stage]:
     """The stages to come: reading, filters, the method's own ones, writing, measuring."""
-    from nanogs.pipeline.stages import simplify_stages
+    from nanogs.pipeline.foreseen import simplify_stages
 
     splats, suffix, goal = plan.splats, request.output.suffix, request.goal
     count = None if goal.size is not None else goal.target(splats, lambda _count: 0)
     stages = reading_stages(Changes(request.filters), splats)
     stages += simplify_stages(request.parameters, goal, splats, count, suffix)
     stages.append(Stage("write", write_weight(suffix, count or splats // 10)))
-    return [*stages, measure_stage(splats)] if _measured(request) and not goal.psnr else stages
-
-
-def _most(goal: Goal, splats: int) -> int:
-    """Splats of the largest result that there may be."""
-    if goal.size is not None or goal.psnr is not None or (goal.count or 0) > splats:
-        return splats
-    return target_count(splats, goal.ratio, goal.count)
-
-
-def _judged(request: Request) -> bool:
-    return _measured(request) or request.goal.psnr is not None
-
-
-def _measured(request: Request) -> bool:
-    return renders(request.parameters) if request.measured is None else request.measured
+    return [*stages, measure_stage(splats)] if is_measured(request) and not goal.psnr else stages
 
 
 def _suffix(output: Path) -> str:

@@ -8,9 +8,9 @@ import numpy as np
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
+from nanogs.pipeline.foreseen import delivery_stages
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import deliver, plain
-from nanogs.pipeline.stages import delivery_stages
 from nanogs.pipeline.weights import RESULTS, SIZES, write_weight
 from nanogs.pipeline.whole import Whole
 from nanogs.progress import Stage, Tracker

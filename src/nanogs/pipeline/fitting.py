@@ -95,7 +95,7 @@ def notes_on_fits(work: "Work", level: int) -> list[str]:
     """A sentence on the blocks that were not fitted; none where all were, or nothing was seen."""
     records = work.of_blocks("fit", level)
     left = sum(record.facts["gained"] is None for record in records)
-    if not left or not work.looks:
+    if not left:
         return []
     if len(records) == 1:
         return ["The result was not fitted: too few views show it."]

@@ -1,6 +1,7 @@
 """The merge forest of each block, and how late each of its merges is to be done."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from nanogs.method.forest import grow_forest
 from nanogs.method.nodes import Nodes
 from nanogs.method.parameters import ForestParameters
 from nanogs.progress import untold
+from nanogs.report import PassReport
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Sorted, write_table
 
@@ -53,8 +55,36 @@ def grow(
         scores = merge_scores(forest, balance, 1.0).astype(np.float32)
         columns[scores_of(number)] = scores
         columns[histogram_of(number)] = np.bincount(keys(scores) >> 16, minlength=BINS)
-    facts = {"splats": forest.splats, "fewest": forest.fewest, "stop": str(forest.stop)}
+    facts = {
+        "splats": forest.splats,
+        "fewest": forest.fewest,
+        "stop": str(forest.stop),
+        # No seconds: they would differ from run to run.
+        "passes": [asdict(replace(each, seconds={})) for each in forest.passes],
+    }
     return write_table(scratch, name, columns, facts)
+
+
+def passes_of(forests: Sequence[Record]) -> tuple[PassReport, ...]:
+    """The passes of all forests together; one that has ended before keeps what it has left."""
+    passes = [[PassReport(**each) for each in record.facts["passes"]] for record in forests]
+    found = []
+    for number in range(max(map(len, passes), default=0)):
+        here = [each[number] for each in passes if number < len(each)]
+        left = sum(each[-1].count_after for each in passes if each and number >= len(each))
+        costs = [each.highest_cost for each in here if each.highest_cost is not None]
+        found.append(
+            PassReport(
+                count_before=left + sum(each.count_before for each in here),
+                candidates=sum(each.candidates for each in here),
+                without_cost=sum(each.without_cost for each in here),
+                merged=sum(each.merged for each in here),
+                count_after=left + sum(each.count_after for each in here),
+                highest_cost=max(costs, default=None),
+                seconds={},
+            )
+        )
+    return tuple(found)
 
 
 def keys(scores: F32) -> U32:

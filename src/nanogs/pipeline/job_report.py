@@ -7,12 +7,10 @@ from itertools import pairwise
 from nanogs.clock import StageClock
 from nanogs.filters import FilterReport, filter_of
 from nanogs.findings import join_findings, of_plain
-from nanogs.pipeline.fitting import fit_report, notes_on_fits
+from nanogs.pipeline.outcome import entries_of
 from nanogs.pipeline.run import Done
-from nanogs.pipeline.seen import shown_share
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.target import Goal
-from nanogs.pipeline.trials import reports_of
 from nanogs.report import BlocksReport, SimplifyReport, StopReason
 from nanogs.store.columns import count_of
 
@@ -44,8 +42,8 @@ def report_of(
     merged = work.merges(level)
     settled = work.of_blocks("settle", level) if merged and settings.parameters.rounds else []
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
-    looked = [*work.views.notes] if settings.looks else []
-    looked += notes_on_fits(work, level) if work.fits(level) else []
+    entries = entries_of(work, level)
+    notes = (*settings.layout.notes, *own_notes, *entries["notes"])
     return SimplifyReport(
         preset=preset,
         parameters=asdict(settings.parameters),
@@ -57,16 +55,12 @@ def report_of(
         pruned=0,
         prune_threshold=0.0,
         prune_limited=False,
-        passes=(),
         achieved_count=count,
         stop=StopReason.TARGET if count == target else StopReason.NO_PROGRESS,
         seconds=clock.seconds,
         total_seconds=time.perf_counter() - start,
         threads=work.threads,
-        shown=shown_share(work) if work.looks else None,
-        candidates=reports_of(work, level) if work.tries(level) else (),
-        refit=fit_report(work, level) if work.fits(level) else None,
-        notes=tuple(dict.fromkeys([*settings.layout.notes, *own_notes, *looked])),
+        **entries | {"notes": tuple(dict.fromkeys(notes))},
         blocks=BlocksReport(
             blocks=partition.blocks,
             largest=max(partition.count(block) for block in range(partition.blocks)),

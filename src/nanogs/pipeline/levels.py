@@ -100,7 +100,7 @@ def judged_levels(
     refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
     counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
     job.refuse_too_large(counts[0], max_memory, judged=judged)
-    from nanogs.pipeline.stages import levels_stages
+    from nanogs.pipeline.foreseen import levels_stages
 
     stages = levels_stages(job.parameters, len(job.rows), counts)
     return _drawn(job, tuple(ratios), threads, progress, stages)
@@ -167,7 +167,7 @@ def _level(
     start: float,
     progress: Tracker,
 ) -> tuple[Splats, SimplifyReport]:
-    from nanogs.pipeline.stages import delivery_stages
+    from nanogs.pipeline.foreseen import delivery_stages
 
     target = target_count(len(job.rows), ratio, None)
     stages = delivery_stages(job.parameters, len(job.rows), target)

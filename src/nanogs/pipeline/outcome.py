@@ -1,7 +1,7 @@
 """What the stages have found of a result, as reports have it."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nanogs.fit.report import RefitReport
 from nanogs.protocol import Judged
@@ -15,6 +15,7 @@ from nanogs.report import (
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
+    from nanogs.pipeline.scene import Scene
     from nanogs.pipeline.whole import Whole
 
 
@@ -40,19 +41,26 @@ class Outcome:
 
 def outcome_of(scene: "Whole", level: int) -> Outcome:
     """A result of a model in memory, whose stages are done; the scene keeps nothing of it."""
-    from nanogs.pipeline.trials import reports_of
+    entries, reached = entries_of(scene, level), scene.target(level) == scene.targets[level]
+    stop = StopReason.TARGET if reached else scene.forest.stop
+    return Outcome(splats=scene.taken(level), stop=stop, **entries)
 
-    small, refit = scene.taken(level)
-    forest, notes = scene.forest, scene.views.notes if scene.settings.looks else ()
-    if scene.fits(level) and scene.looks and refit is None:
-        notes += ("The result was not fitted: one view cannot tell what helps.",)
-    reached = scene.target(level) == scene.targets[level]
-    return Outcome(
-        splats=small,
-        passes=forest.passes,
-        stop=StopReason.TARGET if reached else forest.stop,
-        shown=scene.shown if scene.merges(level) else None,
-        candidates=reports_of(scene, level) if scene.tries(level) else (),
-        refit=refit,
-        notes=notes,
-    )
+
+def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
+    """The entries of a report that stages fill in, by name.
+
+    Args:
+        scene: A model in memory, or a scene in blocks; all of its stages are done.
+        level: Of the result.
+    """
+    from nanogs.pipeline.trials import reports_of  # which brings Numba
+
+    looked = scene.views.notes if scene.settings.looks else ()
+    unfitted = scene.notes_on_fits(level) if scene.fits(level) and scene.looks else ()
+    return {
+        "passes": scene.passes,
+        "shown": scene.shown if scene.merges(level) and scene.looks else None,
+        "candidates": reports_of(scene, level) if scene.tries(level) else (),
+        "refit": scene.fit_report(level) if scene.fits(level) else None,
+        "notes": (*looked, *unfitted),
+    }

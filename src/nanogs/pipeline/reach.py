@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from nanogs.clock import StageClock
+from nanogs.pipeline.foreseen import delivery_stages
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import deliver, plain
-from nanogs.pipeline.stages import delivery_stages
 from nanogs.pipeline.weights import COUNTS
 from nanogs.pipeline.whole import Whole
 from nanogs.progress import Stage, Tracker

@@ -20,6 +20,7 @@ from nanogs.pipeline.views import Views
 from nanogs.progress import Parts
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering
+from nanogs.report import PassReport
 from nanogs.splats import Splats
 from nanogs.store.tables import Record
 
@@ -231,6 +232,24 @@ class Scene(ABC):
     @abstractmethod
     def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
         """Keep the splats of a block in a result after the fit; no report where none was made."""
+
+    @property
+    @abstractmethod
+    def passes(self) -> tuple[PassReport, ...]:
+        """What each pass of growing the forest did; of blocks, all together and without seconds."""
+
+    @property
+    @abstractmethod
+    def shown(self) -> float | None:
+        """Share of the coverage of all splats, in [0, 1], that the views show."""
+
+    @abstractmethod
+    def fit_report(self, level: int) -> RefitReport | None:
+        """How a result was fitted; None where it could not be."""
+
+    @abstractmethod
+    def notes_on_fits(self, level: int) -> Sequence[str]:
+        """A sentence on what could not be fitted; none where all was."""
 
     def of_job(self, stage: str, level: int = 0) -> Record:
         """The record of what a stage of one task wrote."""

@@ -20,9 +20,9 @@ from nanogs.pipeline.folder import (
     read_manifest,
     write_manifest,
 )
+from nanogs.pipeline.foreseen import job_stages
 from nanogs.pipeline.run import Done, Executor, Here, run_tasks
 from nanogs.pipeline.settings import Settings, differences
-from nanogs.pipeline.stages import job_stages
 from nanogs.pipeline.workers import workers_of
 from nanogs.progress import WAITING, Progress, Tracker
 from nanogs.sink import Written

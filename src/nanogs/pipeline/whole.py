@@ -26,6 +26,7 @@ from nanogs.pipeline.views import Views
 from nanogs.progress import Parts, untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render
+from nanogs.report import PassReport
 from nanogs.source import InMemory
 from nanogs.splats import Splats, pick
 from nanogs.store.tables import Record
@@ -114,7 +115,7 @@ class Whole(Scene):
 
     @property
     def shown(self) -> float | None:
-        """Share of the coverage, in [0, 1], that the views show; None where none was rendered."""
+        """As `Scene` says; None where none was rendered."""
         if self.visible is None or self.missed is None or self._leaves is None:
             return None
         rows = self._leaves.rows
@@ -285,9 +286,25 @@ class Whole(Scene):
         self._parts[level], self._fits[level] = fitted, report
         return self.write(name, {}, {})
 
-    def taken(self, level: int) -> tuple[Splats, RefitReport | None]:
-        """A result and how it was fitted, if it was; nothing of it is kept."""
-        return self._parts.pop(level), self._fits.pop(level, None)
+    @property
+    def passes(self) -> tuple[PassReport, ...]:
+        """As `Scene` says."""
+        return self.forest.passes
+
+    def fit_report(self, level: int) -> RefitReport | None:
+        """As `Scene` says."""
+        return self._fits[level]
+
+    def notes_on_fits(self, level: int) -> Sequence[str]:
+        """As `Scene` says."""
+        if self._fits[level] is not None:
+            return ()
+        return ("The result was not fitted: one view cannot tell what helps.",)
+
+    def taken(self, level: int) -> Splats:
+        """A result, of which nothing is kept."""
+        self._fits.pop(level, None)
+        return self._parts.pop(level)
 
 
 def whole_settings(splats: Splats, parameters: ForestParameters) -> Settings:

@@ -20,8 +20,8 @@ from nanogs.pipeline.blocks import Seen, leaves_of, morton_rows, read_block, wit
 from nanogs.pipeline.cameras import fit_cameras
 from nanogs.pipeline.coarse import coarse_scene, surroundings
 from nanogs.pipeline.cuts import LABELS, cut_block
-from nanogs.pipeline.fitting import fit_views
-from nanogs.pipeline.forests import grow
+from nanogs.pipeline.fitting import fit_report, fit_views, notes_on_fits
+from nanogs.pipeline.forests import grow, passes_of
 from nanogs.pipeline.frame import Frame, frame_of, survey
 from nanogs.pipeline.halo import Halo, find_halo
 from nanogs.pipeline.memory_blocks import FINE, ROUGH
@@ -29,7 +29,14 @@ from nanogs.pipeline.partition import Partition, partition_of
 from nanogs.pipeline.parts import read_part
 from nanogs.pipeline.rows import sample
 from nanogs.pipeline.scene import Block, FitViews, Lit, Members, Scene, Task
-from nanogs.pipeline.seen import VISIBLE, closer_views, read_visible, typical_weight, write_look
+from nanogs.pipeline.seen import (
+    VISIBLE,
+    closer_views,
+    read_visible,
+    shown_share,
+    typical_weight,
+    write_look,
+)
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.settle import GONE, GROUP, settled, view_of, write_settled
 from nanogs.pipeline.unpack import Unpacked
@@ -37,6 +44,7 @@ from nanogs.pipeline.views import Views, parts_of, views_of
 from nanogs.progress import Parts, untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render, together
+from nanogs.report import PassReport
 from nanogs.source import Layout
 from nanogs.splats import Splats
 from nanogs.store.columns import (
@@ -334,6 +342,24 @@ class Work(Scene):
     def fit_views(self, block: int, level: int) -> FitViews | None:
         """As `Scene` says."""
         return fit_views(self, block, level)
+
+    @property
+    def passes(self) -> tuple[PassReport, ...]:
+        """As `Scene` says."""
+        return passes_of(self.of_blocks("grow"))
+
+    @property
+    def shown(self) -> float:
+        """As `Scene` says."""
+        return shown_share(self)
+
+    def fit_report(self, level: int) -> RefitReport | None:
+        """As `Scene` says: each block is a group."""
+        return fit_report(self, level)
+
+    def notes_on_fits(self, level: int) -> Sequence[str]:
+        """As `Scene` says."""
+        return notes_on_fits(self, level)
 
     def part(self, block: int, level: int) -> Splats:
         """As `Scene` says."""

@@ -1,0 +1,102 @@
+"""The stages that a call is going to have, and about how long each takes, for its progress."""
+
+from collections.abc import Sequence
+
+from nanogs.method.paper.parameters import PaperParameters
+from nanogs.pipeline.presets import Parameters, renders
+from nanogs.pipeline.settings import Settings
+from nanogs.pipeline.stages import STAGES, stages_of
+from nanogs.pipeline.target import Goal
+from nanogs.pipeline.weights import (
+    COUNTS,
+    RESULTS,
+    SIZES,
+    Load,
+    level_stage,
+    measure_stage,
+    published_stages,
+    write_weight,
+)
+from nanogs.progress import Stage
+
+
+def job_stages(settings: Settings) -> list[Stage]:
+    """The stages of a job in blocks, and how long each takes beside the others."""
+    ratios = settings.ratios or tuple(count / settings.splats for count in settings.counts)
+    packing = settings.chunks.weight if settings.chunks else 1.0
+    stages = []
+    for stage, level in stages_of(settings):
+        share = ratios[level] if stage.levels is None else 1.0
+        load = Load(settings.parameters, settings.splats / 1e6, share * settings.splats / 1e6)
+        stages.append(
+            Stage(stage.name, packing * load.left if stage.name == "chunk" else stage.weight(load))
+        )
+    return [*stages, Stage("write", 0.1 * settings.splats / 1e6)]
+
+
+def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
+    """Stages of a model in memory that are done once for any count.
+
+    Args:
+        parameters: Of the method; `paper` does all of it for each count.
+        splats: Of the model.
+    """
+    return _weighed(parameters, splats, splats, results=False)
+
+
+def delivery_stages(parameters: Parameters, splats: int, count: int) -> list[Stage]:
+    """Stages of a model in memory that are done for each count."""
+    if isinstance(parameters, PaperParameters):
+        return published_stages(splats)
+    return _weighed(parameters, splats, count, results=True)
+
+
+def _weighed(parameters: Parameters, splats: int, count: int, *, results: bool) -> list[Stage]:
+    if isinstance(parameters, PaperParameters):
+        return []
+    load = Load(parameters, splats / 1e6, count / 1e6)
+    wanted = (
+        stage
+        for stage in STAGES.values()
+        if stage.held and (stage.levels is None) == results and stage.wanted(load)
+    )
+    return [Stage(stage.name, stage.weight(load)) for stage in wanted]
+
+
+def simplify_stages(
+    parameters: Parameters, goal: Goal, splats: int, count: int | None, suffix: str
+) -> list[Stage]:
+    """The stages of `simplify`.
+
+    Args:
+        parameters: Of the method.
+        goal: What is asked.
+        splats: Of the model.
+        count: What the goal comes to, or None where only a search can tell.
+        suffix: Of the file that a size is about.
+    """
+    once = build_stages(parameters, splats)
+    if isinstance(parameters, PaperParameters) or count is not None:
+        return [*once, *delivery_stages(parameters, splats, count or splats)]
+    typical, millions = splats // 10, splats / 1e6
+    weight = sum(stage.weight for stage in delivery_stages(parameters, splats, typical))
+    if goal.psnr is not None:
+        stages = [measure_stage(splats), *once, Stage("search", COUNTS * (0.1 + 0.4 * millions))]
+        if renders(parameters):
+            stages.append(Stage("deliver", COUNTS * (weight + 0.1)))
+        return stages
+    writing = write_weight(suffix, typical)
+    search = [Stage("search", SIZES * (writing + 0.3 * millions))]
+    if renders(parameters):
+        search.append(Stage("deliver", RESULTS * (writing + weight)))
+    return [Stage("guess", writing / 5), *once, *search]
+
+
+def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) -> list[Stage]:
+    """The stages of `levels`: what is done once, and each level."""
+    each = [delivery_stages(parameters, splats, count) for count in counts]
+    levels = [
+        Stage(level_stage(number), sum(stage.weight for stage in stages))
+        for number, stages in enumerate(each)
+    ]
+    return [*build_stages(parameters, splats), *levels]

@@ -1,0 +1,165 @@
+"""What is asked of files, and whether it is met in memory or in blocks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nanogs.defaults import PATIENCE
+from nanogs.filters import Filter
+from nanogs.io import open as open_model
+from nanogs.io import registry
+from nanogs.io.files import splat_bytes
+from nanogs.io.format import Sizer
+from nanogs.memory import Memory, allowed_memory
+from nanogs.pipeline.asked import asked_views
+from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
+from nanogs.pipeline.inputs import access_of
+from nanogs.pipeline.job import NanPolicy
+from nanogs.pipeline.memory import MemoryPlan, plan_memory
+from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
+from nanogs.pipeline.rows import Changes
+from nanogs.pipeline.settings import Access
+from nanogs.pipeline.target import Goal, target_count
+from nanogs.source import Joined
+from nanogs.store.columns import row_bytes
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from distributed import Client
+
+    from nanogs.io.format import FormatOptions
+    from nanogs.views.cameras import Cameras
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Request:
+    """A smaller file, as it is asked for; the fields are the arguments of `simplify_blocks`.
+
+    Attributes:
+        goal: What is asked.
+        overrides: Parameters of the preset to replace, by name.
+        measured: Whether the result is held against the input as `nanogs compare` does it; None
+            for where the preset renders anyway and the model is in memory.
+    """
+
+    goal: Goal
+    inputs: tuple[Path, ...] = ()
+    output: Path = Path()
+    preset: str = DEFAULT_PRESET
+    overrides: dict[str, Any] = field(default_factory=dict)
+    measured: bool | None = False
+    max_memory: int | None = None
+    block: int | None = None
+    job: Path | None = None
+    scratch: str | None = None
+    resume: bool = False
+    overwrite: bool = False
+    nan: NanPolicy = "drop"
+    filters: Sequence[Filter] = ()
+    sh_degree: int | None = None
+    frame: tuple[str, str] | None = None
+    cameras: "Cameras | None" = None
+    up: Sequence[float] | None = None
+    threads: int | None = None
+    executor: "Client | Executor | None" = None
+    patience: float = PATIENCE
+    format_options: "FormatOptions | None" = None
+
+    @property
+    def parameters(self) -> Parameters:
+        """Of the method.
+
+        Raises:
+            OptionError: There is no such preset or parameter.
+        """
+        return parameters(self.preset, self.overrides)
+
+    @property
+    def changes(self) -> Changes:
+        """What is done to the model besides making it smaller."""
+        views = asked_views(self.cameras, self.up)
+        return Changes(self.filters, self.sh_degree, self.frame, views)
+
+    @property
+    def sizer(self) -> Sizer | None:
+        """Bytes of the output's format for a count; None where only writing a file tells."""
+        return registry.writable(self.output).file_bytes
+
+    @property
+    def in_rows(self) -> bool:
+        """Whether any rows of the inputs are read without the others."""
+        return all(access_of(open_model(path)) is Access.ROWS for path in self.inputs)
+
+    @property
+    def folder(self) -> Path:
+        """Of the job, if it becomes one."""
+        return job_folder(self.output, self.job)
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a job to continue."""
+        return self.resume and (self.folder / MANIFEST).exists()
+
+    def goes_on(self) -> bool:
+        """Whether there is a job to continue, which sees to its output itself.
+
+        Raises:
+            OutputError: There is none to continue, but an output.
+        """
+        if self.resume and not self.overwrite:
+            refuse_finished(self.folder, self.output)
+        return self.begun
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a request is going to be met.
+
+    Attributes:
+        splats: Of the inputs.
+        memory: What it takes in memory.
+        allowed: What it may take.
+        divided: Whether it is made in blocks.
+    """
+
+    splats: int
+    memory: MemoryPlan
+    allowed: Memory
+    divided: bool
+
+
+def plan_files(request: Request) -> Plan:
+    """Decide between a model in memory and blocks, for every caller; no row is read.
+
+    In memory it is where that is enough, unless what only jobs have is asked for: blocks of a size,
+    a job or scratch folder, workers elsewhere, or that it can be continued.
+
+    Raises:
+        NanogsError: An input cannot be read, or there is no such preset or parameter.
+    """
+    with Joined([open_model(path) for path in request.inputs]) as source:
+        splats, layout = source.count, source.columns
+    chosen = request.parameters
+    target, allowed = _most(request.goal, splats), allowed_memory(request.max_memory)
+    extra = row_bytes(layout) - splat_bytes(layout.sh_degree)
+    memory = plan_memory(splats, layout.sh_degree, extra, chosen, target, judged=_judged(request))
+    asked = request.block or request.job or request.scratch or request.executor or request.resume
+    return Plan(splats, memory, allowed, bool(asked or memory.peak > allowed.bytes))
+
+
+def _most(goal: Goal, splats: int) -> int:
+    """Splats of the largest result that there may be."""
+    if goal.size is not None or goal.psnr is not None or (goal.count or 0) > splats:
+        return splats
+    return target_count(splats, goal.ratio, goal.count)
+
+
+def _judged(request: Request) -> bool:
+    return is_measured(request) or request.goal.psnr is not None
+
+
+def is_measured(request: Request) -> bool:
+    """Whether a model in memory is measured."""
+    return renders(request.parameters) if request.measured is None else request.measured
