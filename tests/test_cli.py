@@ -123,7 +123,6 @@ def test_a_psnr_is_reached_or_it_is_said(scene, tmp_path):
     assert len(nanogs.load(tmp_path / "b.ply")) == 500
 
 
-@pytest.mark.slow
 def test_steps_reach_the_method(scene, tmp_path):
     options = ("-r", "0.1", "--preset", "fast", "--steps", "6", "--json")
     report = json.loads(run("simplify", scene, tmp_path / "a.ply", *options).stdout)
@@ -134,7 +133,6 @@ def test_steps_reach_the_method(scene, tmp_path):
 QUICK = ("--steps", "1", "--no-measure")
 
 
-@pytest.mark.slow
 def test_views_reach_the_method(scene, tmp_path):
     def candidates(name, up):
         options = ("-r", "0.1", "--cameras", "orbit", "--up", up, "--views", "2", "--json", *QUICK)

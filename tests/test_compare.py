@@ -229,7 +229,6 @@ def test_every_comparison_names_its_protocol():
     assert photographs.text == "14 train photographs of 800 pixels over #ff0000"
 
 
-@pytest.mark.slow
 def test_compare_refuses(files, tmp_path):
     scene, small = files / "scene.ply", files / "small_0.1.ply"
     assert_refused(run("compare", scene, tmp_path / "no.ply"), "no.ply")

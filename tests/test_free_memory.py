@@ -520,7 +520,11 @@ def models(tmp_path_factory):
             ["compare", "large.ply", "small.ply"],
             "compare_bytes([large, small], 512**2, 8, paged=0)",
         ),
-        (["convert", "plain.ply", "a.sog", "-w"], "convert_bytes(file, Path('a.sog'), whole=0)"),
+        pytest.param(
+            ["convert", "plain.ply", "a.sog", "-w"],
+            "convert_bytes(file, Path('a.sog'), whole=0)",
+            marks=pytest.mark.slow,
+        ),
         (["convert", "large.ply", "a.ply", "-w"], "convert_bytes(file, Path('a.ply'), whole=0)"),
         (["convert", "large.ply", "a.spz", "-w"], "convert_bytes(file, Path('a.spz'), whole=0)"),
         (["convert", "large.ply", "a.glb", "-w"], "convert_bytes(file, Path('a.glb'), whole=0)"),
