@@ -18,6 +18,9 @@ FLOORS := build/floors
 NEWEST := build/newest
 # Pythons to run `make newest` on: the first that can be had.
 PYTHONS ?= 3.14
+# Processes that `make test` runs tests in: one more than two processors, since some tests wait for
+# browsers, clusters and disks.
+WORKERS ?= 3
 # What `make floors` and `make newest` run.
 TESTS ?= tests
 # What `make bounds` runs: whatever calls kernels, with small models.
@@ -43,7 +46,7 @@ demo: $(STAMP) ## simplify a real scene to 10 % in two ways, and show all in dem
 	$(BIN)/nanogs compare demo/scene.ply demo/small.sog demo/best.sog --report demo/report.html -w
 
 test: $(STAMP) ## run the tests
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 # Each index of each kernel is checked as it is used: one that is out of its array raises, where a
 # kernel as usual would read or write beside it. Vectors are written without checks, so the plain
