@@ -57,7 +57,7 @@ def test_a_bar_is_full_at_the_end_and_only_where_it_is_asked_for(
     call(*pair, False)
     assert screen.getvalue() == ""
     call(*pair, True)
-    assert re.fullmatch(r"(\d)/\1 \w+ +━{40} 100% \d:\d\d:\d\d", last_line(screen))
+    assert re.fullmatch(r"(\d+)/\1 \w+ +━{40} 100% \d:\d\d:\d\d", last_line(screen))
     assert capfd.readouterr() == ("", "")
 
 
