@@ -301,8 +301,6 @@ def test_blocks_that_are_resumed_keep_their_size_whatever_is_free(scene, tmp_pat
     [
         (["--workers", "2"], "simplify", ["-r", "0.1"]),
         (["--workers", "2"], "lod", ["--levels", "0.1"]),
-        (["--resume"], "lod", ["--levels", "0.1"]),
-        (["--scratch", "x"], "lod", ["--levels", "0.1"]),
     ],
 )
 def test_options_for_blocks_that_have_no_effect_are_named(

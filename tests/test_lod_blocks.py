@@ -13,8 +13,8 @@ import nanogs
 from builders import random_splats
 from launch import run
 from nanogs import io
-from nanogs.errors import FormatError, OptionError, OutputError
-from nanogs.levels_of_detail import write_levels_in_blocks
+from nanogs.errors import FormatError, NotEnoughMemoryError, OptionError, OutputError
+from nanogs.levels_of_detail import write_levels
 from nanogs.lod import folder as levels_folder
 from nanogs.lod.cells import divide
 from nanogs.lod.folder import made_files
@@ -26,7 +26,6 @@ from nanogs.pipeline import stages
 from nanogs.pipeline.folder import MANIFEST
 from nanogs.pipeline.plan import plan_blocks
 from nanogs.pipeline.presets import PRESETS
-from nanogs.pipeline.stored_job import Where
 from nanogs.sink import BlockChunks
 from nanogs.source import Layout as Columns
 from nanogs.splats import concatenate
@@ -44,15 +43,14 @@ def splats():
     return random_splats(1200, degree=1)
 
 
-def write(scene, folder, layout, *, ratios=RATIOS, where=None, progress=None, **options):
+def write(scene, folder, layout, *, ratios=RATIOS, progress=None, **options):
     given = {"preset": "fast", "rounds": 1, "block": BLOCK, "max_memory": None}
     if layout is not Layout.FILES:
         given["chunk"] = CHUNK
     if layout is Layout.TILES:
         given["plain"] = True
-    return write_levels_in_blocks(
-        [scene], folder, ratios, layout=layout, where=where or Where(1),
-        progress=progress, **(given | options),
+    return write_levels(
+        scene, folder, ratios, layout=layout, threads=1, progress=progress, **(given | options),
     )  # fmt: skip
 
 
@@ -133,6 +131,25 @@ def test_plain_levels_are_files_of_any_format(scene, tmp_path, plain):
         own = (tmp_path / "levels" / level.file).read_bytes()
         assert own == (tmp_path / level.file).read_bytes()
         assert level.sha256 == hashlib.sha256(own).hexdigest()
+
+
+def test_the_planner_decides_between_memory_and_blocks(tmp_path):
+    nanogs.save(random_splats(100_000, degree=0), tmp_path / "a.ply")
+    given = {"preset": "fast", "rounds": 0, "threads": 1}
+    _, [whole] = nanogs.write_levels(tmp_path / "a.ply", tmp_path / "whole", [0.01], **given)
+    assert (whole.blocks, whole.read_count) == (None, 100_000)
+    given["max_memory"] = "240MB"
+    manifest, [report] = nanogs.write_levels(
+        [tmp_path / "a.ply"], tmp_path / "l", [0.01], layout="3d tiles", chunk=100, **given
+    )
+    assert report.blocks.blocks > 1
+    assert (manifest.source, manifest.levels[0].count) == ("a.ply", 1000)
+    with pytest.raises(NotEnoughMemoryError, match="measuring levels needs the whole model"):
+        nanogs.write_levels(tmp_path / "a.ply", tmp_path / "m", [0.01], measured=True, **given)
+    with pytest.raises(OptionError, match="job is for files"):
+        nanogs.write_levels(random_splats(9), tmp_path / "m", [0.5], job=tmp_path / "j", **given)
+    with pytest.raises(NotEnoughMemoryError):
+        nanogs.write_levels(nanogs.open(tmp_path / "a.ply"), tmp_path / "m", [0.01], **given)
 
 
 def test_levels_that_would_be_held_whole_and_are_too_large_are_refused(tmp_path):
@@ -356,7 +373,7 @@ def test_workers_make_the_same_bytes(scene, tmp_path, made):
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None,
         set_as_default=False,
     ) as client:  # fmt: skip
-        write(scene, tmp_path / "levels", Layout.TILES, where=Where(1, client))
+        write(scene, tmp_path / "levels", Layout.TILES, executor=client)
     assert files(tmp_path / "levels") == files(made[Layout.TILES][0])
 
 

@@ -161,9 +161,6 @@ def test_refit():
 
 @pytest.mark.parametrize("levels", [1, 2])
 def test_blocks(tmp_path, levels):
-    from nanogs.levels_of_detail import write_levels_in_blocks
-    from nanogs.pipeline.stored_job import Where
-
     told = []
     nanogs.save(random_splats(600), tmp_path / "scene.ply")
     if levels == 1:
@@ -172,9 +169,9 @@ def test_blocks(tmp_path, levels):
             progress=told.append,
         )  # fmt: skip
     else:
-        write_levels_in_blocks(
-            [tmp_path / "scene.ply"], tmp_path / "out", [0.5, 0.1], preset="default",
-            max_memory=None, block=200, where=Where(), progress=told.append,
+        write_levels(
+            tmp_path / "scene.ply", tmp_path / "out", [0.5, 0.1], preset="default",
+            block=200, progress=told.append,
         )  # fmt: skip
     assert_true(told)
     assert {"frame", "segment", "grow", "cut", "settle", "part", "write"} <= {s.stage for s in told}

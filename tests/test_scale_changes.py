@@ -12,10 +12,8 @@ from nanogs import filters
 from nanogs.errors import ModelError, OptionError, OutputError
 from nanogs.filters import Filter
 from nanogs.frames import change_frame
-from nanogs.levels_of_detail import write_levels_in_blocks
+from nanogs.levels_of_detail import write_levels
 from nanogs.lod.layout import Layout
-from nanogs.pipeline.rows import Changes
-from nanogs.pipeline.stored_job import Where
 from nanogs.source import Filtered, Joined
 
 GIVEN = {"preset": "fast", "block": 300, "threads": 1}
@@ -91,12 +89,11 @@ def test_bands_above_a_degree_are_dropped_first(parts, scene, tmp_path):
 def test_levels_are_of_what_is_left_and_turned(parts, scene, tmp_path, layout):
     ratios = (0.5, 0.1)
     given = {"preset": "fast", "max_memory": None, "block": blocks_for(parts)["block"]}
-    given |= {"layout": layout, "where": Where(1)} | (
+    given |= {"layout": layout, "threads": 1} | (
         {"plain": True, "chunk": 100} if layout is Layout.TILES else {}
     )
-    write_levels_in_blocks([scene], tmp_path / "one", ratios, **given)
-    changes = Changes(KEPT, None, FRAME)
-    write_levels_in_blocks(parts, tmp_path / "two", ratios, changes=changes, **given)
+    write_levels(scene, tmp_path / "one", ratios, **given)
+    write_levels(parts, tmp_path / "two", ratios, filters=KEPT, frame=FRAME, **given)
     for level in range(2):
         one, two = (read_level(tmp_path / name, layout, level) for name in ("one", "two"))
         assert set(map(bytes, two.means)) == set(map(bytes, change_frame(one, *FRAME).means))

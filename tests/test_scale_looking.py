@@ -179,12 +179,7 @@ def test_the_scratch_is_as_large_as_planned(scene, tmp_path, monkeypatch, given,
 
 
 def test_levels_look_too(scene, tmp_path):
-    from nanogs.levels_of_detail import write_levels_in_blocks
-    from nanogs.pipeline.stored_job import Where
-
-    given = {key: value for key, value in BLOCKS.items() if key != "threads"}
-    given |= {"max_memory": None, "where": Where(1)}
-    _, reports = write_levels_in_blocks([scene], tmp_path / "levels", [0.4, 0.1], **given)
+    _, reports = nanogs.write_levels(scene, tmp_path / "levels", [0.4, 0.1], **BLOCKS)
     assert [report.achieved_count for report in reports] == [COUNT * 2 // 5, COUNT // 10]
     assert all(report.refit.psnr_after > report.refit.psnr_before for report in reports)
 

@@ -3,35 +3,42 @@
 Here who makes levels (`pipeline`) and who lays them out (`lod`) meet, and nowhere else.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nanogs.bar import drawn
+from nanogs.clock import StageClock
+from nanogs.errors import OptionError
 from nanogs.frames import change_frame
 from nanogs.io.models import Model, as_splats
+from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
 from nanogs.lod.layout import Layout, chunks_of
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.measured import LevelJudge, level_judge
+from nanogs.pipeline.files import cameras_of, fill_in_blocks
 from nanogs.pipeline.foreseen import levels_stages
-from nanogs.pipeline.in_blocks import simplify_into
+from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.levels import check_ratios, judged_levels
-from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters
+from nanogs.pipeline.reading import Prepared, prepare, read_changed, reading_stages
+from nanogs.pipeline.request import Request, is_measured, plan_files
+from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
+from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
+from nanogs.source import Source
+from nanogs.splats import Splats
 
-if TYPE_CHECKING:
-    from nanogs.pipeline.stored_job import Where
-
-_NO_PARAMETERS = ("preset", "cameras", "nan", "threads", "max_memory")
+_FIELDS = frozenset(each.name for each in fields(Request))
 
 
 def write_levels(
-    model: Model,
+    model: Model | Sequence[str | PathLike[str]],
     folder: str | PathLike[str],
     ratios: Sequence[float],
     *,
@@ -42,17 +49,20 @@ def write_levels(
     suffix: str = PLY,
     frame: tuple[str, str] | None = None,
     overwrite: bool = False,
-    measured: bool = False,
+    measured: bool | None = False,
     progress: Progress | bool | None = None,
-    **options: Any,  # noqa: ANN401 - as `levels` takes them
+    **options: Any,  # noqa: ANN401 - as `levels` or `simplify_blocks` takes them
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make the levels of a model; all of the folder appears or nothing.
 
+    Files may be of any size: what does not fit into memory is made in blocks. In chunks, each block
+    then has a tree of its own, and what describes the folder joins them.
+
     Args:
-        model: The model, a source of it, or a path.
+        model: The model, a source of it, a path, or paths of the parts of one scene.
         folder: The folder to make.
         ratios: As `levels` takes them.
-        source: Name of the model for the manifest; by default that of its file.
+        source: Name of the model for the manifest; by default that of its files.
         layout: "files", one a level; "streamed sog" or "3d tiles".
         chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
             default.
@@ -61,9 +71,12 @@ def write_levels(
         suffix: Format of levels in files of their own.
         frame: From and to which the levels are turned before they are written.
         overwrite: Replace the folder if it holds nothing but earlier levels.
-        measured: Hold what was written of each level against the model, as `nanogs compare` does.
+        measured: Hold what was written of each level against the model, as `nanogs compare` does;
+            not in blocks. With None that is done where the preset renders and the model is in
+            memory.
         progress: As `levels` takes it; a stage "write" follows each level.
-        **options: As `levels` takes them.
+        **options: As `simplify_blocks` takes them, such as `preset`, `max_memory` and `filters`;
+            `block`, `job`, `scratch`, `resume` and `executor` are for files.
 
     Returns:
         What the manifest says, and the report of each level.
@@ -74,88 +87,98 @@ def write_levels(
         ModelError: As for `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
-    chunks = chunks_of(layout, chunk, plain=plain)
-    name = source or (Path(model).name if isinstance(model, str | PathLike) else "a model")
-    sink, splats = LevelsFolder(Path(folder), overwrite, name, chunks, suffix), as_splats(model)
-    stages = write_levels_stages(
-        _parameters(options), len(splats), ratios, layout, suffix, measured=measured
-    )
-    reports: list[SimplifyReport] = []
+    check_ratios(ratios)
+    paths = [model] if isinstance(model, str | PathLike) else model
+    files = () if isinstance(paths, Splats | Source) else tuple(map(Path, paths))
+    read: dict[str, Callable[[Any], Any]] = {"max_memory": as_bytes, "job": Path}
+    given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
+    overrides = {key: given.pop(key) for key in given.keys() - _FIELDS}
+    request = Request(
+        inputs=files, output=Path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
+        chunks=chunks_of(layout, chunk, plain=plain), frame=frame, overwrite=overwrite,
+        measured=measured, overrides=overrides, **given,
+    )  # fmt: skip
+    sink = sink_of(request, suffix=suffix, source=source)
     with drawn(progress) as tell:
-        tracker = Tracker(tell, stages)
-        made = judged_levels(splats, ratios, judged=measured, progress=tracker.passing(), **options)
-        judge = LevelJudge()
-        if measured:
-            judge = level_judge(splats, suffix, frame, options.get("threads"), tracker)
-        with sink.filled() as filling:
-            for small, report in made:
-                tracker.begin("write")
-                filling.add(change_frame(small, *frame) if frame else small, tracker.part)
-                reports.append(report)
-                del small  # or it would be kept while the next one is made
-            manifest = filling.finish(reports, judge)
-        tracker.finish()
-        return manifest, tuple(reports)
+        if not isinstance(paths, Splats | Source):
+            return write_levels_of_files(request, sink, tell)
+        if for_files := given.keys() & {"block", "job", "scratch", "resume", "executor"}:
+            raise OptionError(f"{min(for_files)} is for files; give the model's path in its place.")
+        changes = Changes(request.filters, request.sh_degree)
+        return _whole(request, prepare(as_splats(paths), changes), sink, tell)
 
 
-def write_levels_stages(
-    parameters: Parameters,
-    splats: int,
-    ratios: Sequence[float],
-    layout: Layout | str,
-    suffix: str = PLY,
-    *,
-    measured: bool = False,
-) -> list[Stage]:
-    """The stages of `write_levels`: those of `levels`, and a "write" after each level.
+def sink_of(request: Request, *, suffix: str = PLY, source: str | None = None) -> LevelsFolder:
+    """What takes the levels that are asked for; see `write_levels`."""
+    name = source or ", ".join(path.name for path in request.inputs) or "a model"
+    chunks = request.chunks if isinstance(request.chunks, ChunkLayout) else None
+    return LevelsFolder(request.output, request.overwrite, name, chunks, suffix)
+
+
+def write_levels_of_files(
+    request: Request, sink: LevelsFolder, told: Progress | None
+) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
+    """Make the levels that are asked for, in memory or in blocks.
+
+    Args:
+        request: What is asked for.
+        sink: Takes the levels.
+        told: Called with each step.
+
+    Raises:
+        NanogsError: It cannot be done.
+    """
+    plan = plan_files(request)
+    if plan.divided:
+        written, made = fill_in_blocks(request, plan, sink, told)
+        return describe_levels(sink.source, made, written), tuple(made)
+    request.goes_on()
+    sink.check()
+    import_stages(request.parameters)
+    changes = Changes(request.filters, request.sh_degree)
+    stages = _stages(request, plan.splats, sink)
+    tracker = Tracker(told, [*reading_stages(changes, plan.splats), *stages])
+    prepared = read_changed(request.inputs, changes, tracker, StageClock())
+    manifest, reports = _whole(request, prepared, sink, tracker.passing())
+    return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)
+
+
+def _whole(
+    request: Request, prepared: Prepared, sink: LevelsFolder, told: Progress | None
+) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
+    """Make the levels of a model in memory."""
+    splats, filtered, notes = prepared
+    tracker = Tracker(told, _stages(request, len(splats), sink))
+    made = judged_levels(
+        splats, request.ratios, judged=is_measured(request), preset=request.preset,
+        cameras=cameras_of(request, splats), nan=request.nan, threads=request.threads,
+        max_memory=request.max_memory, progress=tracker.passing(), **request.overrides,
+    )  # fmt: skip
+    judge, reports = LevelJudge(), []
+    if is_measured(request):
+        judge = level_judge(splats, sink.suffix, request.frame, request.threads, tracker)
+    with sink.filled() as filling:
+        for small, report in made:
+            tracker.begin("write")
+            turned = change_frame(small, *request.frame) if request.frame else small
+            filling.add(turned, tracker.part)
+            reports.append(replace(report, filters=filtered))
+            del small, turned  # or they would be kept while the next level is made
+        manifest = filling.finish(reports, judge)
+    tracker.finish()
+    return replace(manifest, notes=(*manifest.notes, *notes)), tuple(reports)
+
+
+def _stages(request: Request, splats: int, sink: LevelsFolder) -> list[Stage]:
+    """The stages of `_whole`: those of `levels`, and a "write" after each level.
 
     Where levels are measured, "measure" comes first, and the rest of it belongs to the writing.
     """
-    measure = [measure_stage(splats)] if measured else []
-    counts = [target_count(splats, ratio, None) for ratio in ratios]
-    stages = levels_stages(parameters, splats, counts)
-    ending = ".sog" if layout == Layout.SOG else suffix
-    writes = [Stage("write", write_weight(ending, count)) for count in counts]
+    measure = [measure_stage(splats)] if is_measured(request) else []
+    counts = [target_count(splats, ratio, None) for ratio in request.ratios]
+    stages = levels_stages(request.parameters, splats, counts)
+    suffix = sink.chunks.suffix if sink.chunks else sink.suffix
+    writes = [Stage("write", write_weight(suffix, count)) for count in counts]
     first = len(stages) - len(counts)
     pairs = zip(stages[first:], writes, strict=True)
     return [*measure, *stages[:first], *(stage for pair in pairs for stage in pair)]
-
-
-def _parameters(options: dict[str, Any]) -> Parameters:
-    """The parameters of the method among the options of `levels`."""
-    overrides = {name: value for name, value in options.items() if name not in _NO_PARAMETERS}
-    return parameters(options.get("preset", DEFAULT_PRESET), overrides)
-
-
-def write_levels_in_blocks(
-    inputs: Sequence[Path],
-    folder: Path,
-    ratios: Sequence[float],
-    *,
-    layout: Layout = Layout.FILES,
-    chunk: int | None = None,
-    plain: bool = False,
-    suffix: str = PLY,
-    overwrite: bool = False,
-    where: "Where",
-    progress: Progress | None = None,
-    **options: Any,  # noqa: ANN401 - as `simplify_into` takes them
-) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
-    """Make the levels from one forest of each block; all of the folder appears or nothing.
-
-    Inputs, the parts of one scene, and options are as `simplify_into` takes them, and all else as
-    `write_levels` does. In chunks, each block has a tree of its own, and what describes the folder
-    joins them.
-
-    Returns:
-        What the manifest says, and the report of each level.
-
-    Raises:
-        NanogsError: As for `simplify_blocks`, or the folder may not be replaced.
-    """
-    check_ratios(ratios)
-    source, goals = ", ".join(part.name for part in inputs), [Goal(ratio=each) for each in ratios]
-    chunks = chunks_of(layout, chunk, plain=plain)
-    sink = LevelsFolder(folder, overwrite, source, chunks, suffix)
-    written, reports = simplify_into(sink, inputs, goals, where, progress, **options)
-    return describe_levels(source, reports, written), tuple(reports)

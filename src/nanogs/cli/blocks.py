@@ -67,15 +67,9 @@ class Blocks:
         if self.join and len(paths) < 2:
             raise OptionError("--join takes the parts of a scene and OUT; this is one path.")
 
-    def unused(self, *, levels: bool) -> list[str]:
-        """Say that options for blocks had no effect on a model that is held whole.
-
-        Args:
-            levels: Whether levels are made of it, which then is no job.
-        """
+    def unused(self) -> list[str]:
+        """Say that options for blocks had no effect on a model that is held whole."""
         named: dict[str, object] = {"--workers": self.workers, "--scheduler": self.scheduler}
-        if levels:
-            named |= {"--job": self.job, "--resume": self.resume, "--scratch": self.scratch}
         found = " and ".join(option for option, value in named.items() if value)
         if not found:
             return []

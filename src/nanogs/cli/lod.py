@@ -95,13 +95,13 @@ def lod(
     parts, target = _parts(paths, join=method.blocks.join)
     output = output_of(target, level_format)
     turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
-    chunks_of(output.layout, chunk, plain=plain)  # or it is refused
     wishes = lod_run.Wishes(
         wish=plan.wish_of(
             method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder, frame=turn,
-            overwrite=overwrite,
+            overwrite=overwrite, ratios=ratios,
+            chunks=chunks_of(output.layout, chunk, plain=plain),
         ),
-        method=method, output=output, ratios=ratios, chunk=chunk, plain=plain,
+        method=method, output=output,
     )  # fmt: skip
     show = partial(lod_run.print_levels, verbose=verbose, chosen=levels is not None)
     [run] = many.run_all(

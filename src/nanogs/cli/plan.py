@@ -1,32 +1,35 @@
 """What `simplify` and `lod` are going to do, for the plan that is shown and for the run."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from os import cpu_count
-from typing import Any
+from typing import Any, TypeVar
 
+from nanogs.ahead import compile_ahead
 from nanogs.cli.console import err, key_value_table, show
 from nanogs.cli.filtering import parse_changes
+from nanogs.cli.importing import uncollected
 from nanogs.cli.method import Method
 from nanogs.errors import NotEnoughMemoryError
 from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo
+from nanogs.kernels.compiling import when_compiling
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.api import target_of
 from nanogs.pipeline.cluster import executor_of
 from nanogs.pipeline.in_blocks import block_memory, block_parameters, count_of, plan_job
-from nanogs.pipeline.job import usable_rows
-from nanogs.pipeline.memory import MemoryPlan, plan_file
+from nanogs.pipeline.job import import_stages, usable_rows
+from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory
 from nanogs.pipeline.plan import ScalePlan
 from nanogs.pipeline.presets import effective, renders
 from nanogs.pipeline.reading import inspect_parts, prepare, read_parts
 from nanogs.pipeline.request import Request, plan_files
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.target import Goal
-from nanogs.sink import Chunked
 
+T = TypeVar("T")
 _LIBRARIES = f"{bytes_text(LIBRARIES)} for Python and its libraries"
 
 
@@ -35,11 +38,8 @@ class Plan:
     """A run before it begins.
 
     Attributes:
-        wish: What is asked of the library; of levels the finest.
+        wish: What is asked of the library.
         method: What the options say of how.
-        goals: What is asked: of one result, or of each level, the finest first.
-        chunks: Of levels that lie in some, or None.
-        levels: Whether results are levels, which are measured one by one: views are held meanwhile.
         info: The input; of several files the first, with the splats and bytes of all.
         count: What the first goal comes to, or None where it is not known beforehand.
         free: Memory that the work may take.
@@ -49,9 +49,6 @@ class Plan:
 
     wish: Request
     method: Method
-    goals: Sequence[Goal]
-    chunks: Chunked | None
-    levels: bool
     info: FileInfo
     count: int | None
     free: Memory
@@ -79,10 +76,13 @@ class Plan:
         """The memory it takes whole; an unknown count takes that of the whole model."""
         chosen, most = self.method.chosen, self.count or self.info.splats
         # Where the preset looks, it has taken as much before as measuring one result does.
-        measured = self.method.measured and (self.levels or not renders(chosen))
+        measured = self.method.measured and (bool(self.wish.ratios) or not renders(chosen))
         judged = measured or self.wish.goal.psnr is not None
-        ratios = [goal.ratio or 0.0 for goal in self.goals]
-        return plan_file(self.info, chosen, most, ratios, self.chunks, judged=judged)
+        splats, degree, extra = self.info.splats, self.info.sh_degree, self.info.extra_bytes()
+        plan = plan_memory(splats, degree, extra, chosen, most, judged=judged)
+        if self.wish.chunks is None:
+            return plan
+        return plan_chunks(plan, splats, degree, most, self.wish.ratios, self.wish.chunks)
 
     def shown(self) -> "Plan":
         """The plan with what only the splats tell: a count, what filters leave, and blocks.
@@ -108,14 +108,14 @@ class Plan:
         size = block_memory(self.process_memory, None, folder, elsewhere=elsewhere)
         chosen = block_parameters(wish.preset, wish.overrides)
         return plan_job(
-            wish.inputs, self.goals, chosen, *size, wish.nan, self.chunks, wish.changes,
+            wish.inputs, self.wish.goals, chosen, *size, wish.nan, self.wish.chunks, wish.changes,
             wish.sizer if wish.goal.size is not None else None,
         )  # fmt: skip
 
     def notes(self) -> list[str]:
         """What the user should know of how it is done, one sentence each."""
         if not self.divided:
-            return self.method.blocks.unused(levels=self.levels)
+            return self.method.blocks.unused()
         each = self.process_memory
         fits = self.memory().peak <= self.free.bytes
         if fits or each is None or self.method.blocks.max_memory is not None:
@@ -137,7 +137,8 @@ class Plan:
             and self.wish.sizer is None,
             "--psnr": self.wish.goal.psnr is not None,
             "--drop-floaters": any(each.whole for each in self.wish.filters),
-            "--measure": bool(self.method.measure) and (self.levels or not self.wish.in_rows),
+            "--measure": bool(self.method.measure)
+            and (bool(self.wish.ratios) or not self.wish.in_rows),
             "a model in a pipe, which blocks cannot read or write,": piped,
             f"the preset {self.method.preset}": isinstance(self.method.chosen, PaperParameters),
         }
@@ -191,8 +192,6 @@ def wish_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: ANN40
 def plan_run(
     wish: Request,
     method: Method,
-    goals: Sequence[Goal] = (),
-    chunks: Chunked | None = None,
     *,
     piped: bool = False,
 ) -> Plan:
@@ -201,8 +200,6 @@ def plan_run(
     Args:
         wish: As `Plan` has it.
         method: See there.
-        goals: Of levels, or none.
-        chunks: See there.
         piped: Whether a model comes from stdin or goes to stdout.
 
     Raises:
@@ -211,14 +208,25 @@ def plan_run(
     info, goal = inspect_parts(wish.inputs), wish.goal
     count = None if goal.size is not None else goal.target(info.splats, lambda _count: 0)
     plan = Plan(
-        wish=wish, method=method, goals=goals or (goal,), chunks=chunks, levels=bool(goals),
-        info=info, count=count, free=allowed_memory(wish.max_memory),
+        wish=wish, method=method, info=info, count=count, free=allowed_memory(wish.max_memory),
     )  # fmt: skip
-    divided = wish.begun or plan.memory().peak > plan.free.bytes
-    if divided if goals else plan_files(wish).divided:
+    if plan_files(wish).divided:
         plan.refuse_whole_model_wishes(piped=piped)
         return replace(plan, divided=True)
     return plan
+
+
+def carry_out(plan: Plan, do: Callable[[Request], T]) -> T:
+    """Do what is asked of the library, in memory or with whoever does the tasks of blocks."""
+    wish = plan.wish
+    with uncollected():
+        import_stages(wish.parameters)
+    if plan.divided:
+        with plan.executor() as executor:
+            return do(replace(wish, executor=executor, max_memory=plan.process_memory))
+    if renders(wish.parameters) or plan.method.measured:
+        when_compiling(compile_ahead)
+    return do(wish)
 
 
 def show_plan(plan: Plan, text: str) -> None:

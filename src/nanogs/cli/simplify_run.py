@@ -4,22 +4,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from nanogs.ahead import compile_ahead
 from nanogs.cli.console import warn
 from nanogs.cli.framing import frames_of
-from nanogs.cli.importing import uncollected
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
-from nanogs.cli.plan import Plan, plan_run, show_plan
+from nanogs.cli.plan import Plan, carry_out, plan_run, show_plan
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
 from nanogs.io import bytes_on_disk, check_writable, registry
 from nanogs.io.collect import Pair
-from nanogs.kernels.compiling import when_compiling
 from nanogs.pipeline.api import refuse_searches
 from nanogs.pipeline.files import simplify_files
-from nanogs.pipeline.job import import_stages
-from nanogs.pipeline.presets import renders
 from nanogs.pipeline.request import Request
 from nanogs.progress import Progress
 from nanogs.protocol import Protocol
@@ -81,17 +76,8 @@ def _plan(wishes: Wishes, pair: Pair) -> Plan:
 
 def _made(plan: Plan, progress: Progress) -> Run:
     """Simplify a file, and measure the result."""
-    wish = plan.wish
-    with uncollected():
-        import_stages(wish.parameters)
-    if plan.divided:
-        with plan.executor() as executor:
-            wish = replace(wish, executor=executor, max_memory=plan.process_memory)
-            report = simplify_files(wish, progress)
-    else:
-        if renders(wish.parameters) or plan.method.measured:
-            when_compiling(compile_ahead)
-        report = simplify_files(wish, progress)
+    wish, report = plan.wish, carry_out(plan, lambda wish: simplify_files(wish, progress))
+    if not plan.divided:
         report = replace(report, notes=(*plan.notes(), *report.notes))
     files: dict[str, Any] = {"frames": wish.frame, "input": plan.name, "output": str(wish.output)}
     files |= {"input_bytes": plan.info.file_bytes, "output_bytes": bytes_on_disk(wish.output)}

@@ -30,7 +30,7 @@ from nanogs.progress import Measuring, Parts, Progress, Stage, Tracker
 from nanogs.protocol import Judged
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
-from nanogs.sink import OneFile
+from nanogs.sink import OneFile, Sink, Written
 from nanogs.source import Filtered, Joined, Reduced, Source
 from nanogs.splats import Splats
 
@@ -160,24 +160,35 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     plan = plan_files(request)
     if not plan.divided:
         return _in_memory(request, plan, told)
-    _refuse_what_needs_all(request, plan)
     if not request.measured:
-        return _in_blocks(request, told)
+        return _in_blocks(request, plan, told)
     measuring = Measuring(told)
-    report = _in_blocks(request, measuring.before)
+    report = _in_blocks(request, plan, measuring.before)
     judged, notes = _judge(request, measuring.part)
     measuring.finish()
     return replace(report, judged=judged, notes=(*report.notes, *notes))
 
 
-def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:
+def _in_blocks(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
     """Simplify and write, block by block."""
+    sink = OneFile(request.output, request.overwrite, request.format_options)
+    _, [report] = fill_in_blocks(request, plan, sink, told)
+    if request.goal.size is not None:
+        return replace(report, achieved_size=bytes_on_disk(request.output))
+    return report
+
+
+def fill_in_blocks(
+    request: Request, plan: Plan, sink: Sink, told: Progress | None
+) -> tuple[list[Written], list[SimplifyReport]]:
+    """Do what is asked for in blocks, and give the results to a sink; see `simplify_into`."""
+    _refuse_what_needs_all(request, plan)
     from nanogs.pipeline.stored_job import Where  # which brings Numba
 
-    _, [report] = simplify_into(
-        OneFile(request.output, request.overwrite, request.format_options),
+    return simplify_into(
+        sink,
         request.inputs,
-        (request.goal,),
+        request.goals,
         Where(request.threads, request.executor, request.patience),
         told,
         preset=request.preset,
@@ -191,9 +202,6 @@ def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:
         sizer=request.sizer,
         **request.overrides,
     )
-    if request.goal.size is not None:
-        return replace(report, achieved_size=bytes_on_disk(request.output))
-    return report
 
 
 def _judge(request: Request, tell: Parts) -> tuple[Judged | None, tuple[str, ...]]:
@@ -225,7 +233,7 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
     small, report = simplify(
         splats, ratio=goal.ratio, count=goal.count, size=goal.size, psnr=goal.psnr,
         format=_suffix(output), preset=request.preset, nan=request.nan, threads=request.threads,
-        cameras=_cameras(request, splats), max_memory=request.max_memory,
+        cameras=cameras_of(request, splats), max_memory=request.max_memory,
         progress=tracker.passing(), format_options=options, **request.overrides,
     )  # fmt: skip
     if request.frame:
@@ -258,7 +266,7 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
     )
 
 
-def _cameras(request: Request, splats: Splats) -> "Sequence[Camera] | None":
+def cameras_of(request: Request, splats: Splats) -> "Sequence[Camera] | None":
     """Cameras for presets that render; None for those that they choose themselves."""
     given = request.cameras
     if given is None or isinstance(given, str | PathLike):
@@ -305,6 +313,7 @@ def _refuse_what_needs_all(request: Request, plan: Plan) -> None:
         f"`size` of a {_suffix(request.output)} file": request.goal.size is not None
         and request.sizer is None,
         "`psnr`": request.goal.psnr is not None,
+        "measuring levels": bool(request.measured and request.ratios),
         "measuring against a file that is not read in parts": request.measured
         and not request.in_rows,
     }

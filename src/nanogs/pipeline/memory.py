@@ -6,8 +6,6 @@ No Numba here: `--dry-run` uses it without compiling anything.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from nanogs.io.files import splat_bytes
-from nanogs.io.info import FileInfo
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.slices import SLICE_PAIRS
 from nanogs.pipeline.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
@@ -69,34 +67,28 @@ def plan_memory(
     return MemoryPlan(count * row, working_set, stages, max(stages.values()))
 
 
-def plan_file(
-    info: FileInfo,
-    parameters: Parameters,
+def plan_chunks(
+    plan: MemoryPlan,
+    splats: int,
+    degree: int,
     target: int,
-    ratios: Sequence[float] = (),
-    chunks: Chunked | None = None,
-    *,
-    judged: bool = False,
+    ratios: Sequence[float],
+    chunks: Chunked,
 ) -> MemoryPlan:
-    """Memory of simplifying a file, or of making levels of it.
+    """Memory of making levels in chunks.
 
     Args:
-        info: The file.
-        parameters: Of the method.
-        target: Splats in the largest result.
-        ratios: Of levels that lie in chunks.
-        chunks: These, or None.
-        judged: As `plan_memory` takes it.
+        plan: Of making levels.
+        splats: Of the model.
+        degree: Of the spherical harmonics.
+        target: Splats of the finest level.
+        ratios: Of the levels.
+        chunks: How they are divided.
     """
-    extra = info.extra_bytes()
-    plan = plan_memory(info.splats, info.sh_degree, extra, parameters, target, judged=judged)
-    if chunks is None:
-        return plan
-    row = splat_bytes(info.sh_degree) + extra
-    encoding = chunks.encoding(row, info.sh_degree, info.splats, ratios)
+    row = plan.input_columns // max(splats, 1)
+    file = chunks.encoding(row, degree, splats, ratios).file
     # Between two levels, what a cut needs is kept, and each is encoded before the next.
-    placed = plan.input_columns // info.splats + PLACED
-    held = int(plan.stages.get("cut", plan.input_columns) + target * placed + encoding.file)
+    held = int(plan.stages.get("cut", plan.input_columns) + target * (row + PLACED) + file)
     return replace(plan, stages=plan.stages | {"encode": held}, peak=max(plan.peak, held))
 
 

@@ -16,11 +16,12 @@ from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.inputs import access_of
 from nanogs.pipeline.job import NanPolicy
-from nanogs.pipeline.memory import MemoryPlan, plan_memory
+from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
 from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.settings import Access
 from nanogs.pipeline.target import Goal, target_count
+from nanogs.sink import Chunked
 from nanogs.source import Joined
 from nanogs.store.columns import row_bytes
 
@@ -42,6 +43,8 @@ class Request:
         overrides: Parameters of the preset to replace, by name.
         measured: Whether the result is held against the input as `nanogs compare` does it; None
             for where the preset renders anyway and the model is in memory.
+        ratios: Of levels, the finest first, which the goal is; none for one file.
+        chunks: How levels are divided, or None.
     """
 
     goal: Goal
@@ -66,6 +69,13 @@ class Request:
     executor: "Client | Executor | None" = None
     patience: float = PATIENCE
     format_options: "FormatOptions | None" = None
+    ratios: Sequence[float] = ()
+    chunks: Chunked | None = None
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """Of each result, the finest first."""
+        return tuple(Goal(ratio=ratio) for ratio in self.ratios) or (self.goal,)
 
     @property
     def parameters(self) -> Parameters:
@@ -85,7 +95,7 @@ class Request:
     @property
     def sizer(self) -> Sizer | None:
         """Bytes of the output's format for a count; None where only writing a file tells."""
-        return registry.writable(self.output).file_bytes
+        return None if self.ratios else registry.writable(self.output).file_bytes
 
     @property
     def in_rows(self) -> bool:
@@ -145,6 +155,9 @@ def plan_files(request: Request) -> Plan:
     target, allowed = _most(request.goal, splats), allowed_memory(request.max_memory)
     extra = row_bytes(layout) - splat_bytes(layout.sh_degree)
     memory = plan_memory(splats, layout.sh_degree, extra, chosen, target, judged=_judged(request))
+    if request.chunks:
+        ratios = request.ratios
+        memory = plan_chunks(memory, splats, layout.sh_degree, target, ratios, request.chunks)
     asked = request.block or request.job or request.scratch or request.executor or request.resume
     return Plan(splats, memory, allowed, bool(asked or memory.peak > allowed.bytes))
 
