@@ -15,6 +15,7 @@ from nanogs.pipeline.frame import survey
 from nanogs.pipeline.in_blocks import block_parameters, plan_job
 from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
+from nanogs.progress import Tracker
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
 from nanogs.store.scratch import FolderScratch
@@ -34,7 +35,9 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
         size = int(len(splats) / blocks * 1.08) + 1
         settings, _ = plan_job([source], (Goal(ratio=ratio),), chosen, None, size, "drop")
         frame = survey(settings)
-        done = run_tasks(folder, settings, Here(), 2, StageClock(), lambda *_: None, resumed=False)
+        done = run_tasks(
+            folder, settings, Here(), 2, StageClock(), Tracker(None, []), resumed=False
+        )
         codes = frame.codes(splats)
         of_block = np.empty(len(splats), np.int64)
         parts = [done.work.partition.count(b) for b in range(done.work.partition.blocks)]
