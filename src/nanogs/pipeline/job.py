@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -137,33 +137,23 @@ class Job:
             clock: The seconds of the stages.
             start: `time.perf_counter()` at the start.
         """
+        entries = {each.name: getattr(outcome, each.name) for each in fields(outcome)}
+        del entries["splats"]
         return SimplifyReport(
             preset=self.preset,
             parameters=asdict(self.parameters),
-            input_count=len(self.splats),
             read_count=len(self.splats),
+            input_count=len(self.splats),
             asked_ratio=goal.ratio,
             asked_count=asked_count,
             asked_size=goal.size,
             asked_psnr=goal.psnr,
-            judged=outcome.judged,
-            probes=outcome.probes,
-            achieved_size=outcome.achieved_size,
-            size_probes=outcome.size_probes,
             dropped_nonfinite=len(self.splats) - len(self.rows),
-            pruned=outcome.pruned,
-            prune_threshold=outcome.prune_threshold,
-            prune_limited=outcome.prune_limited,
-            passes=outcome.passes,
             achieved_count=len(outcome.splats),
-            stop=outcome.stop,
             seconds=clock.seconds,
             total_seconds=time.perf_counter() - start,
             threads=threads,
-            shown=outcome.shown,
-            candidates=outcome.candidates,
-            refit=outcome.refit,
-            notes=(*self.splats.notes, *outcome.notes),
+            **entries | {"notes": (*self.splats.notes, *outcome.notes)},
         )
 
 
