@@ -122,6 +122,14 @@ def test_a_size_is_met_in_memory_and_in_blocks(scene, tmp_path, suffix):
     assert blocks.achieved_count == report.achieved_count
 
 
+def test_a_size_that_is_found_by_writing_is_of_the_frame_that_is_written(scene, tmp_path):
+    given = {"size": 20_000, "frame": ("rdf", "rub")} | QUICK
+    with pytest.raises(OptionError, match="`frame` changes the size"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.sog", **given)
+    nanogs.simplify_blocks(scene, tmp_path / "a.ply", **given)
+    assert 19_000 < (tmp_path / "a.ply").stat().st_size <= 20_000
+
+
 def test_a_size_for_everything_and_one_for_nothing(scene, tmp_path):
     out = tmp_path / "a.ply"
     whole = nanogs.simplify_blocks(scene, out, size="1GB", block=500, **QUICK)

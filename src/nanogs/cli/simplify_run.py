@@ -9,11 +9,9 @@ from nanogs.cli.framing import frames_of
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
 from nanogs.cli.plan import Plan, carry_out, plan_run, show_plan
-from nanogs.errors import OptionError
 from nanogs.formatting import counted
-from nanogs.io import bytes_on_disk, check_writable, registry
+from nanogs.io import bytes_on_disk, check_writable
 from nanogs.io.collect import Pair
-from nanogs.pipeline.api import refuse_searches
 from nanogs.pipeline.files import simplify_files
 from nanogs.pipeline.request import Request
 from nanogs.progress import Progress
@@ -59,16 +57,11 @@ def run_one(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
 
 def _plan(wishes: Wishes, pair: Pair) -> Plan:
     """Check the files and the goal, and plan."""
-    method, target, goal = wishes.method, pair.target, wishes.wish.goal
-    refuse_searches(goal, method.preset, target)
+    method, target = wishes.method, pair.target
     turn = frames_of(pair, method.edits.frame)
-    if turn and goal.size is not None and registry.writable(target).file_bytes is None:
-        raise OptionError(
-            f"--frame changes the size of a {target.suffix} file that --size has found; turn"
-            " it with `nanogs convert` before."
-        )
     inputs = wishes.joined or (pair.source,)
     wish = replace(wishes.wish, inputs=inputs, output=target, frame=turn)
+    wish.check()
     if not wish.goes_on() and not (method.dry_run and wishes.folder_later):
         check_writable(target, overwrite=wish.overwrite, format_options=wish.format_options)
     return plan_run(wish, method, piped=wishes.piped)

@@ -16,7 +16,7 @@ from nanogs.formatting import bytes_text
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
-from nanogs.pipeline.api import refuse_searches, simplify
+from nanogs.pipeline.api import simplify
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.in_blocks import block_parameters, simplify_into
 from nanogs.pipeline.job import NanPolicy, import_stages
@@ -156,7 +156,7 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     Raises:
         NanogsError: It cannot be done.
     """
-    refuse_searches(request.goal, request.preset, request.output)
+    request.check()
     plan = plan_files(request)
     if not plan.divided:
         return _in_memory(request, plan, told)

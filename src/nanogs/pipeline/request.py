@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.defaults import PATIENCE
+from nanogs.errors import OptionError
 from nanogs.filters import Filter
 from nanogs.io import open as open_model
 from nanogs.io import registry
 from nanogs.io.files import splat_bytes
 from nanogs.io.format import Sizer
 from nanogs.memory import Memory, allowed_memory
+from nanogs.pipeline.api import refuse_searches
 from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.inputs import access_of
@@ -111,6 +113,20 @@ class Request:
     def begun(self) -> bool:
         """Whether there is a job to continue."""
         return self.resume and (self.folder / MANIFEST).exists()
+
+    def check(self) -> None:
+        """Refuse, before anything is read, what cannot be had together.
+
+        Raises:
+            OptionError: A search is asked of a preset that has none, or for the size of a file that
+                is turned once that is found; or the format is not written.
+        """
+        refuse_searches(self.goal, self.preset, self.output)
+        if self.frame and self.goal.size is not None and self.sizer is None:
+            raise OptionError(
+                f"`frame` changes the size of a {self.output.suffix} file that `size` has found;"
+                " turn it with `nanogs convert` before."
+            )
 
     def goes_on(self) -> bool:
         """Whether there is a job to continue, which sees to its output itself.
