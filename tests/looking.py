@@ -3,16 +3,16 @@
 import numpy as np
 
 from nanogs.metrics import psnr, ssim
+from nanogs.pipeline.one_block import OneBlock, whole_settings
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.stages import do
-from nanogs.pipeline.whole import Whole, whole_settings
 from nanogs.raster.rendering import render
 
 
 def looked(splats, cameras, parameters):
     """The scene after the stages that look."""
     settings = whole_settings(splats, parameters)
-    scene = Whole(splats, np.arange(len(splats), dtype=np.int32), settings, 1, cameras)
+    scene = OneBlock(splats, np.arange(len(splats), dtype=np.int32), settings, 1, cameras)
     for stage in ("frame", "views", "look"):
         do(scene, Task(stage))
     return scene

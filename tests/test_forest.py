@@ -31,9 +31,9 @@ from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.store import MOST_OPAQUE, store_groups
 from nanogs.pipeline import trials
+from nanogs.pipeline.one_block import OneBlock, whole_settings
 from nanogs.pipeline.presets import PRESETS
 from nanogs.pipeline.run import build, deliver
-from nanogs.pipeline.whole import Whole, whole_settings
 from nanogs.progress import Tracker, untold
 from nanogs.report import PassReport, StopReason
 from nanogs.sh import basis
@@ -444,7 +444,7 @@ def test_the_best_judged_is_chosen_and_marked_once(monkeypatch, qualities, usual
     )  # fmt: skip
 
 
-class Tried(Whole):
+class Tried(OneBlock):
     """A scene of three balances, of which nothing is drawn."""
 
     balances = (0.5, 0.8, 1.0)
@@ -561,7 +561,7 @@ def test_a_changed_scene_is_simplified_alike(preset, change):
 def test_the_stages_of_one_forest_answer_many_counts():
     splats = random_splats(200)
     clock, rows = StageClock(), np.arange(200)
-    scene = Whole(splats, rows, whole_settings(splats, PRESETS["fast"]), 1)
+    scene = OneBlock(splats, rows, whole_settings(splats, PRESETS["fast"]), 1)
     build(scene, clock, Tracker(None, []))
     for count in (1, 7, 100, 199, 200):
         outcome = deliver(scene, count, clock, Tracker(None, []))

@@ -51,7 +51,7 @@ def test_every_level_is_what_simplify_gives(splats, preset, small_views):
 
 
 def test_one_build_serves_all_levels(splats, monkeypatch):
-    from nanogs.pipeline import whole as pipeline_run
+    from nanogs.pipeline import one_block as pipeline_run
 
     built = []
     grow = pipeline_run.grow_forest

@@ -11,7 +11,7 @@ from builders import model_bytes, random_splats
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import encoded_bytes, registry
 from nanogs.io.ply import write as ply_write
-from nanogs.pipeline import whole as pipeline_run
+from nanogs.pipeline import one_block as pipeline_run
 from nanogs.pipeline.fit_size import ENOUGH, search_fit
 from nanogs.pipeline.fit_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.fit_size import TOLERANCE as CLOSE

@@ -9,10 +9,10 @@ from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
 from nanogs.pipeline.foreseen import delivery_stages
+from nanogs.pipeline.one_block import OneBlock
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import deliver, plain
 from nanogs.pipeline.weights import RESULTS, SIZES, write_weight
-from nanogs.pipeline.whole import Whole
 from nanogs.progress import Stage, Tracker
 from nanogs.report import SizeProbeReport
 from nanogs.splats import Splats
@@ -158,7 +158,7 @@ def guess_count(splats: Splats, size: int, encode: Encode) -> int:
 
 
 def fit_size(
-    scene: Whole,
+    scene: OneBlock,
     size: int,
     guess: int,
     encode: Encode,
@@ -185,7 +185,7 @@ def fit_size(
     """
     best: list[Outcome] = []  # the latest that fits, and so the largest; one at a time
 
-    def search(scene: Whole, expected: int, guess: int, enough: float | None = None) -> Fitted:
+    def search(scene: OneBlock, expected: int, guess: int, enough: float | None = None) -> Fitted:
         tried = 0
 
         def bytes_of(count: int) -> int:

@@ -23,7 +23,7 @@ from nanogs.report import SimplifyReport, StopReason
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
-    from nanogs.pipeline.whole import Whole
+    from nanogs.pipeline.one_block import OneBlock
     from nanogs.raster.camera import Camera
 
 NanPolicy = Literal["drop", "error"]
@@ -74,7 +74,7 @@ class Job:
             "free some, or use nanogs.simplify_blocks, which works on files block by block",
         )  # fmt: skip
 
-    def build(self, threads: int, clock: StageClock, progress: Tracker) -> "Whole":
+    def build(self, threads: int, clock: StageClock, progress: Tracker) -> "OneBlock":
         """Look at the model and grow its forest, from which any count is made; where one is grown.
 
         Args:
@@ -82,12 +82,12 @@ class Job:
             clock: Gets the seconds of each stage.
             progress: Told of each stage.
         """
+        from nanogs.pipeline.one_block import OneBlock, whole_settings
         from nanogs.pipeline.run import build
-        from nanogs.pipeline.whole import Whole, whole_settings
 
         assert isinstance(self.parameters, ForestParameters)  # noqa: S101 - the caller's choice
         settings = whole_settings(self.splats, self.parameters)
-        scene = Whole(self.splats, self.rows, settings, threads, self.cameras)
+        scene = OneBlock(self.splats, self.rows, settings, threads, self.cameras)
         build(scene, clock, progress)
         return scene
 

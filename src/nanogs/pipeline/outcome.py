@@ -15,8 +15,8 @@ from nanogs.report import (
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
+    from nanogs.pipeline.one_block import OneBlock
     from nanogs.pipeline.scene import Scene
-    from nanogs.pipeline.whole import Whole
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,7 @@ class Outcome:
     size_probes: tuple[SizeProbeReport, ...] = ()
 
 
-def outcome_of(scene: "Whole", level: int) -> Outcome:
+def outcome_of(scene: "OneBlock", level: int) -> Outcome:
     """A result of a model in memory, whose stages are done; the scene keeps nothing of it."""
     entries, reached = entries_of(scene, level), scene.target(level) == scene.targets[level]
     stop = StopReason.TARGET if reached else scene.forest.stop

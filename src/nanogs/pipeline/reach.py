@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 from nanogs.clock import StageClock
 from nanogs.pipeline.foreseen import delivery_stages
+from nanogs.pipeline.one_block import OneBlock
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import deliver, plain
 from nanogs.pipeline.weights import COUNTS
-from nanogs.pipeline.whole import Whole
 from nanogs.progress import Stage, Tracker
 from nanogs.protocol import VIEWS
 from nanogs.report import ProbeReport, StopReason
@@ -180,7 +180,7 @@ def _slope(probes: "list[ProbeReport] | tuple[ProbeReport, ...]") -> float:
 
 
 def reach_psnr(
-    scene: Whole,
+    scene: OneBlock,
     asked: float,
     views: HeldOut,
     decode: Decode,
@@ -201,7 +201,7 @@ def reach_psnr(
     """
     best: list[Outcome] = []  # the latest that reaches it, and so the smallest; one at a time
 
-    def search(scene: Whole, guess: int, slope: float | None = None, *, quick: bool) -> Found:
+    def search(scene: OneBlock, guess: int, slope: float | None = None, *, quick: bool) -> Found:
         tried = 0
 
         def psnr_of(count: int) -> float:
@@ -244,7 +244,7 @@ def _hopeless(near: Found, asked: float) -> bool:
     )
 
 
-def _whole(scene: Whole, found: Found, clock: StageClock, progress: Tracker) -> Outcome:
+def _whole(scene: OneBlock, found: Found, clock: StageClock, progress: Tracker) -> Outcome:
     """The whole model, as no smaller one reaches what is asked."""
     outcome = deliver(scene, scene.forest.splats, clock, progress)
     return replace(outcome, probes=found.probes, stop=StopReason.UNREACHED)

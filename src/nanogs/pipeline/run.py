@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from nanogs.clock import StageClock
+from nanogs.pipeline.one_block import OneBlock
 from nanogs.pipeline.outcome import Outcome, outcome_of
 from nanogs.pipeline.scene import Scene, Task
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.stages import JobStage, do, held_stages, stages_of
-from nanogs.pipeline.whole import Whole
 from nanogs.pipeline.work import MARK, Work
 from nanogs.progress import Tracker, untold
 from nanogs.store.scratch import Scratch
@@ -99,7 +99,7 @@ def _is_done(work: Work, task: Task) -> bool:
     return record is not None
 
 
-def build(scene: Whole, clock: StageClock, progress: Tracker) -> None:
+def build(scene: OneBlock, clock: StageClock, progress: Tracker) -> None:
     """Do once what every count needs: look at the model, and grow its forest.
 
     Args:
@@ -110,7 +110,7 @@ def build(scene: Whole, clock: StageClock, progress: Tracker) -> None:
     _do_here(scene, held_stages(scene.settings, results=False), 0, clock, progress)
 
 
-def deliver(scene: Whole, count: int, clock: StageClock, progress: Tracker) -> Outcome:
+def deliver(scene: OneBlock, count: int, clock: StageClock, progress: Tracker) -> Outcome:
     """Make the model of a count, or of the fewest splats that the forest has.
 
     Args:
@@ -125,7 +125,7 @@ def deliver(scene: Whole, count: int, clock: StageClock, progress: Tracker) -> O
     return outcome_of(scene, level)
 
 
-def plain(scene: Whole, rounds: int | None = None) -> Whole:
+def plain(scene: OneBlock, rounds: int | None = None) -> OneBlock:
     """The same model and forest, of which results are cut without looking.
 
     Args:
@@ -140,7 +140,7 @@ def plain(scene: Whole, rounds: int | None = None) -> Whole:
 
 
 def _do_here(
-    scene: Whole,
+    scene: OneBlock,
     stages: Iterable[JobStage],
     level: int,
     clock: StageClock,

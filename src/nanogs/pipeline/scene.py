@@ -1,7 +1,7 @@
 """A scene on its way through the stages: its blocks, and what the stages before have found.
 
-Stages are written once, for a block of a scene. `whole.Whole` is a model in memory, which is one
-block; `work.Work` is a scene in blocks, of which only files are kept.
+Stages are written once, for a block of a scene. `one_block.OneBlock` is a model in memory;
+`work.Work` is a scene in blocks, of which only files are kept.
 """
 
 from abc import ABC, abstractmethod

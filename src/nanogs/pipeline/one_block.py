@@ -33,7 +33,7 @@ from nanogs.store.tables import Record
 
 
 @dataclass(eq=False)
-class Whole(Scene):
+class OneBlock(Scene):
     """A model in memory, and what its stages have found.
 
     Attributes:
