@@ -14,7 +14,6 @@ from builders import random_splats
 from damage import mutate, outcome
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
-from nanogs.io.checkpoint import read as checkpoint
 from nanogs.io.registry import sniff
 from strategies import assert_same, splats
 from torchfiles import File, Raw, call, captured, gsplat, name, nerfstudio, pickled
@@ -343,4 +342,4 @@ def test_files_of_pytorch_itself(tmp_path):
         assert_same(io.load(tmp_path / "c.pth"), expected)
     torch.save(parameters, tmp_path / "e.pt")  # a module, whose class a pickle has to name
     with pytest.raises(FormatError, match="save the state dictionary alone"):
-        checkpoint.read(tmp_path / "e.pt")
+        io.load(tmp_path / "e.pt")

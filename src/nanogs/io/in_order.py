@@ -6,15 +6,15 @@ from weakref import finalize
 
 import numpy as np
 
-from nanogs._types import I64, Array
+from nanogs._types import I32, I64, Array
 from nanogs.source import InMemory, Source
 from nanogs.splats import RenderMode, Splats
 
 _COLUMNS = ("means", "log_scales", "quats", "opacity_logits", "sh")
-_LEAST_ROWS, _MOST_BUCKETS = 1 << 13, 64
+_LEAST_ROWS, _MOST_BUCKETS = 1 << 12, 256
 
 
-def in_order(source: Source, order: I64) -> Source:
+def in_order(source: Source, order: I64 | I32) -> Source:
     """The rows of a model in another order, without extra columns where it is not in memory.
 
     Args:
@@ -30,19 +30,19 @@ def in_order(source: Source, order: I64) -> Source:
 class _Taken(Source):
     """Rows of a model in memory."""
 
-    def __init__(self, source: Source, order: I64) -> None:
+    def __init__(self, source: Source, order: I64 | I32) -> None:
         self._source, self._order = source, order
         self.count, self.columns = len(order), source.columns
 
     def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
-        return self._source.take(self._order[start:stop])
+        return self._source.take(self._order[start:stop].astype(np.int64, copy=False))
 
 
 class _Sorted(Source):
     """Rows in a temporary file: those of each bucket of places together, in the order they came."""
 
-    def __init__(self, source: Source, order: I64) -> None:
+    def __init__(self, source: Source, order: I64 | I32) -> None:
         self._source = source
         self.count, self.columns = source.count, source.columns
         self._rows = max(_LEAST_ROWS, -(-len(order) // _MOST_BUCKETS))
@@ -54,7 +54,7 @@ class _Sorted(Source):
         self._last: tuple[int, Array] | None = None
         self._fill(order)
 
-    def _fill(self, order: I64) -> None:
+    def _fill(self, order: I64 | I32) -> None:
         places = np.empty_like(order)
         places[order] = np.arange(len(places))
         ends = np.arange(0, len(places), self._rows)  # of what each bucket has so far

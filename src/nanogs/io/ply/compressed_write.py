@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from nanogs._types import F32, F64, I64, U32, Array
+from nanogs._types import F32, F64, I32, I64, U32, Array
 from nanogs.findings import Finding
 from nanogs.io import columns, limits, render_tag
 from nanogs.io.files import BLOCK_ROWS
@@ -45,7 +45,7 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
         _write_rows(rows, file)
 
 
-def _order(source: Source) -> I64:
+def _order(source: Source) -> I64 | I32:
     """The rows in Morton order, once it is known that all can be stored."""
     means = np.empty((source.count, 3), np.float32)
     at = 0
@@ -99,13 +99,20 @@ def losses(splats: Splats) -> tuple[str, ...]:
     return tuple(found)
 
 
-def morton_order(means: F32) -> I64:
-    """(N,) int64: rows in Morton order, refined where more than a chunk of them share a cell.
+def morton_order(means: F32) -> I64 | I32:
+    """Rows in Morton order, refined where more than a chunk of them share a cell.
 
     Args:
         means: (N, 3) float32, finite.
+
+    Returns:
+        (N,) int32, or int64 for more than 2 billion.
     """
-    order = np.arange(len(means))
+    order: I64 | I32
+    if len(means) > np.iinfo(np.int32).max:
+        order = np.arange(len(means))
+    else:
+        order = np.arange(len(means), dtype=np.int32)
     spans = [(0, len(means))]
     while spans:  # each pass splits a span of at least two places, so this ends
         start, stop = spans.pop()
@@ -121,7 +128,7 @@ def morton_order(means: F32) -> I64:
     return order
 
 
-def _codes(means: F32, rows: I64) -> U32:
+def _codes(means: F32, rows: I64 | I32) -> U32:
     """(R,) uint32: interleaved bits of the cells of the rows' own bounding box, x lowest."""
     blocks = [rows[at : at + BLOCK_ROWS] for at in range(0, len(rows), BLOCK_ROWS)]
     low, high = (
