@@ -107,7 +107,7 @@ def result_of(work: Work, level: int) -> Iterator[Source]:
         work: The job, all its tasks done.
         level: Of the result.
     """
-    target = int(work.of_job("budget", level).facts["target"])
+    target = work.target(level)
     with Parts(work, level) as parts:
         source: Source = parts
         if parts.count > target:

@@ -78,7 +78,7 @@ def further(small: Splats, target: int, settings: Settings) -> Splats:
     return simplify(small, count=target, preset="fast", **given)[0]
 
 
-def write_rest(work: "Work", name: str, level: int, target: int) -> Record:
+def write_rest(work: "Work", name: str, level: int) -> Record:
     """Do the rest in memory where blocks could not go as far as asked, and divide the outcome.
 
     Splats go to the block that they lie in; where a finer level left one empty, to the one before.
@@ -87,9 +87,8 @@ def write_rest(work: "Work", name: str, level: int, target: int) -> Record:
         work: The job, all parts of the level done.
         name: Of the table, which is empty where nothing was left to do.
         level: Of the result.
-        target: Splats asked for.
     """
-    records = work.delivered(level)
+    records, target = work.delivered(level), work.target(level)
     if sum(map(count_of, records)) <= target:
         return write_table(work.scratch, name, {}, {BOUNDS: None})
     parts = [read_part(work.scratch, work.settings.layout, record) for record in records]

@@ -239,8 +239,7 @@ def _fit(scene: Scene, task: Task) -> Record:
 
 
 def _rest(work: Work, task: Task) -> Record:
-    target = int(work.of_job("budget", task.level).facts["target"])
-    return write_rest(work, task.name, task.level, target)
+    return write_rest(work, task.name, task.level)
 
 
 def _cells(work: Work, task: Task) -> Record:

@@ -6,6 +6,7 @@ time, and again.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -98,12 +99,12 @@ class Work(Scene):
             self.known[name] = found
         return self.known[name]
 
-    @property
+    @cached_property
     def frame(self) -> Frame:
         """The frame that all blocks share."""
         return frame_of(self.record(Task("frame")).facts)
 
-    @property
+    @cached_property
     def partition(self) -> Partition:
         """The rows of each block."""
         return partition_of(self.record(Task("partition")).facts)
@@ -121,15 +122,10 @@ class Work(Scene):
         """The table that a stage wrote for a block, open for reading."""
         return Table(self.scratch, self.of_block(stage, block, level))
 
-    @property
+    @cached_property
     def views(self) -> Views:
         """The views of the whole scene."""
         return views_of(self.of_job("views").facts)
-
-    @property
-    def weighs(self) -> bool:
-        """Whether splats are weighed by how visible they are."""
-        return self.settings.measures and self.looks
 
     def delivered(self, level: int) -> list[Record]:
         """The records of a level's splats, one a block, as they are delivered."""
@@ -168,7 +164,7 @@ class Work(Scene):
 
     def seen(self, visible: F64 | None) -> Seen | None:
         """How nodes of splats are weighed that are so visible; None where nothing is measured."""
-        if visible is None or not self.weighs:
+        if visible is None or not self.measures:
             return None
         return Seen(visible, self.settings.parameters.hidden, typical_weight(self))
 
