@@ -3,7 +3,7 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from nanogs._types import F64, I32, Array, Bool
 from nanogs.fit.groups import Group, split
@@ -30,6 +30,14 @@ from nanogs.report import PassReport
 from nanogs.source import InMemory
 from nanogs.splats import Splats, pick
 from nanogs.store.tables import Record
+
+
+class _Placed(NamedTuple):
+    """The usable rows in Morton order, the origin (3,), and what rasterisers add to splats."""
+
+    rows: I32
+    origin: F64
+    dilation: Dilation
 
 
 @dataclass(eq=False)
@@ -63,9 +71,7 @@ class OneBlock(Scene):
     _shots: list[Target] = field(default_factory=list)
     fitting: tuple[Target, ...] = ()
     groups: tuple[Group, ...] = ()
-    _rows: I32 | None = None
-    _origin: F64 | None = None
-    _dilation: Dilation | None = None
+    _survey: _Placed | None = None
     visible: F64 | None = None
     missed: Bool | None = None
     _forest: Forest | None = None
@@ -100,6 +106,11 @@ class OneBlock(Scene):
         return self._views
 
     @property
+    def _placed(self) -> _Placed:
+        assert self._survey is not None  # noqa: S101 - an earlier stage
+        return self._survey
+
+    @property
     def forest(self) -> Forest:
         """The merges."""
         assert self._forest is not None  # noqa: S101 - an earlier stage
@@ -126,12 +137,12 @@ class OneBlock(Scene):
     def survey(self, name: str) -> Record:
         """As `Scene` says."""
         means = pick(self.splats.means, self.usable)
-        self._origin = scene_origin(means)
-        means = means - self._origin
+        origin = scene_origin(means)
+        means = means - origin
         alphas = pick(self.splats.opacities(), self.usable)
         pixels = self.settings.parameters.pixels
-        self._dilation = dilation(means, alphas, self.splats.render_mode, pixels)
-        self._rows = self.usable[morton_order(means)]
+        added = dilation(means, alphas, self.splats.render_mode, pixels)
+        self._survey = _Placed(self.usable[morton_order(means)], origin, added)
         return self.write(name, {}, {})
 
     def sample(self) -> Splats:
@@ -197,20 +208,17 @@ class OneBlock(Scene):
         return self.write(name, {}, {"seconds": seconds})
 
     def _activated(self) -> Nodes:
-        assert self._rows is not None  # noqa: S101 - an earlier stage
-        assert self._origin is not None  # noqa: S101
-        assert self._dilation is not None  # noqa: S101
-        nodes = activate_nodes(self.splats, self._rows, self._origin, self._dilation)
+        rows, origin, added = self._placed
+        nodes = activate_nodes(self.splats, rows, origin, added)
         if self.visible is None or not self.measures:
             return nodes
         hidden = self.settings.parameters.hidden
-        weights = visible_weights(nodes.coverages, self.visible[self._rows], hidden)
+        weights = visible_weights(nodes.coverages, self.visible[rows], hidden)
         return replace(nodes, weights=normalised(weights))
 
     def open(self, block: int) -> Block:
         """As `Scene` says."""
-        assert self._rows is not None  # noqa: S101 - an earlier stage
-        return Block(self.splats, self._rows, self.visible)
+        return Block(self.splats, self._placed.rows, self.visible)
 
     def cut(self, block: int, level: int, balance: int) -> I32:
         """As `Scene` says; made once."""
@@ -244,12 +252,11 @@ class OneBlock(Scene):
         for labels, groups in self._stored:
             if labels is members.labels:
                 return groups
-        assert self._leaves is not None  # noqa: S101 - earlier stages
-        assert self._origin is not None  # noqa: S101
-        assert self._dilation is not None  # noqa: S101
+        assert self._leaves is not None  # noqa: S101 - an earlier stage
+        _, origin, added = self._placed
         del self._stored[:-1]
         groups = store_groups(
-            self._leaves, members.labels, self.splats, self._origin, self._dilation,
+            self._leaves, members.labels, self.splats, origin, added,
             sheets=not self.measures,
         )  # fmt: skip
         self._stored.append((members.labels, groups))
