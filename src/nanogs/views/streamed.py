@@ -19,6 +19,7 @@ from nanogs.formatting import bytes_text
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.listing import cut_boxes, extent_of
 from nanogs.progress import Parts, each, untold
+from nanogs.protocol import BLACK
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import (
     PreparedSplats,
@@ -36,7 +37,6 @@ from nanogs.splats import RenderMode, Splats
 from nanogs.views.arena import Arena
 
 BLOCK_ROWS = 1 << 15  # rows that are read and projected at once
-BLACK = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
