@@ -19,13 +19,13 @@ from nanogs.lod.folder import PLY, LevelsFolder
 from nanogs.lod.layout import Layout, chunks_of
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.measured import LevelJudge, level_judge
-from nanogs.pipeline.files import cameras_of, fill_in_blocks
+from nanogs.pipeline.files import cameras_of
 from nanogs.pipeline.foreseen import levels_stages
+from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.levels import check_ratios, judged_levels
 from nanogs.pipeline.reading import Prepared, prepare, read_changed, reading_stages
 from nanogs.pipeline.request import Request, is_measured, plan_files
-from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
@@ -104,8 +104,7 @@ def write_levels(
             return write_levels_of_files(request, sink, tell)
         if for_files := given.keys() & {"block", "job", "scratch", "resume", "executor"}:
             raise OptionError(f"{min(for_files)} is for files; give the model's path in its place.")
-        changes = Changes(request.filters, request.sh_degree)
-        return _whole(request, prepare(as_splats(paths), changes), sink, tell)
+        return _whole(request, prepare(as_splats(paths), request.edits), sink, tell)
 
 
 def sink_of(request: Request, *, suffix: str = PLY, source: str | None = None) -> LevelsFolder:
@@ -135,10 +134,9 @@ def write_levels_of_files(
     request.goes_on()
     sink.check()
     import_stages(request.parameters)
-    changes = Changes(request.filters, request.sh_degree)
     stages = _stages(request, plan.splats, sink)
-    tracker = Tracker(told, [*reading_stages(changes, plan.splats), *stages])
-    prepared = read_changed(request.inputs, changes, tracker, StageClock())
+    tracker = Tracker(told, [*reading_stages(request.edits, plan.splats), *stages])
+    prepared = read_changed(request.inputs, request.edits, tracker, StageClock())
     manifest, reports = _whole(request, prepared, sink, tracker.passing())
     return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)
 

@@ -19,7 +19,6 @@ from nanogs.pipeline.presets import (
     SUMMARIES,
     Parameters,
     parameters,
-    renders,
 )
 from nanogs.ranges import known_parameters
 
@@ -99,16 +98,6 @@ class Method(options.Telling):
             OptionError: There is no such preset or parameter, or a value is out of range.
         """
         return parameters(self.preset, self.overrides)
-
-    @property
-    def measured(self) -> bool:
-        """Whether results are held against the input."""
-        return renders(self.chosen) if self.measure is None else self.measure
-
-    @property
-    def given(self) -> dict[str, Any]:
-        """What the library takes of it, whole models and blocks alike."""
-        return self.overrides | {"preset": self.preset, "nan": self.nan}
 
     def check(self, paths: Sequence[Path]) -> None:
         """Refuse what does not go together, as far as the options alone tell.

@@ -21,11 +21,11 @@ from nanogs.pipeline.api import target_of
 from nanogs.pipeline.cluster import executor_of
 from nanogs.pipeline.in_blocks import block_memory, block_parameters, count_of, plan_job
 from nanogs.pipeline.job import import_stages, usable_rows
-from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory
+from nanogs.pipeline.memory import MemoryPlan
 from nanogs.pipeline.plan import ScalePlan
 from nanogs.pipeline.presets import effective, renders
 from nanogs.pipeline.reading import inspect_parts, prepare, read_parts
-from nanogs.pipeline.request import Request, plan_files
+from nanogs.pipeline.request import Request, is_measured, memory_of, plan_files
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.target import Goal
 
@@ -74,15 +74,8 @@ class Plan:
 
     def memory(self) -> MemoryPlan:
         """The memory it takes whole; an unknown count takes that of the whole model."""
-        chosen, most = self.method.chosen, self.count or self.info.splats
-        # Where the preset looks, it has taken as much before as measuring one result does.
-        measured = self.method.measured and (bool(self.wish.ratios) or not renders(chosen))
-        judged = measured or self.wish.goal.psnr is not None
-        splats, degree, extra = self.info.splats, self.info.sh_degree, self.info.extra_bytes()
-        plan = plan_memory(splats, degree, extra, chosen, most, judged=judged)
-        if self.wish.chunks is None:
-            return plan
-        return plan_chunks(plan, splats, degree, most, self.wish.ratios, self.wish.chunks)
+        info, most = self.info, self.count or self.info.splats
+        return memory_of(self.wish, info.splats, info.sh_degree, info.extra_bytes(), most)
 
     def shown(self) -> "Plan":
         """The plan with what only the splats tell: a count, what filters leave, and blocks.
@@ -98,7 +91,7 @@ class Plan:
             return replace(self, blocks=blocks, info=info, count=left)
         if wish.goal.size is None and not wish.filters:
             return self
-        splats = prepare(read_parts(wish.inputs), wish.changes).splats
+        splats = prepare(read_parts(wish.inputs), wish.edits).splats
         count = target_of(wish.goal, splats, len(usable_rows(splats, wish.nan)), wish.output)
         return replace(self, info=replace(self.info, splats=len(splats)), count=count)
 
@@ -108,8 +101,8 @@ class Plan:
         size = block_memory(self.process_memory, None, folder, elsewhere=elsewhere)
         chosen = block_parameters(wish.preset, wish.overrides)
         return plan_job(
-            wish.inputs, self.wish.goals, chosen, *size, wish.nan, self.wish.chunks, wish.changes,
-            wish.sizer if wish.goal.size is not None else None,
+            wish.inputs, wish.goals, chosen, *size, wish.nan, wish.chunks, wish.changes,
+            wish.sizer,
         )  # fmt: skip
 
     def notes(self) -> list[str]:
@@ -224,7 +217,7 @@ def carry_out(plan: Plan, do: Callable[[Request], T]) -> T:
     if plan.divided:
         with plan.executor() as executor:
             return do(replace(wish, executor=executor, max_memory=plan.process_memory))
-    if renders(wish.parameters) or plan.method.measured:
+    if renders(wish.parameters) or is_measured(wish):
         when_compiling(compile_ahead)
     return do(wish)
 

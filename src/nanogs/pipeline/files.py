@@ -11,26 +11,23 @@ from typing import TYPE_CHECKING, Any
 from nanogs.bar import drawn
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
-from nanogs.errors import NotEnoughMemoryError, OptionError
-from nanogs.formatting import bytes_text
 from nanogs.frames import change_frame
-from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
+from nanogs.io import bytes_on_disk, check_writable, losses, save
 from nanogs.io import open as open_model
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.cameras import requested_cameras
-from nanogs.pipeline.in_blocks import block_parameters, simplify_into
+from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.job import NanPolicy, import_stages
 from nanogs.pipeline.presets import DEFAULT_PRESET
 from nanogs.pipeline.reading import read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
-from nanogs.pipeline.rows import Changes
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Measuring, Parts, Progress, Stage, Tracker
 from nanogs.protocol import Judged
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
-from nanogs.sink import OneFile, Sink, Written
+from nanogs.sink import OneFile
 from nanogs.source import Filtered, Joined, Reduced, Source
 from nanogs.splats import Splats
 
@@ -178,32 +175,6 @@ def _in_blocks(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
     return report
 
 
-def fill_in_blocks(
-    request: Request, plan: Plan, sink: Sink, told: Progress | None
-) -> tuple[list[Written], list[SimplifyReport]]:
-    """Do what is asked for in blocks, and give the results to a sink; see `simplify_into`."""
-    _refuse_what_needs_all(request, plan)
-    from nanogs.pipeline.stored_job import Where  # which brings Numba
-
-    return simplify_into(
-        sink,
-        request.inputs,
-        request.goals,
-        Where(request.threads, request.executor, request.patience),
-        told,
-        preset=request.preset,
-        max_memory=request.max_memory,
-        block=request.block,
-        job=request.job,
-        scratch=request.scratch,
-        resume=request.resume,
-        nan=request.nan,
-        changes=request.changes,
-        sizer=request.sizer,
-        **request.overrides,
-    )
-
-
 def _judge(request: Request, tell: Parts) -> tuple[Judged | None, tuple[str, ...]]:
     """Hold the file against its inputs, some rows of both at a time."""
     from nanogs.scoring.held_out import judge_file  # which brings Numba
@@ -211,7 +182,7 @@ def _judge(request: Request, tell: Parts) -> tuple[Judged | None, tuple[str, ...
     source: Source = Joined([open_model(path) for path in request.inputs])
     if request.filters:
         source = Filtered(source, request.filters)
-    if request.sh_degree is not None and request.sh_degree < source.columns.sh_degree:
+    if request.sh_degree is not None:
         source = Reduced(source, request.sh_degree)
     with source:
         return judge_file(
@@ -228,11 +199,10 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
     check_writable(output, overwrite=request.overwrite, format_options=options)
     import_stages(request.parameters)
     tracker = Tracker(told, _stages(request, plan))
-    changes = Changes(request.filters, request.sh_degree, request.frame)
-    splats, filtered, notes = read_changed(request.inputs, changes, tracker, clock)
+    splats, filtered, notes = read_changed(request.inputs, request.edits, tracker, clock)
     small, report = simplify(
         splats, ratio=goal.ratio, count=goal.count, size=goal.size, psnr=goal.psnr,
-        format=_suffix(output), preset=request.preset, nan=request.nan, threads=request.threads,
+        format=request.suffix, preset=request.preset, nan=request.nan, threads=request.threads,
         cameras=cameras_of(request, splats), max_memory=request.max_memory,
         progress=tracker.passing(), format_options=options, **request.overrides,
     )  # fmt: skip
@@ -283,47 +253,13 @@ def _stages(request: Request, plan: Plan) -> list[Stage]:
 
     splats, suffix, goal = plan.splats, request.output.suffix, request.goal
     count = None if goal.size is not None else goal.target(splats, lambda _count: 0)
-    stages = reading_stages(Changes(request.filters), splats)
+    stages = reading_stages(request.edits, splats)
     stages += simplify_stages(request.parameters, goal, splats, count, suffix)
     stages.append(Stage("write", write_weight(suffix, count or splats // 10)))
     return [*stages, measure_stage(splats)] if is_measured(request) and not goal.psnr else stages
-
-
-def _suffix(output: Path) -> str:
-    known = registry.find(output)
-    return known.suffix if known else output.suffix
 
 
 def _around(clock: StageClock, inner: dict[str, float]) -> dict[str, float]:
     """Seconds of reading, then those of the method, then those of what follows."""
     first = {name: value for name, value in clock.seconds.items() if name in ("read", "filter")}
     return first | inner | clock.seconds
-
-
-def _refuse_what_needs_all(request: Request, plan: Plan) -> None:
-    """Refuse what only a model in memory can be asked.
-
-    Raises:
-        NotEnoughMemoryError: Something asked for needs the whole model, for which memory lacks.
-        OptionError: The same, where blocks were asked for.
-    """
-    block_parameters(request.preset, request.overrides)
-    request.changes.check()
-    wishes = {
-        f"`size` of a {_suffix(request.output)} file": request.goal.size is not None
-        and request.sizer is None,
-        "`psnr`": request.goal.psnr is not None,
-        "measuring levels": bool(request.measured and request.ratios),
-        "measuring against a file that is not read in parts": request.measured
-        and not request.in_rows,
-    }
-    for wish, asked in wishes.items():
-        if asked and plan.memory.peak <= plan.allowed.bytes:
-            raise OptionError(f"In blocks there is no {wish}, which needs the whole model.")
-        if asked:
-            name = ", ".join(path.name for path in request.inputs)
-            raise NotEnoughMemoryError(
-                f"{name} takes about {bytes_text(plan.memory.peak)} of memory, and {plan.allowed};"
-                f" blocks would take less, but {wish} needs the whole model: leave that out, or"
-                " give it more memory."
-            )

@@ -3,24 +3,23 @@
 import shutil
 import time
 from collections.abc import Sequence
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.clock import StageClock
 from nanogs.defaults import DEFAULT_MEMORY
-from nanogs.errors import OptionError, OutputError
+from nanogs.errors import NotEnoughMemoryError, OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline.folder import job_folder, read_manifest
+from nanogs.pipeline.folder import read_manifest
 from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.plan import (
     ScalePlan,
     plan_blocks,
 )
-from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
+from nanogs.pipeline.presets import parameters
 from nanogs.pipeline.rows import (
     NOTHING,
     Changes,
@@ -40,33 +39,20 @@ from nanogs.store.columns import empty_columns, row_bytes, splats_of
 from nanogs.store.scratch import is_url
 
 if TYPE_CHECKING:
+    from nanogs.pipeline.request import Plan, Request
     from nanogs.pipeline.run import Done
-    from nanogs.pipeline.stored_job import Where
 
 
-def simplify_into(
-    sink: Sink,
-    inputs: Sequence[Path],
-    goals: Sequence[Goal],
-    where: "Where",
-    progress: Progress | None = None,
-    *,
-    preset: str = DEFAULT_PRESET,
-    max_memory: int | None = None,
-    block: int | None = None,
-    job: str | PathLike[str] | None = None,
-    scratch: str | None = None,
-    resume: bool = False,
-    nan: NanPolicy = "drop",
-    changes: Changes = NOTHING,
-    sizer: Sizer | None = None,
-    **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
+def fill_in_blocks(
+    request: "Request", plan: "Plan", sink: Sink, told: Progress | None
 ) -> tuple[list[Written], list[SimplifyReport]]:
     """Simplify files block by block, and give the results to a sink.
 
-    Inputs are parts of one scene; goals are ratios, the finest first, or one of another kind, of
-    which a size takes a `sizer`. `where` the tasks are done and `changes` to the model stand for
-    what `simplify_blocks` takes one by one, and all else is as there.
+    Args:
+        request: What is asked for.
+        plan: Why that is done in blocks.
+        sink: Takes each result.
+        told: Called with each step.
 
     Returns:
         Each result as it was written, and its report.
@@ -75,32 +61,64 @@ def simplify_into(
         NanogsError: As for `simplify_blocks`.
     """
     start, clock = time.perf_counter(), StageClock()
-    folder, chosen = job_folder(sink.place, job), block_parameters(preset, overrides)
+    folder, goals = request.folder, request.goals
+    chosen = block_parameters(request.preset, request.overrides)
+    _refuse_what_needs_all(request, plan)
     max_memory, block = block_memory(
-        max_memory, block, folder if resume else None, elsewhere=where.executor is not None
-    )
-    settings, plan = plan_job(
-        inputs, goals, chosen, max_memory, block, nan, sink.chunks, changes, sizer
-    )
+        request.max_memory, request.block, folder if request.resume else None,
+        elsewhere=request.executor is not None,
+    )  # fmt: skip
+    settings, divided = plan_job(
+        request.inputs, goals, chosen, max_memory, block, request.nan, sink.chunks,
+        request.changes, request.sizer,
+    )  # fmt: skip
     # Here and not above: these bring Numba, which `--help` and `info` do without.
     from nanogs.pipeline.ending import Ending
     from nanogs.pipeline.job_report import report_of
-    from nanogs.pipeline.stored_job import BlockJob
+    from nanogs.pipeline.stored_job import BlockJob, Where
 
-    most = count_of(goals[0], settings.splats, settings.layout, sizer)
+    most = count_of(goals[0], settings.splats, settings.layout, request.sizer)
     sink.refuse_large(most, row_bytes(settings.layout), max_memory)
-    if not resume:
-        refuse_full_disk(plan, folder, scratch)
+    if not request.resume:
+        refuse_full_disk(divided, folder, request.scratch)
 
     def reports(done: "Done", written: Sequence[Written]) -> list[SimplifyReport]:
         return [
-            report_of(preset, goal, done, written[level].splats, clock, start, level)
+            report_of(request.preset, goal, done, written[level].splats, clock, start, level)
             for level, goal in enumerate(goals)
         ]
 
-    ending = Ending(sink, reports)
-    made = BlockJob(settings, folder, scratch, ending).run(where, clock, progress, resume=resume)
+    job = BlockJob(settings, folder, request.scratch, Ending(sink, reports))
+    where = Where(request.threads, request.executor, request.patience)
+    made = job.run(where, clock, told, resume=request.resume)
     return made[1], reports(*made)
+
+
+def _refuse_what_needs_all(request: "Request", plan: "Plan") -> None:
+    """Refuse what only a model in memory can be asked.
+
+    Raises:
+        NotEnoughMemoryError: Something asked for needs the whole model, for which memory lacks.
+        OptionError: The same, where blocks were asked for.
+    """
+    wishes = {
+        f"`size` of a {request.suffix} file": request.goal.size is not None
+        and request.sizer is None,
+        "`psnr`": request.goal.psnr is not None,
+        "measuring levels": bool(request.measured and request.ratios),
+        "measuring against a file that is not read in parts": request.measured
+        and not request.in_rows,
+    }
+    for wish, asked in wishes.items():
+        if asked and plan.memory.peak <= plan.allowed.bytes:
+            raise OptionError(f"In blocks there is no {wish}, which needs the whole model.")
+        if asked:
+            name = ", ".join(path.name for path in request.inputs)
+            raise NotEnoughMemoryError(
+                f"{name} takes about {bytes_text(plan.memory.peak)} of memory, and {plan.allowed};"
+                f" blocks would take less, but {wish} needs the whole model: leave that out, or"
+                " give it more memory."
+            )
 
 
 def block_memory(

@@ -1,7 +1,7 @@
 """What is asked of files, and whether it is met in memory or in blocks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,10 +89,20 @@ class Request:
         return parameters(self.preset, self.overrides)
 
     @property
+    def edits(self) -> Changes:
+        """What is left out of the model, and where results are turned to."""
+        return Changes(self.filters, self.sh_degree, self.frame)
+
+    @property
     def changes(self) -> Changes:
-        """What is done to the model besides making it smaller."""
-        views = asked_views(self.cameras, self.up)
-        return Changes(self.filters, self.sh_degree, self.frame, views)
+        """The same with the views that are asked for; a file of cameras is read each time."""
+        return replace(self.edits, asked=asked_views(self.cameras, self.up))
+
+    @property
+    def suffix(self) -> str:
+        """Of the output's format."""
+        known = registry.find(self.output)
+        return known.suffix if known else self.output.suffix
 
     @property
     def sizer(self) -> Sizer | None:
@@ -167,13 +177,9 @@ def plan_files(request: Request) -> Plan:
     """
     with Joined([open_model(path) for path in request.inputs]) as source:
         splats, layout = source.count, source.columns
-    chosen = request.parameters
     target, allowed = _most(request.goal, splats), allowed_memory(request.max_memory)
     extra = row_bytes(layout) - splat_bytes(layout.sh_degree)
-    memory = plan_memory(splats, layout.sh_degree, extra, chosen, target, judged=_judged(request))
-    if request.chunks:
-        ratios = request.ratios
-        memory = plan_chunks(memory, splats, layout.sh_degree, target, ratios, request.chunks)
+    memory = memory_of(request, splats, layout.sh_degree, extra, target)
     asked = request.block or request.job or request.scratch or request.executor or request.resume
     return Plan(splats, memory, allowed, bool(asked or memory.peak > allowed.bytes))
 
@@ -185,8 +191,23 @@ def _most(goal: Goal, splats: int) -> int:
     return target_count(splats, goal.ratio, goal.count)
 
 
-def _judged(request: Request) -> bool:
-    return is_measured(request) or request.goal.psnr is not None
+def memory_of(request: Request, splats: int, degree: int, extra: int, target: int) -> MemoryPlan:
+    """Memory that a request takes with the model in memory.
+
+    Args:
+        request: What is asked for.
+        splats: Of the model.
+        degree: Of the spherical harmonics.
+        extra: Bytes of extra columns for each splat.
+        target: Splats of the largest result.
+    """
+    # Where the preset looks, it has taken as much before as measuring one result does.
+    measured = is_measured(request) and (bool(request.ratios) or not renders(request.parameters))
+    judged = measured or request.goal.psnr is not None
+    plan = plan_memory(splats, degree, extra, request.parameters, target, judged=judged)
+    if request.chunks is None:
+        return plan
+    return plan_chunks(plan, splats, degree, target, request.ratios, request.chunks)
 
 
 def is_measured(request: Request) -> bool:
