@@ -168,12 +168,19 @@ def _fit(
     progress: Tracker,
 ) -> Outcome:
     from nanogs.pipeline.fit_size import fit_size, guess_count
+    from nanogs.pipeline.results import HeldResults
+
+    def bytes_of(outcome: Outcome) -> int:
+        with clock.time("encode"):
+            return encode(outcome.splats)
 
     progress.begin("guess")
     with clock.time("encode"):
-        guess = guess_count(job.splats.take(job.rows), size, encode)
-    build = job.build(threads, clock, progress)
-    return fit_size(build, size, guess, encode, clock, progress, leaps)
+        guess = guess_count(job.splats.take(job.rows), len(job.rows), size, encode)
+    results = HeldResults(job.build(threads, clock, progress), clock)
+    outcome, found = fit_size(results, size, guess, bytes_of, progress, leaps)
+    notes = (*outcome.notes, *found.leap(size, results.available))
+    return replace(outcome, achieved_size=found.bytes, size_probes=found.probes, notes=notes)
 
 
 def _reach(
@@ -185,12 +192,19 @@ def _reach(
     progress: Tracker,
 ) -> Outcome:
     from nanogs.pipeline.reach import reach_psnr
+    from nanogs.pipeline.results import HeldResults
     from nanogs.scoring.held_out import held_out
 
     progress.begin("measure")
     with clock.time("measure"):
         views = held_out(job.splats, progress.part)
-    build = job.build(threads, clock, progress)
-    outcome = reach_psnr(build, psnr, views, stored, clock, progress)
+
+    def psnr_of(outcome: Outcome) -> float:
+        with clock.time("measure"):
+            return views.psnr(stored(outcome.splats))
+
+    results = HeldResults(job.build(threads, clock, progress), clock)
+    outcome, found = reach_psnr(results, psnr, psnr_of, progress)
     with clock.time("measure"):
-        return replace(outcome, judged=views.judge(stored(outcome.splats)))
+        judged = views.judge(stored(outcome.splats))
+    return replace(outcome, probes=found.probes, stop=found.stop, judged=judged)

@@ -5,13 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
-from nanogs.pipeline.foreseen import delivery_stages
-from nanogs.pipeline.one_block import OneBlock
-from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.run import deliver, plain
+from nanogs.pipeline.results import Results, T
 from nanogs.pipeline.weights import RESULTS, SIZES, write_weight
 from nanogs.progress import Stage, Tracker
 from nanogs.report import SizeProbeReport
@@ -135,84 +131,88 @@ def _next(fits: Probe, over: Probe, size: int, tried: int) -> int:
     return min(max(fits.count + int(share * between), fits.count + 1), over.count - 1)
 
 
-def guess_count(splats: Splats, size: int, encode: Encode) -> int:
+def guess_count(sample: Splats, available: int, size: int, encode: Encode) -> int:
     """A count to begin with, from what some of the model's own splats take.
 
     Args:
-        splats: The usable ones.
+        sample: Some of the usable ones, spread over the model; of them some are taken again.
+        available: How many there are in all.
         size: Bytes that the file may have.
         encode: Bytes of a model's file.
 
     Raises:
         OptionError: Not even one splat fits.
     """
-    least = encode(splats.take(np.arange(1)))
+    least = encode(sample.take(np.arange(1)))
     if size < least:
         raise OptionError(
             f"The size {size:,} B is too small: a file of one splat of this model takes"
             f" {least:,} B."
         )
-    rows = np.arange(0, len(splats), -(-len(splats) // _SAMPLE))
-    each = (encode(splats.take(rows)) - least) / max(len(rows) - 1, 1)
-    return 1 + int((AIM * size - least) / each) if each > 0 else len(splats)
+    rows = np.arange(0, len(sample), -(-len(sample) // _SAMPLE))
+    each = (encode(sample.take(rows)) - least) / max(len(rows) - 1, 1)
+    return 1 + int((AIM * size - least) / each) if each > 0 else available
 
 
 def fit_size(
-    scene: OneBlock,
+    results: Results[T],
     size: int,
     guess: int,
-    encode: Encode,
-    clock: StageClock,
+    bytes_of: Callable[[T], int],
     progress: Tracker,
     leaps: Sequence[int] = (),
-) -> Outcome:
+) -> tuple[T, Fitted]:
     """The largest result of a model that is found to fit, and takes most of the size.
 
     The count is looked for among results as one cut has them; of what is delivered, chosen by
     measurement or fitted, few are made.
 
     Args:
-        scene: The model, looked at, and its forest.
+        results: Of the model.
         size: Bytes that the file may have.
         guess: Count to begin with.
-        encode: Bytes of a model's file.
-        clock: Gets the seconds of each stage.
+        bytes_of: Bytes of a result's file.
         progress: Told of each stage.
         leaps: See `search_fit`.
+
+    Returns:
+        The result, and what was tried.
 
     Raises:
         OptionError: Not even the fewest splats fit.
     """
-    best: list[Outcome] = []  # the latest that fits, and so the largest; one at a time
+    best: list[T] = []  # the latest that fits, and so the largest; one at a time
 
-    def search(scene: OneBlock, expected: int, guess: int, enough: float | None = None) -> Fitted:
+    def search(
+        results: Results[T], expected: int, guess: int, enough: float | None = None
+    ) -> Fitted:
         tried = 0
 
-        def bytes_of(count: int) -> int:
+        def bytes_for(count: int) -> int:
             nonlocal tried
-            stages = delivery_stages(scene.settings.parameters, len(scene.usable), count)
             encoding = Stage("encode", write_weight(".sog", count))
-            probe = progress.within(tried, expected, [*stages, encoding])
+            probe = progress.within(tried, expected, [*results.stages(count), encoding])
             tried += 1
-            outcome = deliver(scene, count, clock, probe)
-            probe.begin("encode")
-            with clock.time("encode"):
-                size_of = encode(outcome.splats)
-            if size_of <= size:
-                best[:] = [replace(outcome, achieved_size=size_of)]
-            return size_of
 
-        forest = scene.forest
-        return search_fit(bytes_of, size, guess, forest.fewest, forest.splats, enough, leaps)
+            def mark(result: T) -> int:
+                probe.begin("encode")
+                return bytes_of(result)
+
+            result, found = results.marked(count, mark, probe)
+            if found <= size:
+                results.keep(result)
+                best[:] = [result]
+            return int(found)
+
+        fewest, available = results.fewest, results.available
+        return search_fit(bytes_for, size, guess, fewest, available, enough, leaps)
 
     progress.begin("search")
-    found = search(plain(scene), SIZES, guess)
+    found = search(results.plain(), SIZES, guess)
     probes = found.probes
-    if scene.looks:
+    if results.looks:
         best.clear()
         progress.begin("deliver")
-        found = search(scene, RESULTS, found.count, ENOUGH * min(size, found.bytes))
+        found = search(results, RESULTS, found.count, ENOUGH * min(size, found.bytes))
         probes += found.probes
-    found = replace(found, probes=probes)
-    leap = found.leap(size, scene.forest.splats)
-    return replace(best[0], size_probes=probes, notes=(*best[0].notes, *leap))
+    return best[0], replace(found, probes=probes)

@@ -8,17 +8,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from nanogs.clock import StageClock
-from nanogs.pipeline.foreseen import delivery_stages
-from nanogs.pipeline.one_block import OneBlock
-from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.run import deliver, plain
+from nanogs.pipeline.results import Results, T
 from nanogs.pipeline.weights import COUNTS
 from nanogs.progress import Stage, Tracker
 from nanogs.protocol import VIEWS
 from nanogs.report import ProbeReport, StopReason
-from nanogs.scoring.held_out import HeldOut
-from nanogs.splats import Splats
 
 SPAN = 0.3  # dB above what is asked within which a result is near enough
 MOST_PROBES = 24
@@ -32,9 +26,6 @@ SLOPES = 1.0, 10.0  # dB, between which a slope that was measured is believed
 LEAP = 3.0  # logarithm of the most that a count changes by where one side is open
 FAR = 0.7  # share of the most beyond which that is tried at once
 HOPELESS = 6.0  # dB that a quick result may lack for the delivered one to be worth a probe
-
-Decode = Callable[[Splats], Splats]
-"""A result as the file that it is written to gives it back."""
 
 _Probe = ProbeReport | None
 
@@ -180,61 +171,62 @@ def _slope(probes: "list[ProbeReport] | tuple[ProbeReport, ...]") -> float:
 
 
 def reach_psnr(
-    scene: OneBlock,
-    asked: float,
-    views: HeldOut,
-    decode: Decode,
-    clock: StageClock,
-    progress: Tracker,
-) -> Outcome:
+    results: Results[T], asked: float, psnr_of: Callable[[T], float], progress: Tracker
+) -> tuple[T, Found]:
     """The smallest result of a model that is found to reach a PSNR on the views held out.
 
     What is measured is what is delivered: the result of a count is the same each time.
 
     Args:
-        scene: The model, looked at, and its forest.
+        results: Of the model.
         asked: dB.
-        views: What the original shows where nothing is learnt from it.
-        decode: What becomes of a result in its file.
-        clock: Gets the seconds of each stage.
+        psnr_of: Measures a result on views that nothing is learnt from, dB.
         progress: Told of each stage.
-    """
-    best: list[Outcome] = []  # the latest that reaches it, and so the smallest; one at a time
 
-    def search(scene: OneBlock, guess: int, slope: float | None = None, *, quick: bool) -> Found:
+    Returns:
+        The result, and what was tried.
+    """
+    best: list[T] = []  # the latest that reaches it, and so the smallest; one at a time
+
+    def search(
+        results: Results[T], guess: int, slope: float | None = None, *, quick: bool
+    ) -> Found:
         tried = 0
 
-        def psnr_of(count: int) -> float:
+        def psnr_for(count: int) -> float:
             nonlocal tried
-            stages = delivery_stages(scene.settings.parameters, len(scene.usable), count)
-            probe = progress.within(tried, COUNTS, [*stages, Stage("measure", VIEWS * 0.02)])
+            measuring = Stage("measure", VIEWS * 0.02)
+            probe = progress.within(tried, COUNTS, [*results.stages(count), measuring])
             tried += 1
-            outcome = deliver(scene, count, clock, probe)
-            probe.begin("measure")
-            with clock.time("measure"):
-                psnr = views.psnr(decode(outcome.splats))
+
+            def mark(result: T) -> float:
+                probe.begin("measure")
+                return psnr_of(result)
+
+            result, psnr = results.marked(count, mark, probe)
             if psnr >= asked:
-                best[:] = [outcome]
+                results.keep(result)
+                best[:] = [result]
             return psnr
 
-        forest = scene.forest
-        return search_count(psnr_of, asked, forest.fewest, forest.splats, guess, slope, quick=quick)
+        fewest, available = results.fewest, results.available
+        return search_count(psnr_for, asked, fewest, available, guess, slope, quick=quick)
 
-    guess, slope = round(GUESS * scene.forest.splats), None
+    guess, slope = round(GUESS * results.available), None
     probes: tuple[ProbeReport, ...] = ()
     progress.begin("search")
-    if scene.looks:
-        near = search(plain(scene, rounds=0), guess, quick=True)
+    if results.looks:
+        near = search(results.plain(rounds=0), guess, quick=True)
         probes, guess, slope = near.probes, near.count, near.slope
         best.clear()
         if _hopeless(near, asked):
-            return _whole(scene, near, clock, progress)
+            return _whole(results, near, progress)
         progress.begin("deliver")
-    found = search(scene, guess, slope, quick=False)
+    found = search(results, guess, slope, quick=False)
     found = replace(found, probes=probes + found.probes)
     if not best:
-        return _whole(scene, found, clock, progress)
-    return replace(best[0], probes=found.probes, stop=found.stop)
+        return _whole(results, found, progress)
+    return best[0], found
 
 
 def _hopeless(near: Found, asked: float) -> bool:
@@ -244,7 +236,7 @@ def _hopeless(near: Found, asked: float) -> bool:
     )
 
 
-def _whole(scene: OneBlock, found: Found, clock: StageClock, progress: Tracker) -> Outcome:
+def _whole(results: Results[T], found: Found, progress: Tracker) -> tuple[T, Found]:
     """The whole model, as no smaller one reaches what is asked."""
-    outcome = deliver(scene, scene.forest.splats, clock, progress)
-    return replace(outcome, probes=found.probes, stop=StopReason.UNREACHED)
+    result = results.make(results.available, progress)
+    return result, replace(found, count=results.available, stop=StopReason.UNREACHED)

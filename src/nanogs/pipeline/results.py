@@ -1,0 +1,101 @@
+"""Results of any count, as the searches ask for them, of a model in memory; see `job_results`."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol, Self, TypeVar
+
+from nanogs.clock import StageClock
+from nanogs.pipeline.foreseen import delivery_stages
+from nanogs.pipeline.one_block import OneBlock
+from nanogs.pipeline.outcome import Outcome
+from nanogs.pipeline.run import deliver, plain
+from nanogs.progress import Stage, Tracker
+
+T = TypeVar("T")
+
+
+class Results(Protocol[T]):
+    """Makes results of any count of a scene that has been looked at, one after the other."""
+
+    @property
+    def available(self) -> int:
+        """Splats of the whole scene."""
+
+    @property
+    def fewest(self) -> int:
+        """The smallest count that can be had."""
+
+    @property
+    def looks(self) -> bool:
+        """Whether results are made by what views show, so that quick ones are worth while."""
+
+    def plain(self, rounds: int | None = None) -> Self:
+        """Results that are cut without looking; see `run.plain`."""
+
+    def stages(self, count: int) -> list[Stage]:
+        """The stages of one result."""
+
+    def make(self, count: int, progress: Tracker) -> T:
+        """The result of a count."""
+
+    def marked(self, count: int, mark: Callable[[T], float], progress: Tracker) -> tuple[T, float]:
+        """The result of a count, and what a function says of it.
+
+        Args:
+            count: Splats.
+            mark: Measures the result; a function of nothing else.
+            progress: Told of each stage.
+        """
+
+    def keep(self, result: T) -> None:
+        """Keep this result; one that was kept before is not needed any more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldResults:
+    """Results of a model in memory; see `Results`.
+
+    Attributes:
+        scene: The model, looked at, and its forest.
+        clock: Gets the seconds of each stage.
+    """
+
+    scene: OneBlock
+    clock: StageClock
+
+    @property
+    def available(self) -> int:
+        """As `Results` says."""
+        return self.scene.forest.splats
+
+    @property
+    def fewest(self) -> int:
+        """As `Results` says."""
+        return self.scene.forest.fewest
+
+    @property
+    def looks(self) -> bool:
+        """As `Results` says."""
+        return self.scene.looks
+
+    def plain(self, rounds: int | None = None) -> "HeldResults":
+        """As `Results` says."""
+        return replace(self, scene=plain(self.scene, rounds))
+
+    def stages(self, count: int) -> list[Stage]:
+        """As `Results` says."""
+        return delivery_stages(self.scene.settings.parameters, len(self.scene.usable), count)
+
+    def make(self, count: int, progress: Tracker) -> Outcome:
+        """As `Results` says."""
+        return deliver(self.scene, count, self.clock, progress)
+
+    def marked(
+        self, count: int, mark: Callable[[Outcome], float], progress: Tracker
+    ) -> tuple[Outcome, float]:
+        """As `Results` says."""
+        outcome = self.make(count, progress)
+        return outcome, mark(outcome)
+
+    def keep(self, result: Outcome) -> None:
+        """As `Results` says: who asked holds it."""
