@@ -12,7 +12,8 @@ from nanogs.metrics import psnr, ssim
 from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.ending import result_of
 from nanogs.pipeline.frame import survey
-from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.in_blocks import plan_job
+from nanogs.pipeline.request import Request
 from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
@@ -31,9 +32,10 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
         source, folder = Path(name) / "in.ply", FolderScratch(Path(name) / "scratch")
         folder.prepare()
         nanogs.save(replace(splats, elements=()), source)
-        chosen = block_parameters("fast", {"rounds": rounds})
+        asked = {"preset": "fast", "overrides": {"rounds": rounds}, "output": Path("a.ply")}
         size = int(len(splats) / blocks * 1.08) + 1
-        settings, _ = plan_job([source], (Goal(ratio=ratio),), chosen, None, size, "drop")
+        request = Request(goal=Goal(ratio=ratio), inputs=(source,), **asked)
+        settings, _ = plan_job(request, None, size)
         frame = survey(settings)
         done = run_tasks(
             folder, settings, Here(), 2, StageClock(), Tracker(None, []), resumed=False

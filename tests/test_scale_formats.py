@@ -16,7 +16,8 @@ from nanogs.io.sog import read as sog
 from nanogs.io.spz import read as spz
 from nanogs.pipeline import rows as source
 from nanogs.pipeline import run, stages
-from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.in_blocks import plan_job
+from nanogs.pipeline.request import Request
 from nanogs.pipeline.settings import Access
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.unpack import Cost
@@ -139,9 +140,7 @@ def test_files_of_all_kinds_make_one_scene(tmp_path, splats, few):
     trained = {name: getattr(last, name) for name in ("means", "quats")}
     trained |= {"scales": last.log_scales, "opacities": last.opacity_logits, "sh0": last.sh}
     inputs[-1].write_bytes(File({"splats": trained}).bytes())
-    settings = plan_job(
-        inputs, (Goal(ratio=0.3),), block_parameters("fast", {}), None, 500, "drop"
-    )[0]
+    settings = planned(*inputs)[0]
     ways = [file.access for file in settings.inputs]
     assert ways == [Access.ROWS, Access.PACKED, Access.PACKED, Access.WHOLE]
     assert settings.unpacked == (1,)
@@ -277,9 +276,9 @@ def test_damage_is_said_by_the_command(tmp_path):
 # ---- what it takes --------------------------------------------------------------------------
 
 
-def planned(path, block=500, memory=None):
-    chosen = block_parameters("fast", {})
-    return plan_job([path], (Goal(ratio=0.3),), chosen, memory, block, "drop")[1]
+def planned(*paths, block=500, memory=None):
+    request = Request(goal=Goal(ratio=0.3), inputs=paths, output=paths[0], preset="fast")
+    return plan_job(request, memory, block)
 
 
 @pytest.mark.parametrize(
@@ -289,15 +288,15 @@ def test_the_plan_counts_what_is_unpacked(tmp_path, splats, name, row):
     path = MADE[name](tmp_path, splats)
     degree = 0 if name == ".splat" else 1
     plain = written(tmp_path / "plain.ply", splats.with_sh_degree(degree))
-    more = planned(path).scratch - planned(plain).scratch
+    more = planned(path)[1].scratch - planned(plain)[1].scratch
     palette = more - row * COUNT
     assert palette == 0 if name != ".sog" else 0 < palette < 100_000
-    assert planned(path, block=COUNT).scratch == planned(plain, block=COUNT).scratch
+    assert planned(path, block=COUNT)[1].scratch == planned(plain, block=COUNT)[1].scratch
 
 
 def test_textures_too_large_for_the_memory_are_refused(tmp_path, splats, monkeypatch):
     path = MADE[".sog"](tmp_path, splats)
     monkeypatch.setattr(sog, "_TEXEL", 1 << 20)
-    assert planned(path).memory > (1 << 20) * COUNT
+    assert planned(path)[1].memory > (1 << 20) * COUNT
     with pytest.raises(OptionError, match=r"at least 643 MB to unpack a\.sog; raise it, or"):
-        planned(path).unpacking(Cost(0, 400_000_000, "a.sog"), 500_000_000)
+        planned(path)[1].unpacking(Cost(0, 400_000_000, "a.sog"), 500_000_000)

@@ -17,9 +17,10 @@ from nanogs.fit.targets import Fitting, make_target
 from nanogs.pipeline import fitting, run, stages
 from nanogs.pipeline import stored_job as job
 from nanogs.pipeline.asked import Asked
-from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.memory_blocks import FINE, ROUGH, block_stages, most_coarse
 from nanogs.pipeline.plan import plan_blocks
+from nanogs.pipeline.request import Request
 from nanogs.pipeline.settings import differences
 from nanogs.pipeline.stored_job import BlockJob
 from nanogs.pipeline.target import Goal
@@ -172,9 +173,9 @@ def test_the_scratch_is_as_large_as_planned(scene, tmp_path, monkeypatch, given,
     monkeypatch.setattr(BlockJob, "_remove", measured)
     out, chosen = tmp_path / "a.ply", BLOCKS | {"block": block} | given
     nanogs.simplify_blocks(scene, out, ratio=0.2, **chosen)
-    parameters = {name: chosen[name] for name in ("views", "view_size", "steps")}
-    parameters = block_parameters(chosen["preset"], parameters)
-    plan = plan_job([scene], [Goal(ratio=0.2)], parameters, None, block, "drop")[1]
+    overrides = {name: chosen[name] for name in ("views", "view_size", "steps")}
+    asked = {"preset": chosen["preset"], "overrides": overrides, "output": out}
+    plan = plan_job(Request(goal=Goal(ratio=0.2), inputs=(scene,), **asked), None, block)[1]
     assert plan.scratch == pytest.approx(found[0] + out.stat().st_size, rel=0.1)
 
 

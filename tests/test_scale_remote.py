@@ -25,9 +25,10 @@ from nanogs.clock import StageClock
 from nanogs.errors import FormatError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline import cluster
-from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.plan import held_bytes
 from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.request import Request
 from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
@@ -231,9 +232,8 @@ def test_a_worker_says_what_it_does_not_see(tmp_path):
 
     source, host = tmp_path / "in.ply", re.escape(socket.gethostname())
     nanogs.save(random_splats(900), source)
-    settings, _ = plan_job(
-        [source], (Goal(ratio=0.5),), block_parameters("fast", {}), None, 400, "drop"
-    )
+    request = Request(goal=Goal(ratio=0.5), inputs=(source,), output=source, preset="fast")
+    settings, _ = plan_job(request, None, 400)
     with pytest.raises(NanogsError, match=f"On the worker {host}: job-0-00000 of the job"):
         do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, __version__)
     assert not (tmp_path / "scratch").exists()

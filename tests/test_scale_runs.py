@@ -23,9 +23,10 @@ from nanogs.errors import OptionError, OutputError
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.ending import result_of
 from nanogs.pipeline.frame import survey
-from nanogs.pipeline.in_blocks import block_parameters, plan_job
+from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.plan import held_bytes
 from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.request import Request
 from nanogs.pipeline.run import Here, run_tasks
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
@@ -95,8 +96,6 @@ def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["--psnr", "30"], "--psnr needs the whole"),
-        (["--size", "1MB"], "--size of a .sog file needs the whole"),
         (["--ratio", "0.1", "--drop-floaters"], "--drop-floaters needs the whole"),
         (["--ratio", "0.1", "--preset", "paper"], "paper needs the whole model"),
         (["--ratio", "0.1", "--max-memory", "100MB"], "is 100 MB and must be at least"),
@@ -105,8 +104,7 @@ def test_levels_of_what_does_not_fit(scene, tmp_path, memory):
 )
 def test_what_cannot_be_done_in_blocks_is_said(scene, tmp_path, memory, more, said):
     given = [] if "--max-memory" in more else ["--max-memory", "215MB"]
-    out = tmp_path / ("a.sog" if "--size" in more else "a.ply")
-    _, text = run("simplify", scene, out, *given, *more, code=2)
+    _, text = run("simplify", scene, tmp_path / "a.ply", *given, *more, code=2)
     assert said in " ".join(text.split())
     assert [path.name for path in tmp_path.iterdir()] == []
 
@@ -258,8 +256,9 @@ def wall(count=9000, seed=3):
 def in_blocks(splats, folder, ratio, rounds):
     """The wall made in blocks, and the block of each of its splats."""
     nanogs.save(splats, folder / "in.ply")
-    chosen = block_parameters("fast", {"rounds": rounds})
-    settings, _ = plan_job([folder / "in.ply"], (Goal(ratio=ratio),), chosen, None, 2600, "drop")
+    asked = {"preset": "fast", "overrides": {"rounds": rounds}, "output": folder / "out.ply"}
+    request = Request(goal=Goal(ratio=ratio), inputs=(folder / "in.ply",), **asked)
+    settings, _ = plan_job(request, None, 2600)
     scratch, clock = FolderScratch(folder / "scratch"), StageClock()
     scratch.prepare()
     done = run_tasks(scratch, settings, Here(), 1, clock, Tracker(None, []), resumed=False)

@@ -24,6 +24,10 @@ class OptionError(NanogsError):
     """An option or a combination of options makes no sense for this input."""
 
 
+class TooSmallError(OptionError):
+    """No result of this model fits into the size that was asked for."""
+
+
 class OutputError(NanogsError):
     """The output cannot be written: it exists, its folder is missing, or the disk is full."""
 

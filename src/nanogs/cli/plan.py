@@ -19,7 +19,7 @@ from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.api import target_of
 from nanogs.pipeline.cluster import executor_of
-from nanogs.pipeline.in_blocks import block_memory, block_parameters, count_of, plan_job
+from nanogs.pipeline.in_blocks import block_memory, count_of, plan_job
 from nanogs.pipeline.job import import_stages, usable_rows
 from nanogs.pipeline.memory import MemoryPlan
 from nanogs.pipeline.plan import ScalePlan
@@ -86,7 +86,9 @@ class Plan:
         wish = self.wish
         if self.divided:
             settings, blocks = self._divide()
-            left = count_of(wish.goal, blocks.splats, settings.layout, wish.sizer)
+            left = None
+            if settings.search is None:
+                left = count_of(wish.goal, blocks.splats, settings.layout, wish.sizer)
             info = replace(self.info, splats=blocks.splats)
             return replace(self, blocks=blocks, info=info, count=left)
         if wish.goal.size is None and not wish.filters:
@@ -99,11 +101,7 @@ class Plan:
         wish, elsewhere = self.wish, self.method.blocks.scheduler is not None
         folder = wish.folder if wish.resume else None
         size = block_memory(self.process_memory, None, folder, elsewhere=elsewhere)
-        chosen = block_parameters(wish.preset, wish.overrides)
-        return plan_job(
-            wish.inputs, wish.goals, chosen, *size, wish.nan, wish.chunks, wish.changes,
-            wish.sizer,
-        )  # fmt: skip
+        return plan_job(wish, *size)
 
     def notes(self) -> list[str]:
         """What the user should know of how it is done, one sentence each."""
@@ -126,9 +124,6 @@ class Plan:
             NotEnoughMemoryError: Something asked for needs the whole model.
         """
         wishes = {
-            f"--size of a {self.wish.output.suffix} file": self.wish.goal.size is not None
-            and self.wish.sizer is None,
-            "--psnr": self.wish.goal.psnr is not None,
             "--drop-floaters": any(each.whole for each in self.wish.filters),
             "--measure": bool(self.method.measure)
             and (bool(self.wish.ratios) or not self.wish.in_rows),

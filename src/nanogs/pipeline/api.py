@@ -115,8 +115,9 @@ def simplify(
         target = len(outcome.splats) if target is None else target
         tracker.finish()
     if size is not None and target == len(job.rows):
-        whole = "The whole model fits into the size asked for; nothing was merged."
-        outcome = replace(outcome, notes=(*outcome.notes, whole))
+        from nanogs.pipeline.fit_size import WHOLE_FITS
+
+        outcome = replace(outcome, notes=(*outcome.notes, WHOLE_FITS))
     return outcome.splats, job.report(goal, target, outcome, threads_used, clock, start)
 
 

@@ -79,9 +79,9 @@ class Ending:
     def _make(self, done: Done, made: Path, progress: Tracker) -> list[Written]:
         try:
             filling, work = self.sink.open(made), done.work
-            for level in range(work.settings.levels):
+            for number, level in enumerate(done.levels):
                 if self.sink.chunks is None:
-                    progress.part(level, work.settings.levels)
+                    progress.part(number, len(done.levels))
                     with result_of(work, level) as source:
                         filling.add(source)
                 else:

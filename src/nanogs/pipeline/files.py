@@ -84,9 +84,8 @@ def simplify_blocks(
             block by block, others are held whole.
         ratio: Compaction ratio in (0, 1]; exactly one of the four is given.
         count: Splats to deliver.
-        size: As `simplify` takes it; in blocks for formats whose size is known before a file is
-            written: .ply, .compressed.ply, .splat and .npz.
-        psnr: As `simplify` takes it; a model in blocks cannot be asked for it.
+        size: As `simplify` takes it.
+        psnr: As `simplify` takes it.
         measured: Hold the file against the model, as `nanogs compare` does; in blocks for inputs
             of which any rows can be read. With None that is done where the preset renders anyway
             and the model is in memory.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nanogs.errors import OptionError
+from nanogs.errors import TooSmallError
 from nanogs.formatting import counted
 from nanogs.pipeline.results import Results, T
 from nanogs.pipeline.weights import RESULTS, SIZES, write_weight
@@ -17,8 +17,10 @@ AIM = 0.993  # of the size: a probe is put there, so that it is seldom just abov
 ENOUGH = 0.98  # of the size: a file that takes so much of it ends the search
 TOLERANCE = 0.01  # or counts one of which fits, and one so much larger does not
 MOST_PROBES = 12
-_SAMPLE = 8192  # splats of the input that are written for the first guess
+SAMPLE = 8192  # splats of the input that are written for the first guess
 _STEP = 0.97  # of a count that is too large: the next is at most so much of it
+
+WHOLE_FITS = "The whole model fits into the size asked for; nothing was merged."
 
 Encode = Callable[[Splats], int]
 """Bytes of a model's file, by writing it."""
@@ -72,7 +74,7 @@ def search_fit(
         leaps: Counts of which a file takes far more than of one less.
 
     Raises:
-        OptionError: Not even the fewest fit.
+        TooSmallError: Not even the fewest fit.
     """
     probes: list[SizeProbeReport] = []
     fits: Probe = None
@@ -88,7 +90,7 @@ def search_fit(
             over = probe
         if fits is None:
             if count == fewest:
-                raise OptionError(
+                raise TooSmallError(
                     f"The size {size:,} B is too small: a file of {counted(count, 'splat')}, the"
                     f" fewest that this model can be merged to, takes {probe.bytes:,} B."
                 )
@@ -141,15 +143,15 @@ def guess_count(sample: Splats, available: int, size: int, encode: Encode) -> in
         encode: Bytes of a model's file.
 
     Raises:
-        OptionError: Not even one splat fits.
+        TooSmallError: Not even one splat fits.
     """
     least = encode(sample.take(np.arange(1)))
     if size < least:
-        raise OptionError(
+        raise TooSmallError(
             f"The size {size:,} B is too small: a file of one splat of this model takes"
             f" {least:,} B."
         )
-    rows = np.arange(0, len(sample), -(-len(sample) // _SAMPLE))
+    rows = np.arange(0, len(sample), -(-len(sample) // SAMPLE))
     each = (encode(sample.take(rows)) - least) / max(len(rows) - 1, 1)
     return 1 + int((AIM * size - least) / each) if each > 0 else available
 
@@ -179,7 +181,7 @@ def fit_size(
         The result, and what was tried.
 
     Raises:
-        OptionError: Not even the fewest splats fit.
+        TooSmallError: Not even the fewest splats fit.
     """
     best: list[T] = []  # the latest that fits, and so the largest; one at a time
 

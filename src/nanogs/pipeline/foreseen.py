@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 
 from nanogs.method.paper.parameters import PaperParameters
+from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.presets import Parameters, renders
 from nanogs.pipeline.settings import Settings
-from nanogs.pipeline.stages import STAGES, stages_of
+from nanogs.pipeline.stages import STAGES, level_stages, stages_of
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.weights import (
     COUNTS,
@@ -31,7 +32,17 @@ def job_stages(settings: Settings) -> list[Stage]:
         stages.append(
             Stage(stage.name, packing * load.left if stage.name == "chunk" else stage.weight(load))
         )
+    if (sought := settings.search) is not None:
+        splats = settings.splats
+        before, after = search_stages(sought.psnr, settings.parameters, splats, sought.suffix)
+        stages += [*before, *after]
     return [*stages, Stage("write", 0.1 * settings.splats / 1e6)]
+
+
+def result_stages(settings: Settings, count: int) -> list[Stage]:
+    """The stages of one result of a job in blocks."""
+    load = Load(settings.parameters, settings.splats / 1e6, count / 1e6)
+    return [Stage(stage.name, stage.weight(load)) for stage, _ in level_stages(settings, 0)]
 
 
 def build_stages(parameters: Parameters, splats: int) -> list[Stage]:
@@ -78,18 +89,34 @@ def simplify_stages(
     once = build_stages(parameters, splats)
     if isinstance(parameters, PaperParameters) or count is not None:
         return [*once, *delivery_stages(parameters, splats, count or splats)]
+    before, after = search_stages(goal.psnr, parameters, splats, suffix)
+    return [*before, *once, *after]
+
+
+def search_stages(
+    psnr: float | None, parameters: ForestParameters, splats: int, suffix: str
+) -> tuple[list[Stage], list[Stage]]:
+    """What comes before a search for a count, and the search itself.
+
+    Args:
+        psnr: What is asked, or None for a size.
+        parameters: Of the method.
+        splats: Of the model.
+        suffix: Of the file that a size is about.
+    """
     typical, millions = splats // 10, splats / 1e6
     weight = sum(stage.weight for stage in delivery_stages(parameters, splats, typical))
-    if goal.psnr is not None:
-        stages = [measure_stage(splats), *once, Stage("search", COUNTS * (0.1 + 0.4 * millions))]
-        if renders(parameters):
-            stages.append(Stage("deliver", COUNTS * (weight + 0.1)))
-        return stages
-    writing = write_weight(suffix, typical)
-    search = [Stage("search", SIZES * (writing + 0.3 * millions))]
+    if psnr is not None:
+        before, tried = measure_stage(splats), COUNTS
+        quick, whole = 0.1 + 0.4 * millions, weight + 0.1
+    else:
+        writing, tried = write_weight(suffix, typical), SIZES
+        before = Stage("guess", writing / 5)
+        quick, whole = writing + 0.3 * millions, writing + weight
+    search = [Stage("search", tried * quick)]
     if renders(parameters):
-        search.append(Stage("deliver", RESULTS * (writing + weight)))
-    return [Stage("guess", writing / 5), *once, *search]
+        search.append(Stage("deliver", (COUNTS if psnr is not None else RESULTS) * whole))
+    return [before], search
 
 
 def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) -> list[Stage]:

@@ -1,5 +1,6 @@
 """From files that do not fit into memory to a sink of smaller ones, block by block."""
 
+import json
 import shutil
 import time
 from collections.abc import Sequence
@@ -13,27 +14,26 @@ from nanogs.formatting import bytes_text
 from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.method.parameters import ForestParameters
+from nanogs.needs import pictures_bytes
 from nanogs.pipeline.folder import read_manifest
-from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.plan import (
     ScalePlan,
     plan_blocks,
 )
 from nanogs.pipeline.presets import parameters
 from nanogs.pipeline.rows import (
-    NOTHING,
-    Changes,
     look_at,
     refuse_large_whole,
     segments_of,
     sift,
 )
-from nanogs.pipeline.settings import Settings
+from nanogs.pipeline.settings import Settings, Sought
 from nanogs.pipeline.target import Goal, count_for_size, target_count
 from nanogs.pipeline.unpack import cost_of
 from nanogs.progress import Progress
+from nanogs.protocol import PIXELS, VIEWS
 from nanogs.report import SimplifyReport
-from nanogs.sink import Chunked, Sink, Written
+from nanogs.sink import Sink, Written
 from nanogs.source import Layout
 from nanogs.store.columns import empty_columns, row_bytes, splats_of
 from nanogs.store.scratch import is_url
@@ -62,33 +62,36 @@ def fill_in_blocks(
     """
     start, clock = time.perf_counter(), StageClock()
     folder, goals = request.folder, request.goals
-    chosen = block_parameters(request.preset, request.overrides)
+    block_parameters(request.preset, request.overrides)
     _refuse_what_needs_all(request, plan)
     max_memory, block = block_memory(
         request.max_memory, request.block, folder if request.resume else None,
         elsewhere=request.executor is not None,
     )  # fmt: skip
-    settings, divided = plan_job(
-        request.inputs, goals, chosen, max_memory, block, request.nan, sink.chunks,
-        request.changes, request.sizer,
-    )  # fmt: skip
+    settings, divided = plan_job(request, max_memory, block)
     # Here and not above: these bring Numba, which `--help` and `info` do without.
     from nanogs.pipeline.ending import Ending
     from nanogs.pipeline.job_report import report_of
     from nanogs.pipeline.stored_job import BlockJob, Where
 
-    most = count_of(goals[0], settings.splats, settings.layout, request.sizer)
-    sink.refuse_large(most, row_bytes(settings.layout), max_memory)
+    if settings.search is None:
+        most = count_of(goals[0], settings.splats, settings.layout, request.sizer)
+        sink.refuse_large(most, row_bytes(settings.layout), max_memory)
     if not request.resume:
         refuse_full_disk(divided, folder, request.scratch)
 
     def reports(done: "Done", written: Sequence[Written]) -> list[SimplifyReport]:
         return [
-            report_of(request.preset, goal, done, written[level].splats, clock, start, level)
-            for level, goal in enumerate(goals)
+            report_of(request.preset, goal, done, each.splats, clock, start, level)
+            for goal, level, each in zip(goals, done.levels, written, strict=True)
         ]
 
-    job = BlockJob(settings, folder, request.scratch, Ending(sink, reports))
+    search = None
+    if settings.search is not None:
+        from nanogs.pipeline.search import Search
+
+        search = Search(request.output, request.format_options, folder, max_memory).find
+    job = BlockJob(settings, folder, request.scratch, Ending(sink, reports), search)
     where = Where(request.threads, request.executor, request.patience)
     made = job.run(where, clock, told, resume=request.resume)
     return made[1], reports(*made)
@@ -102,9 +105,6 @@ def _refuse_what_needs_all(request: "Request", plan: "Plan") -> None:
         OptionError: The same, where blocks were asked for.
     """
     wishes = {
-        f"`size` of a {request.suffix} file": request.goal.size is not None
-        and request.sizer is None,
-        "`psnr`": request.goal.psnr is not None,
         "measuring levels": bool(request.measured and request.ratios),
         "measuring against a file that is not read in parts": request.measured
         and not request.in_rows,
@@ -165,62 +165,63 @@ def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters
 
 
 def plan_job(
-    paths: Sequence[Path],
-    goals: Sequence[Goal],
-    chosen: ForestParameters,
-    max_memory: int | None,
-    block: int | None,
-    nan: NanPolicy,
-    chunks: Chunked | None = None,
-    changes: Changes = NOTHING,
-    sizer: Sizer | None = None,
+    request: "Request", max_memory: int | None, block: int | None
 ) -> tuple[Settings, ScalePlan]:
     """Plan the job, and what it takes; only headers are read, but for filters all rows.
 
     Args:
-        paths: The inputs.
-        goals: What is asked, finest first: ratios, or one count.
-        chosen: Parameters of the method.
+        request: What is asked for.
         max_memory: Bytes that a process may take; not needed where `block` is given.
         block: Splats of a block, in place of what memory allows.
-        nan: "drop" or "error".
-        chunks: Of the results, or None where each is one file.
-        changes: What else is done to the model.
-        sizer: As `count_of` takes it.
 
     Raises:
         NanogsError: An input cannot be read, filters leave nothing or need the whole model, or the
             memory is too little.
     """
+    chosen = block_parameters(request.preset, request.overrides)
+    changes, goals, sought = request.changes, request.goals, sought_by(request)
     changes.check()
-    inputs, layout = look_at(paths, changes)
+    inputs, layout = look_at(request.inputs, changes)
+    beside = pictures_bytes(PIXELS**2, VIEWS) if sought and sought.psnr is not None else 0
 
     def planned(splats: int) -> ScalePlan:
-        shares = tuple(count_of(goal, splats, layout, sizer) / splats for goal in goals)
-        return plan_blocks(splats, layout, chosen, shares, max_memory, block, chunks)
+        # A search may try any count, and has two results at a time in files.
+        counts = [count_of(goal, splats, layout, request.sizer) for goal in goals if not sought]
+        shares = tuple(count / splats for count in counts) or (1.0, 1.0)
+        given = max_memory, block, request.chunks, beside
+        return plan_blocks(splats, layout, chosen, shares, *given)
 
     plan = planned(sum(each.splats for each in inputs))
     refuse_large_whole(inputs, plan.segment)
     sieve = sift(inputs, layout, changes.filters)
     if sieve:
         plan = planned(sieve.left[-1])
+    counted = () if sought else tuple(goal for goal in goals if goal.ratio is None)
     settings = Settings(
         inputs=inputs,
         layout=layout,
         segments=segments_of(plan.splats, plan.segment),
         ratios=tuple(goal.ratio for goal in goals if goal.ratio is not None),
-        counts=tuple(
-            count_of(goal, plan.splats, layout, sizer) for goal in goals if goal.ratio is None
-        ),
-        nan=nan,
+        counts=tuple(count_of(goal, plan.splats, layout, request.sizer) for goal in counted),
+        nan=request.nan,
         block=plan.block,
         parameters=chosen,
-        chunks=chunks,
+        chunks=request.chunks,
         filters=sieve,
         frame=changes.frame,
         asked=changes.asked,
+        search=sought,
     )
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
+
+
+def sought_by(request: "Request") -> Sought | None:
+    """What a count is searched for; None where it is known beforehand."""
+    goal = request.goal
+    if goal.psnr is None and (goal.size is None or request.sizer is not None):
+        return None
+    options = json.dumps(dict(request.format_options or {}), sort_keys=True, default=str)
+    return Sought(goal.size, goal.psnr, request.suffix, options)
 
 
 def count_of(goal: Goal, splats: int, layout: Layout, sizer: Sizer | None) -> int:

@@ -42,8 +42,9 @@ def report_of(
     merged = work.merges(level)
     settled = work.of_blocks("settle", level) if merged and settings.parameters.rounds else []
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
-    entries = entries_of(work, level)
-    notes = (*settings.layout.notes, *own_notes, *entries["notes"])
+    stop = StopReason.TARGET if count == target else StopReason.NO_PROGRESS
+    entries = {"stop": stop, **entries_of(work, level), **done.entries}
+    notes = (*settings.layout.notes, *own_notes, *entries["notes"], *done.notes)
     return SimplifyReport(
         preset=preset,
         parameters=asdict(settings.parameters),
@@ -51,16 +52,16 @@ def report_of(
         asked_ratio=goal.ratio,
         asked_count=target,
         asked_size=goal.size,
+        asked_psnr=goal.psnr,
         dropped_nonfinite=sum(int(record.facts["dropped"]) for record in segments),
         pruned=0,
         prune_threshold=0.0,
         prune_limited=False,
         achieved_count=count,
-        stop=StopReason.TARGET if count == target else StopReason.NO_PROGRESS,
         seconds=clock.seconds,
         total_seconds=time.perf_counter() - start,
         threads=work.threads,
-        **entries | {"notes": tuple(dict.fromkeys(notes))},
+        **{**entries, "notes": tuple(dict.fromkeys(notes))},
         blocks=BlocksReport(
             blocks=partition.blocks,
             largest=max(partition.count(block) for block in range(partition.blocks)),

@@ -74,6 +74,7 @@ def plan_blocks(
     max_memory: int | None,
     block: int | None = None,
     chunks: Chunked | None = None,
+    beside: int = 0,
 ) -> ScalePlan:
     """Blocks as large as the memory allows.
 
@@ -85,6 +86,7 @@ def plan_blocks(
         max_memory: Bytes that a process may take; not needed where `block` is given.
         block: Splats of a block, in place of what memory allows.
         chunks: Of the results, or None where each is one file.
+        beside: Bytes that the process holds besides its task.
 
     Raises:
         OptionError: The memory is too little for any block.
@@ -92,12 +94,11 @@ def plan_blocks(
     row, share = row_bytes(layout), max(shares)
     encoding = chunks.encoding(row, layout.sh_degree, splats, shares) if chunks else Encoding()
     if block is None:
-        room = _room(max_memory or 0)
+        room = _room(max_memory or 0) - beside
         block = encoding.most(room, _largest_block(room, splats, layout, parameters, share))
         if block < min(_LEAST, splats):
-            least = _least(
-                max(held_bytes(_LEAST, splats, layout, parameters, share), encoding.held(_LEAST))
-            )
+            tasks = held_bytes(_LEAST, splats, layout, parameters, share)
+            least = _least(beside + max(tasks, encoding.held(_LEAST)))
             raise OptionError(
                 f"{_must_be(least, max_memory or 0)} for blocks of this model, of which"
                 f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries{encoding.remedy()}"
@@ -111,7 +112,7 @@ def plan_blocks(
         block=block,
         segment=segment,
         blocks=blocks,
-        memory=LIBRARIES + int(max(tasks, segment * (row + _KEYS), encoding.held(held))),
+        memory=LIBRARIES + beside + int(max(tasks, segment * (row + _KEYS), encoding.held(held))),
         scratch=scratch_bytes(
             splats, block, blocks, layout, parameters, shares, encoded=chunks is not None
         ),

@@ -80,7 +80,8 @@ class HeldResults:
 
     def plain(self, rounds: int | None = None) -> "HeldResults":
         """As `Results` says."""
-        return replace(self, scene=plain(self.scene, rounds))
+        scene = self.scene
+        return replace(self, scene=replace(scene, settings=plain(scene.settings, rounds)))
 
     def stages(self, count: int) -> list[Stage]:
         """As `Results` says."""

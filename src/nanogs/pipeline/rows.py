@@ -176,8 +176,9 @@ def sample(
     *,
     rows: int | None = None,
     span: int = SPAN,
+    bare: bool = True,
 ) -> Splats:
-    """Evenly spread stretches of the usable rows of all inputs, without higher harmonics.
+    """Evenly spread stretches of the usable rows of all inputs.
 
     Args:
         settings: The job.
@@ -185,16 +186,17 @@ def sample(
         rows: How many in all, about; by default some 260,000, and no more than a block, so that
             memory for a block is enough.
         span: Rows of a stretch.
+        bare: Whether without higher harmonics and extra columns.
 
     Raises:
         FormatError: As for `read_segment`.
     """
     parts = []
-    bare = replace(settings.layout, sh_degree=0, extras=())
+    layout = settings.layout.bare() if bare else settings.layout
     rows = rows or min(max(settings.block // SPAN, _LEAST_SPANS), _MOST_SPANS) * SPAN
     every = -(-settings.splats // rows)
     with opened(settings, unpacked) as source:
         for start in range(0, source.count, span * every):
             part = source.read(start, min(start + span, source.count))
-            parts.append(fitted(part.take(part.finite()), bare))
+            parts.append(fitted(part.take(part.finite()), layout))
     return concatenate(parts)

@@ -1,9 +1,9 @@
 """The stages of a scene in turn: of a model in memory, or as tasks of a job."""
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 from nanogs.clock import StageClock
 from nanogs.pipeline.one_block import OneBlock
@@ -34,17 +34,68 @@ class Here:
             yield task
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Done:
     """A job whose tasks are done.
 
     Attributes:
         work: The job, all records in it.
         kept: Tasks that a run before had done.
+        levels: Of the results that are delivered.
+        entries: Of the reports, by name: what a search has found.
+        notes: What else it has to say, one sentence each.
     """
 
     work: Work
     kept: int
+    levels: Sequence[int]
+    entries: Mapping[str, Any] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+
+@dataclass(slots=True, eq=False)
+class Run:
+    """Does the tasks of a job that are not done yet.
+
+    Attributes:
+        executor: Where they are done.
+        clock: Gets the seconds of each stage.
+        resumed: Whether to look for what a run before has done; its files are then checked.
+        kept: Tasks that it had done.
+    """
+
+    executor: Executor
+    clock: StageClock
+    resumed: bool
+    kept: int = 0
+
+    def do(self, work: Work, stages: Iterable[tuple[JobStage, int]], progress: Tracker) -> None:
+        """Do the tasks of some stages, one stage after the other.
+
+        Args:
+            work: The job.
+            stages: Each with its level.
+            progress: Told of each stage.
+
+        Raises:
+            NanogsError: A task could not be done.
+        """
+        for stage, level in stages:
+            tasks = tasks_of(work, stage, level)
+            with self.clock.time(stage.name):
+                left = [task for task in tasks if not (self.resumed and is_done(work, task))]
+                self.kept += len(tasks) - len(left)
+                progress.begin(stage.name)
+                progress.part(len(tasks) - len(left), len(tasks))
+                # The frame is made here, while workers of this machine start.
+                doing = Here() if stage.name == "frame" else self.executor
+                for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
+                    work.record(task)  # kept: the report is made when the scratch is gone
+                    progress.part(done, len(tasks))
+
+
+Search = Callable[[Work, Run, Tracker], Done]
+"""Makes results of a job, what is done once being done, until one meets what is sought."""
 
 
 def run_tasks(
@@ -56,6 +107,7 @@ def run_tasks(
     progress: Tracker,
     *,
     resumed: bool,
+    search: Search | None = None,
 ) -> Done:
     """Do every task of a job that is not done yet.
 
@@ -66,33 +118,27 @@ def run_tasks(
         threads: Threads of this process.
         clock: Gets the seconds of each stage.
         progress: Told of each stage.
-        resumed: Whether to look for what a run before has done; its files are then checked.
+        resumed: As `Run` has it.
+        search: Finds the result, where its count is not known beforehand.
 
     Raises:
         NanogsError: A task could not be done.
     """
-    work, kept = Work(scratch, settings, threads), 0
     write_table(scratch, MARK.name, {}, {})
-    for stage, level in stages_of(settings):
-        tasks = _tasks(work, stage, level)
-        with clock.time(stage.name):
-            left = [task for task in tasks if not (resumed and _is_done(work, task))]
-            kept += len(tasks) - len(left)
-            progress.begin(stage.name)
-            progress.part(len(tasks) - len(left), len(tasks))
-            # The frame is made here, while workers of this machine start.
-            doing = Here() if stage.name == "frame" else executor
-            for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
-                work.record(task)  # kept: the report is made when the scratch is gone
-                progress.part(done, len(tasks))
-    return Done(work, kept)
+    work, run = Work(scratch, settings, threads), Run(executor, clock, resumed)
+    run.do(work, stages_of(settings), progress)
+    if search is not None:
+        return search(work, run, progress)
+    return Done(work, run.kept, range(settings.levels))
 
 
-def _tasks(scene: Scene, stage: JobStage, level: int) -> list[Task]:
+def tasks_of(scene: Scene, stage: JobStage, level: int) -> list[Task]:
+    """The tasks of a stage, those before it being done."""
     return [Task(stage.name, number, level) for number in range(stage.count(scene, level))]
 
 
-def _is_done(work: Work, task: Task) -> bool:
+def is_done(work: Work, task: Task) -> bool:
+    """Whether a run before has done a task, of which the record is then known."""
     record = verified(work.scratch, task.name)
     if record is not None:
         work.known[task.name] = record
@@ -125,18 +171,18 @@ def deliver(scene: OneBlock, count: int, clock: StageClock, progress: Tracker) -
     return outcome_of(scene, level)
 
 
-def plain(scene: OneBlock, rounds: int | None = None) -> OneBlock:
-    """The same model and forest, of which results are cut without looking.
+def plain(settings: Settings, rounds: int | None = None) -> Settings:
+    """Settings by which results are cut without looking.
 
     Args:
-        scene: The model, which `build` has seen.
+        settings: Others.
         rounds: Of reassignment; by default as before.
     """
-    given = scene.settings.parameters
+    given = settings.parameters
     parameters = replace(
         given, measure=False, steps=0, rounds=given.rounds if rounds is None else rounds
     )
-    return replace(scene, settings=replace(scene.settings, parameters=parameters))
+    return replace(settings, parameters=parameters)
 
 
 def _do_here(
@@ -148,7 +194,7 @@ def _do_here(
 ) -> None:
     """Do stages of a model in memory; those that time their steps themselves say so."""
     for stage in stages:
-        for task in _tasks(scene, stage, level):
+        for task in tasks_of(scene, stage, level):
             progress.begin(stage.name)
             start = time.perf_counter()
             scene.tell = progress.part

@@ -15,7 +15,7 @@ from nanogs.source import Layout
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
-VERSION = 4  # of the job folder; one of another version is not continued
+VERSION = 5  # of the job folder; one of another version is not continued
 
 
 class Access(StrEnum):
@@ -69,6 +69,23 @@ class Sieve:
 
 
 @dataclass(frozen=True, slots=True)
+class Sought:
+    """What the count of a result is searched for: one of size and PSNR, of a file of a format.
+
+    Attributes:
+        size: Bytes that the file may have, or None.
+        psnr: What it must reach on views of the original, dB, or None.
+        suffix: Of the format.
+        options: Of the format, as text.
+    """
+
+    size: int | None
+    psnr: float | None
+    suffix: str
+    options: str
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
     """The settings of a job.
 
@@ -77,7 +94,7 @@ class Settings:
         layout: The columns of their splats.
         segments: All rows of all files.
         ratios: Of the results, finest first; empty where counts are asked for.
-        counts: Splats of the results, or empty.
+        counts: Splats of the results, or empty; those that a search has tried so far.
         nan: "drop" or "error".
         block: Most splats of a block.
         parameters: Of the forest.
@@ -85,6 +102,7 @@ class Settings:
         filters: What they leave of the files; None without any.
         frame: From and to which results are turned, or None.
         asked: The views that were asked for.
+        search: What a count is searched for, or None where it is known beforehand.
     """
 
     inputs: tuple[InputFile, ...]
@@ -99,6 +117,7 @@ class Settings:
     filters: Sieve | None = None
     frame: tuple[str, str] | None = None
     asked: Asked = AUTOMATIC
+    search: Sought | None = None
 
     @property
     def splats(self) -> int:

@@ -114,11 +114,18 @@ def stages_of(settings: Settings) -> Iterator[tuple[JobStage, int]]:
     before = wanted[: next(i for i, stage in enumerate(wanted) if stage.levels is None)]
     yield from ((stage, level) for stage in before for level in range(stage.levels or 0))
     for level in range(settings.levels):
-        yield from ((s, level) for s in wanted if s.levels is None and s.name not in _CHUNKED)
+        yield from level_stages(settings, level)
     for stage in wanted:
         if stage.name in _CHUNKED:
             levels = settings.levels if stage.levels is None else stage.levels
             yield from ((stage, level) for level in range(levels))
+
+
+def level_stages(settings: Settings, level: int) -> Iterator[tuple[JobStage, int]]:
+    """The stages of one result of a job in blocks, and its level; chunks come after all results."""
+    for stage in STAGES.values():
+        if stage.levels is None and stage.name not in _CHUNKED and stage.wanted(settings):
+            yield stage, level
 
 
 def held_stages(settings: Settings, *, results: bool) -> list[JobStage]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
-from nanogs.errors import NanogsError, OutputError
+from nanogs.errors import ModelError, NanogsError, OutputError, TooSmallError
 from nanogs.pipeline.ending import Ending
 from nanogs.pipeline.folder import (
     MANIFEST,
@@ -21,7 +21,7 @@ from nanogs.pipeline.folder import (
     write_manifest,
 )
 from nanogs.pipeline.foreseen import job_stages
-from nanogs.pipeline.run import Done, Executor, Here, run_tasks
+from nanogs.pipeline.run import Done, Executor, Here, Search, run_tasks
 from nanogs.pipeline.settings import Settings, differences
 from nanogs.pipeline.workers import workers_of
 from nanogs.progress import WAITING, Progress, Tracker
@@ -73,12 +73,14 @@ class BlockJob:
         folder: Of the job.
         scratch: Folder or URL of the intermediate files, or None for one in the job folder.
         ending: What is made of the tasks' files.
+        search: Finds the result, where its count is not known beforehand.
     """
 
     settings: Settings
     folder: Path
     scratch: str | None
     ending: Ending
+    search: Search | None = None
 
     def run(
         self, where: Where, clock: StageClock, told: Progress | None, *, resume: bool
@@ -109,9 +111,14 @@ class BlockJob:
                     scratch.tidy()
                 else:  # last of all, so that nothing is left of what could not be begun
                     write_manifest(self.folder, self.settings, scratch.place)
-                done = run_tasks(
-                    scratch, self.settings, runner, threads, clock, progress, resumed=resumed
-                )
+                try:
+                    done = run_tasks(
+                        scratch, self.settings, runner, threads, clock, progress, resumed=resumed,
+                        search=self.search,
+                    )  # fmt: skip
+                except (TooSmallError, ModelError):  # of this job nothing can come any more
+                    self._remove(scratch)
+                    raise
                 progress.begin("write")
                 with clock.time("write"):
                     written = self.ending.finish(done, self.folder, progress)
@@ -161,7 +168,7 @@ class BlockJob:
     def _remove(self, scratch: Scratch) -> None:
         """Take away everything; the notes of results go last, with which they are known again."""
         scratch.remove()
-        for left in self.folder.glob(".nanogs-*.tmp"):
+        for left in self.folder.glob(".nanogs-*"):
             left.unlink(missing_ok=True)
         forget(self.folder)
 

@@ -88,6 +88,13 @@ class UrlScratch:
         with self._reached(f"{path} cannot be read"):
             return bytes(self.files.cat_file(path, start=start, end=stop))
 
+    def discard(self, beginnings: tuple[str, ...]) -> None:
+        """As `Scratch` says."""
+        with self._reached(f"Nothing can be deleted in {self.url}"):
+            for path in self._names(SUFFIXES):
+                if path.rpartition("/")[2].startswith(beginnings):
+                    self.files.rm_file(path)
+
     def remove(self) -> None:
         """As `Scratch` says."""
         with self._reached(f"{self.url} cannot be emptied"):

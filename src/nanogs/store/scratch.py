@@ -56,6 +56,9 @@ class Scratch(Protocol):
             OSError: It is not there.
         """
 
+    def discard(self, beginnings: tuple[str, ...]) -> None:
+        """Take away all files that `write` made whose names begin so."""
+
     def remove(self) -> None:
         """Take away all files that `write` made, and the folder, and the one around it if empty."""
 
@@ -103,6 +106,12 @@ class FolderScratch:
     def open(self, name: str, size: int | None = None) -> BinaryIO:  # noqa: ARG002
         """As `Scratch` says."""
         return cast("BinaryIO", (self.folder / name).open("rb", buffering=0))
+
+    def discard(self, beginnings: tuple[str, ...]) -> None:
+        """As `Scratch` says."""
+        for path in self._files(SUFFIXES):
+            if path.name.startswith(beginnings):
+                path.unlink(missing_ok=True)
 
     def remove(self) -> None:
         """As `Scratch` says."""

@@ -1,0 +1,193 @@
+"""Counts that are searched for in blocks: of a PSNR, and of a size that only writing tells."""
+
+import json
+
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
+from nanogs.pipeline.fit_size import ENOUGH
+from nanogs.pipeline.job_results import COUNT, MARKED, JobResults
+from nanogs.pipeline.reach import SPAN
+from nanogs.pipeline.search import TRIED
+from nanogs.report import StopReason
+from nanogs.scoring.held_out import judge_file
+
+SPLATS, BLOCK = 3000, 1100
+QUICK = {"preset": "fast", "block": BLOCK}
+LOOKS = {"preset": "default", "views": 2, "view_size": 48, "roaming": 0, "block": BLOCK}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "in.ply"
+    nanogs.save(random_splats(SPLATS), path)
+    return path
+
+
+def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
+    out = tmp_path / "a.spz"
+    report = nanogs.simplify_blocks(scene, out, psnr=26.0, **LOOKS)
+    assert report.stop is StopReason.TARGET
+    assert 26.0 <= report.judged.psnr <= 26.0 + SPAN
+    assert report.judged == judge_file(nanogs.load(scene), out)[0]
+    assert report.blocks.blocks > 2
+    assert report.asked_psnr == 26.0
+    assert report.achieved_count == report.asked_count == nanogs.open(out).count
+    quick, made = ([p for p in report.probes if p.quick is q] for q in (True, False))
+    assert quick
+    assert (report.achieved_count, report.judged.psnr) in [(p.count, p.psnr) for p in made]
+    assert [*tmp_path.iterdir()] == [out]
+
+
+def test_it_is_measured_in_the_frame_of_the_input(scene, tmp_path):
+    given = {"psnr": 20.0, **QUICK, "filters": [nanogs.filters.box((-9, -9, -9), (0.5, 9, 9))]}
+    out, frame = tmp_path / "a.spz", ("rdf", "rub")
+    report = nanogs.simplify_blocks(scene, out, frame=frame, **given)
+    assert report.achieved_count < report.input_count < SPLATS
+    original, _ = nanogs.filters.apply(nanogs.load(scene), given["filters"])
+    assert report.judged == judge_file(original, out, turn=frame)[0]
+    assert report.judged.psnr > 2 + judge_file(original, out)[0].psnr
+
+
+def test_one_that_is_out_of_reach_gives_the_whole_model(scene, tmp_path):
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", psnr=300.0, **QUICK)
+    assert report.stop is StopReason.UNREACHED
+    assert report.achieved_count == SPLATS
+
+
+@pytest.mark.parametrize("suffix", [".spz", ".sog"])
+def test_a_size_that_only_writing_tells_is_kept(scene, tmp_path, suffix):
+    size, out = 40_000, tmp_path / f"a{suffix}"
+    report = nanogs.simplify_blocks(scene, out, size=size, **LOOKS)
+    assert out.stat().st_size == report.achieved_size <= size
+    assert report.achieved_size >= ENOUGH * size
+    assert report.achieved_count == nanogs.open(out).count
+    assert report.size_probes[-1].bytes <= size
+    assert [*tmp_path.iterdir()] == [out]
+
+
+def test_a_size_for_the_whole_model_merges_nothing(scene, tmp_path):
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.spz", size="9MB", **QUICK)
+    assert report.achieved_count == SPLATS
+    assert "The whole model fits into the size asked for; nothing was merged." in report.notes
+
+
+def test_one_too_small_for_any_splat_leaves_nothing(scene, tmp_path):
+    with pytest.raises(TooSmallError, match="a file of one splat of this model takes"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.spz", size=20, **QUICK)
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_a_model_that_shows_nothing_has_no_psnr(tmp_path):
+    splats = random_splats(600)
+    splats.opacity_logits[:] = -40
+    nanogs.save(splats, tmp_path / "in.ply")
+    with pytest.raises(ModelError, match="The PSNR cannot be measured"):
+        nanogs.simplify_blocks(tmp_path / "in.ply", tmp_path / "a.ply", psnr=30, **QUICK)
+    assert [path.name for path in tmp_path.iterdir()] == ["in.ply"]
+
+
+class Killed(BaseException):
+    """The end of a process, as far as files are concerned."""
+
+
+def kill_after(monkeypatch, marks):
+    """Have a search end after so many results have been marked, before the next is kept."""
+    marked, left = JobResults.marked, [marks]
+
+    def ends(results, *given):
+        if left[0] == 0:
+            raise Killed
+        left[0] -= 1
+        return marked(results, *given)
+
+    monkeypatch.setattr(JobResults, "marked", ends)
+
+
+def levels_in(job):
+    """Levels of which splats are in the files of a job."""
+    return {path.name.split("-")[1] for path in (job / "scratch").glob("part-*.npy")}
+
+
+@pytest.mark.parametrize("wish", [{"psnr": 26.0}, {"size": 40_000}], ids=str)
+def test_a_search_that_is_killed_ends_the_same(scene, tmp_path, monkeypatch, wish):
+    whole = nanogs.simplify_blocks(scene, tmp_path / "a.spz", **wish, **LOOKS)
+    tried = len(whole.probes) + len(whole.size_probes)
+    assert tried >= 3
+    out, job = tmp_path / "b.spz", tmp_path / "b.spz.job"
+    for marks in range(tried):
+        with monkeypatch.context() as patch:
+            kill_after(patch, marks)
+            with pytest.raises(Killed):
+                nanogs.simplify_blocks(scene, out, resume=True, **wish, **LOOKS)
+        assert len([*job.rglob(f"{MARKED}-*.json")]) == marks
+        assert len(levels_in(job)) <= 2
+        assert not out.exists()
+    (job / "scratch" / f"{TRIED}.spz").touch()  # what a kill in the middle of a mark may leave
+    (job / f"{TRIED}.spz").touch()
+    resumed = nanogs.simplify_blocks(scene, out, resume=True, **wish, **LOOKS)
+    assert out.read_bytes() == (tmp_path / "a.spz").read_bytes()
+    assert (resumed.probes, resumed.size_probes) == (whole.probes, whole.size_probes)
+    assert (resumed.judged, resumed.achieved_size) == (whole.judged, whole.achieved_size)
+    assert resumed.blocks.resumed > whole.blocks.resumed == 0
+
+
+def killed_at_the_end(scene, out, monkeypatch, **wish):
+    """A job whose search has ended."""
+
+    def ends(*_):
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(JobResults, "verify", ends)
+        with pytest.raises(Killed):
+            nanogs.simplify_blocks(scene, out, **wish, **QUICK)
+    return out.with_name(f"{out.name}.job")
+
+
+def test_a_result_that_was_damaged_since_is_made_again(scene, tmp_path, monkeypatch):
+    nanogs.simplify_blocks(scene, tmp_path / "a.spz", size=40_000, **QUICK)
+    out = tmp_path / "b.spz"
+    job = killed_at_the_end(scene, out, monkeypatch, size=40_000)
+    damaged = [*(job / "scratch").glob("part-*.npy")]
+    for path in damaged:
+        path.write_bytes(path.read_bytes()[:-1])
+    nanogs.simplify_blocks(scene, out, size=40_000, resume=True, **QUICK)
+    assert damaged
+    assert out.read_bytes() == (tmp_path / "a.spz").read_bytes()
+
+
+def test_another_search_is_another_job(scene, tmp_path, monkeypatch):
+    out = tmp_path / "a.spz"
+    killed_at_the_end(scene, out, monkeypatch, size=40_000)
+    for wish in ({"size": 50_000}, {"psnr": 20.0}, {"ratio": 0.5}):
+        with pytest.raises(OutputError, match="holds another job"):
+            nanogs.simplify_blocks(scene, out, resume=True, **wish, **QUICK)
+    options = {"spz_version": 2}
+    with pytest.raises(OutputError, match="holds another job"):
+        nanogs.simplify_blocks(
+            scene, out, resume=True, size=40_000, format_options=options, **QUICK
+        )
+
+
+def test_marks_of_another_search_are_refused(scene, tmp_path, monkeypatch):
+    """As if the model had been measured otherwise by then."""
+    out = tmp_path / "a.spz"
+    job = killed_at_the_end(scene, out, monkeypatch, size=40_000)
+    monkeypatch.setattr("nanogs.pipeline.search.guess_count", lambda *_: 123)
+    with pytest.raises(OutputError, match=r"is of another search, which tried .* and not 123"):
+        nanogs.simplify_blocks(scene, out, size=40_000, resume=True, **QUICK)
+    record = json.loads((job / "scratch" / f"{MARKED}-0-00000.json").read_bytes())
+    assert json.loads(record["record"])["facts"][COUNT] != 123
+
+
+def test_what_is_too_large_to_be_written_whole_is_said(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("nanogs.pipeline.search.row_bytes", lambda _: 10**9)
+    given = {"size": 40_000, "preset": "fast", "job": tmp_path / "job", "max_memory": "1GB"}
+    with pytest.raises(OptionError, match=r"a\.sog: \.sog is not written block by block"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.sog", **given)
+    monkeypatch.undo()
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.sog", resume=True, **given)
+    assert report.blocks.resumed > 0
