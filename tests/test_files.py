@@ -9,11 +9,13 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs import filters
-from nanogs.errors import OptionError
+from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.request import Request, plan_files
 from nanogs.pipeline.target import Goal
-from nanogs.scoring.held_out import judge_file
+from nanogs.scoring.file_judge import file_judge
+from nanogs.sink import OneFile
+from viewer_bundle import require_bundle
 
 COUNT = 3000
 QUICK = {"preset": "fast", "threads": 1}
@@ -143,21 +145,62 @@ def test_what_blocks_make_is_measured_as_what_memory_does(splats, scene, tmp_pat
     )
     assert report.blocks.blocks > 1
     original = splats.with_sh_degree(0) if changed else splats
-    judged, notes = judge_file(original, out, turn=changed.get("frame"))
-    assert (report.judged, notes) == (judged, ())
+    judge = file_judge(original, ".ply", turn=changed.get("frame"))
+    assert report.judged == judge.of(out)
     fractions = [step.fraction for step in told]
     assert fractions == sorted(fractions)
     assert (fractions[-1], told[-1].stage) == (1, "measure")
     assert fractions[-2] < 1
 
 
-def test_what_is_read_whole_is_not_measured_in_blocks(splats, tmp_path):
-    nanogs.save(splats, tmp_path / "scene.sog")
-    with pytest.raises(OptionError, match="not read in parts"):
-        nanogs.simplify_blocks(
-            tmp_path / "scene.sog", tmp_path / "a.ply", ratio=0.2, block=1000, measured=True,
-            **QUICK,
-        )  # fmt: skip
+@pytest.mark.parametrize("suffix", [".sog", ".spz"])
+def test_packed_files_are_measured_in_blocks(splats, tmp_path, suffix):
+    scene, out = tmp_path / f"scene{suffix}", tmp_path / f"a{suffix}"
+    nanogs.save(splats, scene)
+    report = nanogs.simplify_blocks(scene, out, ratio=0.2, block=1000, measured=True, **QUICK)
+    assert report.judged == file_judge(nanogs.load(scene), suffix).of(out)
+
+
+def test_what_is_not_read_back_is_not_measured_in_blocks(scene, tmp_path):
+    require_bundle()
+    out = tmp_path / "a.html"
+    report = nanogs.simplify_blocks(scene, out, ratio=0.2, block=1000, measured=True, **QUICK)
+    assert report.judged is None
+    assert "Nothing was measured: nanogs does not read .html files." in report.notes
+
+
+def test_levels_in_blocks_are_measured_as_those_in_memory(splats, scene, tmp_path):
+    given = {"measured": True, "block": 1000} | QUICK
+    for layout, name in (("files", "level_{}.ply"), ("streamed sog", "lod-meta.json")):
+        folder = tmp_path / layout
+        made, reports = nanogs.write_levels(
+            scene, folder, [0.5, 0.1], layout=layout, frame=("rdf", "rub"), **given
+        )
+        judge = file_judge(splats, ".ply", turn=("rdf", "rub"))
+        levels = (0, 0) if layout == "files" else (0, 1)
+        for number, (entry, report, level) in enumerate(
+            zip(made.levels, reports, levels, strict=True)
+        ):
+            judged = judge.of(folder / name.format(number), level)
+            assert (entry.psnr, entry.ssim) == (judged.psnr, judged.ssim)
+            assert report.judged == judged
+        assert made.protocol == judged.protocol
+        assert made.levels[0].psnr > made.levels[1].psnr
+
+
+def test_a_seal_without_measurements_is_not_enough_for_them(scene, tmp_path, monkeypatch):
+    out, move = tmp_path / "a.ply", OneFile.move
+
+    def ends(*_):
+        raise KeyboardInterrupt
+
+    given = {"ratio": 0.2, "block": 1000} | QUICK
+    monkeypatch.setattr(OneFile, "move", ends)
+    with pytest.raises(KeyboardInterrupt):
+        nanogs.simplify_blocks(scene, out, **given)
+    monkeypatch.setattr(OneFile, "move", move)
+    report = nanogs.simplify_blocks(scene, out, resume=True, measured=True, **given)
+    assert report.judged == file_judge(nanogs.load(scene), ".ply").of(out)
 
 
 def test_a_psnr_is_met_in_memory_and_in_blocks(scene, tmp_path):
@@ -167,7 +210,7 @@ def test_a_psnr_is_met_in_memory_and_in_blocks(scene, tmp_path):
         )
         assert report.achieved_count < COUNT
         assert report.judged.psnr >= 15.0
-    with pytest.raises(OptionError, match=r"must be at least .* MB for blocks of this model"):
+    with pytest.raises(NotEnoughMemoryError, match="Measuring takes about"):
         nanogs.simplify_blocks(
             scene, tmp_path / "b.ply", max_memory=LIBRARIES + 400_000, psnr=15.0, **QUICK
         )

@@ -12,7 +12,8 @@ from looking import looked
 from nanogs.datasets.synthetic import make_scene
 from nanogs.method.parameters import ForestParameters
 from nanogs.protocol import Protocol
-from nanogs.scoring.held_out import held_out, judge_file
+from nanogs.scoring.file_judge import file_judge
+from nanogs.scoring.held_out import held_out
 from nanogs.views.automatic import automatic_cameras
 from viewer_bundle import require_bundle
 
@@ -89,16 +90,24 @@ def test_a_file_that_is_not_read_is_not_measured(scene, tmp_path):
     require_bundle()
     result = run("simplify", scene, tmp_path / "a.html", "-r", "0.1", *FEW)
     assert result.returncode == 0
-    assert "not measured: nanogs does not read .html files." in result.stderr
+    assert "Nothing was measured: nanogs does not read .html files." in result.stderr
 
 
 def test_a_result_that_cannot_be_measured_says_why(tmp_path):
     unseen = make_scene(10)
     unseen.opacity_logits[:] = -np.inf
     nanogs.save(unseen, tmp_path / "a.ply")
-    judged, [note] = judge_file(unseen, tmp_path / "a.ply")
-    assert judged is None
-    assert note.startswith("The result was not measured: The PSNR cannot be measured: ")
+    judge = file_judge(unseen, ".ply")
+    assert judge.of(tmp_path / "a.ply") is None
+    assert judge.notes[0].startswith("Nothing was measured: The PSNR cannot be measured: ")
+
+
+def test_a_file_that_cannot_be_read_any_more_says_why(tmp_path):
+    judge = file_judge(make_scene(50), ".ply")
+    (tmp_path / "a.ply").write_bytes(b"ply\n")
+    assert judge.of(tmp_path / "a.ply") is None
+    assert judge.notes[0].startswith("Nothing was measured: ")
+    assert "a.ply" in judge.notes[0]
 
 
 def test_levels_that_are_not_read_are_not_measured(scene, tmp_path):

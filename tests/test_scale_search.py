@@ -12,7 +12,7 @@ from nanogs.pipeline.job_results import COUNT, MARKED, JobResults
 from nanogs.pipeline.reach import SPAN
 from nanogs.pipeline.search import TRIED
 from nanogs.report import StopReason
-from nanogs.scoring.held_out import judge_file
+from nanogs.scoring.file_judge import file_judge
 
 SPLATS, BLOCK = 3000, 1100
 QUICK = {"preset": "fast", "block": BLOCK}
@@ -31,7 +31,7 @@ def test_a_psnr_is_reached_and_is_that_of_the_file(scene, tmp_path):
     report = nanogs.simplify_blocks(scene, out, psnr=26.0, **LOOKS)
     assert report.stop is StopReason.TARGET
     assert 26.0 <= report.judged.psnr <= 26.0 + SPAN
-    assert report.judged == judge_file(nanogs.load(scene), out)[0]
+    assert report.judged == file_judge(nanogs.load(scene), ".spz").of(out)
     assert report.blocks.blocks > 2
     assert report.asked_psnr == 26.0
     assert report.achieved_count == report.asked_count == nanogs.open(out).count
@@ -47,8 +47,8 @@ def test_it_is_measured_in_the_frame_of_the_input(scene, tmp_path):
     report = nanogs.simplify_blocks(scene, out, frame=frame, **given)
     assert report.achieved_count < report.input_count < SPLATS
     original, _ = nanogs.filters.apply(nanogs.load(scene), given["filters"])
-    assert report.judged == judge_file(original, out, turn=frame)[0]
-    assert report.judged.psnr > 2 + judge_file(original, out)[0].psnr
+    assert report.judged == file_judge(original, ".spz", turn=frame).of(out)
+    assert report.judged.psnr > 2 + file_judge(original, ".spz").of(out).psnr
 
 
 def test_one_that_is_out_of_reach_gives_the_whole_model(scene, tmp_path):

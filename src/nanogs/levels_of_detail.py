@@ -18,7 +18,6 @@ from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
 from nanogs.lod.layout import Layout, chunks_of
 from nanogs.lod.manifest import Manifest, describe_levels
-from nanogs.lod.measured import LevelJudge, level_judge
 from nanogs.pipeline.files import cameras_of
 from nanogs.pipeline.foreseen import levels_stages
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -31,6 +30,7 @@ from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
+from nanogs.scoring.file_judge import file_judge
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -71,9 +71,8 @@ def write_levels(
         suffix: Format of levels in files of their own.
         frame: From and to which the levels are turned before they are written.
         overwrite: Replace the folder if it holds nothing but earlier levels.
-        measured: Hold what was written of each level against the model, as `nanogs compare` does;
-            not in blocks. With None that is done where the preset renders and the model is in
-            memory.
+        measured: Hold what was written of each level against the model, as `nanogs compare` does.
+            With None that is done where the preset renders and the model is in memory.
         progress: As `levels` takes it; a stage "write" follows each level.
         **options: As `simplify_blocks` takes them, such as `preset`, `max_memory` and `filters`;
             `block`, `job`, `scratch`, `resume` and `executor` are for files.
@@ -129,7 +128,7 @@ def write_levels_of_files(
     """
     plan = plan_files(request)
     if plan.divided:
-        written, made = fill_in_blocks(request, plan, sink, told)
+        written, made = fill_in_blocks(request, sink, told)
         return describe_levels(sink.source, made, written), tuple(made)
     request.goes_on()
     sink.check()
@@ -152,9 +151,11 @@ def _whole(
         cameras=cameras_of(request, splats), nan=request.nan, threads=request.threads,
         max_memory=request.max_memory, progress=tracker.passing(), **request.overrides,
     )  # fmt: skip
-    judge, reports = LevelJudge(), []
+    judge, reports = None, []
     if is_measured(request):
-        judge = level_judge(splats, sink.suffix, request.frame, request.threads, tracker)
+        tracker.begin("measure")
+        turn, threads = request.frame, request.threads
+        judge = file_judge(splats, sink.suffix, turn=turn, threads=threads, tell=tracker.part)
     with sink.filled() as filling:
         for small, report in made:
             tracker.begin("write")

@@ -5,7 +5,7 @@ fraction of the whole that it tells moves evenly, never falls, and is 1 only whe
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate
 from typing import NamedTuple, TypeVar
 
@@ -119,32 +119,6 @@ class Tracker:
 
     def _step(self, name: str, done: float, parts: int) -> None:
         self._tell(Step(name, self._now + 1, len(self._names), done, parts, self._fraction))
-
-
-class Measuring:
-    """Makes one progress of a call and of measuring what it made."""
-
-    SHARE = 0.9  # of the whole that the call is taken for
-
-    def __init__(self, tell: Progress | None) -> None:
-        self._tell, self._last = tell or _ignore, Step("", 0, 0, 0, 1, 0.0)
-
-    def before(self, step: Step) -> None:
-        """Tell a step of the call."""
-        self._last = replace(step, stages=step.stages + 1, fraction=self.SHARE * step.fraction)
-        self._tell(self._last)
-
-    def part(self, done: float, parts: int) -> None:
-        """Tell how much has been measured."""
-        share = min(done / max(parts, 1), 1.0)
-        fraction = max(self._last.fraction, self.SHARE + (_ALMOST - self.SHARE) * share)
-        number = self._last.stages
-        self._last = Step("measure", number, number, done, max(parts, 1), fraction)
-        self._tell(self._last)
-
-    def finish(self) -> None:
-        """Tell the last step: all is done."""
-        self._tell(replace(self._last, fraction=1.0))
 
 
 def each(items: Iterable[T], tell: Parts) -> Iterator[T]:

@@ -73,6 +73,11 @@ class Judged:
     ssim: float
     protocol: Protocol
 
+    @classmethod
+    def usual(cls, psnr: float, ssim: float, views: int) -> "Judged":
+        """Marks by the usual protocol, on so many views."""
+        return cls(psnr, ssim, Protocol(views=views))
+
     @property
     def text(self) -> str:
         """The PSNR and its protocol: "36.12 dB on 8 held-out views of 512 pixels"."""

@@ -15,10 +15,11 @@ from typing import Any, NamedTuple, Protocol
 
 from nanogs._types import Array, F
 from nanogs.errors import OptionError
-from nanogs.io import check_writable, registry, save
+from nanogs.io import check_writable, losses, registry, save
 from nanogs.io.atomic import atomic_write
 from nanogs.io.format import FormatOptions
 from nanogs.progress import Parts, untold
+from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
 from nanogs.source import Source
 from nanogs.splats import Splats
@@ -35,6 +36,9 @@ class Written(NamedTuple):
         bytes: Size of these files and of those that they name.
         losses: The parts of the model that they leave out, one sentence each.
         sha256: Of the file where it is one, hexadecimal.
+        judged: PSNR in dB and SSIM against the model it was made of, and over how many views; None
+            where that was not measured.
+        notes: Why it was not, one sentence each.
     """
 
     splats: int
@@ -42,6 +46,13 @@ class Written(NamedTuple):
     bytes: int
     losses: Sequence[str] = ()
     sha256: str = ""
+    judged: tuple[float, float, int] | None = None
+    notes: Sequence[str] = ()
+
+    @property
+    def marks(self) -> Judged | None:
+        """The same with the protocol by which it was measured."""
+        return None if self.judged is None else Judged.usual(*self.judged)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +149,17 @@ class Chunked(Protocol):
         """
 
 
+class Judge(Protocol):
+    """Measures files."""
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """Why one was not measured so far, one sentence each."""
+
+    def of(self, path: Path, level: int = 0) -> Judged | None:
+        """What was measured of a file, or of a level in there; None where nothing can be."""
+
+
 class Filling(ABC):
     """A sink that has been opened, and is being filled.
 
@@ -157,8 +179,29 @@ class Filling(ABC):
         raise NotImplementedError
 
     @abstractmethod
-    def finish(self, reports: Sequence[SimplifyReport]) -> object:
-        """Write what describes all results, given the report of each."""
+    def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> object:
+        """Measure each result, and write what describes all of them.
+
+        Args:
+            reports: Of each.
+            judge: Measures files; by default nothing is measured.
+        """
+
+    def measure(self, judge: Judge | None, files: Sequence[tuple[Path, int]]) -> None:
+        """Add to what was written how it was measured.
+
+        Args:
+            judge: Measures files, or None.
+            files: Each result's file, and its level in there.
+        """
+        if judge is None:
+            return
+        for number, file in enumerate(files):
+            found = judge.of(*file)
+            if found is not None:
+                judged = found.psnr, found.ssim, found.protocol.views
+                self.written[number] = self.written[number]._replace(judged=judged)
+        self.written[0] = self.written[0]._replace(notes=judge.notes)
 
 
 class Sink(Protocol):
@@ -175,6 +218,10 @@ class Sink(Protocol):
     @property
     def chunks(self) -> Chunked | None:
         """How results are divided; None where each is one file."""
+
+    @property
+    def suffix(self) -> str:
+        """Format of the files in which results can be measured."""
 
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
         """Refuse results that would have to be held whole and are too large for that.
@@ -224,6 +271,12 @@ class OneFile:
     format_options: FormatOptions | None = None
     chunks: None = None
 
+    @property
+    def suffix(self) -> str:
+        """As `Sink` says."""
+        known = registry.find(self.place)
+        return known.suffix if known else self.place.suffix
+
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
         """As `Sink` says; folders are refused too."""
         refuse_large(self.place, count, row, max_memory)
@@ -260,11 +313,12 @@ class _File(Filling):
     def add(self, model: Splats | Source, tell: Parts = untold) -> None:
         tell(0, 1)
         save(model, self._making, overwrite=True, format_options=self._options)
-        size = self._making.stat().st_size
-        self.written.append(Written(len(model), (self._making.name,), size))
+        size, left_out = self._making.stat().st_size, losses(model, self._making)
+        self.written.append(Written(len(model), (self._making.name,), size, left_out))
 
-    def finish(self, reports: Sequence[SimplifyReport]) -> None:
+    def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> None:  # noqa: ARG002
         """A file speaks for itself."""
+        self.measure(judge, [(self._making, 0)])
 
 
 def refuse_large(path: Path, count: int, row: int, max_memory: int | None) -> None:

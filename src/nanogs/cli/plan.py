@@ -125,8 +125,6 @@ class Plan:
         """
         wishes = {
             "--drop-floaters": any(each.whole for each in self.wish.filters),
-            "--measure": bool(self.method.measure)
-            and (bool(self.wish.ratios) or not self.wish.in_rows),
             "a model in a pipe, which blocks cannot read or write,": piped,
             f"the preset {self.method.preset}": isinstance(self.method.chosen, PaperParameters),
         }

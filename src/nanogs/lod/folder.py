@@ -18,10 +18,9 @@ from nanogs.lod import manifest, streamed_sog, tiles
 from nanogs.lod.cells import Cells
 from nanogs.lod.chunks import ChunkLayout, Tree, plain_paths
 from nanogs.lod.manifest import Manifest, describe_levels
-from nanogs.lod.measured import LevelJudge
 from nanogs.progress import Parts, untold
 from nanogs.report import SimplifyReport
-from nanogs.sink import BlockChunks, Filling, Written, refuse_large
+from nanogs.sink import BlockChunks, Filling, Judge, Written, refuse_large
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from nanogs._types import Array
 
 PLY = ".ply"
-_NOTHING = LevelJudge()
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +103,7 @@ class LevelsFilling(Filling):
         super().__init__()
         self._folder, self._source = folder, source
 
-    def finish(self, reports: Sequence[SimplifyReport], judge: LevelJudge = _NOTHING) -> Manifest:
+    def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
         """Write what describes the folder, and measure each level.
 
         Args:
@@ -131,9 +129,10 @@ class _Files(LevelsFilling):
         size, left_out = path.stat().st_size, () if self._suffix == PLY else losses(model, path)
         self.written.append(Written(len(model), (path.name,), size, left_out, digest))
 
-    def finish(self, reports: Sequence[SimplifyReport], judge: LevelJudge = _NOTHING) -> Manifest:
-        files = [(self._folder / name, 0) for each in self.written for name in each.files]
-        made = judge.of(describe_levels(self._source, reports, self.written), files)
+    def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
+        names = [name for each in self.written for name in each.files]
+        self.measure(judge, [(self._folder / name, 0) for name in names])
+        made = describe_levels(self._source, reports, self.written)
         text = json.dumps(made.to_dict(), indent=2, allow_nan=False)
         (self._folder / manifest.NAME).write_text(text + "\n", encoding="utf-8")
         return made
@@ -179,7 +178,7 @@ class _Chunks(LevelsFilling):
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(data)
 
-    def finish(self, reports: Sequence[SimplifyReport], judge: LevelJudge = _NOTHING) -> Manifest:
+    def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
         trees = [
             Tree(Cells(**cells), [level[block] for level in self._levels])
             for block, cells in enumerate(self._cells)
@@ -188,8 +187,8 @@ class _Chunks(LevelsFilling):
         path = self._folder / self._layout.name
         text = self._layout.describe(trees, [each.splats for each in self.written])
         path.write_text(text, encoding="utf-8")
-        made = describe_levels(self._source, reports, self.written)
-        return judge.of(made, [(path, level) for level in range(len(self.written))])
+        self.measure(judge, [(path, level) for level in range(len(self.written))])
+        return describe_levels(self._source, reports, self.written)
 
 
 def level_name(level: int, suffix: str = PLY) -> str:

@@ -1,6 +1,7 @@
 """The contents of a folder of levels, as `levels.json` in a folder of plain files has them."""
 
 import json
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -110,6 +111,7 @@ def describe_levels(
         # Said once of the finest level, and of others where it is not the same.
         prefix = f"Level {level}: " if level else ""
         notes += [prefix + loss for loss in each.losses if loss not in notes]
+        notes += each.notes
     return Manifest(
         generator=f"nanogs {__version__}",
         source=source,
@@ -118,19 +120,23 @@ def describe_levels(
         parameters=first.parameters,
         levels=tuple(map(_entry, reports, written)),
         notes=tuple(dict.fromkeys(notes)),
+        protocol=next((each.marks.protocol for each in written if each.marks), None),
     )
 
 
 def _entry(report: SimplifyReport, written: Written) -> Level | ChunkedLevel:
     ratio = report.asked_ratio
     assert ratio is not None, "levels are asked for by their ratios"  # noqa: S101
+    psnr, ssim, _ = written.judged or (None, None, 0)
+    if psnr == math.inf:  # of which JSON has none
+        psnr = None
     if not written.sha256:
         return ChunkedLevel(
-            tuple(written.files), ratio, report.achieved_count, written.bytes, None, None,
+            tuple(written.files), ratio, report.achieved_count, written.bytes, psnr, ssim,
             report.stop,
         )  # fmt: skip
     return Level(
-        written.files[0], ratio, report.achieved_count, written.bytes, written.sha256, None, None,
+        written.files[0], ratio, report.achieved_count, written.bytes, written.sha256, psnr, ssim,
         report.stop,
     )  # fmt: skip
 

@@ -14,10 +14,12 @@ from nanogs.io.atomic import atomic_write, output_error
 from nanogs.pipeline.chunked import blocks_of
 from nanogs.pipeline.folder import RESULT, refuse_finished
 from nanogs.pipeline.parts import Parts, further
+from nanogs.pipeline.rows import opened
 from nanogs.pipeline.run import Done
 from nanogs.pipeline.work import Work
 from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport
+from nanogs.scoring.file_judge import FileJudge, file_judge
 from nanogs.sink import Sink, Written
 from nanogs.source import InMemory, Source, Turned
 from nanogs.store.scratch import hash_file
@@ -33,10 +35,14 @@ class Ending:
     Attributes:
         sink: Where they go.
         reports: Makes the report of each result.
+        measured: Whether each is held against the model.
+        max_memory: Bytes that this process may take for that; by default what is free.
     """
 
     sink: Sink
     reports: Tell
+    measured: bool = False
+    max_memory: int | None = None
 
     def check(self, folder: Path, *, resume: bool) -> None:
         """Look whether they can be written, before anything is begun.
@@ -58,7 +64,7 @@ class Ending:
         Raises:
             OutputError: They cannot.
         """
-        if _sealed(self._made(folder), self.sink.place) is None:
+        if self._sealed(self._made(folder), self.sink.place) is None:
             self.sink.check()
 
     def finish(self, done: Done, folder: Path, progress: Tracker) -> list[Written]:
@@ -68,9 +74,9 @@ class Ending:
             OutputError: They cannot be written.
         """
         made = self._made(folder)
-        written = _sealed(made, self.sink.place)
+        written = self._sealed(made, self.sink.place)
         if written is None:
-            written = _sealed(made, made)
+            written = self._sealed(made, made)
             if written is None:
                 written = self._make(done, made, progress)
             self.sink.move(made)
@@ -86,11 +92,34 @@ class Ending:
                         filling.add(source)
                 else:
                     filling.add_blocks(blocks_of(work, level, progress.part))
-            filling.finish(self.reports(done, filling.written))
-            _seal(made, self.sink.files(made), filling.written)
+            judge = self._judge(work, progress) if self.measured else None
+            filling.finish(self.reports(done, filling.written), judge)
+            _seal(made, self.sink.files(made), filling.written, measured=self.measured)
         except OSError as error:
             raise output_error(made, error) from error
         return filling.written
+
+    def _judge(self, work: Work, progress: Tracker) -> FileJudge:
+        settings = work.settings
+        progress.begin("measure")
+        with opened(settings, work.unpacked()) as original:
+            return file_judge(
+                original, self.sink.suffix, turn=settings.frame, threads=work.threads,
+                tell=progress.part, max_memory=self.max_memory,
+            )  # fmt: skip
+
+    def _sealed(self, made: Path, place: Path) -> list[Written] | None:
+        """The results that were sealed, if they are what stands at a place."""
+        with suppress(OSError, ValueError, LookupError, TypeError):
+            note = json.loads(_note(made).read_bytes())
+            files = note["files"]
+            if note["measured"] is self.measured and all(
+                (place / name).stat().st_size == size for name, size in files.items()
+            ):
+                with (place / next(iter(files))).open("rb") as file:
+                    if [*hash_file(file)] == note["first"]:
+                        return [Written(*each) for each in note["written"]]
+        return None
 
     def _made(self, folder: Path) -> Path:
         """The place of results until they get their name."""
@@ -115,24 +144,14 @@ def result_of(work: Work, level: int) -> Iterator[Source]:
         yield source if work.settings.frame is None else Turned(source, *work.settings.frame)
 
 
-def _seal(made: Path, files: Sequence[str], written: Sequence[Written]) -> None:
+def _seal(made: Path, files: Sequence[str], written: Sequence[Written], *, measured: bool) -> None:
     """Note what results are, beside them, so that they are known again under another name."""
     sizes = {name: (made / name).stat().st_size for name in files}
     with (made / files[0]).open("rb") as file:
-        note = {"files": sizes, "first": hash_file(file), "written": written}
+        first = hash_file(file)
+    note = {"files": sizes, "first": first, "written": written, "measured": measured}
     with atomic_write(_note(made), overwrite=True) as out:
         out.write(json.dumps(note).encode())
-
-
-def _sealed(made: Path, place: Path) -> list[Written] | None:
-    """The results that were sealed, if they are what stands at a place."""
-    with suppress(OSError, ValueError, LookupError, TypeError):
-        note = json.loads(_note(made).read_bytes())
-        if all((place / name).stat().st_size == size for name, size in note["files"].items()):
-            with (place / next(iter(note["files"]))).open("rb") as file:
-                if [*hash_file(file)] == note["first"]:
-                    return [Written(*each) for each in note["written"]]
-    return None
 
 
 def _note(made: Path) -> Path:

@@ -13,7 +13,6 @@ from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, losses, save
-from nanogs.io import open as open_model
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -23,12 +22,11 @@ from nanogs.pipeline.reading import read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.weights import measure_stage, write_weight
-from nanogs.progress import Measuring, Parts, Progress, Stage, Tracker
-from nanogs.protocol import Judged
+from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
+from nanogs.scoring.file_judge import file_judge
 from nanogs.sink import OneFile
-from nanogs.source import Filtered, Joined, Reduced, Source
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -86,9 +84,8 @@ def simplify_blocks(
         count: Splats to deliver.
         size: As `simplify` takes it.
         psnr: As `simplify` takes it.
-        measured: Hold the file against the model, as `nanogs compare` does; in blocks for inputs
-            of which any rows can be read. With None that is done where the preset renders anyway
-            and the model is in memory.
+        measured: Hold the file against the model, as `nanogs compare` does. With None that is done
+            where the preset renders anyway and the model is in memory.
         preset: Name of a preset; in blocks one that grows a forest: any but `paper`.
         max_memory: Bytes that each process may take, a number or text like "4GB"; it decides
             whether there are blocks, and their size. By default what is free, less a tenth; 4 GB
@@ -156,38 +153,17 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     plan = plan_files(request)
     if not plan.divided:
         return _in_memory(request, plan, told)
-    if not request.measured:
-        return _in_blocks(request, plan, told)
-    measuring = Measuring(told)
-    report = _in_blocks(request, plan, measuring.before)
-    judged, notes = _judge(request, measuring.part)
-    measuring.finish()
-    return replace(report, judged=judged, notes=(*report.notes, *notes))
+    return _in_blocks(request, told)
 
 
-def _in_blocks(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
+def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:
     """Simplify and write, block by block."""
     sink = OneFile(request.output, request.overwrite, request.format_options)
-    _, [report] = fill_in_blocks(request, plan, sink, told)
+    [written], [report] = fill_in_blocks(request, sink, told)
+    report = replace(report, notes=(*report.notes, *written.losses))
     if request.goal.size is not None:
         return replace(report, achieved_size=bytes_on_disk(request.output))
     return report
-
-
-def _judge(request: Request, tell: Parts) -> tuple[Judged | None, tuple[str, ...]]:
-    """Hold the file against its inputs, some rows of both at a time."""
-    from nanogs.scoring.held_out import judge_file  # which brings Numba
-
-    source: Source = Joined([open_model(path) for path in request.inputs])
-    if request.filters:
-        source = Filtered(source, request.filters)
-    if request.sh_degree is not None:
-        source = Reduced(source, request.sh_degree)
-    with source:
-        return judge_file(
-            source, request.output, turn=request.frame, threads=request.threads, tell=tell,
-            max_memory=request.max_memory,
-        )  # fmt: skip
 
 
 def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
@@ -215,14 +191,14 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
         )  # fmt: skip
     judged = report.judged
     if is_measured(request) and judged is None:
-        from nanogs.scoring.held_out import judge_file  # which brings Numba
-
         tracker.begin("measure")
         with clock.time("measure"):
-            judged, unmeasured = judge_file(
-                splats, output, turn=request.frame, threads=request.threads, tell=tracker.part
+            turn, threads = request.frame, request.threads
+            judge = file_judge(
+                splats, request.suffix, turn=turn, threads=threads, tell=tracker.part
             )
-            notes += unmeasured
+            judged = judge.of(output)
+        notes += judge.notes
     tracker.finish()
     return replace(
         report,

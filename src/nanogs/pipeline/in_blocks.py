@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from nanogs.clock import StageClock
 from nanogs.defaults import DEFAULT_MEMORY
-from nanogs.errors import NotEnoughMemoryError, OptionError, OutputError
+from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
+from nanogs.io import open as open_model
 from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.method.parameters import ForestParameters
@@ -34,23 +35,23 @@ from nanogs.progress import Progress
 from nanogs.protocol import PIXELS, VIEWS
 from nanogs.report import SimplifyReport
 from nanogs.sink import Sink, Written
-from nanogs.source import Layout
+from nanogs.source import Joined, Layout
 from nanogs.store.columns import empty_columns, row_bytes, splats_of
 from nanogs.store.scratch import is_url
+from nanogs.views.plan import room_for_measuring
 
 if TYPE_CHECKING:
-    from nanogs.pipeline.request import Plan, Request
+    from nanogs.pipeline.request import Request
     from nanogs.pipeline.run import Done
 
 
 def fill_in_blocks(
-    request: "Request", plan: "Plan", sink: Sink, told: Progress | None
+    request: "Request", sink: Sink, told: Progress | None
 ) -> tuple[list[Written], list[SimplifyReport]]:
     """Simplify files block by block, and give the results to a sink.
 
     Args:
         request: What is asked for.
-        plan: Why that is done in blocks.
         sink: Takes each result.
         told: Called with each step.
 
@@ -63,7 +64,6 @@ def fill_in_blocks(
     start, clock = time.perf_counter(), StageClock()
     folder, goals = request.folder, request.goals
     block_parameters(request.preset, request.overrides)
-    _refuse_what_needs_all(request, plan)
     max_memory, block = block_memory(
         request.max_memory, request.block, folder if request.resume else None,
         elsewhere=request.executor is not None,
@@ -82,7 +82,7 @@ def fill_in_blocks(
 
     def reports(done: "Done", written: Sequence[Written]) -> list[SimplifyReport]:
         return [
-            report_of(request.preset, goal, done, each.splats, clock, start, level)
+            report_of(request.preset, goal, done, each, clock, start, level)
             for goal, level, each in zip(goals, done.levels, written, strict=True)
         ]
 
@@ -91,34 +91,12 @@ def fill_in_blocks(
         from nanogs.pipeline.search import Search
 
         search = Search(request.output, request.format_options, folder, max_memory).find
-    job = BlockJob(settings, folder, request.scratch, Ending(sink, reports), search)
+    measured = bool(request.measured) and request.goal.psnr is None
+    ending = Ending(sink, reports, measured, max_memory)
+    job = BlockJob(settings, folder, request.scratch, ending, search)
     where = Where(request.threads, request.executor, request.patience)
     made = job.run(where, clock, told, resume=request.resume)
     return made[1], reports(*made)
-
-
-def _refuse_what_needs_all(request: "Request", plan: "Plan") -> None:
-    """Refuse what only a model in memory can be asked.
-
-    Raises:
-        NotEnoughMemoryError: Something asked for needs the whole model, for which memory lacks.
-        OptionError: The same, where blocks were asked for.
-    """
-    wishes = {
-        "measuring levels": bool(request.measured and request.ratios),
-        "measuring against a file that is not read in parts": request.measured
-        and not request.in_rows,
-    }
-    for wish, asked in wishes.items():
-        if asked and plan.memory.peak <= plan.allowed.bytes:
-            raise OptionError(f"In blocks there is no {wish}, which needs the whole model.")
-        if asked:
-            name = ", ".join(path.name for path in request.inputs)
-            raise NotEnoughMemoryError(
-                f"{name} takes about {bytes_text(plan.memory.peak)} of memory, and {plan.allowed};"
-                f" blocks would take less, but {wish} needs the whole model: leave that out, or"
-                " give it more memory."
-            )
 
 
 def block_memory(
@@ -182,6 +160,9 @@ def plan_job(
     changes, goals, sought = request.changes, request.goals, sought_by(request)
     changes.check()
     inputs, layout = look_at(request.inputs, changes)
+    if request.measured or request.goal.psnr is not None:
+        with Joined([open_model(path) for path in request.inputs]) as source:
+            room_for_measuring(source, request.max_memory)
     beside = pictures_bytes(PIXELS**2, VIEWS) if sought and sought.psnr is not None else 0
 
     def planned(splats: int) -> ScalePlan:

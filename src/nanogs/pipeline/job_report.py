@@ -12,6 +12,7 @@ from nanogs.pipeline.run import Done
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.target import Goal
 from nanogs.report import BlocksReport, SimplifyReport, StopReason
+from nanogs.sink import Written
 from nanogs.store.columns import count_of
 
 
@@ -19,7 +20,7 @@ def report_of(
     preset: str,
     goal: Goal,
     done: Done,
-    count: int,
+    written: Written,
     clock: StageClock,
     start: float,
     level: int = 0,
@@ -30,7 +31,7 @@ def report_of(
         preset: Its name.
         goal: What was asked.
         done: What the job did.
-        count: Splats delivered.
+        written: The result.
         clock: The seconds of its stages.
         start: `time.perf_counter()` at the start.
         level: Of the result.
@@ -42,9 +43,10 @@ def report_of(
     merged = work.merges(level)
     settled = work.of_blocks("settle", level) if merged and settings.parameters.rounds else []
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
+    count = written.splats
     stop = StopReason.TARGET if count == target else StopReason.NO_PROGRESS
-    entries = {"stop": stop, **entries_of(work, level), **done.entries}
-    notes = (*settings.layout.notes, *own_notes, *entries["notes"], *done.notes)
+    entries = {"stop": stop, "judged": written.marks, **entries_of(work, level), **done.entries}
+    notes = (*settings.layout.notes, *own_notes, *entries["notes"], *done.notes, *written.notes)
     return SimplifyReport(
         preset=preset,
         parameters=asdict(settings.parameters),

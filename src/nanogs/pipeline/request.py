@@ -16,12 +16,10 @@ from nanogs.memory import Memory, allowed_memory
 from nanogs.pipeline.api import refuse_searches
 from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
-from nanogs.pipeline.inputs import access_of
 from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
 from nanogs.pipeline.rows import Changes
-from nanogs.pipeline.settings import Access
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.sink import Chunked
 from nanogs.source import Joined
@@ -108,11 +106,6 @@ class Request:
     def sizer(self) -> Sizer | None:
         """Bytes of the output's format for a count; None where only writing a file tells."""
         return None if self.ratios else registry.writable(self.output).file_bytes
-
-    @property
-    def in_rows(self) -> bool:
-        """Whether any rows of the inputs are read without the others."""
-        return all(access_of(open_model(path)) is Access.ROWS for path in self.inputs)
 
     @property
     def folder(self) -> Path:

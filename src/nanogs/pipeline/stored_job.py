@@ -23,6 +23,7 @@ from nanogs.pipeline.folder import (
 from nanogs.pipeline.foreseen import job_stages
 from nanogs.pipeline.run import Done, Executor, Here, Search, run_tasks
 from nanogs.pipeline.settings import Settings, differences
+from nanogs.pipeline.weights import measure_stage
 from nanogs.pipeline.workers import workers_of
 from nanogs.progress import WAITING, Progress, Tracker
 from nanogs.sink import Written
@@ -99,7 +100,10 @@ class BlockJob:
         Raises:
             NanogsError: The job is another one, cannot be done, or is in use.
         """
-        progress = Tracker(told, job_stages(self.settings))
+        stages = job_stages(self.settings)
+        if self.ending.measured:
+            stages.append(measure_stage(self.settings.splats))
+        progress = Tracker(told, stages)
         with locked(self.folder), _telling_of(self.folder):
             place = self._found(resume=resume)
             resumed = place is not None

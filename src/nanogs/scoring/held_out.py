@@ -6,24 +6,17 @@ split (see `views.automatic`). So a number from here is the one that `compare` p
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from nanogs.errors import FormatError, ModelError
-from nanogs.frames import change_frame
-from nanogs.io import load, registry
-from nanogs.io import open as open_model
-from nanogs.memory import allowed_memory
+from nanogs.errors import ModelError
 from nanogs.metrics import psnr
-from nanogs.needs import pictures_bytes
 from nanogs.progress import Parts, untold
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Judged, Protocol
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.scoring.scores import ReferenceView, mean_psnr, reference_views, score
-from nanogs.source import Source, Turned
+from nanogs.source import Source
 from nanogs.splats import Splats
-from nanogs.threads import use_threads
 from nanogs.views.cameras import cameras_for
-from nanogs.views.plan import room_for_splats
+from nanogs.views.plan import room_for_measuring
 from nanogs.views.streamed import Streamed, drawable, renderings
 
 
@@ -60,43 +53,6 @@ class HeldOut:
         return Judged(means.psnr, means.ssim, self.protocol)
 
 
-def judge_file(
-    original: Splats | Source,
-    path: Path,
-    *,
-    turn: tuple[str, str] | None = None,
-    threads: int | None = None,
-    tell: Parts = untold,
-    max_memory: int | None = None,
-) -> tuple[Judged | None, tuple[str, ...]]:
-    """Hold a file against the original that it was made of.
-
-    Args:
-        original: The model; of a source some rows are read at a time, and of the file too.
-        path: The file.
-        turn: Frames from and to which the file's model was turned, or None.
-        threads: Threads to use; all by default.
-        tell: Told of the original's views rendered.
-        max_memory: As `held_out` takes it.
-
-    Returns:
-        What was measured and no note; or None and why nothing could be, in a sentence.
-    """
-    known = registry.find(path)
-    if known is not None and not known.readable:
-        return None, (f"The result was not measured: nanogs does not read {known.suffix} files.",)
-    try:
-        with use_threads(threads):
-            views = held_out(original, tell, max_memory)
-            if isinstance(original, Splats):
-                small = load(path)
-                return views.judge(change_frame(small, turn[1], turn[0]) if turn else small), ()
-            with open_model(path) as source:
-                return views.judge(Turned(source, turn[1], turn[0]) if turn else source), ()
-    except (ModelError, FormatError) as error:
-        return None, (f"The result was not measured: {error}",)
-
-
 def held_out(
     original: Splats | Source, tell: Parts = untold, max_memory: int | None = None
 ) -> HeldOut:
@@ -126,7 +82,4 @@ def _drawable(model: Splats | Source, max_memory: int | None) -> PreparedSplats 
     """A model as it is rendered: held where it is held already, else some rows at a time."""
     if isinstance(model, Splats):
         return drawable(model, None)
-    pictures = pictures_bytes(PIXELS**2, VIEWS)
-    remedy = "free some, or leave out what is measured"
-    memory = allowed_memory(max_memory)
-    return drawable(model, room_for_splats("Measuring", [model], pictures, memory, remedy))
+    return drawable(model, room_for_measuring(model, max_memory))

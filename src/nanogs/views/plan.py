@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from nanogs.io.models import Model
 from nanogs.memory import Memory, allowed_memory, refuse_too_large
-from nanogs.needs import drawn_bytes, models_bytes, shown_bytes, streaming_bytes
+from nanogs.needs import drawn_bytes, models_bytes, pictures_bytes, shown_bytes, streaming_bytes
+from nanogs.protocol import PIXELS, VIEWS
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
@@ -41,6 +42,21 @@ def room_for_pictures(
     pictures += held if isinstance(model, Splats) else 0
     name = source_of(source).name
     return room_for_splats(f"Rendering {name}", [source_of(source)], pictures, memory, _LESS)
+
+
+def room_for_measuring(model: Source, max_memory: int | None) -> int:
+    """Bytes for the splats of views that models are held against, read some rows at a time.
+
+    Args:
+        model: Any of the models.
+        max_memory: Bytes that this process may take; by default what is free, less a tenth.
+
+    Raises:
+        NotEnoughMemoryError: There is too little.
+    """
+    pictures = pictures_bytes(PIXELS**2, VIEWS)
+    remedy = "free some, or leave out what is measured"
+    return room_for_splats("Measuring", [model], pictures, allowed_memory(max_memory), remedy)
 
 
 def room_for_splats(

@@ -1,0 +1,101 @@
+"""Holding files against the model that they were made of, as they give it back."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nanogs.errors import FormatError, ModelError
+from nanogs.frames import change_frame
+from nanogs.io import load, registry
+from nanogs.io import open as open_model
+from nanogs.progress import Parts, untold
+from nanogs.protocol import Judged
+from nanogs.source import Source, Turned
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.scoring.held_out import HeldOut
+
+
+@dataclass(slots=True, eq=False)
+class FileJudge:
+    """Measures files, or says why nothing can be measured.
+
+    Attributes:
+        views: The model as views show it that nothing is learnt from; None where nothing is
+            measured.
+        held: Whether files are loaded; else some rows are read at a time.
+        turn: Frames from and to which the files' models were turned, or None.
+        threads: Threads to use, or None for all.
+        notes: Why nothing is measured, one sentence each.
+    """
+
+    views: "HeldOut | None" = None
+    held: bool = True
+    turn: tuple[str, str] | None = None
+    threads: int | None = None
+    notes: tuple[str, ...] = ()
+
+    def of(self, path: Path, level: int = 0) -> Judged | None:
+        """What was measured of a file; None where nothing can be, of which a note then tells.
+
+        Args:
+            path: The file.
+            level: Of a streamed model, which level of detail.
+        """
+        if self.views is None:
+            return None
+        from nanogs.threads import use_threads
+
+        try:
+            with use_threads(self.threads):
+                return self._judged(self.views, path, level)
+        except (ModelError, FormatError) as error:
+            self.notes = (*self.notes, _unmeasured(error))
+            return None
+
+    def _judged(self, views: "HeldOut", path: Path, level: int) -> Judged:
+        back = (self.turn[1], self.turn[0]) if self.turn else None
+        if self.held:
+            small = load(path, level=level)
+            return views.judge(change_frame(small, *back) if back else small)
+        with open_model(path, level=level) as source:
+            return views.judge(Turned(source, *back) if back else source)
+
+
+def file_judge(
+    original: Splats | Source,
+    suffix: str,
+    *,
+    turn: tuple[str, str] | None = None,
+    threads: int | None = None,
+    tell: Parts = untold,
+    max_memory: int | None = None,
+) -> FileJudge:
+    """Render the original once, for any number of files.
+
+    Args:
+        original: The model; of a source some rows are read at a time, and of the files too.
+        suffix: Format of the files.
+        turn: As `FileJudge` has it.
+        threads: See there.
+        tell: Told of the views rendered.
+        max_memory: Bytes that this process may take, where a source is rendered; by default what is
+            free.
+    """
+    known = registry.find(Path(f"model{suffix}"))
+    if known is not None and not known.readable:
+        return FileJudge(notes=(_unmeasured(f"nanogs does not read {known.suffix} files."),))
+    from nanogs.scoring.held_out import held_out
+    from nanogs.threads import use_threads
+
+    try:
+        with use_threads(threads):
+            views = held_out(original, tell, max_memory)
+    except (ModelError, FormatError) as error:
+        return FileJudge(notes=(_unmeasured(error),))
+    return FileJudge(views, isinstance(original, Splats), turn, threads)
+
+
+def _unmeasured(reason: object) -> str:
+    return f"Nothing was measured: {reason}"
