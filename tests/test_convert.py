@@ -170,9 +170,22 @@ def test_the_version_of_spz_is_chosen(scene, tmp_path, version):
     assert io.inspect(tmp_path / "c.spz").encoding == encoding
 
 
+def test_the_palette_of_sog_is_chosen(scene, tmp_path):
+    target = tmp_path / "a.sog"
+    assert run(scene, target, "--palette", 3).returncode == 0
+    nanogs.save(nanogs.load(scene), tmp_path / "b.sog", format_options={"palette": 3})
+    assert (tmp_path / "b.sog").read_bytes() == target.read_bytes()
+    assert len(np.unique(nanogs.load(target).sh[:, 1:], axis=0)) == 3
+    options = ["-r", "0.5", "--preset", "fast", "--palette", 2, "-q"]
+    assert launch.run("simplify", scene, tmp_path / "c.sog", *options).returncode == 0
+    assert len(np.unique(nanogs.load(tmp_path / "c.sog").sh[:, 1:], axis=0)) == 2
+
+
 def test_options_of_another_format_are_refused(scene, tmp_path):
     assert_refused(run(scene, tmp_path / "a.spz", "--spz-version", 1), tmp_path, "2 or 3 or 4")
     assert_refused(run(scene, tmp_path / "a.ply", "--spz-version", 4), tmp_path, "for .spz files")
+    asked = "palette must be a whole number from 1 to 65,536, not 0"
+    assert_refused(run(scene, tmp_path / "a.sog", "--palette", 0), tmp_path, asked)
     with pytest.raises(OptionError, match="no option 'quality'"):
         nanogs.save(nanogs.load(scene), tmp_path / "a.spz", format_options={"quality": 3})
     with pytest.raises(OptionError, match=r"not for \.ply"):

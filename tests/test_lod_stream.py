@@ -398,16 +398,19 @@ FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader
 SETTINGS = {"camera": {"fov": 50}, "background": {"color": [0, 0, 0]}, "animTracks": []}
 
 
-def seen_by_the_viewer(path, tmp_path, count):
+def seen_by_the_viewer(path, tmp_path, count, **camera):
     """Pixels of the real viewer when it has loaded so many splats, and the files it asked for."""
     if not CHROMIUM:
         pytest.skip("Chromium is not installed")
     from playwright.sync_api import sync_playwright
 
     viewer = package("@playcanvas/supersplat-viewer") / "public"
-    (tmp_path / "settings.json").write_text(json.dumps(SETTINGS))
+    (tmp_path / "settings.json").write_text(
+        json.dumps(SETTINGS | {"camera": SETTINGS["camera"] | camera})
+    )
     with served(viewer=viewer, scene=path.parent, own=tmp_path) as (address, asked):
-        options = "webgl&noanim&nofx&noui&settings=/own/settings.json&content=/scene/lod-meta.json"
+        options = "webgl&noanim&nofx&noui&settings=/own/settings.json"
+        options += f"&content=/scene/{path.name}"
         with sync_playwright() as driver:
             browser = driver.chromium.launch(
                 executable_path=CHROMIUM, args=[*FLAGS, "--ignore-gpu-blocklist"]
@@ -423,7 +426,7 @@ def seen_by_the_viewer(path, tmp_path, count):
             browser.close()
     assert faults == []
     if folder := os.environ.get("NANOGS_SCREENSHOTS"):
-        Path(folder, f"{path.parent.name}.png").write_bytes(picture)
+        Path(folder, f"{path.parent.name}-{path.name}.png").write_bytes(picture)
     pixels = np.asarray(Image.open(bytes_io.BytesIO(picture)).convert("RGB"))
     return pixels, [name for name in asked if name.endswith("meta.json")]
 
@@ -436,3 +439,19 @@ def test_the_viewer_streams_it(path, tmp_path):
     assert {"scene/0_0/meta.json", "scene/0_1/meta.json"} <= set(scene)
     assert (pixels.max(axis=2) > 40).mean() > 0.05
     assert (pixels.max(axis=2) < 8).mean() > 0.05  # and the background around it
+
+
+@pytest.mark.filterwarnings("default")
+def test_the_viewer_reads_palettes_of_any_size(tmp_path):
+    """A file of 300 entries looks as what nanogs reads of it does as .ply."""
+    model = random_splats(900, degree=2, seed=5)
+    model = replace(model, sh=model.sh * np.float32(2))
+    io.save(model, tmp_path / "a.sog", format_options={"palette": 300})
+    io.save(io.load(tmp_path / "a.sog"), tmp_path / "b.ply")
+    start = {"position": [6, 6, 6], "target": [0, 0, 0]}
+    packed, plain = (
+        seen_by_the_viewer(tmp_path / name, tmp_path, 900, **start)[0].astype(int)
+        for name in ("a.sog", "b.ply")
+    )
+    assert (plain.max(axis=2) > 40).mean() > 0.05
+    assert np.abs(packed - plain).mean() < 0.5

@@ -9,7 +9,7 @@ import pytest
 import nanogs
 from builders import model_bytes, random_splats
 from nanogs.errors import ModelError, OptionError
-from nanogs.io import encoded_bytes, registry
+from nanogs.io import registry
 from nanogs.io.ply import write as ply_write
 from nanogs.pipeline import one_block as pipeline_run
 from nanogs.pipeline.fit_size import ENOUGH, search_fit
@@ -127,7 +127,7 @@ def test_without_a_formula_the_same_count_is_found_by_writing(splats, monkeypatc
 def test_a_compressed_file_is_no_larger_than_asked(
     splats, tmp_path, suffix, preset, options, small_views
 ):
-    size = {".spz": 6_000, ".sog": 12_000}[suffix]
+    size = {".spz": 6_000, ".sog": 20_000}[suffix]
     given = {"preset": preset}
     small, report = nanogs.simplify(
         splats, size=size, format=suffix, format_options=options, **given
@@ -207,21 +207,6 @@ def test_beside_a_known_leap_the_search_ends_at_the_count_before_it(seed):
     assert leap in tried
     assert len(tried) <= 8
     assert f"one of {leap:,} splats" in found.leap(size, available)[0]
-
-
-def test_a_palette_ends_the_search_at_a_power_of_two():
-    """Of 511 splats the palette has 256 entries, of 512 twice as many."""
-    model = random_splats(1200, degree=3)
-    below, above = (
-        encoded_bytes(nanogs.simplify(model, count=count, preset="fast")[0], Path("a.sog"))
-        for count in (511, 512)
-    )
-    assert above > 1.1 * below
-    size = (below + 2 * above) // 3
-    small, report = nanogs.simplify(model, size=size, preset="fast", format=".sog")
-    assert (len(small), report.achieved_size) == (511, below)
-    assert any(probe.count == 512 for probe in report.size_probes)
-    assert "one of 512 splats takes" in report.notes[-1]
 
 
 def test_the_search_for_a_size_is_refused_what_the_fewest_exceed():

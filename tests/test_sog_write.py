@@ -63,10 +63,7 @@ def test_round_trip_is_within_the_quantisation(tmp_path_factory, model):
     assert np.array_equal(scales, back.log_scales)
     assert np.array_equal(model.sh[:, 0], back.sh[:, 0])
     error = np.abs(model.sh[:, 1:] - back.sh[:, 1:])
-    if len(model).bit_count() == 1:  # the palette has room for every splat
-        assert error.max(initial=0) < 0.05
-    else:
-        assert np.square(error).sum() <= np.square(model.sh[:, 1:]).sum()
+    assert error.max(initial=0) < 0.05  # the palette has room for every splat
     assert np.abs(model.opacities() - back.opacities()).max() <= 0.5 / 255 + 1e-9
     for infinite in (np.isposinf, np.isneginf):
         assert infinite(back.opacity_logits)[infinite(model.opacity_logits)].all()
@@ -331,6 +328,35 @@ def test_palette_keeps_what_fits():
     assert np.array_equal(found.entries[found.labels], points)
     assert len(found.entries) == len(np.unique(points, axis=0))
     assert found.labels[0] == 0  # in the order of first use
+
+
+@pytest.mark.parametrize("size", [1, 7, 100, 1000, 1100])
+def test_the_palette_has_as_many_entries_as_asked_for(tmp_path, size):
+    model = random_model(1100, 1)
+    options = {"palette": size}
+    io.save(model, tmp_path / "a.sog", format_options=options)
+    io.save(model, tmp_path / "m" / "meta.json", format_options=options)
+    described = json.loads((tmp_path / "m" / "meta.json").read_text())
+    assert described["shN"]["count"] == size
+    back = io.load(tmp_path / "a.sog")
+    assert_same(io.load(tmp_path / "m" / "meta.json"), back)
+    assert len(np.unique(back.sh[:, 1:], axis=0)) == size
+    assert io.encoded_bytes(model, tmp_path / "a.sog", options) == (
+        (tmp_path / "a.sog").stat().st_size
+    )
+
+
+def test_by_default_the_palette_grows_with_the_model():
+    counts = [1, 1000, 3000, 3300, 196_608, 10**7]
+    sizes = [sog_write.usual_palette(count) for count in counts]
+    assert sizes == [1024, 1024, 1024, 1100, 65_536, 65_536]
+
+
+@pytest.mark.parametrize("size", [0, 65_537, 3.5, True, "9"])
+def test_a_palette_beyond_the_format_is_refused(tmp_path, size):
+    with pytest.raises(OptionError, match="palette must be a whole number from 1 to 65,536"):
+        io.save(random_model(9, 1), tmp_path / "a.sog", format_options={"palette": size})
+    assert not list(tmp_path.iterdir())
 
 
 def test_heavy_points_are_served_better():

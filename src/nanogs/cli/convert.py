@@ -31,7 +31,7 @@ def convert(
             " (3DGS), or back. The same as --frame rub:rdf.",
         ),
     ] = False,
-    spz_version: options.SpzVersion = None,
+    of_format: options.OfFormat,
     overwrite: options.Overwrite = False,
     max_memory: options.MaxMemory = None,
     telling: options.Telling,
@@ -52,7 +52,7 @@ def convert(
         frame = (Y_UP, TRAINED) if turn else framing.frames_of(pair, edits.frame)
         report = library_convert(
             pair.source, pair.target, level=level, filters=filters, sh_degree=edits.sh_degree,
-            frame=frame, overwrite=overwrite, format_options={"spz_version": spz_version},
+            frame=frame, overwrite=overwrite, format_options=of_format,
             max_memory=max_memory, progress=progress,
         )  # fmt: skip
         return many.Run(report, {"input": report.input, "output": report.output})

@@ -150,6 +150,19 @@ SpzVersion = Annotated[
         show_default="3",
     ),
 ]
+Palette = Annotated[
+    int | None,
+    typer.Option(
+        help="Of a .sog file: entries of the palette of the spherical harmonics, 1 to 65536; fewer"
+        " make the file smaller and colours less true.",
+        show_default="a third of the splats",
+        metavar="ENTRIES",
+    ),
+]
+OfFormat = Annotated[
+    dict[str, Any], {"spz_version": (SpzVersion, None), "palette": (Palette, None)}
+]
+"""Options of one format alone, as `save` takes them."""
 Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Replace what exists.")]
 Json = Annotated[bool, typer.Option("--json", help="As JSON on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]

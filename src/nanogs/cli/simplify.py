@@ -49,7 +49,7 @@ def simplify(
             metavar="DB",
         ),
     ] = None,
-    spz_version: options.SpzVersion = None,
+    of_format: options.OfFormat,
     overwrite: options.Overwrite = False,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show how it was done: stages, passes, probes.")
@@ -68,11 +68,10 @@ def simplify(
     joined = tuple(paths[:-1]) if method.blocks.join else ()
     pairs = many.plan_pairs([paths[0], paths[-1]] if joined else paths, files)
     method.check(paths)
-    options_of_format = {"spz_version": spz_version}
     wishes = simplify_run.Wishes(
         wish=plan.wish_of(
             method, Goal(ratio, count, size, psnr), overwrite=overwrite,
-            format_options=options_of_format,
+            format_options=of_format,
         ),
         method=method,
         joined=joined,

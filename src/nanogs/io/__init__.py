@@ -123,7 +123,9 @@ def save(
         overwrite: Replace a file that exists.
         format: Suffix of the format; by default that of the name. An open file without a name
             needs it.
-        format_options: Of the format, by name: `spz_version`, 2, 3 (as by default) or 4.
+        format_options: Of the format, by name: of .spz `spz_version`, 2, 3 (as by default) or 4; of
+            .sog `palette`, entries for the higher colour coefficients, 1 to 65,536, by default a
+            third of the splats.
         progress: Called with each `nanogs.progress.Step` of a file whose writing takes long.
 
     Raises:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
 from nanogs.errors import FormatError
 from nanogs.frames import TRAINED
@@ -20,13 +20,8 @@ Sizer = Callable[[Splats, int], int]
 """Bytes of the file of a model of so many splats that is like the given one in all else."""
 Losses = Callable[[Splats], tuple[str, ...]]
 """Names what a file of the format cannot hold of a model, a sentence each, besides quantisation."""
-
-
-class FolderWriter(Protocol):
-    """Makes the folder of a model; it may replace one of nanogs' own if told so."""
-
-    def __call__(self, splats: Splats, path: Path, *, overwrite: bool) -> None:
-        """Write the model; see `io.save` for what it raises."""
+FolderWriter = Callable[..., None]
+"""Makes the folder of a model, with `overwrite` in place of one of nanogs' own; see `io.save`."""
 
 
 def unread(path: Path) -> NoReturn:
@@ -43,7 +38,14 @@ class WriteOption:
     """A choice in writing a format: what the writer calls it, and what it may be."""
 
     keyword: str
-    values: tuple[Any, ...]
+    values: tuple[Any, ...] | range
+
+    @property
+    def allowed(self) -> str:
+        """The values, for a message."""
+        if isinstance(self.values, range):
+            return f"a whole number from {self.values[0]:,} to {self.values[-1]:,}"
+        return " or ".join(map(str, self.values))
 
 
 @dataclass(frozen=True, slots=True)

@@ -129,9 +129,8 @@ def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
             continue
         if (option := known.options.get(name)) is None:
             raise OptionError(_foreign(name, known))
-        if value not in option.values:
-            values = " or ".join(map(str, option.values))
-            raise OptionError(f"{name} must be {values}, not {value!r}.")
+        if isinstance(value, bool) or value not in option.values:
+            raise OptionError(f"{name} must be {option.allowed}, not {value!r}.")
         chosen[option.keyword] = value
     return chosen
 

@@ -1,11 +1,13 @@
 """PlayCanvas' SOG: splats in lossless pictures; with levels of detail, streamed SOG."""
 
-from nanogs.io.format import Format
+from nanogs.io.format import Format, WriteOption
 from nanogs.io.registry import LEVELS
 from nanogs.io.sog import write
 from nanogs.io.sog.levels import open_level
+from nanogs.io.sog.meta import PALETTE_MAX
 from nanogs.io.sog.read import META, SogSource
 
+_OPTIONS = {"palette": WriteOption("palette_size", range(1, PALETTE_MAX + 1))}
 FORMATS = (
     Format(
         ".sog",
@@ -13,13 +15,14 @@ FORMATS = (
         write.write,
         tells=True,
         losses=write.losses,
-        leaps=write.leaps,
+        options=_OPTIONS,
         holds=META,
     ),
     Format(
         META,
         SogSource,
         losses=write.losses,
+        options=_OPTIONS,
         write_folder=write.write_folder,
         ours=write.ours,
     ),

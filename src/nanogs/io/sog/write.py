@@ -1,7 +1,7 @@
 """Writing SOG, version 2: `.sog`, which is one zip, or `meta.json` in a folder of its files.
 
 The layout is described in `meta`. As PlayCanvas' own tool does, splats go in Morton order, so
-that texels side by side are alike, the palette has the same size, and the zip packs nothing twice.
+that texels side by side are alike, and the zip packs nothing twice.
 Codes are rounded to the nearest. The same model gives the same bytes.
 """
 
@@ -36,6 +36,8 @@ _BLOCK = 4  # sides of textures are multiples of it
 _GENERATOR = "nanogs"
 _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
 _VISIBILITY = (1e-3, 1e3)  # of the mean: least and most that a splat counts in the palette
+_SPLATS_PER_ENTRY = 3
+_SMALL_PALETTE = 1024  # models of so few splats keep a value each
 _FARTHEST = 1e18  # squares of colours that far apart are still float32
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can state
 
@@ -43,19 +45,23 @@ Submit = Callable[[str, U8], None]
 """Starts the encoding of a texture, by name."""
 
 
-def write(splats: Splats, file: BinaryIO, tell: Parts = untold) -> None:
+def write(
+    splats: Splats, file: BinaryIO, tell: Parts = untold, *, palette_size: int | None = None
+) -> None:
     """Write a `.sog` file.
 
     Args:
         splats: The model.
         file: To write to.
         tell: Told of the parts of what takes long.
+        palette_size: Most entries of the palette of the higher coefficients, 1 to 65,536; by
+            default a third of the splats, but all of a small model.
 
     Raises:
         OutputError: A value is NaN, infinite or beyond what a codebook holds, or there are more
             splats than a texture holds; nothing has been written then.
     """
-    files = contents(splats, None, tell)
+    files = contents(splats, None, tell, palette_size)
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in files.items():
             entry = zipfile.ZipInfo(name, _EPOCH)
@@ -64,19 +70,32 @@ def write(splats: Splats, file: BinaryIO, tell: Parts = untold) -> None:
             bundle.writestr(entry, data)
 
 
-def write_folder(splats: Splats, path: Path, *, overwrite: bool = False) -> None:
+def write_folder(
+    splats: Splats, path: Path, *, overwrite: bool = False, palette_size: int | None = None
+) -> None:
     """Write `meta.json` and its textures to a folder, which appears whole or not at all.
+
+    Args:
+        splats: The model.
+        path: The folder.
+        overwrite: Replace a folder that nanogs wrote.
+        palette_size: As for `write`.
 
     Raises:
         OutputError: As for `write`, or the folder exists and may not be replaced, or it cannot be
             made.
     """
     with atomic_folder(path, ours, overwrite=overwrite) as folder:
-        for name, data in contents(splats).items():
+        for name, data in contents(splats, palette_size=palette_size).items():
             (folder / name).write_bytes(data)
 
 
-def contents(splats: Splats, groups: I64 | None = None, tell: Parts = untold) -> dict[str, bytes]:
+def contents(
+    splats: Splats,
+    groups: I64 | None = None,
+    tell: Parts = untold,
+    palette_size: int | None = None,
+) -> dict[str, bytes]:
     """The contents of `meta.json` and its textures by name.
 
     Args:
@@ -84,6 +103,7 @@ def contents(splats: Splats, groups: I64 | None = None, tell: Parts = untold) ->
         groups: (N,) numbers from 0 on. Splats go in their order, those of one group in Morton
             order; by default all are one group.
         tell: Told of the rounds in which the palette is looked for.
+        palette_size: As for `write`.
 
     Raises:
         OutputError: As for `write`.
@@ -97,7 +117,7 @@ def contents(splats: Splats, groups: I64 | None = None, tell: Parts = untold) ->
         def submit(name: str, texels: U8) -> None:
             encoding[name] = pool.submit(encode, texels)
 
-        meta = _encode(splats, groups, submit, tell)
+        meta = _encode(splats, groups, palette_size, submit, tell)
         files = {name: future.result() for name, future in encoding.items()}
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
     return files | {"meta.json": text.encode()}
@@ -127,13 +147,6 @@ def _refuse_unstorable(splats: Splats) -> None:
         )
 
 
-def leaps(splats: Splats) -> tuple[int, ...]:
-    """The counts from which on the palette of the higher coefficients is twice as large."""
-    if not splats.sh_degree:
-        return ()
-    return tuple(1 << bit for bit in range(1, sog_meta.PALETTE_MAX.bit_length()))
-
-
 def ours(folder: Path) -> frozenset[str] | None:
     """The names of a folder that nanogs wrote, or None for other folders."""
     try:
@@ -152,7 +165,9 @@ def ours(folder: Path) -> frozenset[str] | None:
     return frozenset({"meta.json", *filter(is_plain, named)})
 
 
-def _encode(splats: Splats, groups: I64 | None, submit: Submit, tell: Parts) -> dict[str, Any]:
+def _encode(
+    splats: Splats, groups: I64 | None, palette_size: int | None, submit: Submit, tell: Parts
+) -> dict[str, Any]:
     """Submit every texture; the contents of `meta.json`."""
     codes, bounds = _codes(splats.means)
     rows = _morton_order(codes, groups)
@@ -179,7 +194,7 @@ def _encode(splats: Splats, groups: I64 | None, submit: Submit, tell: Parts) -> 
     if splats.render_mode is RenderMode.DEFAULT:
         del meta["model"]  # as untagged as the files of older writers
     if splats.sh_degree:
-        meta["shN"] = _higher(splats, rows, submit, tell)
+        meta["shN"] = _higher(splats.take(rows), palette_size, submit, tell)
     return meta
 
 
@@ -210,12 +225,15 @@ def _quats(quats: F32) -> U8:
     return out
 
 
-def _higher(splats: Splats, rows: I64, submit: Submit, tell: Parts) -> dict[str, Any]:
+def _higher(
+    splats: Splats, palette_size: int | None, submit: Submit, tell: Parts
+) -> dict[str, Any]:
     """Submit the palette of the higher coefficients and the labels; their part of `meta.json`."""
     degree = min(splats.sh_degree, MAX_DEGREE)
     coefficients = (degree + 1) ** 2 - 1
-    points = splats.sh[rows, 1 : coefficients + 1].reshape(len(rows), -1)
-    found = palette(points, _palette_size(len(rows)), _visibility(splats.take(rows)), tell)
+    points = splats.sh[:, 1 : coefficients + 1].reshape(len(splats), -1)
+    size = usual_palette(len(splats)) if palette_size is None else palette_size
+    found = palette(points, size, _visibility(splats), tell)
     book = codebook(found.entries)
     count = len(found.entries)
     height = -(-count // sog_meta.PALETTE_COLUMNS)
@@ -247,9 +265,13 @@ def _visibility(splats: Splats) -> F64:
     return np.clip(mass / typical, *_VISIBILITY)
 
 
-def _palette_size(count: int) -> int:
-    """The greatest power of two up to the count, and up to what 16 bits name."""
-    return min(sog_meta.PALETTE_MAX, 1 << (count.bit_length() - 1))
+def usual_palette(count: int) -> int:
+    """Entries for so many splats: one for three, but one each in small models.
+
+    More take more bytes for what they gain than more splats would; with fewer, files look worse
+    than those of PlayCanvas' own tool.
+    """
+    return min(max(count // _SPLATS_PER_ENTRY, _SMALL_PALETTE), sog_meta.PALETTE_MAX)
 
 
 def _picture(texels: U8) -> U8:
