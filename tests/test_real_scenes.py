@@ -22,9 +22,10 @@ SCENES = {
 
 @cache
 def tenth(name):
-    """A scene, a tenth of it, and the report."""
+    """A scene, a tenth of it, and the report; in few steps where its quality is not looked at."""
     splats = nanogs.load(scene_path(SCENES[name][0]))
-    return splats, *nanogs.simplify(splats, ratio=0.1)
+    few = {} if name in ("biker", "plant") else {"steps": 4}
+    return splats, *nanogs.simplify(splats, ratio=0.1, **few)
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -48,19 +49,20 @@ def test_infinite_opacities_of_real_files_are_kept(name, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", [0.1, 0.01, 0.001])
-def test_as_good_as_the_published_code(ratio):
+@pytest.mark.parametrize(("ratio", "seeds"), [(0.1, 1), (0.01, 2), (0.001, 3)])
+def test_as_good_as_the_published_code(ratio, seeds):
     """Within 0.3 dB on the mean over scenes and seeds.
 
     The seed alone moves one scene by up to half a decibel where 100 splats are left, so neither a
-    single scene nor a single seed can tell.
+    single scene nor a single seed can tell. Where 10,000 are left, it moves the mean of the scenes
+    by a tenth of a decibel, and they are half a decibel above what is asked.
     """
     differences = []
     for name in ("biker", "plant", "seal", "chair"):
         splats = nanogs.load(scene_path(SCENES[name][0]))
         theirs = nanogs.load(peer_path(f"{name}_{ratio:g}_nanogs-ref.ply"))
         ours = [
-            nanogs.simplify(splats, ratio=ratio, preset="paper", seed=seed)[0] for seed in range(3)
+            nanogs.simplify(splats, ratio=ratio, preset="paper", seed=seed)[0] for seed in range(seeds)
         ]
         assert all(len(model) == len(theirs) for model in ours)
         up = (0, 0, 1) if name == "chair" else None
