@@ -80,3 +80,32 @@ def test_kernels_with_checks_of_bounds_are_kept_apart(package):
     checked = {"NUMBA_BOUNDSCHECK": "1"}
     assert [run(package), run(package, **checked)] == ["0.693 compiled"] * 2
     assert [run(package), run(package, **checked)] == ["0.693 loaded"] * 2
+
+
+COUNTED = """
+import numpy as np
+from numba.core import event
+
+from nanogs.kernels.forest import log_determinants
+
+with event.install_recorder("numba:compile") as compiled:
+    log_determinants(np.array([[2.0, 0, 0, 1, 0, 1]]), np.empty(1))
+print(len(compiled.buffer))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no process waits for another's kernels there")
+def test_processes_that_start_at_once_compile_nothing_twice(package):
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
+    together = [
+        subprocess.Popen(
+            [sys.executable, "-c", COUNTED],
+            env=environment | {"PYTHONPATH": str(package.parent)},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(3)
+    ]
+    compiled = sorted(int(child.communicate(timeout=100)[0]) for child in together)
+    assert compiled[:2] == [0, 0]
+    assert compiled[2] > 0

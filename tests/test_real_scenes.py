@@ -62,7 +62,8 @@ def test_as_good_as_the_published_code(ratio, seeds):
         splats = nanogs.load(scene_path(SCENES[name][0]))
         theirs = nanogs.load(peer_path(f"{name}_{ratio:g}_nanogs-ref.ply"))
         ours = [
-            nanogs.simplify(splats, ratio=ratio, preset="paper", seed=seed)[0] for seed in range(seeds)
+            nanogs.simplify(splats, ratio=ratio, preset="paper", seed=seed)[0]
+            for seed in range(seeds)
         ]
         assert all(len(model) == len(theirs) for model in ours)
         up = (0, 0, 1) if name == "chair" else None

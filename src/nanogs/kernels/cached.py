@@ -1,13 +1,16 @@
 """Kernels on disk: kept while no kernel's source changes, and loaded without a compiler's tools.
 
 Numba keys what it keeps by the file of the function that is called. Kernels inline helpers of other
-files, so here the key covers the sources of them all.
+files, so here the key covers the sources of them all. Processes that start at once compile nothing
+twice: who needs what another compiles waits for it.
 """
 
 import hashlib
-from collections.abc import Callable
-from contextlib import suppress
-from functools import cache, cached_property
+import os
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache, cached_property, wraps
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -15,7 +18,13 @@ import numba
 from numba.core import caching, config
 from numba.core.runtime.nrt import rtsys
 
+from nanogs.kernels import compiling
 from nanogs.kernels.simd.choice import chosen
+
+try:
+    import fcntl
+except ImportError:  # Windows: each process compiles for itself
+    fcntl = None  # type: ignore[assignment]
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -24,8 +33,23 @@ def cached(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba'
     """Have Numba compile a function when it is called, unless it is on disk, where it is kept."""
     compiled = numba.njit(function, **options)
     if compiled is not function:  # as it is with NUMBA_DISABLE_JIT=1
-        compiled._cache = _Cache(function)  # noqa: SLF001 - what `cache=True` sets
+        compiled._cache = kept = _Cache(function)  # noqa: SLF001 - what `cache=True` sets
+        compiled.compile = _once(compiled, kept)
     return cast("Kernel", compiled)
+
+
+def _once(compiled: Any, kept: "_Cache") -> Callable[[Any], Any]:  # noqa: ANN401
+    """Compile for a signature, unless another process does: then load what it has compiled."""
+    compile_now = compiled.compile
+
+    @wraps(compile_now)
+    def compile_once(signature: Any) -> Any:  # noqa: ANN401
+        if signature in compiled.overloads or kept.holds(signature, compiled.targetctx.codegen()):
+            return compile_now(signature)
+        with kept.alone():
+            return compile_now(signature)
+
+    return compile_once
 
 
 @cache
@@ -101,3 +125,44 @@ class _Cache:
             return self._disk.load_overload(sig, target_context)
         finally:
             vars(target_context).pop("refresh", None)
+
+    def holds(self, sig: Any, codegen: Any) -> bool:  # noqa: ANN401
+        """Whether there is code for a signature."""
+        key = self._disk._index_key(sig, codegen)  # noqa: SLF001
+        return key in self._disk._cache_file._load_index()  # noqa: SLF001
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Be the only process that compiles this kernel; where that cannot be, one of several."""
+        place = zlib.crc32(f"{self._function.__module__}.{self._function.__qualname__}".encode())
+        lock = None
+        with suppress(OSError):
+            self._disk._impl.locator.ensure_cache_path()  # noqa: SLF001
+            lock = _lock(Path(self._disk.cache_path), place)
+        try:
+            yield
+        finally:
+            if lock is not None:
+                fcntl.lockf(lock, fcntl.LOCK_UN, 1, place)
+
+
+@cache
+def _lock_file(folder: Path) -> int:
+    """A file in which each kernel has a byte to lock; open until the process ends."""
+    return os.open(folder / "nanogs.lock", os.O_RDWR | os.O_CREAT, 0o666)
+
+
+def _lock(folder: Path, place: int) -> int | None:
+    """Lock a byte as soon as no other process has; a wait is one for a compiler too."""
+    if not fcntl:
+        return None
+    file = _lock_file(folder)
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+    except OSError:
+        compiling.begin()
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX, 1, place)
+        finally:
+            compiling.end()
+    return file
