@@ -27,6 +27,9 @@ TESTS ?= tests
 BOUNDS := $(patsubst %,tests/test_%.py,kernels extremes sheets forest knn spread raster blocks \
 	visibility distances refit metrics simplify scale sog_write)
 
+# Python keeps compiled modules, whatever it is told elsewhere: tests start hundreds of processes.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: demo test bounds quick lint types check oracles floors newest docs dist clean help
 
 help: ## list the targets
