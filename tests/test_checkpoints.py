@@ -1,8 +1,6 @@
 """Checkpoints of trainers, and files that try to do more than hold tensors."""
 
 import dataclasses
-import subprocess
-import sys
 import zipfile
 
 import numpy as np
@@ -12,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 import nanogs
 from builders import random_splats
 from damage import mutate, outcome
+from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.registry import sniff
@@ -293,12 +292,9 @@ def test_an_old_file_in_a_pipe_is_known(tmp_path):
 def test_the_command_converts_them_and_knows_them_in_a_pipe(tmp_path):
     model = random_splats(40)
     path = written(tmp_path / "a.ckpt", nerfstudio(model))
-    command = [sys.executable, "-m", "nanogs", "convert"]
-    assert subprocess.run([*command, path, tmp_path / "a.ply"]).returncode == 0
+    assert run("convert", path, tmp_path / "a.ply").returncode == 0
     assert_same(nanogs.load(tmp_path / "a.ply"), model)
-    piped = subprocess.run(
-        [*command, "-", "-", "--to", "ply"], input=path.read_bytes(), capture_output=True
-    )
+    piped = run("convert", "-", "-", "--to", "ply", data=path.read_bytes(), text=False)
     assert piped.stdout == (tmp_path / "a.ply").read_bytes()
 
 

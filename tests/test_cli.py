@@ -31,6 +31,9 @@ def assert_refused(result, *words):
         assert word in said
 
 
+QUICK = ("--steps", "1", "--no-measure")
+
+
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "scene.ply"
@@ -43,7 +46,7 @@ def scene(tmp_path_factory):
 
 def test_simplify_writes_the_asked_count(scene, tmp_path):
     small = tmp_path / "small.ply"
-    result = run("simplify", scene, small, "--ratio", "0.1")
+    result = run("simplify", scene, small, "--ratio", "0.1", *QUICK)
     assert result.returncode == 0
     assert result.stdout == ""
     assert "50 splats" in result.stderr
@@ -128,9 +131,6 @@ def test_steps_reach_the_method(scene, tmp_path):
     report = json.loads(run("simplify", scene, tmp_path / "a.ply", *options).stdout)
     assert report["parameters"]["steps"] == 6
     assert report["refit"]["psnr_after"] >= report["refit"]["psnr_before"]
-
-
-QUICK = ("--steps", "1", "--no-measure")
 
 
 def test_views_reach_the_method(scene, tmp_path):

@@ -13,6 +13,7 @@ from rich.console import Console
 from tests.builders import random_splats
 
 import nanogs
+from launch import run
 from nanogs.cli import progress
 from nanogs.cli.many import Run
 from nanogs.cli.progress import Watch, shown
@@ -178,10 +179,8 @@ def test_the_report_is_one_line(tmp_path):
 
 
 def command(*arguments, **options):
-    result = subprocess.run(
-        [sys.executable, "-m", "nanogs", *map(str, arguments)], capture_output=True, text=True,
-        check=True, **options,
-    )  # fmt: skip
+    result = run(*arguments, **options)
+    assert result.returncode == 0, result.stderr
     return result.stderr
 
 

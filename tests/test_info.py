@@ -4,8 +4,6 @@ import copy
 import dataclasses
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ from hypothesis import strategies as st
 import nanogs
 from builders import random_splats
 from conftest import scene_path
+from launch import run
 from nanogs import io, percentiles
 from nanogs.findings import Finding, join_findings
 from nanogs.io import registry
@@ -95,12 +94,7 @@ def test_nothing_finite_has_no_statistics(tmp_path):
     model.means[:] = np.nan
     info = described(tmp_path, model)
     assert (info.bounds, info.alpha, info.scale, info.nonfinite) == ((), None, None, 3)
-    assert (
-        subprocess.run(
-            [sys.executable, "-m", "nanogs", "info", str(tmp_path / "a.ply")], capture_output=True
-        ).returncode
-        == 0
-    )
+    assert run("info", tmp_path / "a.ply").returncode == 0
 
 
 def test_values_beyond_float_are_counted_over_all_blocks(tmp_path, small_blocks):
@@ -136,8 +130,7 @@ def test_every_format_is_described(tmp_path, suffix):
 
 
 def test_json_has_it_all(tmp_path):
-    command = [sys.executable, "-m", "nanogs", "info", str(_saved(tmp_path, 9)), "--json"]
-    report = json.loads(subprocess.run(command, capture_output=True, text=True).stdout)
+    report = json.loads(run("info", _saved(tmp_path, 9), "--json").stdout)
     assert set(report["alpha"]) == {
         "min", "p1", "p5", "p25", "median", "p75", "p95", "p99", "max"
     }  # fmt: skip

@@ -335,7 +335,7 @@ def test_collected_are_the_free_pairs_below_a_bound(end, bound):
 
 def test_matching_in_batches_changes_nothing(monkeypatch):
     rng = np.random.default_rng(34)
-    pairs = neighbour_pairs(rng.normal(size=(800, 3)), 8, threads=1)
+    pairs = neighbour_pairs(rng.normal(size=(400, 3)), 8, threads=1)
     costs = rng.choice([*rng.normal(size=90), math.nan, 0.0, -0.0], len(pairs)).astype(np.float32)
     plans, batches, whole = [], [], stage_four._sorted_keys
     monkeypatch.setattr(
@@ -345,8 +345,8 @@ def test_matching_in_batches_changes_nothing(monkeypatch):
     monkeypatch.setattr(stage_four, "BATCH", 0.0)
     for smallest in (1 << 16, 50, 1):
         monkeypatch.setattr(stage_four, "SMALLEST_BATCH", smallest)
-        plans.append(match(pairs, costs, 800, 390))
-    expected = twins.greedy(pairs, costs.tolist(), 390)
+        plans.append(match(pairs, costs, 400, 195))
+    expected = twins.greedy(pairs, costs.tolist(), 195)
     for plan in plans:
         assert list(map(tuple, plan.pairs.tolist())) == expected
         assert plan.without_cost == np.isnan(costs).sum() > 0
@@ -356,7 +356,7 @@ def test_matching_in_batches_changes_nothing(monkeypatch):
 @pytest.mark.parametrize("stretch", [7, 100, 1 << 16])
 def test_matching_in_rounds_changes_nothing(monkeypatch, stretch):
     rng = np.random.default_rng(36)
-    pairs = neighbour_pairs(rng.normal(size=(800, 3)), 8, threads=1)
+    pairs = neighbour_pairs(rng.normal(size=(400, 3)), 8, threads=1)
     costs = rng.choice([*rng.normal(size=90), math.nan, 0.0, -0.0], len(pairs)).astype(np.float32)
     left = []
     whole = stage_four._match_sorted
@@ -366,10 +366,10 @@ def test_matching_in_rounds_changes_nothing(monkeypatch, stretch):
     monkeypatch.setattr(stage_four, "STRETCH", stretch)
     for threads in (1, 2):
         with use_threads(threads):
-            plan = match(pairs, costs, 800, 390)
-        assert list(map(tuple, plan.pairs.tolist())) == twins.greedy(pairs, costs.tolist(), 390)
+            plan = match(pairs, costs, 400, 195)
+        assert list(map(tuple, plan.pairs.tolist())) == twins.greedy(pairs, costs.tolist(), 195)
         assert (np.diff(plan.costs) >= 0).all()
-    assert max(left) < 200  # most are taken in rounds
+    assert max(left) < 100  # most are taken in rounds
 
 
 def test_more_pairs_than_there_are_numbers_for_are_refused(monkeypatch):
