@@ -234,7 +234,7 @@ for dtype in (np.uint64, np.uint64):
 
 @pytest.mark.parametrize(("how", "lines"), [("alone", 1), ("watched", 0)])
 def test_in_python_compiling_is_logged_unless_someone_watches(tmp_path, how, lines):
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DISABLE_JIT": "0"}
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DISABLE_JIT": "0", "NANOGS_SIMD": "0"}
     for expected in (lines, 0):  # the second time there is nothing to compile
         result = subprocess.run(
             [sys.executable, "-c", LIBRARY, how], capture_output=True, text=True, check=True,

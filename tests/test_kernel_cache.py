@@ -43,11 +43,16 @@ def package(tmp_path):
     return tmp_path / "nanogs"
 
 
+def environment(package):
+    """That of a process which takes kernels of the package, and does not try vectors first."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
+    return kept | {"PYTHONPATH": str(package.parent), "NANOGS_SIMD": "0"}
+
+
 def run(package, *arguments, **variables):
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
     result = subprocess.run(
         [sys.executable, "-c", LOGARITHM, *arguments],
-        env=environment | {"PYTHONPATH": str(package.parent)} | variables,
+        env=environment(package) | variables,
         capture_output=True,
         text=True,
     )
@@ -96,11 +101,10 @@ print(len(compiled.buffer))
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no process waits for another's kernels there")
 def test_processes_that_start_at_once_compile_nothing_twice(package):
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
     together = [
         subprocess.Popen(
             [sys.executable, "-c", COUNTED],
-            env=environment | {"PYTHONPATH": str(package.parent)},
+            env=environment(package),
             stdout=subprocess.PIPE,
             text=True,
         )
