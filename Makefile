@@ -81,7 +81,7 @@ oracles: $(ORACLES_STAMP) ## install the other programs that tests hold ours aga
 # Kernels are kept apart: versions of Numba overwrite each other's.
 floors: $(STAMP) ## run quick tests with the lowest versions that pyproject.toml allows
 	$(UV) venv --quiet --clear --python 3.11 $(FLOORS)
-	$(UV) pip install --quiet --python $(FLOORS) --resolution lowest-direct '.[flip,cluster,s3]'
+	$(UV) pip install --quiet --python $(FLOORS) --resolution lowest-direct '.[bench,flip,cluster,s3]'
 	$(UV) pip freeze --python $(FLOORS) --exclude nanogs >$(FLOORS)/lowest.txt
 	$(UV) pip install --quiet --python $(FLOORS) --constraint $(FLOORS)/lowest.txt --editable '.[dev]'
 	NUMBA_CACHE_DIR=$(CURDIR)/$(FLOORS)/kernels $(FLOORS)/$(SCRIPTS)/python -m pytest -n 2 --dist worksteal -m "not slow" $(TESTS)
