@@ -42,14 +42,21 @@ class _Axis:
         return self.pixels * (value - self.low) / (self.high - self.low)
 
 
-def svg(charts: Sequence[Chart]) -> str:
-    """An SVG element with charts beside each other."""
-    each, height = _LEFT + _WIDTH + _LEGEND, _TOP + _HEIGHT + _BOTTOM
-    drawn = "".join(
-        f'<g transform="translate({place * each + _LEFT} {_TOP})">{_drawn(chart)}</g>'
-        for place, chart in enumerate(charts)
-    )
-    width = each * max(len(charts), 1)
+def svg(charts: Sequence[Chart], columns: int | None = None) -> str:
+    """An SVG element with charts beside each other.
+
+    Args:
+        charts: In the order of reading.
+        columns: How many are beside each other, before the next row begins; by default all.
+    """
+    columns = columns or max(len(charts), 1)
+    across, down = _LEFT + _WIDTH + _LEGEND, _TOP + _HEIGHT + _BOTTOM
+    drawn = ""
+    for place, chart in enumerate(charts):
+        row, column = divmod(place, columns)
+        at = f"translate({column * across + _LEFT} {row * down + _TOP})"
+        drawn += f'<g transform="{at}">{_drawn(chart)}</g>'
+    width, height = across * columns, down * max(-(-len(charts) // columns), 1)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}"'
         f' height="{height}" font-family="sans-serif" font-size="13" fill="#222">'
