@@ -65,7 +65,9 @@ def test_ratios_have_scenes_of_their_own():
 
 
 def test_the_original_model_is_compared_with_nothing():
-    assert [mean.ratio for mean in mean_rows([row("a", ORIGINAL, 1.0), row("a", "x")])] == [0.1]
+    assert [mean.wish.ratio for mean in mean_rows([row("a", ORIGINAL, 1.0), row("a", "x")])] == [
+        0.1
+    ]
 
 
 def test_a_figure_that_a_scene_lacks_has_no_mean():

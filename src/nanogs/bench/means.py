@@ -6,44 +6,44 @@ from typing import TypeVar
 
 import numpy as np
 
-from nanogs.bench.rows import ORIGINAL, BenchRow, SetScore
+from nanogs.bench.rows import ORIGINAL, BenchRow, SetScore, Wish
 
 Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, slots=True)
-class RatioMean:
-    """Means at one ratio.
+class WishMean:
+    """Means of one wish.
 
     Attributes:
-        ratio: The compaction ratio.
+        wish: What was asked of every method.
         scenes: Scenes that the means are over.
         left_out: Scenes that are not, each with the methods that have no result there.
         absent: Methods without a result on any scene, which are not compared.
         methods: Means by method: one row each, without a scene.
     """
 
-    ratio: float
+    wish: Wish
     scenes: tuple[str, ...]
     left_out: Mapping[str, tuple[str, ...]]
     absent: tuple[str, ...]
     methods: Mapping[str, BenchRow]
 
 
-def mean_rows(rows: Sequence[BenchRow]) -> list[RatioMean]:
-    """Means at every ratio, in the order of the rows; the original models are not among them.
+def mean_rows(rows: Sequence[BenchRow]) -> list[WishMean]:
+    """Means of every wish, in the order of the rows; the original models are not among them.
 
     Args:
         rows: Rows that are held against the same kind of images.
     """
     compared = [row for row in rows if row.method != ORIGINAL]
     return [
-        _ratio_mean(ratio, [row for row in compared if row.ratio == ratio])
-        for ratio in unique(row.ratio for row in compared)
+        _wish_mean(wish, [row for row in compared if row.wish == wish])
+        for wish in unique(row.wish for row in compared)
     ]
 
 
-def _ratio_mean(ratio: float, rows: Sequence[BenchRow]) -> RatioMean:
+def _wish_mean(wish: Wish, rows: Sequence[BenchRow]) -> WishMean:
     measured = {(row.scene, row.method): row for row in rows if row.measured}
     present = {method for _, method in measured}
     methods = unique(row.method for row in rows)
@@ -53,8 +53,8 @@ def _ratio_mean(ratio: float, rows: Sequence[BenchRow]) -> RatioMean:
         for scene in unique(row.scene for row in rows)
     }
     scenes = tuple(scene for scene, without in missing.items() if not without and compared)
-    return RatioMean(
-        ratio=ratio,
+    return WishMean(
+        wish=wish,
         scenes=scenes,
         left_out={scene: without for scene, without in missing.items() if scene not in scenes},
         absent=tuple(method for method in methods if method not in present),
@@ -90,6 +90,8 @@ def _mean_row(rows: Sequence[BenchRow]) -> BenchRow:
         fps=_mean([row.fps for row in rows]),
         fps_gsplat=_mean([row.fps_gsplat for row in rows]),
         views=own.views,
+        format=rows[0].format,
+        size=rows[0].size,
     )
 
 

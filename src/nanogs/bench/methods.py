@@ -4,12 +4,15 @@ A name is that of a baseline, that of a preset, or a preset and parameters: `pap
 """
 
 import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from nanogs.bench.baselines import BASELINES, Method, MethodContext
 from nanogs.errors import OptionError
-from nanogs.pipeline.api import simplify
+from nanogs.pipeline.api import refuse_searches, simplify
 from nanogs.pipeline.presets import PRESETS, parameters
+from nanogs.pipeline.target import Goal
 from nanogs.splats import Splats
 
 _SWITCHES = {"true": True, "false": False}
@@ -54,12 +57,7 @@ def find_method(name: str) -> Method:
     """
     if name in BASELINES:
         return BASELINES[name]
-    preset, *assignments = name.split(":")
-    if preset not in PRESETS:
-        raise OptionError(f"There is no method {preset!r}; choose from {', '.join(all_methods())}.")
-    defaults = dataclasses.asdict(PRESETS[preset])
-    overrides = dict(_parse(assignment, defaults) for assignment in assignments)
-    parameters(preset, overrides)
+    preset, overrides = find_preset(name)
 
     def run(splats: Splats, count: int, context: MethodContext) -> Splats:
         views = context.cameras if context.trained else None
@@ -67,6 +65,48 @@ def find_method(name: str) -> Method:
         return small
 
     return run
+
+
+def find_preset(name: str) -> tuple[str, dict[str, Any]]:
+    """A preset and the parameters of it that a method's name replaces.
+
+    Raises:
+        OptionError: As for `find_method`.
+    """
+    preset, *assignments = name.split(":")
+    if preset not in PRESETS:
+        raise OptionError(f"There is no method {preset!r}; choose from {', '.join(all_methods())}.")
+    defaults = dataclasses.asdict(PRESETS[preset])
+    overrides = dict(_parse(assignment, defaults) for assignment in assignments)
+    parameters(preset, overrides)
+    return preset, overrides
+
+
+def sized_methods(formats: Sequence[str]) -> tuple[str, ...]:
+    """The presets that make files of a size in each of the formats, by their suffixes."""
+    return tuple(preset for preset in PRESETS if not _refused(preset, formats))
+
+
+def _refused(preset: str, formats: Sequence[str]) -> bool:
+    try:
+        for suffix in formats:
+            refuse_unsized(preset, suffix)
+    except OptionError:
+        return True
+    return False
+
+
+def refuse_unsized(name: str, suffix: str) -> None:
+    """Refuse a method that makes no files of a size.
+
+    Raises:
+        OptionError: It is a baseline, or a preset without a search; or as for `find_method`.
+    """
+    if name in BASELINES:
+        known = ", ".join(sized_methods([suffix]))
+        raise OptionError(f"{name} makes no file of a size; choose from {known}.")
+    preset, _ = find_preset(name)
+    refuse_searches(Goal(size=1), preset, Path(f"model{suffix}"))
 
 
 def _parse(assignment: str, defaults: dict[str, Any]) -> tuple[str, Any]:

@@ -11,10 +11,13 @@ from nanogs.bench.plot import plot
 from nanogs.bench.rows import BenchRow, Status
 from nanogs.bench.scenes import BenchScene
 from nanogs.bench.settings import BenchSettings
+from nanogs.bench.size_charts import SizeCharts
+from nanogs.bench.size_tables import size_page
 from nanogs.bench.tables import json_line, markdown
 from nanogs.errors import ExistsError, OutputError
 
 TABLE, LINES, PLOT = "results.md", "results.jsonl", "plot.svg"
+PAGE, PICTURE = "results.html", "plot.png"  # of files of sizes
 UNFINISHED = "unfinished.jsonl"  # what the run is, and its rows so far
 
 
@@ -54,7 +57,7 @@ class ResultFolder:
         """
         self.path, self.done = Path(folder), list[BenchRow]()
         self._run, self._begun = run, False
-        for name in (TABLE, LINES, PLOT):
+        for name in (TABLE, LINES, PLOT, PAGE, PICTURE):
             if (self.path / name).exists() and not overwrite:
                 raise ExistsError(f"{self.path / name} exists already")
         with _writing(self.path):
@@ -78,20 +81,32 @@ class ResultFolder:
                 with unfinished.open("a", encoding="utf-8") as file:
                     file.write(json_line(row))
 
-    def finish(self, rows: Sequence[BenchRow], preamble: str = "") -> None:
-        """Write all rows, the table below a preamble, and the plot.
+    def finish(
+        self, rows: Sequence[BenchRow], preamble: str = "", others: Sequence[str] = ()
+    ) -> None:
+        """Write all rows, the table below a preamble, and the plot; of files of sizes also a page.
+
+        Args:
+            rows: All of them.
+            preamble: How they were made, as Markdown.
+            others: Methods that gains are held against; see `gains.mean_gains`.
 
         Raises:
             OutputError: They cannot be written.
         """
         texts = {
             LINES: "".join(map(json_line, rows)),
-            TABLE: preamble + markdown(rows),
+            TABLE: preamble + markdown(rows, others=others),
             PLOT: plot(rows),
         }
-        for name, text in texts.items():
+        contents = {name: text.encode() for name, text in texts.items()}
+        if any(row.size is not None for row in rows):
+            charts = SizeCharts(rows)
+            contents[PLOT], contents[PICTURE] = charts.svg().encode(), charts.png()
+            contents[PAGE] = size_page(rows, others, preamble).encode()
+        for name, content in contents.items():
             with _writing(self.path / name):
-                (self.path / name).write_text(text, encoding="utf-8")
+                (self.path / name).write_bytes(content)
         with _writing(self.path / UNFINISHED):
             (self.path / UNFINISHED).unlink(missing_ok=True)
 

@@ -11,7 +11,7 @@ _COLUMNS = """\
 Every method runs in a process of its own. *seconds*: the method alone on warm kernels, without
 reading and writing; for external files what their producer noted, which may hold both. *peak MB*:
 most resident memory of that process, Python and its libraries included. *bytes*: as .ply for what
-ran here, else the file as it came. *worst*: PSNR of the worst view. *frames/s*: of our renderer on
+ran here at a ratio, else the file. *worst*: PSNR of the worst view. *frames/s*: of our renderer on
 the CPU.
 """
 

@@ -9,15 +9,25 @@ from typing import Any
 
 import numpy as np
 
+from nanogs.bench.bjontegaard import check_packages
 from nanogs.bench.gsplat import gsplat_fps
-from nanogs.bench.rows import ORIGINAL, Against, BenchRow, RowKey, SetScore, Status
+from nanogs.bench.rows import (
+    ORIGINAL,
+    Against,
+    BenchRow,
+    RowKey,
+    SetScore,
+    Status,
+    Wish,
+    size_name,
+)
 from nanogs.bench.scenes import BenchScene, SceneViews, fill, scene_of_file, scene_views
 from nanogs.bench.settings import BenchSettings, refuse_twins
 from nanogs.bench.worker import Job, run_job
 from nanogs.cleanup import temporary_folder
 from nanogs.errors import NanogsError, OptionError
 from nanogs.formatting import counted
-from nanogs.io import inspect, load
+from nanogs.io import inspect, load, losses, save
 from nanogs.pipeline.target import target_count
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, prepare, render
@@ -49,7 +59,8 @@ def run_bench(
         progress: Told what is done next.
 
     Returns:
-        Rows by scene, then ratio, then method, the original model first.
+        Rows by scene, then wish, then method, the original model first; where files of sizes are
+        asked for, then the original in each format, whole.
 
     Raises:
         OptionError: There is no scene, two have the same name, or a setting is out of range.
@@ -58,8 +69,10 @@ def run_bench(
         raise OptionError("Give at least one model to measure on.")
     refuse_twins("scene", [scene.name for scene in scenes])
     for pattern in settings.externals.values():
-        fill(pattern, scene="scene", model="model", ratio="0.1")
+        _external_path(pattern, scenes[0], settings.wishes[0])
     _try_metrics(settings.metrics)
+    if settings.file_sizes:
+        check_packages()
     rows = []
     known = {row.key: row for row in done}
     with use_threads(settings.threads):
@@ -83,8 +96,7 @@ def _try_metrics(metrics: Sequence[str]) -> None:
 
 def row_count(scenes: Sequence[BenchScene], settings: BenchSettings) -> int:
     """Rows that `run_bench` will deliver."""
-    methods = len(settings.methods) + len(settings.externals)
-    return len(scenes) * (1 + len(settings.ratios) * methods)
+    return len(scenes) * len(_all_runs(settings))
 
 
 def _scene_rows(
@@ -101,45 +113,64 @@ def _scene_rows(
     except NanogsError as error:
         yield from _skipped_rows(scene, settings, str(error))
         return
-    progress(f"{scene.name}: {ORIGINAL}")
-    first = known.get(keys[0])
-    yield first or _original_row(scene, splats, views, settings)
-    finite = int(splats.finite().sum())
-    del splats
+    whole: dict[str, int] = {}  # bytes of the model in each format
     with temporary_folder("nanogs-bench-") as folder:
-        for key in keys[1:]:
-            _, name, ratio = key
-            progress(f"{scene.name}: {name} at {ratio:g}")
+        for key in (key for key in keys if key[1] == ORIGINAL):
+            wish = key[2]
+            progress(f"{scene.name}: {ORIGINAL} at {wish.text}")
+            row = known.get(key)
+            if row is None and wish.format:
+                row = _whole_row(scene, splats, wish, views, settings, folder)
+            row = row or _original_row(scene, splats, views, settings)
+            whole[wish.format] = row.file_bytes or 0
+            yield row
+        finite = int(splats.finite().sum())
+        del splats
+        for key in (key for key in keys if key[1] != ORIGINAL):
+            _, name, wish = key
+            progress(f"{scene.name}: {name} at {wish.text}")
             if key in known:
                 yield known[key]
-            elif name in settings.methods:
-                yield _method_row(scene, name, ratio, views, settings, folder)
+            elif name not in settings.methods:
+                yield _external_row(scene, name, wish, finite, views, settings)
+            elif wish.size is not None and 0 < whole[wish.format] <= wish.size:
+                yield _too_large_row(scene, name, wish, whole[wish.format])
             else:
-                asked = target_count(finite, ratio, None)
-                yield _external_row(scene, name, ratio, asked, views, settings)
+                yield _method_row(scene, name, wish, views, settings, folder)
 
 
-def _empty_row(scene: BenchScene, method: str, ratio: float) -> BenchRow:
+def _empty_row(scene: BenchScene, method: str, wish: Wish) -> BenchRow:
     against = Against.ORIGINAL if scene.photos is None else Against.PHOTOGRAPHS
-    return BenchRow(scene.name, method, ratio, against=against, dataset=scene.dataset)
+    return BenchRow(
+        scene.name, method, wish.ratio, against=against, dataset=scene.dataset,
+        format=wish.format, size=wish.size,
+    )  # fmt: skip
+
+
+def _too_large_row(scene: BenchScene, method: str, wish: Wish, whole: int) -> BenchRow:
+    """A size that the whole model fits into, of which there is nothing to measure."""
+    reason = f"The whole model as {wish.format} takes {whole:,} B, which fits into this size."
+    return replace(_empty_row(scene, method, wish), status=Status.SKIPPED, reason=reason)
 
 
 def _skipped_rows(scene: BenchScene, settings: BenchSettings, reason: str) -> Iterator[BenchRow]:
-    for name, ratio in _all_runs(settings):
-        yield replace(_empty_row(scene, name, ratio), status=Status.SKIPPED, reason=reason)
+    for name, wish in _all_runs(settings):
+        yield replace(_empty_row(scene, name, wish), status=Status.SKIPPED, reason=reason)
 
 
-def _all_runs(settings: BenchSettings) -> list[tuple[str, float]]:
-    """Method and ratio of each row of a scene, in their order."""
+def _all_runs(settings: BenchSettings) -> list[tuple[str, Wish]]:
+    """Method and wish of each row of a scene, in their order."""
     names = [*settings.methods, *settings.externals]
-    return [(ORIGINAL, 1.0), *((name, ratio) for ratio in settings.ratios for name in names)]
+    formats = settings.formats if settings.file_sizes else ()
+    wholes = [(ORIGINAL, Wish(1.0, suffix)) for suffix in ("", *formats)]
+    return [*wholes, *((name, wish) for wish in settings.wishes for name in names)]
 
 
 def _original_row(
     scene: BenchScene, splats: Splats, views: SceneViews, settings: BenchSettings
 ) -> BenchRow:
     row = replace(
-        _empty_row(scene, ORIGINAL, 1.0),
+        _empty_row(scene, ORIGINAL, Wish(1.0)),
         splats=len(splats),
         file_bytes=inspect(scene.model).file_bytes,
         label=next(iter(views.sets)),
@@ -152,19 +183,42 @@ def _original_row(
     return _timed(row, splats, prepare(splats), views)
 
 
-def _method_row(
+def _whole_row(
     scene: BenchScene,
-    method: str,
-    ratio: float,
+    splats: Splats,
+    wish: Wish,
     views: SceneViews,
     settings: BenchSettings,
     folder: Path,
 ) -> BenchRow:
-    row = _empty_row(scene, method, ratio)
-    output = folder / "result.ply"
+    """The whole model as a file of a format, so that packing alone is what costs."""
+    row, path = _empty_row(scene, ORIGINAL, wish), folder / f"whole{wish.format}"
+    start = time.perf_counter()
+    try:
+        save(splats, path)
+        seconds = time.perf_counter() - start
+        decoded = load(path)
+    except NanogsError as error:
+        return replace(row, status=Status.FAILED, reason=str(error))
+    notes = (*losses(splats, path), *decoded.notes)
+    row = replace(row, file_bytes=path.stat().st_size, seconds=seconds, notes=notes)
+    path.unlink()
+    return _scored(row, decoded, views, settings)
+
+
+def _method_row(
+    scene: BenchScene,
+    method: str,
+    wish: Wish,
+    views: SceneViews,
+    settings: BenchSettings,
+    folder: Path,
+) -> BenchRow:
+    row = _empty_row(scene, method, wish)
+    output = folder / f"result{wish.format or '.ply'}"
     job = Job(
-        scene.model, method, ratio, output, views.fit_cameras, views.trained, settings.seed,
-        settings.threads,
+        scene.model, method, wish.ratio or 1.0, output, views.fit_cameras, views.trained,
+        settings.seed, settings.threads, wish.size,
     )  # fmt: skip
     outcome = run_job(job)
     if outcome.error:
@@ -175,7 +229,7 @@ def _method_row(
         seconds=outcome.seconds,
         read_seconds=outcome.read_seconds,
         peak_memory=outcome.peak_memory,
-        notes=_count_note(outcome.splats, outcome.asked),
+        notes=(*_count_note(outcome.splats, outcome.asked), *outcome.notes),
     )
     return _scored(row, load(output), views, settings)
 
@@ -183,14 +237,13 @@ def _method_row(
 def _external_row(
     scene: BenchScene,
     name: str,
-    ratio: float,
-    asked: int,
+    wish: Wish,
+    finite: int,
     views: SceneViews,
     settings: BenchSettings,
 ) -> BenchRow:
-    row = _empty_row(scene, name, ratio)
-    pattern, stem = settings.externals[name], scene_of_file(scene.model).name
-    path = Path(fill(pattern, scene=scene.name, model=stem, ratio=f"{ratio:g}"))
+    row = _empty_row(scene, name, wish)
+    path = _external_path(settings.externals[name], scene, wish)
     if not path.exists():
         return replace(row, status=Status.SKIPPED, reason=f"There is no file {path}.")
     try:
@@ -198,8 +251,31 @@ def _external_row(
         row = replace(row, file_bytes=path.stat().st_size, **_producer_figures(path))
     except NanogsError as error:
         return replace(row, status=Status.FAILED, reason=str(error))
-    row = replace(row, notes=(*_count_note(len(splats), asked), *splats.notes))
-    return _scored(row, splats, views, settings)
+    if wish.size is not None:
+        notes = _size_note(row.file_bytes or 0, wish.size)
+    else:
+        notes = _count_note(len(splats), target_count(finite, wish.ratio, None))
+    return _scored(replace(row, notes=(*notes, *splats.notes)), splats, views, settings)
+
+
+def _external_path(pattern: str, scene: BenchScene, wish: Wish) -> Path:
+    """The file of another tool.
+
+    Raises:
+        OptionError: The pattern has a placeholder that is not known.
+    """
+    named = {"scene": scene.name, "model": scene_of_file(scene.model).name}
+    if wish.size is None:
+        named["ratio"] = f"{wish.ratio:g}"
+    else:
+        named |= {"size": size_name(wish.size), "format": wish.format.lstrip(".")}
+    return Path(fill(pattern, **named))
+
+
+def _size_note(taken: int, size: int) -> tuple[str, ...]:
+    if taken <= size:
+        return ()
+    return (f"{taken:,} B, above the {size:,} B asked for",)
 
 
 def _count_note(delivered: int, asked: int) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ def published_tables(rows: Sequence[BenchRow]) -> Iterator[tuple[str, str]]:
         rows: From `run_bench`.
     """
     rows = [row for row in rows if row.dataset and row.against is Against.PHOTOGRAPHS]
-    if rows:
+    if rows and not any(row.format for row in rows):
         yield "Published protocol, against photographs", published_table(rows)
 
 
@@ -78,11 +78,12 @@ def our_figures(rows: Sequence[BenchRow]) -> tuple[dict[str, Figures], list[str]
     first: dict[str, BenchRow] = {}
     remarks = []
     for mean in mean_rows(rows):
+        assert mean.wish.ratio is not None  # noqa: S101 - there is no table of sizes
         if mean.left_out:
-            remarks.append(f"at {mean.ratio:g} without {', '.join(mean.left_out)}")
+            remarks.append(f"at {mean.wish.text} without {', '.join(mean.left_out)}")
         for name, row in mean.methods.items():
-            psnr.setdefault(name, {})[mean.ratio] = row.psnr or 0.0
-            if mean.ratio == RATIOS[0]:
+            psnr.setdefault(name, {})[mean.wish.ratio] = row.psnr or 0.0
+            if mean.wish.ratio == RATIOS[0]:
                 first[name] = row
     figures = {name: _figures(psnr[name], first.get(name)) for name in psnr}
     originals = [row for row in rows if row.method == ORIGINAL]

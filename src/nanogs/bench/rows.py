@@ -1,14 +1,43 @@
-"""One row for each scene, method and ratio, whatever became of it."""
+"""One row for each scene, method and wish, whatever became of it."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 from nanogs.formatting import plain
 
 ORIGINAL = "original"
-RowKey = tuple[str, str, float]
+
+
+class Wish(NamedTuple):
+    """A result that is asked of every method: a ratio, or a file of a format and a size.
+
+    Attributes:
+        ratio: Compaction ratio in (0, 1]; None where a file of a size is asked for.
+        format: Suffix of the file, such as ".sog"; empty with a ratio, but for the whole model
+            written in a format, which has the ratio 1.
+        size: Bytes that the file may have.
+    """
+
+    ratio: float | None
+    format: str = ""
+    size: int | None = None
+
+    @property
+    def text(self) -> str:
+        """As tables have it: "0.1", "0.5MB .sog" or "whole .sog"."""
+        if self.size is not None:
+            return f"{size_name(self.size)} {self.format}"
+        return f"whole {self.format}" if self.format else f"{self.ratio:g}"
+
+
+RowKey = tuple[str, str, Wish]
+
+
+def size_name(size: int) -> str:
+    """Bytes as names of files have them, exactly: 0.5MB."""
+    return f"{size / 1e6:.6f}".rstrip("0").rstrip(".") + "MB"
 
 
 class Status(StrEnum):
@@ -49,20 +78,21 @@ class SetScore:
 
 @dataclass(frozen=True, slots=True)
 class BenchRow:
-    """The result of one method on one scene at one ratio; None where there is none.
+    """The result of one method on one scene for one wish; None where there is none.
 
     Attributes:
         scene: Name of the scene.
         method: Name of the method; `ORIGINAL` for the model as it came.
-        ratio: Compaction ratio asked for; 1 for the original.
+        ratio: Compaction ratio asked for; 1 for the original, None for files of a size.
         status: What became of it.
         reason: Why it was skipped or failed, one sentence.
         against: What PSNR and SSIM are measured against.
         dataset: The published data set that the scene belongs to.
         splats: Splats delivered.
-        file_bytes: Size of the result: as .ply for what ran here, else the file as it came.
-        seconds: The method alone on warm kernels, without reading and writing; for an external
-            file what its producer noted, which may hold both.
+        file_bytes: Size of the result: as .ply for what ran here at a ratio, else of the file.
+        seconds: The method alone on warm kernels, without reading and writing; with writing where a
+            file of a size was asked for; for an external file what its producer noted, which may
+            hold both.
         read_seconds: Reading the model, in the method's process.
         peak_memory: Most resident memory of the method's process, bytes, Python included.
         label: Kind and size of the views: "auto 512"; empty for photographs.
@@ -75,11 +105,13 @@ class BenchRow:
         fps_gsplat: Frames a second of gsplat on the GPU.
         views: Views that were scored.
         notes: What the reader of the numbers should know.
+        format: Suffix of the file that was asked for; what is scored is the file as decoded.
+        size: Bytes that the file may have.
     """
 
     scene: str
     method: str
-    ratio: float
+    ratio: float | None
     status: Status = Status.OK
     reason: str = ""
     against: Against = Against.ORIGINAL
@@ -99,11 +131,18 @@ class BenchRow:
     fps_gsplat: float | None = None
     views: int | None = None
     notes: tuple[str, ...] = ()
+    format: str = ""
+    size: int | None = None
+
+    @property
+    def wish(self) -> Wish:
+        """What was asked for."""
+        return Wish(self.ratio, self.format, self.size)
 
     @property
     def key(self) -> RowKey:
-        """Scene, method and ratio, which no other row of a run has."""
-        return self.scene, self.method, self.ratio
+        """Scene, method and wish, which no other row of a run has."""
+        return self.scene, self.method, self.wish
 
     @property
     def measured(self) -> bool:
@@ -135,7 +174,7 @@ class BenchRow:
         return cls(**values | {"notes": tuple(data["notes"]), "further": further})
 
 
-_WORDS = {"scene", "method", "reason", "dataset", "label"}
+_WORDS = {"scene", "method", "reason", "dataset", "label", "format"}
 
 
 def _value(value: Any) -> Any:  # noqa: ANN401 - whatever a row holds

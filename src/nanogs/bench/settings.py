@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
-from nanogs.bench.methods import all_methods, find_method
-from nanogs.bench.rows import ORIGINAL
+from nanogs.bench.methods import all_methods, find_method, refuse_unsized
+from nanogs.bench.rows import ORIGINAL, Wish, size_name
 from nanogs.errors import OptionError
+from nanogs.io import registry
 from nanogs.protocol import Background
 from nanogs.views.cameras import FOUND
 
@@ -17,11 +19,12 @@ class BenchSettings:
     """The protocol's parameters.
 
     Attributes:
-        ratios: Compaction ratios in (0, 1].
+        ratios: Compaction ratios in (0, 1]; not asked for where there are file sizes.
         methods: Names as `nanogs.bench.methods` takes them.
         externals: Patterns of files that other tools made, by name; {scene}, {ratio} and {model}
             (the model's file name up to the first dot) in them are replaced. A JSON file of the
-            same name and .json behind it may hold `seconds` and `peak_memory` (bytes).
+            same name and .json behind it may hold `seconds` and `peak_memory` (bytes). With file
+            sizes {size}, like 0.5MB, and {format}, like sog, take the place of {ratio}.
         views: Views of each kind for scenes without photographs; as many as usual by default.
         sizes: Their widths, which are their heights, pixels.
         kinds: Their arrangements, names in `render.source.FOUND`.
@@ -32,6 +35,8 @@ class BenchSettings:
         metrics: Further metrics: "lpips", "flip".
         seed: Seed of whatever methods draw.
         threads: Threads to use; None for all.
+        file_sizes: Bytes of the files that presets make in place of models of a ratio.
+        formats: Suffixes of these files.
 
     Raises:
         OptionError: A value is out of range, or a name unknown or given twice.
@@ -48,9 +53,20 @@ class BenchSettings:
     metrics: tuple[str, ...] = ()
     seed: int = 0
     threads: int | None = None
+    file_sizes: tuple[int, ...] = ()
+    formats: tuple[str, ...] = (".sog",)
+
+    @property
+    def wishes(self) -> tuple[Wish, ...]:
+        """What is asked of every method, files by format and ascending size."""
+        if not self.file_sizes:
+            return tuple(Wish(ratio) for ratio in self.ratios)
+        sizes = sorted(self.file_sizes)
+        return tuple(Wish(None, suffix, size) for suffix in self.formats for size in sizes)
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
+        self._check_files()
         for ratio in self.ratios:
             if not 0 < ratio <= 1:
                 raise OptionError(f"A ratio must be above 0 and at most 1, not {ratio:g}.")
@@ -73,6 +89,37 @@ class BenchSettings:
         refuse_twins("method", [ORIGINAL, *self.methods, *self.externals])
         for method in self.methods:
             find_method(method)
+
+    def _check_files(self) -> None:
+        """Refuse sizes, formats and methods that no files can be made of."""
+        if not self.file_sizes:
+            return
+        for size in self.file_sizes:
+            if size < 1:
+                raise OptionError(f"The size of a file must be at least 1 byte, not {size}.")
+        refuse_twins("size", [size_name(size) for size in self.file_sizes])
+        refuse_twins("format", list(self.formats))
+        for suffix in self.formats:
+            _refuse_format(suffix)
+            for method in self.methods:
+                refuse_unsized(method, suffix)
+        for name, pattern in self.externals.items():
+            if len(self.formats) > 1 and "{format}" not in pattern:
+                raise OptionError(
+                    f"The files of {name} need {{format}} in {pattern!r}, as several"
+                    " formats are asked for."
+                )
+
+
+def _refuse_format(suffix: str) -> None:
+    """Refuse a format that is not written as one file, or not read again.
+
+    Raises:
+        OptionError: It is such a format, or none.
+    """
+    known = registry.writable(Path(f"model{suffix}"))
+    if known.write is None or not known.readable or known.suffix != suffix:
+        raise OptionError(f"{suffix} is no format of single files that nanogs writes and reads.")
 
 
 def refuse_twins(what: str, names: list[str]) -> None:

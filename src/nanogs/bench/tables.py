@@ -4,23 +4,30 @@ import json
 import math
 from collections.abc import Callable, Sequence
 
-from nanogs.bench.means import RatioMean, mean_rows, unique
+from nanogs.bench.gains import MeanGain, mean_gains
+from nanogs.bench.means import WishMean, mean_rows, unique
 from nanogs.bench.methods import ABLATED
 from nanogs.bench.published_table import published_tables
 from nanogs.bench.rows import BenchRow, SetScore, Status
+from nanogs.bench.size_tables import LEGEND, TITLE, gain_remarks, gain_table
 from nanogs.formatting import NONE, counted, number_text
 
 Column = tuple[str, Callable[[BenchRow], str]]
 
 
-def markdown(rows: Sequence[BenchRow], *, heading: str = "#") -> str:
+def markdown(rows: Sequence[BenchRow], *, heading: str = "#", others: Sequence[str] = ()) -> str:
     """Everything as Markdown: the published tables' shape, means, ablations, scene by scene.
+
+    Of files of sizes, what methods gain at equal size comes first.
 
     Args:
         rows: From `run_bench`.
         heading: What the highest headings begin with.
+        others: Methods that gains are held against; see `gains.mean_gains`.
     """
     parts = [f"{heading} {title}\n\n{text}" for title, text in published_tables(rows)]
+    if any(row.size is not None for row in rows):
+        parts.append(f"{heading} {TITLE}\n\n{gains_text(mean_gains(rows, others))}")
     for against in unique(row.against for row in rows):
         group = [row for row in rows if row.against == against]
         means = mean_rows(group)
@@ -37,6 +44,20 @@ def markdown(rows: Sequence[BenchRow], *, heading: str = "#") -> str:
     return "\n".join(parts)
 
 
+def gains_text(gains: Sequence[MeanGain]) -> str:
+    """The table of gains, its legend, and which scenes have no figure.
+
+    Args:
+        gains: From `mean_gains`.
+    """
+    table = gain_table(gains)
+    rule = ["---" if column < table.left else "--:" for column in range(len(table.head))]
+    lines = [table.head, rule, *([_escape(cell) for cell in row] for row in table.rows)]
+    text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    remarks = "".join(f"- {_escape(remark)}\n" for remark in gain_remarks(gains))
+    return f"{text}\n{LEGEND}\n" + (f"\n{remarks}" if remarks else "")
+
+
 def json_line(row: BenchRow) -> str:
     """A row as one line of JSON; infinities are strings."""
     return json.dumps(row.to_dict(), allow_nan=False) + "\n"
@@ -51,7 +72,7 @@ def scene_table(rows: Sequence[BenchRow]) -> str:
     intro = f"Against {rows[0].against}, {_views_text(rows)}.\n\n"
     remarks = [(row, text) for row in rows for text in _remarks(row)]
     listed = "".join(
-        f"- {_escape(row.method)} at {row.ratio:g}: {_escape(text)}\n" for row, text in remarks
+        f"- {_escape(row.method)} at {row.wish.text}: {_escape(text)}\n" for row, text in remarks
     )
     return intro + _table(rows, rows) + (f"\n{listed}" if listed else "")
 
@@ -70,25 +91,25 @@ def _remarks(row: BenchRow) -> list[str]:
     return [*failed, *row.notes]
 
 
-def mean_table(means: Sequence[RatioMean]) -> str:
-    """Means at every ratio, and the scenes and methods that are left out of them."""
+def mean_table(means: Sequence[WishMean]) -> str:
+    """Means of every wish, and the scenes and methods that are left out of them."""
     rows = [row for mean in means for row in mean.methods.values()]
     text = _table(rows, rows) + "\n" if rows else ""
     return text + "".join(_coverage(mean) for mean in means)
 
 
-def _coverage(mean: RatioMean) -> str:
+def _coverage(mean: WishMean) -> str:
     lines = [
-        f"- At {mean.ratio:g}: mean of {_counted(mean.scenes)} ({_names(mean.scenes)})."
+        f"- At {mean.wish.text}: mean of {_counted(mean.scenes)} ({_names(mean.scenes)})."
         if mean.scenes
-        else f"- At {mean.ratio:g}: no scene has results of all methods, so there is no mean."
+        else f"- At {mean.wish.text}: no scene has results of all methods, so there is no mean."
     ]
     for scene, methods in mean.left_out.items():
         why = f"without a result of {_names(methods)}" if methods else "without any result"
-        lines.append(f"- At {mean.ratio:g}, left out: {_escape(scene)}, {why}.")
+        lines.append(f"- At {mean.wish.text}, left out: {_escape(scene)}, {why}.")
     if mean.absent:
         lines.append(
-            f"- At {mean.ratio:g}, not compared, without any result: {_names(mean.absent)}."
+            f"- At {mean.wish.text}, not compared, without any result: {_names(mean.absent)}."
         )
     return "\n".join(lines) + "\n"
 
@@ -97,7 +118,7 @@ def _counted(scenes: Sequence[str]) -> str:
     return counted(len(scenes), "scene")
 
 
-def ablation_table(means: Sequence[RatioMean]) -> str:
+def ablation_table(means: Sequence[WishMean]) -> str:
     """Differences of changed presets to the preset as it is; empty where none was measured.
 
     Args:
@@ -113,7 +134,7 @@ def ablation_table(means: Sequence[RatioMean]) -> str:
                 f"{_difference(row.psnr, whole.psnr, 2)} | {_difference(row.ssim, whole.ssim, 3)}"
             )
             values = f"{number_text(row.psnr, 2)} | {number_text(row.ssim, 3)}"
-            lines.append(f"| {mean.ratio:g} | {_escape(name)} | {values} | {gains} |\n")
+            lines.append(f"| {mean.wish.text} | {_escape(name)} | {values} | {gains} |\n")
     if not lines:
         return ""
     head = f"| ratio | variant | PSNR | SSIM | PSNR − {ABLATED} | SSIM − {ABLATED} |\n"  # noqa: RUF001
@@ -128,10 +149,11 @@ def _difference(value: float | None, base: float | None, digits: int) -> str:
 
 def _table(rows: Sequence[BenchRow], shown: Sequence[BenchRow]) -> str:
     columns = _columns(shown)
-    head = "| method | ratio | " + " | ".join(name for name, _ in columns) + " |\n"
+    asked = "size" if any(row.format for row in rows) else "ratio"
+    head = f"| method | {asked} | " + " | ".join(name for name, _ in columns) + " |\n"
     rule = "|---|--:|" + "--:|" * len(columns) + "\n"
     body = (
-        f"| {_escape(row.method)} | {row.ratio:g} | " + " | ".join(_cells(row, columns)) + " |\n"
+        f"| {_escape(row.method)} | {row.wish.text} | " + " | ".join(_cells(row, columns)) + " |\n"
         for row in rows
     )
     return head + rule + "".join(body)

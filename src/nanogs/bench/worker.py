@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from nanogs.bench.baselines import Method, MethodContext
-from nanogs.bench.methods import find_method
+from nanogs.bench.methods import find_method, find_preset
 from nanogs.cleanup import cleaned_up, undisturbed
 from nanogs.errors import NanogsError
-from nanogs.io import load, save
+from nanogs.io import encoded_bytes, load, save
 from nanogs.pipeline.target import target_count
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
@@ -30,12 +30,13 @@ class Job:
     Attributes:
         model: The model's file.
         method: Name of the method.
-        ratio: Compaction ratio in (0, 1].
-        output: File for the result, .ply.
+        ratio: Compaction ratio in (0, 1]; not asked for with a size.
+        output: File for the result: .ply, or with a size of any format.
         cameras: Views the method may learn from.
         trained: Whether these are those of the training photographs.
         seed: Seed of whatever is drawn.
         threads: Threads to use; None for all.
+        size: Bytes that the file may have; the method is a preset then.
     """
 
     model: Path
@@ -46,6 +47,7 @@ class Job:
     trained: bool = False
     seed: int = 0
     threads: int | None = None
+    size: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +57,12 @@ class Outcome:
     Attributes:
         error: Why there is no result; empty where there is one.
         splats: Splats delivered.
-        asked: Splats asked for.
-        seconds: The method alone, on warm kernels.
+        asked: Splats asked for; with a size those delivered.
+        seconds: The method alone, on warm kernels; with a size also writing files.
         read_seconds: Reading the model.
         peak_memory: Most resident memory before the result was written, bytes, or None where the
             system does not tell.
+        notes: What the method has to say of a file of a size.
     """
 
     error: str = ""
@@ -68,6 +71,7 @@ class Outcome:
     seconds: float = 0.0
     read_seconds: float = 0.0
     peak_memory: int | None = None
+    notes: tuple[str, ...] = ()
 
 
 def run_job(job: Job) -> Outcome:
@@ -113,6 +117,8 @@ def do_job(job: Job) -> Outcome:
     Raises:
         NanogsError: The model cannot be read or the method refuses.
     """
+    if job.size is not None:
+        return _do_sized(job)
     from nanogs.threads import use_threads
 
     method = find_method(job.method)
@@ -129,6 +135,28 @@ def do_job(job: Job) -> Outcome:
     peak = peak_memory()
     save(small, job.output, overwrite=True)
     return Outcome("", len(small), asked, seconds, read_seconds, peak)
+
+
+def _do_sized(job: Job) -> Outcome:
+    """Make a file of a size, as `nanogs simplify --size` does."""
+    from nanogs.pipeline.files import simplify_blocks
+    from nanogs.threads import use_threads
+
+    preset, overrides = find_preset(job.method)
+    context = MethodContext(job.cameras, job.seed, job.trained)
+    with use_threads(job.threads):
+        splats = load(job.model)
+        _warm_up(find_method(job.method), splats, context)
+        encoded_bytes(splats.take(np.arange(min(_WARM_UP, len(splats)))), job.output)
+    del splats
+    report = simplify_blocks(
+        job.model, job.output, size=job.size, preset=preset, threads=job.threads, overwrite=True,
+        cameras=job.cameras if job.trained else None, **overrides,
+    )  # fmt: skip
+    read = report.seconds.get("read", 0.0)
+    made = report.achieved_count
+    seconds = report.total_seconds - read
+    return Outcome("", made, made, seconds, read, peak_memory(), report.notes)
 
 
 def _warm_up(method: Method, splats: Splats, context: MethodContext) -> None:

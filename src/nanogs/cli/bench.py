@@ -4,7 +4,7 @@ import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -47,20 +47,43 @@ def bench(
         ),
     ] = None,
     ratios: Annotated[
-        str, typer.Option(help="Compaction ratios, with commas between.", metavar="RATIOS")
-    ] = "0.1,0.01,0.001",
+        str | None,
+        typer.Option(
+            help="Compaction ratios, with commas between.",
+            metavar="RATIOS",
+            show_default="0.1,0.01,0.001",
+        ),
+    ] = None,
+    sizes_of_files: Annotated[
+        str | None,
+        typer.Option(
+            help="In place of ratios: sizes of files, like 0.5MB,1MB, that presets fill as"
+            " `simplify --size` does. What is measured is the file as decoded.",
+            metavar="SIZES",
+        ),
+    ] = None,
+    formats: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            help="Formats of these files, with commas between, e.g. sog,spz.",
+            metavar="FORMATS",
+            show_default="sog",
+        ),
+    ] = None,
     methods: Annotated[
         str | None,
         typer.Option(
             help="Methods, with commas between; parameters of a preset as paper:tau=0:k=8.",
-            show_default="all presets and baselines",
+            show_default="all presets and baselines; of files of a size the presets that search",
         ),
     ] = None,
     external: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=PATTERN",
-            help="Files of another tool; {scene}, {model} (its file) and {ratio} are replaced.",
+            help="Files of another tool; {scene}, {model} (its file) and {ratio}, or {size} (like"
+            " 0.5MB) and {format}, are replaced.",
         ),
     ] = None,
     ablations: Annotated[
@@ -72,14 +95,15 @@ def bench(
     views: options.ViewsOfKinds = None,
     sizes: options.Sizes = "512",
     cameras: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Where the views of scenes without photographs stand: auto, orbit, inside, roam;"
             " with commas between.",
             metavar="KINDS",
             rich_help_panel=options.VIEWS,
+            show_default="auto; of files of a size auto,roam",
         ),
-    ] = "auto",
+    ] = None,
     up: options.Up = None,
     background: options.PhotoBackground = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of what methods draw.")] = 0,
@@ -89,8 +113,8 @@ def bench(
         typer.Option(
             "--out",
             "-o",
-            help="Folder for results.md, results.jsonl and plot.svg; an unfinished run in it goes"
-            " on.",
+            help="Folder for results.md, results.jsonl and plot.svg, of files of a size also"
+            " results.html and plot.png; an unfinished run in it goes on.",
         ),
     ] = None,
     overwrite: options.Overwrite = False,
@@ -98,20 +122,24 @@ def bench(
 ) -> None:
     """Measure methods against each other: quality, time, memory and speed, scene by scene."""
     from nanogs.bench import scenes as known
-    from nanogs.bench.methods import ABLATIONS, all_methods
+    from nanogs.bench.gains import mean_gains
+    from nanogs.bench.methods import ABLATIONS
     from nanogs.bench.preamble import preamble
     from nanogs.bench.settings import BenchSettings
     from nanogs.bench.tables import markdown
+    from nanogs.formatting import plain
 
-    chosen = list(all_methods()) if methods is None else _list(methods)
+    wishes = _wishes(ratios, sizes_of_files, formats)
+    chosen = _usual_methods(wishes) if methods is None else _list(methods)
     chosen += [name for name in ABLATIONS if ablations and name not in chosen]
+    kinds = cameras or ("auto,roam" if sizes_of_files is not None else "auto")
     settings = BenchSettings(
-        ratios=tuple(options.parse_ratio(text) for text in _list(ratios)),
+        **wishes,
         methods=tuple(chosen),
         externals=dict(_external(text) for text in external or []),
         views=views,
         sizes=tuple(map(_square, sizes.split(","))),
-        kinds=tuple(_list(cameras)),
+        kinds=tuple(_list(kinds)),
         background=None if background is None else options.parse_background(background),
         metrics=tuple(_list(metrics)),
         seed=seed,
@@ -124,8 +152,11 @@ def bench(
     scenes = [replace(one, up=up) for one in scenes]
     above = preamble(settings, shlex.join(["nanogs", *sys.argv[1:]]))
     rows = _run(scenes, settings, out, overwrite, above, telling)
-    data = {"rows": [row.to_dict() for row in rows]}
-    telling.tell(data, lambda: typer.echo(above + markdown(rows), nl=False))
+    data: dict[str, Any] = {"rows": [row.to_dict() for row in rows]}
+    others = tuple(settings.externals)
+    if settings.file_sizes:
+        data["gains"] = [plain(gain) for gain in mean_gains(rows, others)]
+    telling.tell(data, lambda: typer.echo(above + markdown(rows, others=others), nl=False))
 
 
 def _run(
@@ -159,15 +190,39 @@ def _run(
             if folder:
                 folder.add(row)
             if row.reason and not telling.hushed:
-                warn(f"{row.scene}, {row.method} at {row.ratio:g}: {row.status}: {row.reason}")
+                warn(f"{row.scene}, {row.method} at {row.wish.text}: {row.status}: {row.reason}")
 
         def on_stage(what: str) -> None:
             watch(Step(what, min(made + 1, total), total, 0, 1, made / (total + 1)))
 
         rows = run_bench(scenes, settings, done=done, on_row=on_row, progress=on_stage)
     if folder:
-        folder.finish(rows, above)
+        folder.finish(rows, above, tuple(settings.externals))
     return rows
+
+
+def _wishes(ratios: str | None, sizes: str | None, formats: str | None) -> dict[str, Any]:
+    """What is asked of every method, as settings have it: ratios, or files of sizes."""
+    from nanogs.io.registry import suffix_of
+    from nanogs.quantities import parse_bytes
+
+    if sizes is None:
+        if formats is not None:
+            raise OptionError("--format is of --sizes-of-files; give sizes too, or leave it out.")
+        texts = "0.1,0.01,0.001" if ratios is None else ratios
+        return {"ratios": tuple(options.parse_ratio(text) for text in _list(texts))}
+    if ratios is not None:
+        raise OptionError("Give --ratios or --sizes-of-files, not both.")
+    if not _list(sizes):
+        raise OptionError("--sizes-of-files needs at least one size, like 0.5MB,1MB.")
+    chosen = tuple(suffix_of(name) for name in _list("sog" if formats is None else formats))
+    return {"file_sizes": tuple(map(parse_bytes, _list(sizes))), "formats": chosen}
+
+
+def _usual_methods(wishes: dict[str, Any]) -> list[str]:
+    from nanogs.bench.methods import all_methods, sized_methods
+
+    return list(sized_methods(wishes["formats"]) if "formats" in wishes else all_methods())
 
 
 def _list(text: str) -> list[str]:

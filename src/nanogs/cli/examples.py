@@ -26,6 +26,9 @@ EXAMPLES = {
         "nanogs compare scene.ply tenth=a.ply hundredth=b.ply --json",
     ),
     "view": ("nanogs view scene.ply", "nanogs view scene.ply small.ply -o page.html"),
-    "bench": ("nanogs bench scene.ply --ratios 0.1,0.01 --out results/",),
+    "bench": (
+        "nanogs bench scene.ply --ratios 0.1,0.01 --out results/",
+        "nanogs bench scene.ply --sizes-of-files 0.5MB,1MB,2MB --format sog --out results/",
+    ),
     "demo": ("nanogs demo scene.ply", "nanogs demo scene.ply --count 100k"),
 }

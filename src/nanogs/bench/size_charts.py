@@ -1,0 +1,93 @@
+"""PSNR against the size of files: a chart for the mean over scenes and for each scene."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+from nanogs.bench.gains import score_on, views_of
+from nanogs.bench.means import mean_rows, unique
+from nanogs.bench.rows import ORIGINAL, BenchRow
+from nanogs.charts import Chart, svg
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_ACROSS = "MB"
+_INCHES = (6.4, 4.2)  # of a chart in the picture
+_DOTS = 110  # an inch
+
+
+class SizeCharts:
+    """Charts in rows, the mean over scenes first, a column for each format and kind of views."""
+
+    def __init__(self, rows: Sequence[BenchRow]) -> None:
+        """Draw them.
+
+        Args:
+            rows: From `run_bench` with file sizes.
+        """
+        columns = views_of(rows)
+        self.columns = len(columns)
+        scenes = unique(row.scene for row in rows)
+        names = unique(row.method for row in rows if row.method != ORIGINAL)
+        groups = {scene: [row for row in rows if row.scene == scene] for scene in scenes}
+        if len(scenes) > 1:
+            means = [row for mean in mean_rows(rows) for row in mean.methods.values()]
+            groups = {"mean over scenes": means} | groups
+        self.charts = [
+            Chart(_title(name, *column), _ACROSS, _lines(group, names, *column))
+            for name, group in groups.items()
+            for column in columns
+        ]
+
+    def svg(self) -> str:
+        """As one SVG element."""
+        return svg(self.charts, self.columns)
+
+    def png(self) -> bytes:
+        """As one picture; needs matplotlib."""
+        from matplotlib.figure import Figure
+
+        down = -(-len(self.charts) // max(self.columns, 1))
+        size = (_INCHES[0] * max(self.columns, 1), _INCHES[1] * max(down, 1))
+        figure = Figure(figsize=size, dpi=_DOTS, layout="constrained")
+        for place, chart in enumerate(self.charts):
+            _draw(chart, figure.add_subplot(down, self.columns, place + 1))
+        file = BytesIO()
+        figure.savefig(file, format="png", metadata={"Software": None})
+        return file.getvalue()
+
+
+def _title(name: str, suffix: str, label: str) -> str:
+    return ", ".join(part for part in (name, suffix, label) if part)
+
+
+def _lines(
+    rows: Sequence[BenchRow], names: Sequence[str], suffix: str, label: str
+) -> dict[str, list[tuple[float, float]]]:
+    """Points (MB, PSNR) by method, in the same order in every chart, so that colours are the same.
+
+    The whole model in the format is a point of its own, which there is not of means.
+    """
+    lines: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
+    for row in rows:
+        score = score_on(row, label)
+        if row.format == suffix and score is not None and row.file_bytes and score.psnr is not None:
+            lines.setdefault(row.method, []).append((row.file_bytes / 1e6, score.psnr))
+    return {name: sorted(points) for name, points in lines.items()}
+
+
+def _draw(chart: Chart, axes: "Axes") -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    for name, points in chart.lines.items():
+        places = [[point[side] for point in points] for side in (0, 1)]
+        axes.plot(*places, marker="o", markersize=4, label=name)
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set(title=chart.title, xlabel=chart.across, ylabel="PSNR (dB)")
+    axes.grid(alpha=0.3)
+    if chart.lines:
+        axes.legend(fontsize="small")

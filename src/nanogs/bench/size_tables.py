@@ -1,0 +1,122 @@
+"""What methods gain at equal size, as a table; and all of a run with file sizes as a page."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+from nanogs.bench.gains import Gain, MeanGain, mean_gains, score_on
+from nanogs.bench.means import unique
+from nanogs.bench.rows import BenchRow, Status
+from nanogs.bench.size_charts import SizeCharts
+from nanogs.formatting import NONE, counted, number_text
+
+TITLE = "Gain at equal size"
+LEGEND = (
+    "Mean differences of curves over the sizes that both have (Bjontegaard, piecewise cubic over"
+    " the logarithm of the bytes), then over scenes: BD-PSNR in dB, in brackets the least scene's;"
+    " BD-SSIM; BD-rate, the bytes more at equal PSNR, so that -50 % saves half. Against several:"
+    " the best of them at each size, for PSNR and SSIM each."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table as text.
+
+    Attributes:
+        head: Names of the columns.
+        rows: Cells, row by row.
+        left: Columns of words, from the left; all others are numbers.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    left: int
+
+
+def gain_table(gains: Sequence[MeanGain]) -> Table:
+    """A row for each method, what it is held against, format and kind of views.
+
+    Args:
+        gains: From `mean_gains`.
+    """
+    head = ("method", "against", "format", "views", "BD-PSNR", "BD-SSIM", "BD-rate", "scenes")
+    return Table(head, [_cells(gain) for gain in gains], left=4)
+
+
+def _cells(gain: MeanGain) -> list[str]:
+    psnr = NONE if gain.psnr is None else f"{gain.psnr:+.2f} ({gain.least_psnr:+.2f})"
+    ssim = NONE if gain.ssim is None else f"{gain.ssim:+.3f}"
+    rate = NONE if gain.rate is None else f"{100 * gain.rate:+.0f} %"
+    scenes = sum(one.psnr is not None for one in gain.gains)
+    first = gain.first
+    names = [first.method, first.anchor, first.format, first.label or "photographs"]
+    return [*names, psnr, ssim, rate, str(scenes)]
+
+
+def gain_remarks(gains: Sequence[MeanGain]) -> list[str]:
+    """Which scenes have no figure, and why, a sentence each."""
+    by_text: dict[str, list[str]] = {}
+    for one in (one for gain in gains for one in gain.gains):
+        for remark in one.remarks:
+            by_text.setdefault(f"{_pair(one)}: {remark}", []).append(one.scene)
+    return [f"{text} ({', '.join(unique(scenes))})." for text, scenes in by_text.items()]
+
+
+def _pair(gain: Gain) -> str:
+    views = f", {gain.label}" if gain.label else ""
+    return f"{gain.method} against {gain.anchor}, {gain.format}{views}"
+
+
+def size_page(rows: Sequence[BenchRow], others: Sequence[str], preamble: str) -> str:
+    """HTML that needs no other file and no network: gains, charts, and every file's numbers.
+
+    Args:
+        rows: From `run_bench` with file sizes.
+        others: As for `mean_gains`.
+        preamble: How they were made, as text.
+    """
+    from jinja2 import Environment
+    from markupsafe import Markup
+
+    gains = mean_gains(rows, others)
+    text = files("nanogs.bench").joinpath("sizes.html.j2").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(text).render(
+        title=TITLE,
+        preamble=preamble.replace("```\n", "").strip(),
+        legend=LEGEND,
+        gains=gain_table(gains),
+        remarks=gain_remarks(gains),
+        charts=Markup(SizeCharts(rows).svg()),  # noqa: S704 - its words are escaped there
+        files=file_table(rows),
+        left_out=[
+            f"{row.scene}, {row.method} at {row.wish.text}: {row.status}: {row.reason}"
+            for row in rows
+            if row.status is not Status.OK
+        ],
+        scenes=counted(len(unique(row.scene for row in rows)), "scene"),
+    )
+
+
+def file_table(rows: Sequence[BenchRow]) -> Table:
+    """A row for each file that was measured.
+
+    Args:
+        rows: From `run_bench` with file sizes.
+    """
+    measured = [row for row in rows if row.measured and row.format]
+    labels = unique(one.label for row in measured for one in row.sets)
+    scores = [f"{name} {label}".strip() for label in labels for name in ("PSNR", "SSIM")]
+    head = ("scene", "method", "size", "bytes", "splats", "seconds", *scores)
+    return Table(head, [_file_cells(row, labels) for row in measured], left=3)
+
+
+def _file_cells(row: BenchRow, labels: Sequence[str]) -> list[str]:
+    cells = [row.scene, row.method, row.wish.text, number_text(row.file_bytes, 0)]
+    cells += [number_text(row.splats, 0), number_text(row.seconds, 1)]
+    for label in labels:
+        score = score_on(row, label)
+        cells.append(number_text(score.psnr if score else None, 2))
+        cells.append(number_text(score.ssim if score else None, 3))
+    return cells

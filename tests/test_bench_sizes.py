@@ -1,0 +1,336 @@
+"""`bench` with sizes of files: gains, charts and pages of made-up rows, and the command."""
+
+import json
+from io import BytesIO
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import launch
+import nanogs
+from builders import random_splats
+from nanogs.bench.gains import mean_gains
+from nanogs.bench.output import ResultFolder
+from nanogs.bench.rows import ORIGINAL, BenchRow, SetScore, Status, Wish, size_name
+from nanogs.bench.settings import BenchSettings
+from nanogs.bench.size_charts import SizeCharts
+from nanogs.bench.size_tables import size_page
+from nanogs.bench.tables import markdown
+from nanogs.errors import OptionError
+
+SIZES = (250_000, 500_000, 1_000_000, 2_000_000)
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def rows_of(method, psnr, *, scene="a", suffix=".sog", share=1.0, sizes=SIZES, near=None):
+    """A file a size, that takes a share of it."""
+    return [
+        BenchRow(
+            scene, method, None, format=suffix, size=size, file_bytes=int(share * size),
+            label="auto 64", psnr=value, ssim=value / 100, views=2, seconds=1.5, splats=size // 10,
+            further=(SetScore("roam 64", 2, value - (near or 0), 1.0, 0.5),) if near else (),
+        )
+        for size, value in zip(sizes, psnr, strict=True)
+    ]  # fmt: skip
+
+
+BASE = (24.0, 27.5, 30.2, 32.0)
+
+
+def plus(by):
+    return [value + by for value in BASE]
+
+
+def only(gains, **names):
+    [found] = [
+        gain
+        for gain in gains
+        if all(getattr(gain.first, name) == value for name, value in names.items())
+    ]
+    return found
+
+
+# Gains
+
+
+def test_two_decibels_at_every_size_are_a_gain_of_two():
+    [gain] = mean_gains([*rows_of("them", BASE), *rows_of("ours", plus(2))], ["them"])
+    assert (gain.first.method, gain.first.anchor) == ("ours", "them")
+    assert gain.psnr == gain.least_psnr == pytest.approx(2)
+    assert gain.ssim == pytest.approx(0.02)
+    assert gain.rate < -0.3
+
+
+def test_half_the_bytes_are_a_rate_of_minus_half():
+    [gain] = mean_gains([*rows_of("them", BASE), *rows_of("ours", BASE, share=0.5)], ["them"])
+    assert gain.rate == pytest.approx(-0.5)
+
+
+def test_a_mean_is_over_scenes_and_the_least_is_beside_it():
+    rows = [row for scene in "ab" for row in rows_of("them", BASE, scene=scene)]
+    rows += [*rows_of("ours", plus(3), scene="a"), *rows_of("ours", plus(1), scene="b")]
+    [gain] = mean_gains(rows, ["them"])
+    assert (gain.psnr, gain.least_psnr) == (pytest.approx(2), pytest.approx(1))
+    assert "| ours | them | .sog | auto 64 | +2.00 (+1.00) | +0.020 |" in markdown(
+        rows, others=["them"]
+    )
+
+
+def test_against_several_the_best_at_each_size_counts():
+    one, two = [20, 27.5, 20, 32.0], [24.0, 20, 30.2, 20]
+    rows = [*rows_of("one", one), *rows_of("two", two), *rows_of("ours", plus(2))]
+    gains = mean_gains(rows, ["one", "two"])
+    assert [gain.first.anchor for gain in gains] == ["one", "two", "one, two"]
+    assert gains[2].psnr == pytest.approx(2)
+    assert gains[0].psnr > 3
+
+
+def test_without_others_the_first_method_is_what_counts():
+    rows = [*rows_of("fast", BASE), *rows_of("best", plus(1))]
+    assert [gain.first.anchor for gain in mean_gains(rows)] == ["fast"]
+
+
+def test_formats_and_views_have_gains_of_their_own():
+    rows = [*rows_of("them", BASE, near=1), *rows_of("ours", plus(2), near=4)]
+    rows += [*rows_of("them", BASE, suffix=".spz"), *rows_of("ours", plus(5), suffix=".spz")]
+    gains = mean_gains(rows, ["them"])
+    assert only(gains, format=".sog", label="auto 64").psnr == pytest.approx(2)
+    assert only(gains, format=".sog", label="roam 64").psnr == pytest.approx(-1)
+    assert only(gains, format=".spz", label="auto 64").psnr == pytest.approx(5)
+
+
+@pytest.mark.parametrize(
+    ("ours", "says"),
+    [
+        (rows_of("ours", BASE[:1], sizes=SIZES[:1]), "no figure: it takes two sizes of each (a)."),
+        (rows_of("ours", BASE, share=0.01), "the curves share no sizes (a)."),
+        (rows_of("ours", plus(50)), "the curves share no PSNRs (a)."),
+        (rows_of("ours", (30, 29, 31, 32)), "no BD-rate: a larger file has the lower PSNR (a)."),
+    ],
+)
+def test_what_has_no_figure_says_why(ours, says):
+    rows = [*rows_of("them", BASE), *ours]
+    [gain] = mean_gains(rows, ["them"])
+    assert None in (gain.psnr, gain.rate)
+    for text in (markdown(rows, others=["them"]), size_page(rows, ["them"], "")):
+        assert f"ours against them, .sog, auto 64: {says}" in " ".join(text.split("\n"))
+
+
+# Rows, charts, pages
+
+
+def test_sizes_have_names_that_files_can_have():
+    assert [size_name(size) for size in (500_000, 1_048_576, 20_000_000, 1)] == [
+        "0.5MB", "1.048576MB", "20MB", "0.000001MB",
+    ]  # fmt: skip
+    assert Wish(None, ".sog", 500_000).text == "0.5MB .sog"
+    assert Wish(1.0, ".sog").text == "whole .sog"
+    assert Wish(0.1).text == "0.1"
+
+
+def test_rows_of_files_go_on_after_a_run_that_ended(tmp_path):
+    first, second = rows_of("fast", BASE[:2], sizes=SIZES[:2])
+    begun = ResultFolder(tmp_path, run="this")
+    begun.add(first)
+    begun.add(second)
+    assert ResultFolder(tmp_path, run="this").done == [first, second]
+
+
+def test_a_chart_for_the_mean_and_each_scene_has_every_point():
+    rows = [
+        row
+        for scene, by in (("a", 0), ("b", 4))
+        for method, more in (("them", 0), ("ours", 2))
+        for row in rows_of(method, plus(by + more), scene=scene, near=1)
+    ]
+    charts = SizeCharts(rows)
+    assert [chart.title for chart in charts.charts] == [
+        f"{name}, .sog, {label}"
+        for name in ("mean over scenes", "a", "b")
+        for label in ("auto 64", "roam 64")
+    ]
+    assert charts.charts[0].lines["ours"] == [
+        (size / 1e6, pytest.approx(value + 4)) for size, value in zip(SIZES, BASE, strict=True)
+    ]
+    drawing = ET.fromstring(charts.svg())
+    assert len(list(drawing.iter(f"{SVG}polyline"))) == 6 * 2
+    dots = len(list(drawing.iter(f"{SVG}circle")))
+    assert dots == 6 * 2 * (len(SIZES) + 1)  # and one in the legend
+    places = {group.get("transform") for group in drawing if group.get("transform")}
+    assert len(places) == 6
+
+
+def test_the_picture_shows_the_points_in_the_colours_of_the_page():
+    rows = [*rows_of("them", BASE), *rows_of("ours", plus(2))]
+    charts = SizeCharts(rows)
+    pixels = np.asarray(Image.open(BytesIO(charts.png())).convert("RGB")).reshape(-1, 3)
+    for colour in ((0x1F, 0x77, 0xB4), (0xFF, 0x7F, 0x0E)):
+        assert f"#{bytes(colour).hex()}" in charts.svg()
+        assert (pixels == colour).all(axis=1).sum() > 300
+    assert not (pixels == (0x2C, 0xA0, 0x2C)).all(axis=1).any()
+
+
+def test_words_of_others_are_escaped_in_the_page():
+    rows = [*rows_of("<them>", BASE), *rows_of("ours", plus(2))]
+    page = size_page(rows, ["<them>"], "nanogs bench <x>")
+    assert "<them>" not in page
+    assert "<x>" not in page
+    assert "&lt;them&gt;" in page
+
+
+def test_nothing_measured_is_a_page_all_the_same(tmp_path):
+    rows = [
+        BenchRow("a", "fast", None, Status.FAILED, "boom", format=".sog", size=size)
+        for size in SIZES
+    ]
+    ResultFolder(tmp_path).finish(rows)
+    assert "failed: boom" in (tmp_path / "results.html").read_text(encoding="utf-8")
+    with Image.open(tmp_path / "plot.png") as picture:
+        assert picture.size[0] > 100
+
+
+# Settings
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"file_sizes": (0,)}, "at least 1 byte"),
+        ({"file_sizes": (5, 5)}, "two of the size"),
+        ({"formats": (".sog", ".sog")}, "two of the format"),
+        ({"formats": (".html",)}, "writes and reads"),
+        ({"formats": (".meta.json",)}, "writes and reads"),
+        ({"formats": (".obj",)}, "does not write"),
+        ({"methods": ("random",)}, "no file of a size"),
+        ({"methods": ("paper",)}, "choose another preset"),
+        ({"formats": (".sog", ".spz"), "externals": {"x": "{scene}_{size}"}}, "need {format}"),
+    ],
+)
+def test_files_that_cannot_be_asked_for_are_refused(options, words):
+    with pytest.raises(OptionError, match=words):
+        BenchSettings(**{"file_sizes": (1000,), "methods": ("fast",)} | options)
+
+
+# The command
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sizes") / "ball.ply"
+    splats = random_splats(1500, degree=0)
+    splats.opacity_logits[:] = 2
+    nanogs.save(splats, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def measured(model):
+    """A run with files of another tool, and all that it wrote."""
+    folder = model.parent
+    whole = nanogs.load(model)
+    for count, size in ((150, "0.005MB"), (400, "0.01MB")):
+        nanogs.save(whole.take(np.arange(count)), folder / f"ball_{size}_them.splat")
+        (folder / f"ball_{size}_them.splat.json").write_text('{"seconds": 4.5}')
+    result = launch.run(
+        "bench", model, "--sizes-of-files", "10kB,5kB,1MB", "--format", "splat",
+        "--methods", "fast",
+        "--external", f"them={folder}/{{scene}}_{{size}}_them.{{format}}", "--pixels", "48",
+        "--views", "2", "--out", folder / "out", "--json", timeout=300,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout), folder / "out"
+
+
+def row_of(rows, method, size):
+    [found] = [row for row in rows if (row["method"], row["size"]) == (method, size)]
+    return found
+
+
+@pytest.mark.slow
+def test_files_of_each_size_are_measured_as_decoded(measured, model, tmp_path):
+    rows = measured[0]["rows"]
+    small, large = row_of(rows, "fast", 5000), row_of(rows, "fast", 10_000)
+    assert small["file_bytes"] <= 5000 < large["file_bytes"] <= 10_000
+    assert small["psnr"] < large["psnr"]
+    assert [one["label"] for one in large["further"]] == ["roam 48"]
+    file = tmp_path / "small.splat"
+    nanogs.simplify_blocks(model, file, size=10_000, preset="fast")
+    again = nanogs.compare(nanogs.load(model), nanogs.load(file), views=2, pixels=48)
+    assert large["psnr"] == pytest.approx(again.models[0].psnr, abs=1e-4)
+    assert large["splats"] == len(nanogs.load(file))
+    assert large["seconds"] > 0
+
+
+@pytest.mark.slow
+def test_a_size_that_the_whole_model_fits_into_is_told_and_not_measured(measured):
+    rows = measured[0]["rows"]
+    wholes = [row for row in rows if row["method"] == ORIGINAL]
+    assert [row["format"] for row in wholes] == ["", ".splat"]
+    assert wholes[1]["file_bytes"] == 1500 * 32
+    assert row_of(rows, "fast", 1_000_000)["reason"] == (
+        "The whole model as .splat takes 48,000 B, which fits into this size."
+    )
+
+
+@pytest.mark.slow
+def test_files_of_others_stand_beside_ours(measured):
+    data, out = measured
+    them = row_of(data["rows"], "them", 5000)
+    assert (them["splats"], them["file_bytes"], them["seconds"]) == (150, 4800, 4.5)
+    assert (
+        row_of(data["rows"], "them", 10_000)["notes"][0] == "12,800 B, above the 10,000 B asked for"
+    )
+    missing = row_of(data["rows"], "them", 1_000_000)
+    assert missing["reason"].endswith("ball_1MB_them.splat.")
+    gains = {gain["gains"][0]["label"]: gain for gain in data["gains"]}
+    assert set(gains) == {"auto 48", "roam 48"}
+    assert gains["auto 48"]["psnr"] > 0.5
+    assert gains["auto 48"]["gains"][0]["scene"] == "ball"
+    assert f"{gains['auto 48']['psnr']:+.2f} (" in (out / "results.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_folder_has_a_page_and_pictures_with_the_points(measured):
+    _, out = measured
+    assert {path.name for path in out.iterdir()} == {
+        "results.md", "results.jsonl", "results.html", "plot.svg", "plot.png",
+    }  # fmt: skip
+    drawing = ET.parse(out / "plot.svg").getroot()
+    texts = {element.text for element in drawing.iter(f"{SVG}text")}
+    assert {"ball, .splat, auto 48", "ball, .splat, roam 48", "fast", "them", "MB"} <= texts
+    lines = [line.get("points").split() for line in drawing.iter(f"{SVG}polyline")]
+    assert [len(points) for points in lines] == [2, 2, 1] * 2  # fast, them, the whole model
+    assert "<polyline" in (out / "results.html").read_text(encoding="utf-8")
+    with Image.open(out / "plot.png") as picture:
+        assert picture.format == "PNG"
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--sizes-of-files", "0.5MB,huge"), "'huge'"),
+        (("--sizes-of-files", "0MB"), "at least 1 byte"),
+        (("--sizes-of-files", "1MB,1000kB"), "two of the size '1MB'"),
+        (("--sizes-of-files", ","), "at least one size"),
+        (("--sizes-of-files", "1MB", "--format", "obj"), ".obj"),
+        (("--sizes-of-files", "1MB", "--format", "html"), "writes and reads"),
+        (("--sizes-of-files", "1MB", "--methods", "voxel"), "voxel makes no file of a size"),
+        (("--sizes-of-files", "1MB", "--ratios", "0.1"), "not both"),
+        (("--sizes-of-files", "1MB", "--external", "x=a_{ratio}.sog"), "{size}"),
+        (("--format", "sog"), "--sizes-of-files"),
+    ],
+)
+def test_sizes_and_formats_that_mean_nothing_are_refused_in_one_sentence(model, options, word):
+    result = launch.run("bench", model, *options)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert word in result.stderr
+
+
+def test_without_its_packages_it_says_what_to_install(model, monkeypatch, capfd):
+    monkeypatch.setitem(__import__("sys").modules, "scipy.interpolate", None)
+    assert launch.run_here("bench", model, "--sizes-of-files", "5kB", "--methods", "fast") == 2
+    assert "pip install 'nanogs[bench]'" in capfd.readouterr().err
