@@ -1,0 +1,151 @@
+"""Make splat-transform's largest file that fits into a size, of scenes, sizes and formats.
+
+    python benchmarks/sizes.py FOLDER [--scenes guitar,biker,skull] [--sizes 0.5MB,1MB]
+        [--formats sog,spz]
+
+Both of its modes decimate the scene's .ply to a count of splats, and a second process writes that
+in the format, since splat-transform decimates to .ply alone. The count is found by bisection on
+the bytes, until the file takes 99 % of the size, or a count half a percent larger is too large:
+its palettes leap. FOLDER gets `SCENE_SIZE_MODE.FORMAT`, beside each
+a .json with the seconds of the two processes that made it, its splats and how many counts were
+tried; a size that the whole scene fits into gets none. What is there is not made again. The last
+line that is printed hands the files to `nanogs bench --sizes-of-files`. Scenes and splat-transform
+are where `quality.py` has them.
+"""
+
+import argparse
+import json
+import os
+import shlex
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from measured import SCENES, UP, Bench
+from nanogs.bench.rows import size_name
+from nanogs.io import inspect
+from nanogs.quantities import parse_bytes
+from rivals import BUILD, RIVALS, ROOT, install, run_tool
+
+SIZES = "0.25MB,0.5MB,1MB,2MB,4MB"
+ENOUGH = 0.99  # of the size: a file that takes so much of it ends the search
+CLOSE = 0.005  # of the count, between one that fits and one that does not
+FIRST = 14  # bytes a splat, to begin with
+
+
+class Found(NamedTuple):
+    """The largest count that fits, how many were tried, and the seconds of making its file."""
+
+    count: int
+    tried: int
+    seconds: float
+
+
+def main() -> None:
+    """Make what is missing, and print the command that measures it."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--scenes", default=",".join(SCENES))
+    parser.add_argument("--sizes", default=SIZES)
+    parser.add_argument("--formats", default="sog,spz")
+    parser.add_argument("--modes", default=",".join(RIVALS))
+    options = parser.parse_args()
+    install()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    beside = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
+    bench = Bench(beside, beside.parent / "peers", BUILD)
+    for scene in options.scenes.split(","):
+        model = bench.model(scene)
+        for suffix in options.formats.split(","):
+            for size in sorted(map(parse_bytes, options.sizes.split(","))):
+                for mode in options.modes.split(","):
+                    name = f"{scene}_{size_name(size)}_{mode}.{suffix}"
+                    make(model, mode, size, options.folder / name)
+    print(command(bench, options))
+
+
+def make(model: Path, mode: str, size: int, target: Path) -> None:
+    """Make the largest file of a mode that fits, unless it is there."""
+    note = target.with_name(f"{target.name}.json")
+    if note.exists():
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        decimated, written = Path(folder) / "small.ply", Path(folder) / target.name
+
+        def write(count: int) -> tuple[int, float]:
+            seconds, _ = run_tool(model, RIVALS[mode], str(count), decimated)
+            more, _ = run_tool(decimated, written)
+            took = written.stat().st_size
+            if took <= size:
+                written.replace(target)
+            return took, seconds + more
+
+        found = largest(write, size, inspect(model).splats)
+    if found is None:
+        target.unlink()
+        print(f"{target.name}: the whole scene fits", file=sys.stderr, flush=True)
+        return
+    note.write_text(json.dumps(found._asdict()) + "\n")
+    took = f"{target.stat().st_size:,} B, {found.count:,} splats, {found.tried} tried"
+    print(f"{target.name}: {took}, {found.seconds:.1f} s", file=sys.stderr, flush=True)
+
+
+def largest(write: Callable[[int], tuple[int, float]], size: int, available: int) -> Found | None:
+    """The largest count whose file fits; None where all fit.
+
+    Args:
+        write: Bytes and seconds of the file of a count; a later one that fits has more splats.
+        size: Bytes that there are.
+        available: Splats of the scene.
+    """
+    fits, over, tried = Found(0, 0, 0.0), available + 1, 0
+    fits_bytes, over_bytes = 0, 0
+    count = min(size // FIRST, available)
+    while over - fits.count > max(1, CLOSE * fits.count):
+        took, seconds = write(count)
+        tried += 1
+        if took <= size:
+            fits, fits_bytes = Found(count, tried, seconds), took
+            if count == available:
+                return None
+            if took >= ENOUGH * size:
+                break
+        else:
+            over, over_bytes = count, took
+        count = _next(fits.count, fits_bytes, over, over_bytes, size, tried)
+        count = min(count, available)
+    if not fits.count:
+        sys.exit(f"Not even one splat fits into {size:,} B.")
+    return fits._replace(tried=tried)
+
+
+def _next(fits: int, fits_bytes: int, over: int, over_bytes: int, size: int, tried: int) -> int:
+    """Where the bytes should be just below the size; every third time the middle, for leaps."""
+    if not over_bytes:
+        return int(fits * min(0.996 * size / fits_bytes, 4)) + 1
+    share = 0.5 if tried % 3 == 0 else (0.996 * size - fits_bytes) / (over_bytes - fits_bytes)
+    return min(max(fits + int(share * (over - fits)), fits + 1), over - 1)
+
+
+def command(bench: Bench, options: argparse.Namespace) -> str:
+    """What measures the files beside ours; scenes that need an up direction have runs of their own.
+
+    Args:
+        bench: Where the scenes are.
+        options: What was made.
+    """
+    scenes = options.scenes.split(",")
+    words = ["nanogs", "bench", *(f"--scene={name}={bench.model(name)}" for name in scenes)]
+    words += ["--sizes-of-files", options.sizes, "--format", options.formats]
+    files = options.folder / "{scene}_{size}_MODE.{format}"
+    words += [
+        f"--external={mode}={str(files).replace('MODE', mode)}" for mode in options.modes.split(",")
+    ]
+    apart = [f"{name} with --up {','.join(map(str, UP[name]))}" for name in scenes if name in UP]
+    return shlex.join(words) + (f"  # {'; '.join(apart)}" if apart else "")
+
+
+if __name__ == "__main__":
+    main()
