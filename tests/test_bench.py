@@ -18,7 +18,7 @@ from PIL import Image
 import launch
 import nanogs
 from builders import random_splats
-from nanogs.bench import protocol
+from nanogs.bench import measuring, protocol
 from nanogs.bench.gsplat import gsplat_fps
 from nanogs.bench.methods import ABLATIONS, find_method
 from nanogs.bench.output import ResultFolder, run_of
@@ -257,7 +257,7 @@ def test_a_process_that_dies_is_an_outcome(tmp_path):
 
 
 def test_a_method_that_fails_is_a_row_with_the_error(model, monkeypatch):
-    monkeypatch.setattr(protocol, "run_job", lambda _job: Outcome(error="boom"))
+    monkeypatch.setattr(measuring, "run_job", lambda _job: Outcome(error="boom"))
     settings = BenchSettings(ratios=(0.1,), methods=("opacity",), views=1, sizes=(32,))
     failed = run_bench([scene_of_file(model)], settings)[1]
     assert (failed.status, failed.reason, failed.psnr) == (Status.FAILED, "boom", None)

@@ -1,0 +1,223 @@
+"""A row of the protocol: one result is made or found, and scored."""
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from nanogs.bench.gsplat import gsplat_fps
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status, Wish, size_name
+from nanogs.bench.scenes import BenchScene, SceneViews, fill, scene_of_file
+from nanogs.bench.settings import BenchSettings
+from nanogs.bench.worker import Job, run_job
+from nanogs.errors import NanogsError, OptionError
+from nanogs.formatting import counted
+from nanogs.io import inspect, load, losses, save
+from nanogs.pipeline.target import target_count
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import PreparedSplats, prepare, render
+from nanogs.scoring.scores import ModelScore, score
+from nanogs.splats import Splats
+
+_FPS_VIEWS = 8  # renders behind a figure of frames a second
+
+
+def empty_row(scene: BenchScene, method: str, wish: Wish) -> BenchRow:
+    """A row that says what was asked for, and no more."""
+    against = Against.ORIGINAL if scene.photos is None else Against.PHOTOGRAPHS
+    return BenchRow(
+        scene.name, method, wish.ratio, against=against, dataset=scene.dataset,
+        format=wish.format, size=wish.size,
+    )  # fmt: skip
+
+
+def too_large_row(scene: BenchScene, method: str, wish: Wish, whole: int) -> BenchRow:
+    """A size that the whole model fits into, of which there is nothing to measure."""
+    reason = f"The whole model as {wish.format} takes {whole:,} B, which fits into this size."
+    return replace(empty_row(scene, method, wish), status=Status.SKIPPED, reason=reason)
+
+
+def original_row(
+    scene: BenchScene, splats: Splats, views: SceneViews, settings: BenchSettings
+) -> BenchRow:
+    """The model as it came: against photographs its score, otherwise how fast it is drawn."""
+    row = replace(
+        empty_row(scene, ORIGINAL, Wish(1.0)),
+        splats=len(splats),
+        file_bytes=inspect(scene.model).file_bytes,
+        label=next(iter(views.sets)),
+        views=views.count,
+        notes=(*views.notes, *splats.notes),
+    )
+    if views.against is Against.PHOTOGRAPHS:
+        return _scored(row, splats, views, settings)
+    # Against itself it would only score infinity; how fast it is drawn is of interest.
+    return _timed(row, splats, prepare(splats), views)
+
+
+def whole_row(
+    scene: BenchScene,
+    splats: Splats,
+    wish: Wish,
+    views: SceneViews,
+    settings: BenchSettings,
+    folder: Path,
+) -> BenchRow:
+    """The whole model as a file of a format, so that packing alone is what costs."""
+    row, path = empty_row(scene, ORIGINAL, wish), folder / f"whole{wish.format}"
+    start = time.perf_counter()
+    try:
+        save(splats, path)
+        seconds = time.perf_counter() - start
+        decoded = load(path)
+    except NanogsError as error:
+        return replace(row, status=Status.FAILED, reason=str(error))
+    notes = (*losses(splats, path), *decoded.notes)
+    row = replace(row, file_bytes=path.stat().st_size, seconds=seconds, notes=notes)
+    path.unlink()
+    return _scored(row, decoded, views, settings)
+
+
+def method_row(
+    scene: BenchScene,
+    method: str,
+    wish: Wish,
+    views: SceneViews,
+    settings: BenchSettings,
+    folder: Path,
+) -> BenchRow:
+    """What a method of ours makes, in a process of its own, and its score."""
+    row = empty_row(scene, method, wish)
+    output = folder / f"result{wish.format or '.ply'}"
+    job = Job(
+        scene.model, method, wish.ratio or 1.0, output, views.fit_cameras, views.trained,
+        settings.seed, settings.threads, wish.size,
+    )  # fmt: skip
+    outcome = run_job(job)
+    if outcome.error:
+        return replace(row, status=Status.FAILED, reason=outcome.error)
+    row = replace(
+        row,
+        file_bytes=output.stat().st_size,
+        seconds=outcome.seconds,
+        read_seconds=outcome.read_seconds,
+        peak_memory=outcome.peak_memory,
+        notes=(*_count_note(outcome.splats, outcome.asked), *outcome.notes),
+    )
+    return _scored(row, load(output), views, settings)
+
+
+def external_row(
+    scene: BenchScene,
+    name: str,
+    wish: Wish,
+    finite: int,
+    views: SceneViews,
+    settings: BenchSettings,
+) -> BenchRow:
+    """The score of another tool's file; `finite` are the usable splats of the original."""
+    row = empty_row(scene, name, wish)
+    path = external_path(settings.externals[name], scene, wish)
+    if not path.exists():
+        return replace(row, status=Status.SKIPPED, reason=f"There is no file {path}.")
+    try:
+        splats = load(path)
+        row = replace(row, file_bytes=path.stat().st_size, **_producer_figures(path))
+    except NanogsError as error:
+        return replace(row, status=Status.FAILED, reason=str(error))
+    if wish.size is not None:
+        notes = _size_note(row.file_bytes or 0, wish.size)
+    else:
+        notes = _count_note(len(splats), target_count(finite, wish.ratio, None))
+    return _scored(replace(row, notes=(*notes, *splats.notes)), splats, views, settings)
+
+
+def external_path(pattern: str, scene: BenchScene, wish: Wish) -> Path:
+    """The file of another tool.
+
+    Raises:
+        OptionError: The pattern has a placeholder that is not known.
+    """
+    named = {"scene": scene.name, "model": scene_of_file(scene.model).name}
+    if wish.size is None:
+        named["ratio"] = f"{wish.ratio:g}"
+    else:
+        named |= {"size": size_name(wish.size), "format": wish.format.lstrip(".")}
+    return Path(fill(pattern, **named))
+
+
+def _size_note(taken: int, size: int) -> tuple[str, ...]:
+    if taken <= size:
+        return ()
+    return (f"{taken:,} B, above the {size:,} B asked for",)
+
+
+def _count_note(delivered: int, asked: int) -> tuple[str, ...]:
+    if delivered == asked:
+        return ()
+    return (f"{counted(delivered, 'splat')} instead of the {asked:,} asked for",)
+
+
+def _producer_figures(path: Path) -> dict[str, Any]:
+    """Seconds and peak memory that whoever made the file noted beside it.
+
+    Raises:
+        OptionError: The note is not a JSON object of numbers.
+    """
+    note = path.with_name(path.name + ".json")
+    if not note.exists():
+        return {}
+    try:
+        noted = json.loads(note.read_text(encoding="utf-8"))
+        kinds = {"seconds": float, "peak_memory": int}
+        return {name: kind(noted[name]) for name, kind in kinds.items() if name in noted}
+    except (ValueError, TypeError):
+        raise OptionError(
+            f"{note} must be a JSON object with the numbers seconds and peak_memory."
+        ) from None
+
+
+def _scored(row: BenchRow, splats: Splats, views: SceneViews, settings: BenchSettings) -> BenchRow:
+    """The row with scores and frames a second; a failed one where scoring raises."""
+    prepared = prepare(splats)
+    scores: list[SetScore] = []
+    notes = dict.fromkeys(row.notes)
+    for label, some in views.sets.items():
+        try:
+            found = score(row.method, prepared, some, views.background, extras=settings.metrics)
+        except NanogsError as error:
+            return replace(row, status=Status.FAILED, reason=str(error))
+        scores.append(_set_score(label, found))
+        notes.update(dict.fromkeys(found.notes))
+    first = {name.name: getattr(scores[0], name.name) for name in fields(SetScore)}
+    row = replace(row, splats=len(splats), notes=tuple(notes), further=tuple(scores[1:]), **first)
+    return _timed(row, splats, prepared, views)
+
+
+def _set_score(label: str, found: ModelScore) -> SetScore:
+    return SetScore(label, len(found.views), found.psnr, found.least_psnr, found.ssim, found.extras)
+
+
+def _timed(row: BenchRow, splats: Splats, prepared: PreparedSplats, views: SceneViews) -> BenchRow:
+    cameras = views.cameras[:_FPS_VIEWS]
+    return replace(
+        row,
+        fps=frames_per_second(prepared, cameras),
+        fps_gsplat=gsplat_fps(splats, cameras),
+    )
+
+
+def frames_per_second(prepared: PreparedSplats, cameras: Sequence[Camera]) -> float:
+    """Frames a second of our renderer, one frame after the other, on warm kernels.
+
+    Args:
+        prepared: The model, activated beforehand as a viewer would do once.
+        cameras: At least one.
+    """
+    render(prepared, cameras[0])
+    start = time.perf_counter()
+    for camera in cameras:
+        render(prepared, camera)
+    return len(cameras) / (time.perf_counter() - start)
