@@ -143,7 +143,7 @@ def test_a_chart_for_the_mean_and_each_scene_has_every_point():
         row
         for scene, by in (("a", 0), ("b", 4))
         for method, more in (("them", 0), ("ours", 2))
-        for row in rows_of(method, plus(by + more), scene=scene, near=1)
+        for row in rows_of(method, plus(by + more), scene=scene, near=1, share=0.9)
     ]
     charts = SizeCharts(rows)
     assert [chart.title for chart in charts.charts] == [
@@ -152,7 +152,8 @@ def test_a_chart_for_the_mean_and_each_scene_has_every_point():
         for label in ("auto 64", "roam 64")
     ]
     assert charts.charts[0].lines["ours"] == [
-        (size / 1e6, pytest.approx(value + 4)) for size, value in zip(SIZES, BASE, strict=True)
+        (0.9 * size / 1e6, pytest.approx(value + 4))
+        for size, value in zip(SIZES, BASE, strict=True)
     ]
     drawing = ET.fromstring(charts.svg())
     assert len(list(drawing.iter(f"{SVG}polyline"))) == 6 * 2
