@@ -323,12 +323,11 @@ def test_a_killed_run_with_a_store_is_resumed_and_the_store_emptied(
 
 
 @pytest.mark.slow
-def test_a_worker_uses_a_store_too(scene, tmp_path, keyed):
-    here, out = tmp_path / "here.ply", tmp_path / "small.ply"
-    nanogs.simplify_blocks(scene, here, **GIVEN)
+def test_a_worker_uses_a_store_too(scene, tmp_path, expected, keyed):
+    out = tmp_path / "small.ply"
     given = ["--scratch", "s3://bucket", "--workers", "1", "-q"]
     assert ended(started(scene, out, *given)) == ""
-    assert out.read_bytes() == here.read_bytes()
+    assert out.read_bytes() == expected
     assert keys(keyed) == ["prefix/mine.json"]
 
 
