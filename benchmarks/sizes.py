@@ -59,18 +59,30 @@ def main() -> None:
     for scene in options.scenes.split(","):
         model = bench.model(scene)
         for suffix in options.formats.split(","):
+            each = float(FIRST)
             for size in sorted(map(parse_bytes, options.sizes.split(","))):
                 for mode in options.modes.split(","):
                     name = f"{scene}_{size_name(size)}_{mode}.{suffix}"
-                    make(model, mode, size, options.folder / name)
+                    each = make(model, mode, size, options.folder / name, each)
     print(command(bench, options))
 
 
-def make(model: Path, mode: str, size: int, target: Path) -> None:
-    """Make the largest file of a mode that fits, unless it is there."""
+def make(model: Path, mode: str, size: int, target: Path, each: float) -> float:
+    """Make the largest file of a mode that fits, unless it is there.
+
+    Args:
+        model: The scene.
+        mode: Key of `RIVALS`.
+        size: Bytes that the file may have.
+        target: The file.
+        each: Bytes a splat to begin with.
+
+    Returns:
+        Those that it has, to begin the next one with.
+    """
     note = target.with_name(f"{target.name}.json")
     if note.exists():
-        return
+        return float(target.stat().st_size / json.loads(note.read_text())["count"])
     with tempfile.TemporaryDirectory() as folder:
         decimated, written = Path(folder) / "small.ply", Path(folder) / target.name
 
@@ -82,27 +94,31 @@ def make(model: Path, mode: str, size: int, target: Path) -> None:
                 written.replace(target)
             return took, seconds + more
 
-        found = largest(write, size, inspect(model).splats)
+        found = largest(write, size, inspect(model).splats, each)
     if found is None:
         target.unlink()
         print(f"{target.name}: the whole scene fits", file=sys.stderr, flush=True)
-        return
+        return each
     note.write_text(json.dumps(found._asdict()) + "\n")
     took = f"{target.stat().st_size:,} B, {found.count:,} splats, {found.tried} tried"
     print(f"{target.name}: {took}, {found.seconds:.1f} s", file=sys.stderr, flush=True)
+    return target.stat().st_size / found.count
 
 
-def largest(write: Callable[[int], tuple[int, float]], size: int, available: int) -> Found | None:
+def largest(
+    write: Callable[[int], tuple[int, float]], size: int, available: int, each: float
+) -> Found | None:
     """The largest count whose file fits; None where all fit.
 
     Args:
         write: Bytes and seconds of the file of a count; a later one that fits has more splats.
         size: Bytes that there are.
         available: Splats of the scene.
+        each: Bytes a splat to begin with.
     """
     fits, over, tried = Found(0, 0, 0.0), available + 1, 0
     fits_bytes, over_bytes = 0, 0
-    count = min(size // FIRST, available)
+    count = min(int(0.995 * size / each), available)
     while over - fits.count > max(1, CLOSE * fits.count):
         took, seconds = write(count)
         tried += 1
