@@ -32,6 +32,7 @@ from scipy.spatial import cKDTree
 
 from measured import SCENES
 from nanogs import io
+from nanogs.io.rotations import least_turned
 from nanogs.splats import Splats
 from nanogs.stored import SH_C0
 from rivals import ROOT, install, run_tool
@@ -226,11 +227,27 @@ def kept(kind: str, model: Splats, path: Path) -> dict[str, float]:
     near = tree.query(model.means, min(CANDIDATES, len(file)))[1].reshape(len(model), -1)
     best, rows = np.full(len(model), np.inf), near[:, 0].copy()
     for candidates in near.T:
-        apart = differences(model, file.take(candidates), measure, candidates)
+        own = with_axes_of(model, file.take(candidates))
+        apart = differences(model, own, measure, candidates)
         cost = np.max([column.max(axis=1) for column in apart.values()], axis=0)
         better = cost < best
         best[better], rows[better] = cost[better], candidates[better]
-    return largest(model, file.take(rows), rows, measure)
+    return largest(model, with_axes_of(model, file.take(rows)), rows, measure)
+
+
+def with_axes_of(model: Splats, other: Splats) -> Splats:
+    """The other model, of the 24 ways to write each splat the one nearest to this model's."""
+    own = model.unit_quats().astype(np.float64)
+    between = product(own * [1, -1, -1, -1], other.unit_quats().astype(np.float64))
+    turned, scales = least_turned(replace(other, quats=between.astype(np.float32)))
+    return replace(other, quats=product(own, turned).astype(np.float32), log_scales=scales)
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Of quaternions, wxyz."""
+    w, v, x, u = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
+    real = w * x - (v * u).sum(axis=1, keepdims=True)
+    return np.hstack([real, w * u + x * v + np.cross(v, u)])
 
 
 def largest(

@@ -14,9 +14,11 @@ from scipy.spatial import cKDTree
 from conftest import scene_path
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
+from nanogs.io.rotations import least_turned
 from nanogs.io.sog import write as sog_write
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.palette import palette
+from nanogs.io.sog.precision import visibility
 from nanogs.splats import ExtraElement, RenderMode, Splats
 from nanogs.threads import use_threads
 from strategies import assert_same, splats
@@ -39,10 +41,25 @@ def saved(tmp_path, model, name="a.sog", **options):
 
 
 def in_order_of(model, other):
-    """The other model's splats, put in this one's order by where they are."""
+    """The other model's splats, put in this one's order by where they are, and axes likewise."""
     rows = cKDTree(other.means).query(model.means)[1]
     assert sorted(rows) == list(range(len(model)))
-    return other.take(rows)
+    return with_axes_of(model, other.take(rows))
+
+
+def product(a, b):
+    """Of quaternions, wxyz."""
+    w, v, x, u = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
+    real = w * x - (v * u).sum(axis=1, keepdims=True)
+    return np.hstack([real, w * u + x * v + np.cross(v, u)])
+
+
+def with_axes_of(model, other):
+    """The other model, of the 24 ways to write each splat the one nearest to this model's."""
+    own = model.unit_quats().astype(float)
+    between = product(own * [1, -1, -1, -1], other.unit_quats().astype(float))
+    turned, scales = least_turned(replace(other, quats=between.astype(np.float32)))
+    return replace(other, quats=product(own, turned).astype(np.float32), log_scales=scales)
 
 
 def angle(a, b):
@@ -56,15 +73,15 @@ def angle(a, b):
 def test_round_trip_is_within_the_quantisation(tmp_path_factory, model):
     back = in_order_of(model, saved(tmp_path_factory.mktemp("sog"), model))
     logarithms = [np.log1p(np.abs(m.means)) for m in (model, back)]
-    assert np.abs(logarithms[0] - logarithms[1]).max() < 1e-4
+    assert np.abs(logarithms[0] - logarithms[1]).max() < 1e-3
     assert angle(model, back).max() < 0.017  # half a step of 2 / 255 √2 in three parts
     # So few values that each has its own entry.
     scales = np.where(np.isneginf(model.log_scales), back.log_scales, model.log_scales)
     assert np.array_equal(scales, back.log_scales)
     assert np.array_equal(model.sh[:, 0], back.sh[:, 0])
     error = np.abs(model.sh[:, 1:] - back.sh[:, 1:])
-    assert error.max(initial=0) < 0.05  # the palette has room for every splat
-    assert np.abs(model.opacities() - back.opacities()).max() <= 0.5 / 255 + 1e-9
+    assert error.max(initial=0) < 0.1  # the palette has room for every splat
+    assert np.abs(model.opacities() - back.opacities()).max() <= 0.5 / 127 + 0.5 / 255
     for infinite in (np.isposinf, np.isneginf):
         assert infinite(back.opacity_logits)[infinite(model.opacity_logits)].all()
     assert back.render_mode is model.render_mode
@@ -85,7 +102,7 @@ def test_a_second_pass_changes_no_value(tmp_path):
     assert np.array_equal(once.sh, twice.sh)
     assert np.array_equal(once.opacity_logits, twice.opacity_logits)
     assert np.abs(once.means - twice.means).max() < 1e-4
-    # Where two parts are equally large, the other one may be left out the second time.
+    # Where two ways to write a rotation are as good, it may be the other one the second time.
     assert angle(once, twice).max() < 0.017
     assert angle(once, twice).mean() < 1e-3
 
@@ -347,7 +364,7 @@ def test_the_palette_has_as_many_entries_as_asked_for(tmp_path, size):
 
 
 def test_by_default_the_palette_grows_with_the_model():
-    counts = [1, 1000, 3000, 3300, 196_608, 10**7]
+    counts = [1, 1000, 1500, 1650, 98_304, 10**7]
     sizes = [sog_write.usual_palette(count) for count in counts]
     assert sizes == [1024, 1024, 1024, 1100, 65_536, 65_536]
 
@@ -381,14 +398,42 @@ def test_palette_entries_never_exceed_the_points_of_a_cell():
     assert np.square(points - found.entries[found.labels]).sum() < 2  # all alike would be 4e5
 
 
-def test_real_scene_keeps_its_values(tmp_path):
+def test_real_scene_is_written_smaller(tmp_path):
     model = io.load(scene_path("skull.sog"))
     back = saved(tmp_path, model, palette=65_536)
-    assert (tmp_path / "a.sog").stat().st_size < 0.97 * scene_path("skull.sog").stat().st_size
-    for name in ("log_scales", "opacity_logits"):
-        before, after = getattr(model, name), getattr(back, name)
-        assert np.array_equal(np.sort(before, axis=0), np.sort(after, axis=0))
-    assert np.array_equal(np.sort(model.sh, axis=0), np.sort(back.sh, axis=0))
+    assert (tmp_path / "a.sog").stat().st_size < 0.8 * scene_path("skull.sog").stat().st_size
+    for before, after, least in (
+        (model.opacities(), back.opacities(), 0.006),
+        (model.sh[:, 0], back.sh[:, 0], 0.03),
+        (model.sh[:, 1:], back.sh[:, 1:], 0.03),
+        (model.log_scales.ravel(), back.log_scales.ravel(), 0.05),
+    ):
+        error = np.abs(np.sort(before, axis=0) - np.sort(after, axis=0))
+        assert np.quantile(error, 0.99) < least
+
+
+@pytest.mark.parametrize("bits", [4, 5, 6, 7, 8])
+def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
+    model = random_model(4000, 0)
+    back = in_order_of(model, saved(tmp_path, model, bits=bits))
+    step = 2.0 ** (8 - bits)
+    assert angle(model, back).max() < 0.017 * step
+    assert len(np.unique(back.log_scales)) <= 3 * 2 ** (bits - 2)
+    assert len(np.unique(back.sh)) <= 2 ** (bits - 1)
+    assert np.abs(model.opacities() - back.opacities()).max() < 0.5 / (2 ** (bits - 1) - 1) + 0.002
+    # Of splats that count, a step of the centre is a small share of the size.
+    sizes = np.sort(model.scales(), axis=1)[:, 1]
+    moved = np.abs(model.means - back.means).max(axis=1) / sizes
+    assert 0.001 * step < np.average(moved, weights=visibility(model)) < 0.02 * step
+    if bits < 8:
+        more = io.encoded_bytes(model, tmp_path / "a.sog", {"bits": bits + 1})
+        assert (tmp_path / "a.sog").stat().st_size < 0.93 * more
+
+
+@pytest.mark.parametrize("bits", [3, 9])
+def test_bits_beyond_the_format_are_refused(tmp_path, bits):
+    with pytest.raises(OptionError, match="bits must be a whole number from 4 to 8"):
+        io.save(random_model(9, 1), tmp_path / "a.sog", format_options={"bits": bits})
 
 
 def test_other_readers_agree(tmp_path):

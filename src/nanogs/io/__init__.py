@@ -124,8 +124,9 @@ def save(
         format: Suffix of the format; by default that of the name. An open file without a name
             needs it.
         format_options: Of the format, by name: of .spz `spz_version`, 2, 3 (as by default) or 4; of
-            .sog `palette`, entries for the higher colour coefficients, 1 to 65,536, by default a
-            third of the splats.
+            .sog `palette`, entries for the higher colour coefficients, 1 to 65,536, by default two
+            for three splats, and `bits` of a part of a rotation, 4 to 8 (as by default), from which
+            those of all other values follow.
         progress: Called with each `nanogs.progress.Step` of a file whose writing takes long.
 
     Raises:

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from nanogs._types import F64, I64, Array
+from nanogs._types import F32, F64, I64, Array
+from nanogs.splats import Splats
 
 
 def whole_quats(small: F64, largest: I64) -> F64:
@@ -31,3 +32,61 @@ def split_quats(quats: Array) -> tuple[I64, Array]:
     rows, largest = np.arange(len(quats)), np.abs(quats).argmax(axis=1)
     signed = np.where(quats[rows, largest, None] < 0, -quats, quats)
     return largest, signed[np.arange(4) != largest[:, None]].reshape(-1, 3)
+
+
+def least_turned(splats: Splats) -> tuple[F64, F32]:
+    """The same splats with other axes first, so that they are turned as little as possible.
+
+    An ellipsoid can be written in 24 ways, by which of its axes is the first and by their signs.
+    With the one whose w is the largest, w is the part that is left out of every rotation, and the
+    others lie within ±0.383: they take four and a half bits less.
+
+    Args:
+        splats: N splats.
+
+    Returns:
+        (N, 4) float64 rotations, unit wxyz with positive w, and (N, 3) float32 log-scales.
+    """
+    quats = splats.unit_quats().astype(np.float64)
+    nearest = _nearest_symmetry(quats)
+    w, x, y, z = (quats * nearest).T  # as `nearest` is undone: quats times its conjugate
+    a, b, c, d = nearest.T
+    w0, x0, y0, z0 = quats.T
+    turned = np.stack(
+        [
+            w + x + y + z,
+            x0 * a - w0 * b - y0 * d + z0 * c,
+            y0 * a - w0 * c - z0 * b + x0 * d,
+            z0 * a - w0 * d - x0 * c + y0 * b,
+        ],
+        axis=1,
+    )
+    scales = np.take_along_axis(splats.log_scales, _axes_turned(nearest), axis=1)
+    return turned / np.linalg.norm(turned, axis=1, keepdims=True), scales
+
+
+def _nearest_symmetry(quats: F64) -> F64:
+    """(N, 4): of the 24 turns of a cube, the one nearest to each rotation.
+
+    They have one part that is not zero, or two, or all four, and these alike.
+    """
+    sizes = np.abs(quats)
+    order = np.argsort(-sizes, axis=1, kind="stable")
+    ranked = np.take_along_axis(sizes, order, axis=1)
+    parts = np.array([1, 2, 4])
+    reached = np.cumsum(ranked, axis=1)[:, parts - 1] / np.sqrt(parts)
+    kept = parts[reached.argmax(axis=1)][:, None]
+    places = np.argsort(order, axis=1)
+    signs = np.where(quats < 0, -1.0, 1.0)
+    result: F64 = np.where(places < kept, signs / np.sqrt(kept), 0.0)
+    return result
+
+
+def _axes_turned(quats: F64) -> I64:
+    """(N, 3): the axis on which each axis lies after the conjugate of a turn of a cube."""
+    w, x, y, z = quats.T
+    second = [x * y - z * w, 0.5 - x * x - z * z, y * z + x * w]  # rows of half the matrix
+    third = [x * z + y * w, y * z - x * w, 0.5 - x * x - y * y]
+    along = 2 * np.abs(np.stack(second, axis=1)) + 4 * np.abs(np.stack(third, axis=1))
+    result: I64 = np.rint(along).astype(np.int64)
+    return result

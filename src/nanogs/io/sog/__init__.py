@@ -5,9 +5,13 @@ from nanogs.io.registry import LEVELS
 from nanogs.io.sog import write
 from nanogs.io.sog.levels import open_level
 from nanogs.io.sog.meta import PALETTE_MAX
+from nanogs.io.sog.precision import FEWEST_BITS, MOST_BITS
 from nanogs.io.sog.read import META, SogSource
 
-_OPTIONS = {"palette": WriteOption("palette_size", range(1, PALETTE_MAX + 1))}
+_OPTIONS = {
+    "palette": WriteOption("palette_size", range(1, PALETTE_MAX + 1)),
+    "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1)),
+}
 FORMATS = (
     Format(
         ".sog",

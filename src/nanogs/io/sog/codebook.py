@@ -12,17 +12,18 @@ RARITY = 0.5
 NOTHING = 20.0  # a log-scale that much below the least stands for -inf: 2e-9 of the smallest
 
 
-def codebook(values: F32, power: float = RARITY) -> F32:
+def codebook(values: F32, size: int = SIZE, power: float = RARITY) -> F32:
     """(256,) ascending: the values to quantise to, for the least weighted squared error.
 
     Args:
         values: (N,) or any other shape; -inf gets an entry of its own below all others.
+        size: How many of the entries differ, at least 2; the fewer, the better codes are packed.
         power: 1 for the least squared error, less to give rare values more weight.
     """
     finite = values[np.isfinite(values)].astype(np.float64)
     lowest = finite.min() if len(finite) else 0.0
     nothing = [lowest - NOTHING] if len(finite) < values.size else []
-    entries = _entries(finite, SIZE - len(nothing), power) if len(finite) else np.empty(0)
+    entries = _entries(finite, size - len(nothing), power) if len(finite) else np.empty(0)
     book = np.concatenate([nothing, entries])
     # Unused entries repeat the last.
     return np.pad(book, (0, SIZE - len(book)), mode="edge").astype(np.float32)

@@ -21,10 +21,12 @@ class Palette:
     Attributes:
         entries: (K, D) float32.
         labels: (N,) int32, rows of `entries`.
+        exact: Whether every point is one of the entries.
     """
 
     entries: F32
     labels: I32
+    exact: bool
 
 
 def palette(points: F32, size: int, weights: F64 | None = None, tell: Parts = untold) -> Palette:
@@ -41,19 +43,19 @@ def palette(points: F32, size: int, weights: F64 | None = None, tell: Parts = un
     """
     distinct, inverse, counts = _distinct(points)
     if len(distinct) <= size:
-        return _in_order_of_use(distinct, inverse.astype(np.int32))
+        return _in_order_of_use(distinct, inverse.astype(np.int32), exact=True)
     totals = counts if weights is None else np.bincount(inverse, weights)
     entries, labels = _cluster(distinct, (totals / totals.mean()).astype(np.float32), size, tell)
-    return _in_order_of_use(entries, labels[inverse])
+    return _in_order_of_use(entries, labels[inverse], exact=False)
 
 
-def _in_order_of_use(entries: F32, labels: I32) -> Palette:
+def _in_order_of_use(entries: F32, labels: I32, *, exact: bool) -> Palette:
     """Unused entries go; neighbouring points then often have neighbouring labels."""
     used, first = np.unique(labels, return_index=True)
     order = used[np.argsort(first, kind="stable")]
     places = np.empty(len(entries), np.int32)
     places[order] = np.arange(len(order))
-    return Palette(entries[order], places[labels])
+    return Palette(entries[order], places[labels], exact)
 
 
 def _distinct(points: F32) -> tuple[F32, I64, I64]:

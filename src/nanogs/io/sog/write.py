@@ -10,22 +10,24 @@ import math
 import zipfile
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from nanogs._types import F32, F64, I64, U8, U16, Array
+from nanogs._types import F32, F64, I64, U8, U16
 from nanogs._version import __version__
 from nanogs.errors import OutputError
 from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.folder import atomic_folder
 from nanogs.io.json_fields import is_plain
-from nanogs.io.rotations import split_quats
+from nanogs.io.rotations import least_turned, split_quats
 from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.palette import palette
+from nanogs.io.sog.precision import FINEST, MOST_BITS, Precision, visibility
 from nanogs.io.sog.texture import MAX_SIDE, encode
 from nanogs.morton import spread_bits
 from nanogs.progress import Parts, untold
@@ -35,8 +37,9 @@ MAX_DEGREE = 3
 _BLOCK = 4  # sides of textures are multiples of it
 _GENERATOR = "nanogs"
 _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
-_VISIBILITY = (1e-3, 1e3)  # of the mean: least and most that a splat counts in the palette
-_SPLATS_PER_ENTRY = 3
+_LAST = 65535  # of the codes of a coordinate
+# Entries of the codebook of a palette; a palette that rounds already needs fewer.
+_EXACT, _ROUNDED = 64, 32
 _SMALL_PALETTE = 1024  # models of so few splats keep a value each
 _FARTHEST = 1e18  # squares of colours that far apart are still float32
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can state
@@ -45,8 +48,30 @@ Submit = Callable[[str, U8], None]
 """Starts the encoding of a texture, by name."""
 
 
+@dataclass(frozen=True, slots=True)
+class Packing:
+    """How much a file may round off.
+
+    Attributes:
+        palette_size: Most entries of the palette of the higher coefficients, 1 to 65,536; by
+            default `usual_palette`.
+        precision: Of all else.
+    """
+
+    palette_size: int | None = None
+    precision: Precision = FINEST
+
+
+USUAL = Packing()
+
+
 def write(
-    splats: Splats, file: BinaryIO, tell: Parts = untold, *, palette_size: int | None = None
+    splats: Splats,
+    file: BinaryIO,
+    tell: Parts = untold,
+    *,
+    palette_size: int | None = None,
+    bits: int = MOST_BITS,
 ) -> None:
     """Write a `.sog` file.
 
@@ -55,13 +80,14 @@ def write(
         file: To write to.
         tell: Told of the parts of what takes long.
         palette_size: Most entries of the palette of the higher coefficients, 1 to 65,536; by
-            default a third of the splats, but all of a small model.
+            default `usual_palette`.
+        bits: Of a part of a rotation, 4 to 8; all else follows, see `Precision`.
 
     Raises:
         OutputError: A value is NaN, infinite or beyond what a codebook holds, or there are more
             splats than a texture holds; nothing has been written then.
     """
-    files = contents(splats, None, tell, palette_size)
+    files = contents(splats, None, tell, Packing(palette_size, Precision(bits)))
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in files.items():
             entry = zipfile.ZipInfo(name, _EPOCH)
@@ -71,7 +97,12 @@ def write(
 
 
 def write_folder(
-    splats: Splats, path: Path, *, overwrite: bool = False, palette_size: int | None = None
+    splats: Splats,
+    path: Path,
+    *,
+    overwrite: bool = False,
+    palette_size: int | None = None,
+    bits: int = MOST_BITS,
 ) -> None:
     """Write `meta.json` and its textures to a folder, which appears whole or not at all.
 
@@ -80,13 +111,15 @@ def write_folder(
         path: The folder.
         overwrite: Replace a folder that nanogs wrote.
         palette_size: As for `write`.
+        bits: As for `write`.
 
     Raises:
         OutputError: As for `write`, or the folder exists and may not be replaced, or it cannot be
             made.
     """
+    packing = Packing(palette_size, Precision(bits))
     with atomic_folder(path, ours, overwrite=overwrite) as folder:
-        for name, data in contents(splats, palette_size=palette_size).items():
+        for name, data in contents(splats, packing=packing).items():
             (folder / name).write_bytes(data)
 
 
@@ -94,7 +127,7 @@ def contents(
     splats: Splats,
     groups: I64 | None = None,
     tell: Parts = untold,
-    palette_size: int | None = None,
+    packing: Packing = USUAL,
 ) -> dict[str, bytes]:
     """The contents of `meta.json` and its textures by name.
 
@@ -103,7 +136,7 @@ def contents(
         groups: (N,) numbers from 0 on. Splats go in their order, those of one group in Morton
             order; by default all are one group.
         tell: Told of the rounds in which the palette is looked for.
-        palette_size: As for `write`.
+        packing: How much may be rounded off.
 
     Raises:
         OutputError: As for `write`.
@@ -117,7 +150,7 @@ def contents(
         def submit(name: str, texels: U8) -> None:
             encoding[name] = pool.submit(encode, texels)
 
-        meta = _encode(splats, groups, palette_size, submit, tell)
+        meta = _encode(splats, groups, packing, submit, tell)
         files = {name: future.result() for name, future in encoding.items()}
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
     return files | {"meta.json": text.encode()}
@@ -166,20 +199,21 @@ def ours(folder: Path) -> frozenset[str] | None:
 
 
 def _encode(
-    splats: Splats, groups: I64 | None, palette_size: int | None, submit: Submit, tell: Parts
+    splats: Splats, groups: I64 | None, packing: Packing, submit: Submit, tell: Parts
 ) -> dict[str, Any]:
     """Submit every texture; the contents of `meta.json`."""
-    codes, bounds = _codes(splats.means)
+    codes, bounds = _codes(splats, packing.precision)
     rows = _morton_order(codes, groups)
     codes = codes[rows]
     submit("means_l.webp", _picture((codes & 255).astype(np.uint8)))
     submit("means_u.webp", _picture((codes >> 8).astype(np.uint8)))
-    submit("quats.webp", _picture(_quats(splats.unit_quats()[rows])))
-    scales = codebook(splats.log_scales[rows])
-    submit("scales.webp", _picture(nearest(splats.log_scales[rows], scales)))
-    colours = codebook(splats.sh[rows, 0])
-    alpha = np.rint(255 * splats.opacities()[rows]).astype(np.uint8)
-    rgba = np.column_stack([nearest(splats.sh[rows, 0], colours), alpha])
+    splats, fine = splats.take(rows), packing.precision
+    quats, log_scales = least_turned(splats)
+    submit("quats.webp", _picture(_quats(quats, fine.rotation_step)))
+    scales = codebook(log_scales, fine.scales)
+    submit("scales.webp", _picture(nearest(log_scales, scales)))
+    colours = codebook(splats.sh[:, 0], fine.colours)
+    rgba = np.column_stack([nearest(splats.sh[:, 0], colours), _alphas(splats, fine.alphas)])
     submit("sh0.webp", _picture(rgba))
     meta: dict[str, Any] = {
         "version": 2,
@@ -194,18 +228,21 @@ def _encode(
     if splats.render_mode is RenderMode.DEFAULT:
         del meta["model"]  # as untagged as the files of older writers
     if splats.sh_degree:
-        meta["shN"] = _higher(splats.take(rows), palette_size, submit, tell)
+        meta["shN"] = _higher(splats, packing, submit, tell)
     return meta
 
 
-def _codes(means: Array) -> tuple[U16, dict[str, list[float]]]:
+def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[float]]]:
     """(N, 3) codes of the coordinates' signed logarithms, and the bounds that they lie between."""
-    logarithms: F64 = np.log1p(np.abs(means, dtype=np.float64))
-    np.copysign(logarithms, means, out=logarithms)
+    logarithms: F64 = np.log1p(np.abs(splats.means, dtype=np.float64))
+    np.copysign(logarithms, splats.means, out=logarithms)
     low, high = logarithms.min(axis=0), logarithms.max(axis=0)
-    steps = 65535 / np.where(high > low, high - low, 1)
-    codes: U16 = np.rint((logarithms - low) * steps).astype(np.uint16)
-    return codes, {"mins": low.tolist(), "maxs": high.tolist()}
+    range_ = np.where(high > low, high - low, 1)
+    step = precision.centre_step(splats, range_ / _LAST)
+    steps = _LAST // step  # the last code that is used stands for the highest
+    codes: U16 = (np.rint((logarithms - low) / range_ * steps) * step).astype(np.uint16)
+    highest = low + range_ * (_LAST / (steps * step))
+    return codes, {"mins": low.tolist(), "maxs": np.where(high > low, highest, high).tolist()}
 
 
 def _morton_order(codes: U16, groups: I64 | None) -> I64:
@@ -216,25 +253,30 @@ def _morton_order(codes: U16, groups: I64 | None) -> I64:
     return np.argsort(key, kind="stable") if groups is None else np.lexsort((key, groups))
 
 
-def _quats(quats: F32) -> U8:
+def _quats(quats: F64, step: int) -> U8:
     """(N, 4): the three smaller parts of wxyz, the sign such that the largest is positive."""
     largest, small = split_quats(quats)
     out = np.empty((len(quats), 4), np.uint8)
-    out[:, :3] = np.rint(255 * np.clip(small.astype(np.float64) / math.sqrt(2) + 0.5, 0, 1))
+    codes = 255 * np.clip(small / math.sqrt(2) + 0.5, 0, 1)
+    out[:, :3] = np.minimum(np.rint(codes / step), 255 // step) * step
     out[:, 3] = 252 + largest
     return out
 
 
-def _higher(
-    splats: Splats, palette_size: int | None, submit: Submit, tell: Parts
-) -> dict[str, Any]:
+def _alphas(splats: Splats, steps: int) -> U8:
+    """(N,) the nearest of so many steps from 0 to 255, both of them too."""
+    alphas: U8 = np.rint(np.rint(splats.opacities() * steps) * (255 / steps)).astype(np.uint8)
+    return alphas
+
+
+def _higher(splats: Splats, packing: Packing, submit: Submit, tell: Parts) -> dict[str, Any]:
     """Submit the palette of the higher coefficients and the labels; their part of `meta.json`."""
     degree = min(splats.sh_degree, MAX_DEGREE)
     coefficients = (degree + 1) ** 2 - 1
     points = splats.sh[:, 1 : coefficients + 1].reshape(len(splats), -1)
-    size = usual_palette(len(splats)) if palette_size is None else palette_size
-    found = palette(points, size, _visibility(splats), tell)
-    book = codebook(found.entries)
+    size = packing.palette_size or usual_palette(len(splats))
+    found = palette(points, size, visibility(splats), tell)
+    book = codebook(found.entries, _EXACT if found.exact else _ROUNDED)
     count = len(found.entries)
     height = -(-count // sog_meta.PALETTE_COLUMNS)
     texels = np.zeros((height * sog_meta.PALETTE_COLUMNS, coefficients, 3), np.uint8)
@@ -254,24 +296,13 @@ def _higher(
     }
 
 
-def _visibility(splats: Splats) -> F64:
-    """(N,) how much a splat's colour counts: alpha times area, within limits.
-
-    Views come nearer to the original by several dB than with all splats alike.
-    """
-    scales = np.sort(splats.scales().astype(np.float64), axis=1)
-    mass: F64 = splats.opacities() * scales[:, 1] * scales[:, 2]
-    typical = float(mass.mean()) or 1.0
-    return np.clip(mass / typical, *_VISIBILITY)
-
-
 def usual_palette(count: int) -> int:
-    """Entries for so many splats: one for three, but one each in small models.
+    """Entries for so many splats: two for three, but one each in small models.
 
-    More take more bytes for what they gain than more splats would; with fewer, files look worse
-    than those of PlayCanvas' own tool.
+    With as many, files look better than those of PlayCanvas' own tool. With fewer, a file of the
+    same bytes can hold more splats, which often looks better still.
     """
-    return min(max(count // _SPLATS_PER_ENTRY, _SMALL_PALETTE), sog_meta.PALETTE_MAX)
+    return min(max(count * 2 // 3, _SMALL_PALETTE), sog_meta.PALETTE_MAX)
 
 
 def _picture(texels: U8) -> U8:
