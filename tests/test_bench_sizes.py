@@ -1,6 +1,7 @@
 """`bench` with sizes of files: gains, charts and pages of made-up rows, and the command."""
 
 import json
+from dataclasses import replace
 from io import BytesIO
 from xml.etree import ElementTree as ET
 
@@ -13,7 +14,7 @@ import nanogs
 from builders import random_splats
 from nanogs.bench.gains import mean_gains
 from nanogs.bench.output import ResultFolder
-from nanogs.bench.rows import ORIGINAL, BenchRow, SetScore, Status, Wish, size_name
+from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status, Wish, size_name
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.size_charts import SizeCharts
 from nanogs.bench.size_tables import size_page
@@ -99,6 +100,13 @@ def test_formats_and_views_have_gains_of_their_own():
     assert only(gains, format=".sog", label="auto 64").psnr == pytest.approx(2)
     assert only(gains, format=".sog", label="roam 64").psnr == pytest.approx(-1)
     assert only(gains, format=".spz", label="auto 64").psnr == pytest.approx(5)
+
+
+def test_photographs_are_views_of_a_name_of_their_own():
+    rows = [*rows_of("them", BASE), *rows_of("ours", plus(2))]
+    text = markdown([replace(row, label="", against=Against.PHOTOGRAPHS) for row in rows])
+    assert "| ours | them | .sog | photographs | +2.00 (+2.00) |" in text
+    assert "Published" not in text
 
 
 @pytest.mark.parametrize(
