@@ -1,7 +1,6 @@
 """Cameras with lenses: poses as they are, and photographs straightened."""
 
 import json
-import math
 from functools import cache
 
 import numpy as np
@@ -21,7 +20,7 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 def by_hand(model, params, x, y):
-    """Where a lens moves a point, as COLMAP's models.h has it."""
+    """Where a lens moves points, as COLMAP's models.h has it."""
     r2 = x * x + y * y
     if model == "SIMPLE_RADIAL":
         return x * (1 + params[0] * r2), y * (1 + params[0] * r2)
@@ -42,10 +41,10 @@ def by_hand(model, params, x, y):
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y),
         )
-    r = math.sqrt(r2)
-    theta = math.atan(r)
+    r = np.maximum(np.sqrt(r2), 1e-300)
+    theta = np.arctan(r)
     bent = theta * (1 + sum(k * theta ** (2 * n + 2) for n, k in enumerate(params)))
-    return (x * bent / r, y * bent / r) if r else (x, y)
+    return x * bent / r, y * bent / r
 
 
 # Focal lengths, principal point, and what the lens does.
@@ -82,10 +81,9 @@ def taken(model):
     (fx, fy, cx, cy), lens = split_params(model)
     u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
     wanted = np.stack([(u - cx) / fx, (v - cy) / fy], axis=-1)
-    bend = np.vectorize(lambda x, y: by_hand(model, lens, x, y))
     ray = wanted.copy()
     for _ in range(30):
-        ray += wanted - np.stack(bend(ray[..., 0], ray[..., 1]), axis=-1)
+        ray += wanted - np.stack(by_hand(model, lens, ray[..., 0], ray[..., 1]), axis=-1)
     return pattern(ray[..., 0], ray[..., 1])
 
 
