@@ -99,7 +99,7 @@ def test_a_run_that_is_cancelled_leaves_nothing(tmp_path, command, number):
     delays = random.Random(f"{command} {number}")
     for _ in range(4):
         child = started(command, tmp_path / "in.ply", *arguments, cwd=tmp_path)
-        code, said = cancelled(child, number, delays.uniform(0, 1.5))
+        code, said = cancelled(child, number, delays.uniform(0, 1))
         assert_nothing_left(code, said, number, tmp_path, ["in.ply"])
         for path in tmp_path.glob("out*"):
             subprocess.run(["rm", "-r", path], check=True)
