@@ -16,8 +16,17 @@ SCENES = ("biker.spz", "guitar.compressed.ply", "seal.splat", "skull.sog")  # on
 ALIKE = 0.02  # of a step: the same, in single precision
 # Half a step, the rounding of what is measured, and the largest part of a rotation, which is
 # computed from the others.
-# .sog keeps no more steps of centres than splats are small, and every second one of alphas.
-KEPT = {"rotation": 2.0, (".sog", "centre"): 32.1, (".sog", "alpha"): 1.6}
+# .sog keeps no more steps of centres than splats are small, and every second one of alphas; .spz
+# every fourth one of rotations.
+KEPT: dict[str | tuple[str, str], float] = {
+    "rotation": 2.0,
+    (".sog", "centre"): 32.1,
+    (".sog", "alpha"): 1.6,
+    (".spz", "rotation"): 8.0,
+    (".spz v4", "rotation"): 8.0,
+    (".spz", "centre"): 32.1,
+    (".spz v4", "centre"): 32.1,
+}
 # What others do in their own way: gaussforge makes large logits of alpha 0 and 1, and orders the
 # harmonics of a compressed PLY as no other program; splat-transform decodes the rotations of
 # .splat by 255 in place of 256, and cuts fractions off where it writes SOG.

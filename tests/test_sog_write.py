@@ -14,11 +14,11 @@ from scipy.spatial import cKDTree
 from conftest import scene_path
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
+from nanogs.io.precision import visibility
 from nanogs.io.rotations import least_turned
 from nanogs.io.sog import write as sog_write
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.palette import palette
-from nanogs.io.sog.precision import visibility
 from nanogs.splats import ExtraElement, RenderMode, Splats
 from nanogs.threads import use_threads
 from strategies import assert_same, splats
@@ -73,7 +73,7 @@ def angle(a, b):
 def test_round_trip_is_within_the_quantisation(tmp_path_factory, model):
     back = in_order_of(model, saved(tmp_path_factory.mktemp("sog"), model))
     logarithms = [np.log1p(np.abs(m.means)) for m in (model, back)]
-    assert np.abs(logarithms[0] - logarithms[1]).max() < 1e-3
+    assert np.abs(logarithms[0] - logarithms[1]).max() < 3e-3
     assert angle(model, back).max() < 0.017  # half a step of 2 / 255 √2 in three parts
     # So few values that each has its own entry.
     scales = np.where(np.isneginf(model.log_scales), back.log_scales, model.log_scales)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import nanogs
 from builders import random_splats
@@ -146,9 +147,10 @@ def test_the_tiles_of_a_level_are_the_level(splats, made):
             assert np.array_equal(means[order], small.means[expected])
             assert np.array_equal(sh[order], small.sh[expected])
         else:
-            bits = 1e-4  # of coordinates within ±1, and so with 16 bits behind the point
-            assert np.abs(means[order] - small.means[expected]).max() < bits
-            assert np.abs(sh[order, 0] - small.sh[expected, 0]).max() < 0.5 / 255 / 0.15 + 1e-6
+            away, rows = cKDTree(means).query(small.means)
+            assert sorted(rows) == list(range(len(means)))
+            assert away.max() < 2e-3  # of coordinates within ±1, of splats of some hundredths
+            assert np.abs(sh[rows, 0] - small.sh[:, 0]).max() < 0.5 / 255 / 0.15 + 1e-6
 
 
 def test_contents_lie_in_their_boxes_once_the_frames_are_turned(made):
@@ -171,7 +173,7 @@ def test_contents_lie_in_their_boxes_once_the_frames_are_turned(made):
         bounds = document["accessors"][
             document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
         ]
-        assert np.allclose(bounds["min"], part.means.min(axis=0), atol=1e-4)
+        assert np.allclose(bounds["min"], part.means.min(axis=0), atol=1e-3)
         # The splats reach the box: three deviations along some axis of the scene.
         if level_of(tile) == 0:
             reach = 3 * part.scales().max()

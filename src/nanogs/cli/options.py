@@ -162,15 +162,30 @@ Palette = Annotated[
 Bits = Annotated[
     int | None,
     typer.Option(
-        help="Of a .sog file: bits of a part of a rotation, 4 to 8, from which those of all values"
-        " follow; one less takes a tenth off the file, and 6 dB off what packing leaves.",
+        help="Of a .sog or .spz file: bits of a part of a rotation, 4 to 8, from which those of"
+        " other values follow; one less makes the file a tenth smaller, and its errors twice as"
+        " large.",
         show_default="8",
+        metavar="BITS",
+    ),
+]
+ShBits = Annotated[
+    int | None,
+    typer.Option(
+        help="Of a .spz file: bits of a spherical harmonic of degree 1, 2 to 8; higher ones have"
+        " one less.",
+        show_default="5",
         metavar="BITS",
     ),
 ]
 OfFormat = Annotated[
     dict[str, Any],
-    {"spz_version": (SpzVersion, None), "palette": (Palette, None), "bits": (Bits, None)},
+    {
+        "spz_version": (SpzVersion, None),
+        "palette": (Palette, None),
+        "bits": (Bits, None),
+        "sh_bits": (ShBits, None),
+    },
 ]
 """Options of one format alone, as `save` takes them."""
 Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Replace what exists.")]

@@ -123,10 +123,11 @@ def save(
         overwrite: Replace a file that exists.
         format: Suffix of the format; by default that of the name. An open file without a name
             needs it.
-        format_options: Of the format, by name: of .spz `spz_version`, 2, 3 (as by default) or 4; of
-            .sog `palette`, entries for the higher colour coefficients, 1 to 65,536, by default two
-            for three splats, and `bits` of a part of a rotation, 4 to 8 (as by default), from which
-            those of all other values follow.
+        format_options: Of the format, by name. Of .spz `spz_version`, 2, 3 (as by default) or 4,
+            and `sh_bits` of a colour coefficient of degree 1, 2 to 8 (by default 5), those above
+            having one less; of .sog `palette`, entries for the higher colour coefficients, 1 to
+            65,536, by default two for three splats; of both `bits` of a part of a rotation, 4 to 8
+            (as by default), from which those of other values follow.
         progress: Called with each `nanogs.progress.Step` of a file whose writing takes long.
 
     Raises:

@@ -1,11 +1,11 @@
 """PlayCanvas' SOG: splats in lossless pictures; with levels of detail, streamed SOG."""
 
 from nanogs.io.format import Format, WriteOption
+from nanogs.io.precision import FEWEST_BITS, MOST_BITS
 from nanogs.io.registry import LEVELS
 from nanogs.io.sog import write
 from nanogs.io.sog.levels import open_level
 from nanogs.io.sog.meta import PALETTE_MAX
-from nanogs.io.sog.precision import FEWEST_BITS, MOST_BITS
 from nanogs.io.sog.read import META, SogSource
 
 _OPTIONS = {

@@ -23,11 +23,11 @@ from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.folder import atomic_folder
 from nanogs.io.json_fields import is_plain
+from nanogs.io.precision import FINEST, MOST_BITS, Precision, visibility
 from nanogs.io.rotations import least_turned, split_quats
 from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.palette import palette
-from nanogs.io.sog.precision import FINEST, MOST_BITS, Precision, visibility
 from nanogs.io.sog.texture import MAX_SIDE, encode
 from nanogs.morton import spread_bits
 from nanogs.progress import Parts, untold
@@ -238,7 +238,11 @@ def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[fl
     np.copysign(logarithms, splats.means, out=logarithms)
     low, high = logarithms.min(axis=0), logarithms.max(axis=0)
     range_ = np.where(high > low, high - low, 1)
-    step = precision.centre_step(splats, range_ / _LAST)
+    apart = range_ / _LAST
+    # A step of the logarithm of 1 + |x| is one of x times 1 + |x|.
+    step = 1 << precision.spare_bits(
+        [splats], lambda s: (1 + np.abs(s.means, dtype=np.float64)) * apart
+    )
     steps = _LAST // step  # the last code that is used stands for the highest
     codes: U16 = (np.rint((logarithms - low) / range_ * steps) * step).astype(np.uint16)
     highest = low + range_ * (_LAST / (steps * step))

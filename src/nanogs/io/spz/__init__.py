@@ -1,6 +1,7 @@
 """Niantic's `.spz`: columns of bytes, packed by gzip or zstd."""
 
 from nanogs.io.format import Format, WriteOption
+from nanogs.io.precision import FEWEST_BITS, MOST_BITS
 from nanogs.io.spz import write
 from nanogs.io.spz.header import GZIP, MAGIC
 from nanogs.io.spz.read import open_spz
@@ -16,7 +17,11 @@ FORMATS = (
         losses=write.losses,
         frame=_FRAME,
         axes=None,
-        options={"spz_version": WriteOption("version", (2, 3, 4))},
+        options={
+            "spz_version": WriteOption("version", (2, 3, 4)),
+            "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1)),
+            "sh_bits": WriteOption("sh_bits", range(2, 9)),
+        },
         streams=True,
         starts=(MAGIC, GZIP),
     ),

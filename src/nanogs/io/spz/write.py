@@ -2,12 +2,14 @@
 
 Coefficients of degree 1 keep 5 bits and higher ones 4, as the reference writer has it: the fewer
 values a byte takes, the better it compresses. Unlike there, the fraction bits follow the scene,
-so that a small one keeps its detail and a large one does not wrap around.
+so that a small one keeps its detail and a large one does not wrap around; and centres and
+rotations are no finer than they are worth beside scales, which have steps of a sixteenth.
 """
 
 import gzip
 import math
 from collections.abc import Iterable
+from functools import partial
 from typing import BinaryIO
 
 import numpy as np
@@ -17,6 +19,7 @@ from nanogs.errors import OutputError
 from nanogs.findings import Finding
 from nanogs.io import limits
 from nanogs.io.by_column import Encoder, encoded_columns
+from nanogs.io.precision import FINEST, MOST_BITS, Precision
 from nanogs.io.rotations import split_quats
 from nanogs.io.spz.header import (
     ANTIALIASED,
@@ -32,14 +35,23 @@ from nanogs.splats import RenderMode, Splats
 from nanogs.stored import rounded_bytes
 
 SUFFIX = ".spz"
-SH_BITS = (5, 4)  # kept of a coefficient of degree 1, and of a higher one
+SH_BITS = 5  # kept of a coefficient of degree 1; of a higher one, one less
 USUAL_FRACTION_BITS = 12
 _FIXED_MAX = (1 << 23) - 1
 _SIGNIFICANT_BITS = 16
+_BYTE = 255
+_ROTATION_STEP = 4  # of the magnitudes, for 8 bits with the sign
 _GZIP_LEVEL, _ZSTD_LEVEL = 6, 12  # the reference writer's
 
 
-def write(model: Splats | Source, file: BinaryIO, *, version: int = 3) -> None:
+def write(
+    model: Splats | Source,
+    file: BinaryIO,
+    *,
+    version: int = 3,
+    bits: int = MOST_BITS,
+    sh_bits: int = SH_BITS,
+) -> None:
     """Write a model, axes as they are; `losses` says what does not go in.
 
     Args:
@@ -47,6 +59,9 @@ def write(model: Splats | Source, file: BinaryIO, *, version: int = 3) -> None:
         file: Open for binary writing.
         version: 3 (gzip); 4 (zstd), which fewer readers know; or 2 (gzip), which more know, with
             rotations of less precision.
+        bits: Of a part of a rotation, a colour and an alpha, 4 to 8; centres follow, see
+            `Precision.spare_bits`.
+        sh_bits: Of a coefficient of degree 1, 2 to 8; higher ones have one less.
 
     Raises:
         OutputError: A value is NaN or infinite, or a centre is too far out; nothing has been
@@ -54,10 +69,12 @@ def write(model: Splats | Source, file: BinaryIO, *, version: int = 3) -> None:
         OSError: The system refuses to write.
     """
     source = source_of(model)
-    bits, (degree, count) = fraction_bits(source), (source.columns.sh_degree, source.count)
+    precision, (degree, count) = Precision(bits), (source.columns.sh_degree, source.count)
+    fraction = fraction_bits(source, precision)
     flags = ANTIALIASED if source.columns.render_mode == RenderMode.MIP else 0
-    start = (MAGIC, version, count, degree, bits, flags)
-    columns = encoded_columns(source, _encoders(degree, bits, version))
+    start = (MAGIC, version, count, degree, fraction, flags)
+    buckets = _buckets(degree, sh_bits)[:, None]
+    columns = encoded_columns(source, _encoders(fraction, version, precision, buckets))
     if version in (2, 3):
         with gzip.GzipFile("", "wb", _GZIP_LEVEL, file, mtime=0) as stream:
             stream.write(LEGACY_HEADER.pack(*start, 0))
@@ -81,7 +98,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
     low, high = SCALE_LOW, SCALE_LOW + 255 / SCALE_STEPS
     scales, colours, rest = splats.log_scales, splats.sh[:, 0], splats.sh[:, 1:]
     widest = 0.5 / COLOUR_SCALE
-    half = (_buckets(splats.sh_degree) / 2 / SH_STEPS)[:, None]
+    half = (_buckets(splats.sh_degree, SH_BITS) / 2 / SH_STEPS)[:, None]
     out = limits.left_out(splats, SUFFIX)
     out += limits.lost_mode(splats, SUFFIX, RenderMode.MIP)
     out += limits.clamped(
@@ -103,20 +120,26 @@ def losses(splats: Splats) -> tuple[str, ...]:
     return tuple(out)
 
 
-def fraction_bits(model: Splats | Source) -> int:
-    """Bits behind the binary point: 12 as usual, fewer for large scenes and more for small ones.
+def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
+    """Bits behind the binary point: 12 or more, less those that large splats have no use for.
+
+    Very large scenes have fewer, and then all of them.
 
     Raises:
         OutputError: A value is NaN or infinite, or a centre is too far out for whole numbers of 24
             bits.
     """
-    reach = _reach(limits.storable(source_of(model), SUFFIX))
+    source = source_of(model)
+    reach = _reach(limits.storable(source, SUFFIX))
     if (bits := _bits(reach)) < 0:
         raise OutputError(
             f"A centre is {reach:g} from the origin along an axis, but {SUFFIX} ends at"
             f" {_FIXED_MAX:,}; move the model to the origin or scale it down."
         )
-    return bits
+    if bits < USUAL_FRACTION_BITS:
+        return bits
+    step = np.full((1, 1), math.ldexp(1.0, -bits))
+    return bits - precision.spare_bits(source.blocks(), lambda _block: step)
 
 
 def _reach(blocks: Iterable[Splats]) -> float:
@@ -133,20 +156,26 @@ def _bits(reach: float) -> int:
     return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
 
 
-def _encoders(degree: int, bits: int, version: int) -> list[Encoder]:
+def _encoders(fraction: int, version: int, precision: Precision, buckets: F64) -> list[Encoder]:
     """Functions that encode a block of rows, one for each column of the file."""
-    rotations = _xyz_rotations if version == 2 else _rotations
+    step, levels = _ROTATION_STEP * precision.rotation_step, (1 << precision.bits) - 1
+    rotations = _xyz_rotations if version == 2 else partial(_rotations, step=step)
     encoders: list[Encoder] = [
-        lambda block: _positions(block.means, bits),
-        lambda block: rounded_bytes(block.opacities() * 255),
-        lambda block: rounded_bytes((block.sh[:, 0] * np.float64(COLOUR_SCALE) + 0.5) * 255),
+        lambda block: _positions(block.means, fraction),
+        lambda block: _levels(block.opacities(), levels),
+        lambda block: _levels(block.sh[:, 0] * np.float64(COLOUR_SCALE) + 0.5, levels),
         lambda block: rounded_bytes((block.log_scales - np.float64(SCALE_LOW)) * SCALE_STEPS),
         lambda block: rotations(block.unit_quats()),
     ]
-    if degree:
-        buckets = _buckets(degree)[:, None]
+    if len(buckets):
         encoders.append(lambda block: _coefficients(block.sh[:, 1:], buckets))
     return encoders
+
+
+def _levels(values: F32 | F64, levels: int) -> U8:
+    """The nearest of so many steps from 0 to 1, as bytes from 0 to 255."""
+    nearest = values if levels == _BYTE else np.rint(values * levels) / levels
+    return rounded_bytes(nearest * _BYTE)
 
 
 def _compressed(column: Iterable[bytes]) -> bytes:
@@ -170,19 +199,23 @@ def _xyz_rotations(quats: F32) -> U8:
     return rounded_bytes((xyz + 1) * 127.5)
 
 
-def _rotations(quats: F32) -> U8:
-    """(R, 4) from unit wxyz: the largest part's place, then sign and magnitude of the others."""
+def _rotations(quats: F32, step: int) -> U8:
+    """(R, 4) from unit wxyz: the largest part's place, then sign and magnitude of the others.
+
+    Magnitudes are multiples of the step.
+    """
     largest, small = split_quats(quats[:, [1, 2, 3, 0]].astype(np.float64))
-    magnitude = np.rint(np.minimum(np.abs(small) / np.sqrt(0.5), 1) * MAGNITUDE).astype(np.uint32)
+    exact = np.minimum(np.abs(small) / np.sqrt(0.5), 1) * (MAGNITUDE / step)
+    magnitude = (np.minimum(np.rint(exact), MAGNITUDE // step) * step).astype(np.uint32)
     parts = magnitude | (small < 0).astype(np.uint32) << 9
     packed = largest.astype(np.uint32) << 30 | parts[:, 0] << 20 | parts[:, 1] << 10 | parts[:, 2]
     result: U8 = packed.astype("<u4")[:, None].view(np.uint8)
     return result
 
 
-def _buckets(degree: int) -> F64:
+def _buckets(degree: int, sh_bits: int) -> F64:
     """(K - 1,): the distance of the bytes that each higher coefficient may take."""
-    per_band = [2.0 ** (8 - SH_BITS[band > 1]) for band in range(1, degree + 1)]
+    per_band = [2.0 ** (8 - sh_bits + (band > 1)) for band in range(1, degree + 1)]
     return np.repeat(per_band, [2 * band + 1 for band in range(1, degree + 1)])
 
 

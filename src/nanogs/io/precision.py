@@ -1,4 +1,4 @@
-"""How finely a SOG file keeps values: each kind as finely as it is worth beside the others.
+"""How finely packed files keep values: each kind as finely as it is worth beside the others.
 
 A bit less of a value takes an eighth of a byte off each splat, whatever the value; what it costs on
 views differs much. At equal cost, rotations need most steps, then scales, colours and alphas, and
@@ -6,6 +6,7 @@ centres as many as splats are small.
 """
 
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from nanogs.splats import Splats
 FEWEST_BITS, MOST_BITS = 4, 8
 MOST_CENTRE_BITS = 6  # of 16, that a centre may do without
 _SHARE_OF_SIZE = 0.02  # of a splat's middle size that a step of its centre takes at 8 bits
+_LEAST_SIZE = 1e-150  # whose square is not zero
 _VISIBILITY = (1e-3, 1e3)  # of the mean: least and most that a splat counts
 
 
@@ -45,20 +47,24 @@ class Precision:
         """Steps from alpha 0 to 1: a bit less."""
         return (1 << (self.bits - 1)) - 1
 
-    def centre_step(self, splats: Splats, steps: F64) -> int:
-        """Codes from one that is used to the next: a power of two.
+    def spare_bits(self, blocks: Iterable[Splats], steps: Callable[[Splats], F64]) -> int:
+        """Bits that centres may do without, 0 to 6, since splats are large beside a step.
 
         Args:
-            splats: N splats.
-            steps: (3,) how far apart codes are, as logarithms of coordinates.
+            blocks: All splats.
+            steps: How far codes are apart where the centres of R splats are, (R, 3) or (1, 1).
         """
-        sizes = np.maximum(np.sort(splats.scales().astype(np.float64), axis=1)[:, 1], 1e-300)
-        apart = (1 + np.abs(splats.means.astype(np.float64))) * steps
-        shares = np.minimum(((apart / sizes[:, None]) ** 2).mean(axis=1), 1)
-        mean = math.sqrt(np.average(shares, weights=visibility(splats)))
-        allowed = _SHARE_OF_SIZE * self.rotation_step
-        spare = math.floor(math.log2(allowed / max(mean, allowed / 2**MOST_CENTRE_BITS)))
-        return 1 << max(spare, 0)
+        moved = counted = 0.0
+        for block in blocks:
+            scales = np.sort(block.scales().astype(np.float64), axis=1)[:, 1:] + _LEAST_SIZE
+            shares = np.minimum(((steps(block) / scales[:, :1]) ** 2).mean(axis=1), 1)
+            seen = block.opacities() * scales.prod(axis=1)
+            moved += float((seen * shares).sum())
+            counted += float(seen.sum())
+        share = math.sqrt(moved / counted) if counted else 0.0
+        allowed = _SHARE_OF_SIZE * (1 << (MOST_BITS - self.bits))
+        spare = math.floor(math.log2(allowed / max(share, allowed / 2**MOST_CENTRE_BITS)))
+        return max(spare, 0)
 
 
 FINEST = Precision()
