@@ -189,26 +189,6 @@ def test_the_search_for_a_size_never_exceeds_it(seed):
     assert bool(found.leap(size, available)) is not best
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_beside_a_known_leap_the_search_ends_at_the_count_before_it(seed):
-    """One splat more is tried and does not fit, as the leap takes the file beyond the size."""
-    rng = np.random.default_rng(seed)
-    leap, available = int(rng.integers(100, 50_000)), 100_000
-    noise = rng.uniform(0.999, 1, 97)
-
-    def bytes_of(count):
-        return int((10 * count + (5 * leap if count >= leap else 0)) * noise[count % 97])
-
-    size = int(bytes_of(leap - 1) * rng.uniform(1.03, 1.4))
-    guess = int(leap * 10 ** rng.uniform(-0.5, 0.5))
-    found = search_fit(bytes_of, size, guess, 1, available, leaps=[leap // 2, leap, 2 * leap])
-    tried = [probe.count for probe in found.probes]
-    assert found.count == leap - 1
-    assert leap in tried
-    assert len(tried) <= 8
-    assert f"one of {leap:,} splats" in found.leap(size, available)[0]
-
-
 def test_the_search_for_a_size_is_refused_what_the_fewest_exceed():
     with pytest.raises(OptionError, match="the fewest that this model can be merged to"):
         search_fit(lambda count: 1000 + count, 900, 500, 7, 1000)

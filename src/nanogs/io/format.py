@@ -1,6 +1,6 @@
 """A format's entry in the registry."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -56,8 +56,7 @@ class Format:
     these; 0 is the finest. `file_bytes` tells the size of a file before it is written; never
     smaller for more splats. `frame` says which way is up, and `axes` is the name of the frame of a
     model that was read, or None where files differ; with `turns`, files are in the format's own
-    frame, to and from which reading and writing turn. `leaps` are counts, in ascending order, of
-    which a file takes far more than of one splat less. `options` are what `save` takes as
+    frame, to and from which reading and writing turn. `options` are what `save` takes as
     `format_options` for it. Of a format whose model is a folder, described by the file of the name
     `suffix` in it, `write_folder` makes that folder and `ours` says what in such a folder nanogs
     made. With `tells`, `write` takes `tell`: it takes long, and tells its parts. With `streams`,
@@ -76,7 +75,6 @@ class Format:
     frame: str = UNSTATED
     axes: str | None = TRAINED
     turns: bool = False
-    leaps: Callable[[Splats], Sequence[int]] = lambda _splats: ()
     options: Mapping[str, WriteOption] = field(default_factory=dict)
     write_folder: FolderWriter | None = None
     tells: bool = False

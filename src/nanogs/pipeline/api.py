@@ -107,8 +107,7 @@ def simplify(
                 outcome = replace(outcome, achieved_size=registry.sizer(path)(splats, target))
         elif size is not None:
             encode = partial(encoded_bytes, path=path, format_options=format_options)
-            leaps = registry.writable(path).leaps(job.splats)
-            outcome = _fit(job, size, encode, leaps, threads_used, clock, tracker)
+            outcome = _fit(job, size, encode, threads_used, clock, tracker)
         else:
             stored = partial(as_stored, path=path, format_options=format_options)
             outcome = _reach(job, goal.psnr or 0.0, stored, threads_used, clock, tracker)
@@ -163,7 +162,6 @@ def _fit(
     job: Job,
     size: int,
     encode: Callable[[Splats], int],
-    leaps: Sequence[int],
     threads: int,
     clock: StageClock,
     progress: Tracker,
@@ -179,7 +177,7 @@ def _fit(
     with clock.time("encode"):
         guess = guess_count(job.splats.take(job.rows), len(job.rows), size, encode)
     results = HeldResults(job.build(threads, clock, progress), clock)
-    outcome, found = fit_size(results, size, guess, bytes_of, progress, leaps)
+    outcome, found = fit_size(results, size, guess, bytes_of, progress)
     notes = (*outcome.notes, *found.leap(size, results.available))
     return replace(outcome, achieved_size=found.bytes, size_probes=found.probes, notes=notes)
 

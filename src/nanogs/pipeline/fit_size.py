@@ -1,6 +1,6 @@
 """The most splats whose file is no larger than asked, where only writing it tells its size."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,14 +55,12 @@ def search_fit(
     fewest: int,
     available: int,
     enough: float | None = None,
-    leaps: Sequence[int] = (),
 ) -> Fitted:
     """Interpolate bytes over counts until a file fits and takes most of the size.
 
     Bytes grow with the count but for small unevennesses, so that a slightly larger count than the
-    one found may fit too. They may leap, as those of a palette do. Where that is known, the counts
-    on both sides of a leap are tried, so that the larger of two that differ by one is shown not to
-    fit; where it is not, every other step halves, so that the search does not creep towards it.
+    one found may fit too. They may leap: every other step halves, so that the search does not creep
+    towards a leap.
 
     Args:
         bytes_of: Size of the file of a count, by writing it.
@@ -71,7 +69,6 @@ def search_fit(
         fewest: Smallest count that can be delivered, at least 1.
         available: Largest.
         enough: Bytes that are near enough to the size; by default 98 % of it.
-        leaps: Counts of which a file takes far more than of one less.
 
     Raises:
         TooSmallError: Not even the fewest fit.
@@ -94,29 +91,16 @@ def search_fit(
                     f"The size {size:,} B is too small: a file of {counted(count, 'splat')}, the"
                     f" fewest that this model can be merged to, takes {probe.bytes:,} B."
                 )
-        elif fits.bytes >= enough or _final(fits, over, available, len(probes), leaps):
+        elif fits.bytes >= enough or _final(fits, over, available, len(probes)):
             return Fitted(fits.count, fits.bytes, tuple(probes))
-        count = _beside_leap(fits, over, leaps) or _next(fits, over, size, len(probes))
+        count = _next(fits, over, size, len(probes))
         count = min(max(count, fewest), available)
 
 
-def _final(
-    fits: SizeProbeReport, over: Probe, available: int, tried: int, leaps: Sequence[int]
-) -> bool:
+def _final(fits: SizeProbeReport, over: Probe, available: int, tried: int) -> bool:
     """Whether no count is left that is worth a probe."""
     close = over is not None and over.count <= max((1 + TOLERANCE) * fits.count, fits.count + 1)
-    close = close and _beside_leap(fits, over, leaps) is None
     return fits.count == available or close or tried >= MOST_PROBES
-
-
-def _beside_leap(fits: Probe, over: Probe, leaps: Sequence[int]) -> int | None:
-    """The count just below the first leap between those tried, or the leap itself after it."""
-    if fits is None or over is None or over.count == fits.count + 1:
-        return None
-    first = next((leap for leap in leaps if fits.count < leap <= over.count), None)
-    if first is None:
-        return None
-    return first if fits.count == first - 1 else first - 1
 
 
 def _next(fits: Probe, over: Probe, size: int, tried: int) -> int:
@@ -162,7 +146,6 @@ def fit_size(
     guess: int,
     bytes_of: Callable[[T], int],
     progress: Tracker,
-    leaps: Sequence[int] = (),
 ) -> tuple[T, Fitted]:
     """The largest result of a model that is found to fit, and takes most of the size.
 
@@ -175,7 +158,6 @@ def fit_size(
         guess: Count to begin with.
         bytes_of: Bytes of a result's file.
         progress: Told of each stage.
-        leaps: See `search_fit`.
 
     Returns:
         The result, and what was tried.
@@ -207,7 +189,7 @@ def fit_size(
             return int(found)
 
         fewest, available = results.fewest, results.available
-        return search_fit(bytes_for, size, guess, fewest, available, enough, leaps)
+        return search_fit(bytes_for, size, guess, fewest, available, enough)
 
     progress.begin("search")
     found = search(results.plain(), SIZES, guess)

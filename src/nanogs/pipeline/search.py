@@ -106,8 +106,7 @@ class Search:
         encode = partial(encoded_bytes, path=self.output, format_options=self.options)
         with clock.time("encode"):
             guess = guess_count(some, results.available, size, encode)
-        leaps = registry.writable(self.output).leaps(some)
-        result, found = fit_size(results, size, guess, bytes_of, progress, leaps)
+        result, found = fit_size(results, size, guess, bytes_of, progress)
         results.verify(result, progress)
         notes = found.leap(size, results.available)
         if found.count == results.available:
