@@ -202,6 +202,19 @@ def test_bundle_is_stored_and_dateless(tmp_path):
             assert entry.date_time == (1980, 1, 1, 0, 0, 0)
 
 
+def test_unused_entries_of_codebooks_take_a_byte(tmp_path):
+    saved(tmp_path, random_model(5))
+    with zipfile.ZipFile(tmp_path / "a.sog") as bundle:
+        meta = json.loads(text := bundle.read("meta.json"))
+    for name, used in (("scales", 15), ("sh0", 15), ("shN", 64)):
+        book = meta[name]["codebook"]
+        assert len(book) == 256
+        assert len(np.unique(book[:used])) == used
+        assert book[used:] == [0] * (256 - used)
+    assert b",0,0," in text
+    assert len(text) < 4000
+
+
 def test_folder(tmp_path):
     model, path = random_model(100), tmp_path / "m"
     sog_write.write_folder(model, path)

@@ -34,8 +34,9 @@ def nearest(values: F32, book: F32) -> U8:
 
     Args:
         values: Of any shape; -inf goes to the first entry.
-        book: (256,) ascending.
+        book: (256,) ascending; of entries that repeat the last, none is chosen.
     """
+    book = book[: np.searchsorted(book, book[-1]) + 1]
     middles = (book[1:].astype(np.float64) + book[:-1]) / 2
     indices: U8 = np.searchsorted(middles, values.ravel()).astype(np.uint8)
     return indices.reshape(values.shape)

@@ -320,5 +320,9 @@ def _picture(texels: U8) -> U8:
 
 
 def _short(values: F32) -> list[float]:
-    """Numbers with no more digits than single precision needs."""
-    return [float(str(value)) for value in values]
+    """Numbers with no more digits than single precision needs; unused entries, which repeat, are 0.
+
+    Small files have thousands of bytes of them otherwise.
+    """
+    used = np.diff(values, prepend=np.float32(np.nan)) != 0
+    return [float(str(v)) if own else 0 for v, own in zip(values, used, strict=True)]
