@@ -117,7 +117,7 @@ def test_simplify(preset, ratio):
         assert stages >= last.get(preset, {"store"})
 
 
-@pytest.mark.parametrize("goal", [{"psnr": 20.0}, {"size": 16_000, "format": ".sog"}])
+@pytest.mark.parametrize("goal", [{"psnr": 20.0}, {"size": 9_000, "format": ".sog"}])
 @pytest.mark.parametrize("preset", ["default", "fast"])
 def test_searches(preset, goal):
     told = []

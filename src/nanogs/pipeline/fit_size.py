@@ -1,6 +1,6 @@
 """The most splats whose file is no larger than asked, where only writing it tells its size."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,7 +93,7 @@ def search_fit(
                 )
         elif fits.bytes >= enough or _final(fits, over, available, len(probes)):
             return Fitted(fits.count, fits.bytes, tuple(probes))
-        count = _next(fits, over, size, len(probes))
+        count = _next(fits, over, size, probes)
         count = min(max(count, fewest), available)
 
 
@@ -103,18 +103,28 @@ def _final(fits: SizeProbeReport, over: Probe, available: int, tried: int) -> bo
     return fits.count == available or close or tried >= MOST_PROBES
 
 
-def _next(fits: Probe, over: Probe, size: int, tried: int) -> int:
+def _next(fits: Probe, over: Probe, size: int, probes: Sequence[SizeProbeReport]) -> int:
     """The count where the bytes should be just below the size."""
-    aim = AIM * size
+    aim, tried = AIM * size, len(probes)
     if over is None:
         assert fits is not None  # noqa: S101 - one has been tried
         return max(int(fits.count * aim / fits.bytes), fits.count + 1)
     if fits is None:
         step = _STEP if tried < MOST_PROBES else 0.5  # and so it ends
-        return int(over.count * min(aim / over.bytes, step))
+        return int(min(_below(probes[-2:], aim), over.count * step))
     between = over.count - fits.count
     share = 0.5 if tried % 2 else (aim - fits.bytes) / (over.bytes - fits.bytes)
     return min(max(fits.count + int(share * between), fits.count + 1), over.count - 1)
+
+
+def _below(probes: Sequence[SizeProbeReport], aim: float) -> float:
+    """Where a line through the latest counts, or else through nothing, has so many bytes."""
+    latest = probes[-1]
+    for before in probes[:-1]:
+        each = (before.bytes - latest.bytes) / (before.count - latest.count)
+        if each > 0:  # of a splat; the rest of a file does not depend on the count
+            return latest.count - (latest.bytes - aim) / each
+    return latest.count * aim / latest.bytes
 
 
 def guess_count(sample: Splats, available: int, size: int, encode: Encode) -> int:
