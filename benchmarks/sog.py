@@ -1,6 +1,7 @@
 """Hold our SOG files against those of the format's own tool: bytes, seconds and PSNR.
 
     python benchmarks/sog.py [SCENES] [--only biker,skull] [--views 8] [--rows N] [--out FILE]
+        [--bits 7] [--palette ENTRIES]
 
 Every scene is written as `.sog` by nanogs and by splat-transform 3.7.0 (npm, see rivals.py), both
 from the same `.ply` file, and both are compared with it on the views of `nanogs compare`. Seconds
@@ -34,6 +35,8 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(SCENES))
     parser.add_argument("--views", type=int, default=8)
     parser.add_argument("--rows", type=int, help="splats of each scene at most")
+    parser.add_argument("--bits", help="as of `nanogs convert`")
+    parser.add_argument("--palette", help="as of `nanogs convert`")
     parser.add_argument("--out", type=Path, help="write the figures as JSON")
     options = parser.parse_args()
     install()
@@ -47,18 +50,22 @@ def main() -> None:
             model = io.load(options.scenes / SCENES[name])
             if options.rows and options.rows < len(model):
                 model = model.take(np.linspace(0, len(model) - 1, options.rows).astype(np.int64))
-            rows.append(measured(name, model, Path(folder), options.views))
+            given = {"--bits": options.bits, "--palette": options.palette}
+            packing = [word for pair in given.items() if pair[1] for word in pair]
+            rows.append(measured(name, model, Path(folder), options.views, packing))
         print(line(rows[-1]), flush=True)
     if options.out:
         options.out.write_text(json.dumps(rows, indent=2) + "\n")
 
 
-def measured(name: str, model: Splats, folder: Path, views: int) -> dict[str, Any]:
+def measured(
+    name: str, model: Splats, folder: Path, views: int, packing: list[str]
+) -> dict[str, Any]:
     """Both files of a scene, and how they look."""
     ply, ours, theirs = (folder / file for file in ("scene.ply", "ours.sog", "theirs.sog"))
     io.save(model, ply)
     command = [sys.executable, "-m", "nanogs"]
-    seconds, _ = timed([*command, "convert", ply, ours, "-q"], {})
+    seconds, _ = timed([*command, "convert", ply, ours, "-q", *packing], {})
     other_seconds, _ = run_tool(ply, theirs)
     compared = subprocess.run(
         [*command, "compare", ply, ours, theirs, "--views", str(views), "--json"],

@@ -175,9 +175,9 @@ def test_every_level_is_what_the_library_makes(splats, path):
         back = in_order_of(small, nanogs.load(path, level=level))
         logarithms = [np.log1p(np.abs(m.means)) for m in (small, back)]
         assert np.abs(logarithms[0] - logarithms[1]).max() < 1e-3
-        assert angle(small, back).max() < 0.02
+        assert angle(small, back).max() < 0.035
         assert np.abs(small.log_scales - back.log_scales).max() < 0.03
-        assert np.abs(small.opacities() - back.opacities()).max() <= 0.5 / 127 + 0.002
+        assert np.abs(small.opacities() - back.opacities()).max() <= 0.5 / 255 + 1e-9
         assert np.abs(small.sh[:, 0] - back.sh[:, 0]).max() < 0.03
     assert len(io.load(path)) == io.inspect(path).splats == 450
 

@@ -16,12 +16,12 @@ SCENES = ("biker.spz", "guitar.compressed.ply", "seal.splat", "skull.sog")  # on
 ALIKE = 0.02  # of a step: the same, in single precision
 # Half a step, the rounding of what is measured, and the largest part of a rotation, which is
 # computed from the others.
-# .sog keeps no more steps of centres than splats are small, and every second one of alphas; .spz
-# every fourth one of rotations.
+# .sog and .spz keep no more steps of centres than splats are small, .sog every second one of
+# rotations and .spz every fourth.
 KEPT: dict[str | tuple[str, str], float] = {
     "rotation": 2.0,
     (".sog", "centre"): 32.1,
-    (".sog", "alpha"): 1.6,
+    (".sog", "rotation"): 4.0,
     (".spz", "rotation"): 8.0,
     (".spz v4", "rotation"): 8.0,
     (".spz", "centre"): 32.1,

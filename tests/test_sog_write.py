@@ -69,19 +69,19 @@ def angle(a, b):
 
 
 @settings(max_examples=40)
-@given(model=splats(max_n=40, max_degree=3, extras=False))
+@given(model=splats(max_n=30, max_degree=3, extras=False))
 def test_round_trip_is_within_the_quantisation(tmp_path_factory, model):
     back = in_order_of(model, saved(tmp_path_factory.mktemp("sog"), model))
     logarithms = [np.log1p(np.abs(m.means)) for m in (model, back)]
     assert np.abs(logarithms[0] - logarithms[1]).max() < 3e-3
-    assert angle(model, back).max() < 0.017  # half a step of 2 / 255 √2 in three parts
+    assert angle(model, back).max() < 0.034  # half a step of 4 / 255 √2 in three parts
     # So few values that each has its own entry.
     scales = np.where(np.isneginf(model.log_scales), back.log_scales, model.log_scales)
     assert np.array_equal(scales, back.log_scales)
     assert np.array_equal(model.sh[:, 0], back.sh[:, 0])
     error = np.abs(model.sh[:, 1:] - back.sh[:, 1:])
     assert error.max(initial=0) < 0.1  # the palette has room for every splat
-    assert np.abs(model.opacities() - back.opacities()).max() <= 0.5 / 127 + 0.5 / 255
+    assert np.abs(model.opacities() - back.opacities()).max() <= 0.5 / 255 + 1e-9
     for infinite in (np.isposinf, np.isneginf):
         assert infinite(back.opacity_logits)[infinite(model.opacity_logits)].all()
     assert back.render_mode is model.render_mode
@@ -103,7 +103,7 @@ def test_a_second_pass_changes_no_value(tmp_path):
     assert np.array_equal(once.opacity_logits, twice.opacity_logits)
     assert np.abs(once.means - twice.means).max() < 1e-4
     # Where two ways to write a rotation are as good, it may be the other one the second time.
-    assert angle(once, twice).max() < 0.017
+    assert angle(once, twice).max() < 0.034
     assert angle(once, twice).mean() < 1e-3
 
 
@@ -417,7 +417,7 @@ def test_real_scene_is_written_smaller(tmp_path):
     assert (tmp_path / "a.sog").stat().st_size < 0.8 * scene_path("skull.sog").stat().st_size
     for before, after, least in (
         (model.opacities(), back.opacities(), 0.006),
-        (model.sh[:, 0], back.sh[:, 0], 0.03),
+        (model.sh[:, 0], back.sh[:, 0], 0.05),
         (model.sh[:, 1:], back.sh[:, 1:], 0.03),
         (model.log_scales.ravel(), back.log_scales.ravel(), 0.05),
     ):
@@ -431,9 +431,12 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
     back = in_order_of(model, saved(tmp_path, model, bits=bits))
     step = 2.0 ** (8 - bits)
     assert angle(model, back).max() < 0.017 * step
-    assert len(np.unique(back.log_scales)) <= 3 * 2 ** (bits - 2)
-    assert len(np.unique(back.sh)) <= 2 ** (bits - 1)
-    assert np.abs(model.opacities() - back.opacities()).max() < 0.5 / (2 ** (bits - 1) - 1) + 0.002
+    assert len(np.unique(back.log_scales)) <= 3 * 2 ** (bits - 1)
+    assert len(np.unique(back.sh)) <= 3 * 2 ** (bits - 2)
+    assert (
+        np.abs(model.opacities() - back.opacities()).max()
+        < 0.5 / min(2 ** (bits + 1) - 1, 255) + 0.002
+    )
     # Of splats that count, a step of the centre is a small share of the size.
     sizes = np.sort(model.scales(), axis=1)[:, 1]
     moved = np.abs(model.means - back.means).max(axis=1) / sizes

@@ -165,7 +165,7 @@ Bits = Annotated[
         help="Of a .sog or .spz file: bits of a part of a rotation, 4 to 8, from which those of"
         " other values follow; one less makes the file a tenth smaller, and its errors twice as"
         " large.",
-        show_default="8",
+        show_default="7, of .spz 8",
         metavar="BITS",
     ),
 ]

@@ -127,7 +127,7 @@ def save(
             and `sh_bits` of a colour coefficient of degree 1, 2 to 8 (by default 5), those above
             having one less; of .sog `palette`, entries for the higher colour coefficients, 1 to
             65,536, by default two for three splats; of both `bits` of a part of a rotation, 4 to 8
-            (as by default), from which those of other values follow.
+            (by default 7, of .spz 8), from which those of other values follow.
         progress: Called with each `nanogs.progress.Step` of a file whose writing takes long.
 
     Raises:

@@ -1,7 +1,7 @@
 """How finely packed files keep values: each kind as finely as it is worth beside the others.
 
 A bit less of a value takes an eighth of a byte off each splat, whatever the value; what it costs on
-views differs much. At equal cost, rotations need most steps, then scales, colours and alphas, and
+views differs much. At equal cost alphas need most steps, then scales, rotations and colours, and
 centres as many as splats are small.
 """
 
@@ -19,6 +19,7 @@ MOST_CENTRE_BITS = 6  # of 16, that a centre may do without
 _SHARE_OF_SIZE = 0.02  # of a splat's middle size that a step of its centre takes at 8 bits
 _AREA_POWER = 0.75
 _LEAST_SIZE = 1e-150  # whose square is not zero
+_CODES = 256
 _VISIBILITY = (1e-3, 1e3)  # of the mean: least and most that a splat counts
 
 
@@ -26,27 +27,27 @@ _VISIBILITY = (1e-3, 1e3)  # of the mean: least and most that a splat counts
 class Precision:
     """Bits of a part of a rotation, 4 to 8, from which all else follows."""
 
-    bits: int = MOST_BITS
+    bits: int
 
     @property
     def rotation_step(self) -> int:
-        """Codes from one that is used to the next."""
+        """Codes of eight bits from one that is used to the next."""
         return 1 << (MOST_BITS - self.bits)
 
     @property
     def scales(self) -> int:
-        """Entries of the codebook of log-scales: a half bit less than a rotation has."""
-        return 3 << (self.bits - 2)
+        """Values that log-scales may have: half a bit more than a rotation."""
+        return min(_CODES, 3 << (self.bits - 1))
 
     @property
     def colours(self) -> int:
-        """Entries of the codebook of base colours: a bit less."""
-        return 1 << (self.bits - 1)
+        """Values that base colours may have: half a bit less."""
+        return 3 << (self.bits - 2)
 
     @property
     def alphas(self) -> int:
-        """Steps from alpha 0 to 1: a bit less."""
-        return (1 << (self.bits - 1)) - 1
+        """Steps from alpha 0 to 1: a bit more, since what lies behind shows through all before."""
+        return min(_CODES, 2 << self.bits) - 1
 
     def spare_bits(self, blocks: Iterable[Splats], steps: Callable[[Splats], F64]) -> int:
         """Bits that centres may do without, 0 to 6, since splats are large beside a step.
@@ -68,7 +69,7 @@ class Precision:
         return max(spare, 0)
 
 
-FINEST = Precision()
+FINEST = Precision(MOST_BITS)
 
 
 def visibility(splats: Splats) -> F64:

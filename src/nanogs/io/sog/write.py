@@ -23,7 +23,7 @@ from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.folder import atomic_folder
 from nanogs.io.json_fields import is_plain
-from nanogs.io.precision import FINEST, MOST_BITS, Precision, visibility
+from nanogs.io.precision import Precision, visibility
 from nanogs.io.rotations import least_turned, split_quats
 from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
@@ -34,6 +34,7 @@ from nanogs.progress import Parts, untold
 from nanogs.splats import RenderMode, Splats
 
 MAX_DEGREE = 3
+USUAL_BITS = 7  # with which files look no worse than those of PlayCanvas' own tool
 _BLOCK = 4  # sides of textures are multiples of it
 _GENERATOR = "nanogs"
 _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
@@ -48,6 +49,9 @@ Submit = Callable[[str, U8], None]
 """Starts the encoding of a texture, by name."""
 
 
+_USUAL_PRECISION = Precision(USUAL_BITS)
+
+
 @dataclass(frozen=True, slots=True)
 class Packing:
     """How much a file may round off.
@@ -59,7 +63,7 @@ class Packing:
     """
 
     palette_size: int | None = None
-    precision: Precision = FINEST
+    precision: Precision = _USUAL_PRECISION
 
 
 USUAL = Packing()
@@ -71,7 +75,7 @@ def write(
     tell: Parts = untold,
     *,
     palette_size: int | None = None,
-    bits: int = MOST_BITS,
+    bits: int = USUAL_BITS,
 ) -> None:
     """Write a `.sog` file.
 
@@ -102,7 +106,7 @@ def write_folder(
     *,
     overwrite: bool = False,
     palette_size: int | None = None,
-    bits: int = MOST_BITS,
+    bits: int = USUAL_BITS,
 ) -> None:
     """Write `meta.json` and its textures to a folder, which appears whole or not at all.
 

@@ -162,7 +162,7 @@ def _encoders(fraction: int, version: int, precision: Precision, buckets: F64) -
     rotations = _xyz_rotations if version == 2 else partial(_rotations, step=step)
     encoders: list[Encoder] = [
         lambda block: _positions(block.means, fraction),
-        lambda block: _levels(block.opacities(), levels),
+        lambda block: _levels(block.opacities(), precision.alphas),
         lambda block: _levels(block.sh[:, 0] * np.float64(COLOUR_SCALE) + 0.5, levels),
         lambda block: rounded_bytes((block.log_scales - np.float64(SCALE_LOW)) * SCALE_STEPS),
         lambda block: rotations(block.unit_quats()),
