@@ -79,6 +79,12 @@ def test_a_mean_is_over_scenes_and_the_least_is_beside_it():
     )
 
 
+def test_a_rate_that_some_scenes_lack_says_of_how_many_it_is():
+    rows = [row for scene in "ab" for row in rows_of("them", BASE, scene=scene)]
+    rows += [*rows_of("ours", plus(1), scene="a"), *rows_of("ours", plus(50), scene="b")]
+    assert " % (of 1) | 2 |" in markdown(rows, others=["them"])
+
+
 def test_against_several_the_best_at_each_size_counts():
     one, two = [20, 27.5, 20, 32.0], [24.0, 20, 30.2, 20]
     rows = [*rows_of("one", one), *rows_of("two", two), *rows_of("ours", plus(2))]

@@ -14,7 +14,8 @@ TITLE = "Gain at equal size"
 LEGEND = (
     "Mean differences of curves over the sizes that both have (Bjontegaard, piecewise cubic over"
     " the logarithm of the bytes), then over scenes: BD-PSNR in dB, in brackets the least scene's;"
-    " BD-SSIM; BD-rate, the bytes more at equal PSNR, so that -50 % saves half. Against several:"
+    " BD-SSIM; BD-rate, the bytes more at equal PSNR, so that -50 % saves half, with the number of"
+    " scenes where some have none. Against several:"
     " the best of them at each size, for PSNR and SSIM each."
 )
 
@@ -49,6 +50,9 @@ def _cells(gain: MeanGain) -> list[str]:
     ssim = NONE if gain.ssim is None else f"{gain.ssim:+.3f}"
     rate = NONE if gain.rate is None else f"{100 * gain.rate:+.0f} %"
     scenes = sum(one.psnr is not None for one in gain.gains)
+    rated = sum(one.rate is not None for one in gain.gains)
+    if 0 < rated < scenes:
+        rate += f" (of {rated})"
     first = gain.first
     names = [first.method, first.anchor, first.format, first.label or "photographs"]
     return [*names, psnr, ssim, rate, str(scenes)]
