@@ -5,6 +5,8 @@ import numpy as np
 from nanogs._types import F32, F64, I64, Array
 from nanogs.splats import Splats
 
+_ROWS = 1 << 14
+
 
 def whole_quats(small: F64, largest: I64) -> F64:
     """(R, 4) quaternions of unit length, the part that was left out positive and in its place.
@@ -47,7 +49,16 @@ def least_turned(splats: Splats) -> tuple[F64, F32]:
     Returns:
         (N, 4) float64 rotations, unit wxyz with positive w, and (N, 3) float32 log-scales.
     """
-    quats = splats.unit_quats().astype(np.float64)
+    quats, scales = np.empty((len(splats), 4)), np.empty_like(splats.log_scales)
+    unit = splats.unit_quats()
+    for start in range(0, len(splats), _ROWS):  # so many at a time, for the sake of memory
+        rows = slice(start, start + _ROWS)
+        quats[rows], scales[rows] = _turned(unit[rows].astype(np.float64), splats.log_scales[rows])
+    return quats, scales
+
+
+def _turned(quats: F64, log_scales: F32) -> tuple[F64, F32]:
+    """`least_turned` of some rows."""
     nearest = _nearest_symmetry(quats)
     w, x, y, z = (quats * nearest).T  # as `nearest` is undone: quats times its conjugate
     a, b, c, d = nearest.T
@@ -61,7 +72,7 @@ def least_turned(splats: Splats) -> tuple[F64, F32]:
         ],
         axis=1,
     )
-    scales = np.take_along_axis(splats.log_scales, _axes_turned(nearest), axis=1)
+    scales = np.take_along_axis(log_scales, _axes_turned(nearest), axis=1)
     return turned / np.linalg.norm(turned, axis=1, keepdims=True), scales
 
 
