@@ -23,7 +23,7 @@ _FITTED, _FITTING = 450, 1_900  # a splat of the original, and of the model that
 _FIT_KEPT = 8  # a pixel of each view that is fitted to
 _READ = 1.4  # the model and what a reader of a packed file holds beside it, over the model
 # What writing holds beside the model, over the model; palettes take most.
-_WRITE = {".sog": 6.0}
+_WRITE = {".sog": 6.5}
 _ROWS = 25_000_000  # blocks of rows on their way from file to file, filtered and turned
 # A splat: of .spz of version 4 a column is packed whole, and .compressed.ply is sorted by centres.
 _COLUMN = {".spz": 90, ".compressed.ply": 60}
