@@ -134,6 +134,26 @@ def test_a_search_that_is_killed_ends_the_same(scene, tmp_path, monkeypatch, wis
     assert resumed.blocks.resumed > whole.blocks.resumed == 0
 
 
+def test_results_that_are_not_kept_go_from_a_far_scratch_too(scene, tmp_path, monkeypatch):
+    fsspec = pytest.importorskip("fsspec")
+    marked, seen = JobResults.marked, []
+
+    def counted(results, *given):
+        found = marked(results, *given)
+        names = fsspec.filesystem("memory").find("/search")
+        seen.append(
+            {name.rpartition("/part-")[2].split("-")[0] for name in names if "/part-" in name}
+        )
+        return found
+
+    monkeypatch.setattr(JobResults, "marked", counted)
+    given = {"scratch": "memory://search", **LOOKS}
+    nanogs.simplify_blocks(scene, tmp_path / "a.spz", psnr=26.0, **given)
+    assert len(seen) >= 3
+    assert all(len(levels) in (1, 2) for levels in seen)
+    assert fsspec.filesystem("memory").find("/search") == []
+
+
 def killed_at_the_end(scene, out, monkeypatch, **wish):
     """A job whose search has ended."""
 
