@@ -461,4 +461,6 @@ def test_gaussforge_agrees_both_ways(tmp_path, version, degree):
     again = io.load(tmp_path / "theirs.spz")
     assert np.abs(again.means - model.means).max() <= 0.5 / 2**12 + 1e-6
     for name in ARRAYS[1:4]:
-        assert np.array_equal(getattr(again, name), getattr(ours, name)), name
+        # They write all ten bits of rotations, of which ours have eight.
+        off = 0.006 if name == "quats" else 0
+        np.testing.assert_allclose(getattr(again, name), getattr(ours, name), 0, off)

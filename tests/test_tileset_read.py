@@ -22,20 +22,20 @@ def splats():
     return random_splats(900, degree=1)
 
 
-def in_order(model):
-    return model.take(np.lexsort(model.means.T))
-
-
 @pytest.mark.parametrize("plain", [True, False])
 def test_our_own_levels_come_back(splats, tmp_path, plain):
     options = {"source": "a", "preset": "fast", "layout": Layout.TILES, "chunk": 100}
     write_levels(splats, tmp_path / "t", RATIOS, plain=plain, **options)
     path = tmp_path / "t" / "tileset.json"
     for level, (small, _) in enumerate(nanogs.levels(splats, RATIOS, preset="fast")):
-        again = in_order(io.load(path, level=level))
-        wanted = in_order(small)
+        again, wanted = io.load(path, level=level), small
         assert len(again) == len(small)
-        assert np.abs(again.means - wanted.means).max() < (1e-9 if plain else 1e-4)
+        # Centres are as fine as splats are large, so their order is not that of coordinates.
+        apart = np.linalg.norm(again.means[:, None] - wanted.means, axis=2)
+        nearest = apart.argmin(axis=0)
+        assert np.array_equal(np.sort(nearest), np.arange(len(small)))
+        assert apart.min(axis=0).max() < (1e-9 if plain else 2e-3)
+        again = again.take(nearest)
         step = 0.5 / 255 / 0.15 + 1e-6
         assert np.abs(again.sh[:, 0] - wanted.sh[:, 0]).max() < (1e-9 if plain else step)
         assert any(f"Level {level} was read, of 3" in note for note in again.notes)
