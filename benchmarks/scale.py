@@ -3,7 +3,7 @@
 python benchmarks/scale.py make city.ply --splats 20000000 --degree 3 scene.ply ...
 python benchmarks/scale.py run city.ply --max-memory 2GB --ratio 0.1
 python benchmarks/scale.py lod city.ply tileset.json --max-memory 2GB
-python benchmarks/scale.py kill scene.ply --times 100
+python benchmarks/scale.py kill scene.ply --given "psnr=30, block=9000" --suffix .spz
 python benchmarks/scale.py seam scene.ply ... --blocks 4
 python benchmarks/scale.py chance scene.ply ... --ratios 0.01
 """
@@ -14,7 +14,6 @@ import json
 import math
 import os
 import random
-import resource
 import shutil
 import subprocess
 import sys
@@ -76,16 +75,20 @@ def make(args: argparse.Namespace) -> None:
 
 
 def resident(root: int) -> int:
-    """Bytes that a process and all its children hold, by /proc."""
+    """Bytes that a process and all its children hold, by /proc; those that they share count once.
+
+    A child that is being started shares all pages with the process that starts it.
+    """
     total, waiting = 0, [root]
     while waiting:
         pid = waiting.pop()
         try:
-            pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+            rollup = Path(f"/proc/{pid}/smaps_rollup").read_text()
+            share = next(line for line in rollup.splitlines() if line.startswith("Pss:"))
             children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        except (OSError, IndexError):
+        except (OSError, StopIteration):
             continue
-        total += pages * resource.getpagesize()
+        total += 1024 * int(share.split()[1])
         waiting += map(int, children)
     return total
 
@@ -151,13 +154,16 @@ def lod(args: argparse.Namespace) -> None:
 def kill(args: argparse.Namespace) -> None:
     """Kill runs at random moments until one ends, again and again; every result is the same."""
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
-        out = Path(folder) / ("levels" if args.lod else "small.ply")
+        out = Path(folder) / ("levels" if args.lod else f"small{args.suffix}")
         what = ["lod", str(args.source), str(out / args.lod), "--preset", "fast"]
         if not args.lod:
             what = ["simplify", str(args.source), str(out), "--ratio", "0.1"]
         elif args.chunk:
             what += ["--chunk", str(args.chunk)]
         command = [*NANOGS, *what, "-q", "--max-memory", args.max_memory, "--resume"]
+        if args.given:
+            call = f"simplify_blocks({str(args.source)!r}, {str(out)!r}, resume=True, {args.given})"
+            command = [sys.executable, "-c", f"import nanogs; nanogs.{call}"]
         start = time.perf_counter()
         subprocess.run(command, check=True)
         whole = time.perf_counter() - start
@@ -247,6 +253,8 @@ def main() -> None:
     one.add_argument("--times", type=int, default=100)
     one.add_argument("--lod", default="", help="make levels: tileset.json or lod-meta.json")
     one.add_argument("--chunk", type=int)
+    one.add_argument("--given", help="arguments of nanogs.simplify_blocks, as Python has them")
+    one.add_argument("--suffix", default=".ply", help="of what it writes")
     one.add_argument("--max-memory", default="225MB")
     one.add_argument("--seed", type=int, default=0)
     one.add_argument("--folder", type=Path)
