@@ -63,7 +63,6 @@ def fill_in_blocks(
     """
     start, clock = time.perf_counter(), StageClock()
     folder, goals = request.folder, request.goals
-    block_parameters(request.preset, request.overrides)
     max_memory, block = block_memory(
         request.max_memory, request.block, folder if request.resume else None,
         elsewhere=request.executor is not None,
