@@ -11,7 +11,7 @@ from nanogs.findings import join_findings
 from nanogs.io import atomic, registry
 from nanogs.io.file_objects import as_named, read_file, write_file
 from nanogs.io.folder import check_folder_writable
-from nanogs.io.format import Format, FormatOptions
+from nanogs.io.format import Format, FormatOptions, nothing_lost
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource
 from nanogs.progress import Progress, Stage, Tracker
@@ -198,12 +198,14 @@ def as_stored(
 def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...]:
     """Name what `save` would leave out, a sentence each; quantisation, which formats imply, is not.
 
-    A source is read once, block by block.
+    A source is read once, block by block, unless the format holds all of every model.
 
     Raises:
         OptionError: As for `save`.
     """
     name = registry.writable(Path(path)).losses
+    if name is nothing_lost:
+        return ()
     if isinstance(splats, Splats):
         return name(splats)
     return join_findings(map(name, splats.blocks()))

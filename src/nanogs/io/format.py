@@ -24,6 +24,11 @@ FolderWriter = Callable[..., None]
 """Makes the folder of a model, with `overwrite` in place of one of nanogs' own; see `io.save`."""
 
 
+def nothing_lost(_splats: Splats) -> tuple[str, ...]:
+    """Stand in for the losses of a format that holds all of every model."""
+    return ()
+
+
 def unread(path: Path) -> NoReturn:
     """Stand in for the reader of a format that is only written.
 
@@ -70,7 +75,7 @@ class Format:
     open: Callable[[Path], FileSource]
     write: Writer | None = None
     file_bytes: Sizer | None = None
-    losses: Losses = lambda _splats: ()
+    losses: Losses = nothing_lost
     open_level: Callable[[Path, int], FileSource] | None = None
     frame: str = UNSTATED
     axes: str | None = TRAINED
