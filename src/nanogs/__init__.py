@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from nanogs.raster.camera import Camera
     from nanogs.report import SimplifyReport
     from nanogs.scoring.api import compare
+    from nanogs.scoring.packing import packing_cost
     from nanogs.source import Source
     from nanogs.splats import RenderMode, Splats
     from nanogs.views.api import render
@@ -44,6 +45,7 @@ __all__ = [
     "levels",
     "load",
     "open",
+    "packing_cost",
     "presets",
     "refit",
     "render",
@@ -71,6 +73,7 @@ _HOMES = {
     "levels": "pipeline.levels",
     "load": "io",
     "open": "io",
+    "packing_cost": "scoring.packing",
     "presets": "pipeline.presets",
     "refit": "fit.api",
     "render": "views.api",

@@ -188,6 +188,15 @@ OfFormat = Annotated[
     },
 ]
 """Options of one format alone, as `save` takes them."""
+Packed = Annotated[
+    str,
+    typer.Option(
+        help="Formats, as in .sog,.spz: say what packing alone costs, by writing the model so,"
+        " reading it back and looking at both.",
+        metavar="FORMAT,...",
+        show_default=False,
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Replace what exists.")]
 Json = Annotated[bool, typer.Option("--json", help="As JSON on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
@@ -284,6 +293,18 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
         OptionError: One is no size.
     """
     return [parse_pixels(part) for part in text.split(",")]
+
+
+def parse_packed(text: str, of_format: dict[str, Any]) -> list[str]:
+    """Formats from their suffixes with commas between; none of an empty text.
+
+    Raises:
+        OptionError: Options of a format are given, but none to write.
+    """
+    if not text and of_format:
+        option = next(iter(of_format)).replace("_", "-")
+        raise OptionError(f"--{option} is for what is packed; name formats, as in --packed .sog.")
+    return [part.strip() for part in text.split(",") if part.strip()]
 
 
 def parse_ratio(text: str) -> float:

@@ -1,0 +1,190 @@
+"""What packing alone costs: the file of a model beside the same model unpacked."""
+
+import json
+import tempfile
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from launch import run
+from nanogs.errors import ModelError, NotEnoughMemoryError, OptionError
+from nanogs.io.parts import FileSource
+from nanogs.memory import LIBRARIES
+from nanogs.metrics import psnr, ssim
+from nanogs.views.automatic import automatic_cameras
+from test_cli import assert_refused
+
+FORMATS = [".sog", ".spz", ".splat", ".compressed.ply"]
+WORDS = "8 held-out views of 512 pixels"
+
+
+@pytest.fixture(scope="module", params=[0, 2], ids=["plain", "harmonics"])
+def scene(request, tmp_path_factory):
+    """A file of a model, without harmonics and with."""
+    path = tmp_path_factory.mktemp("cost") / "scene.ply"
+    nanogs.save(random_splats(400, degree=request.param), path)
+    return path
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """The folder of temporary files, which is empty after every test."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    yield folder
+    assert list(folder.iterdir()) == []
+
+
+def marks(one, other, cameras):
+    """Mean PSNR and SSIM of a model against another, in the plainest way."""
+    pairs = list(zip(*(nanogs.render(model, cameras) for model in (one, other)), strict=True))
+    return [float(np.mean([metric(a, b) for a, b in pairs])) for metric in (psnr, ssim)]
+
+
+def twin(scene, folder, suffix, **options):
+    """Bytes, PSNR and SSIM of a file that is written, loaded and rendered by hand."""
+    splats, path = nanogs.load(scene), folder / f"twin{suffix}"
+    nanogs.save(splats, path, format_options=options)
+    cameras = automatic_cameras(splats, 8, width=512, height=512, split="test")
+    return [path.stat().st_size, *marks(splats, nanogs.load(path), cameras)]
+
+
+def numbers(file):
+    return [file.file_bytes, file.judged.psnr, file.judged.ssim]
+
+
+def test_a_plain_twin_has_the_same_numbers(scene, tmp_path, temporary):
+    cost = nanogs.packing_cost(scene, FORMATS)
+    assert [file.format for file in cost.files] == FORMATS
+    assert cost.notes == ()
+    for file in cost.files:
+        assert numbers(file) == pytest.approx(twin(scene, tmp_path, file.format))
+        assert file.judged.protocol.text == WORDS
+        assert file.splats == 400
+        assert file.splat_bytes == file.file_bytes / 400
+
+
+def test_a_format_gets_the_options_that_it_has(scene, tmp_path, temporary):
+    chosen = {"bits": 5, "palette": 9, "spz_version": None}
+    sog, spz = nanogs.packing_cost(scene, ["sog", "spz"], format_options=chosen).files
+    assert numbers(sog) == pytest.approx(twin(scene, tmp_path, ".sog", bits=5, palette=9))
+    assert numbers(spz) == pytest.approx(twin(scene, tmp_path, ".spz", bits=5))
+
+
+def test_what_holds_everything_costs_nothing(scene, temporary):
+    [file] = nanogs.packing_cost(nanogs.load(scene), [".ply"]).files
+    assert file.judged.psnr == np.inf
+    assert file.judged.ssim == pytest.approx(1)
+    assert "∞ dB / 1.0000 of the model unpacked" in file.text
+
+
+def test_paths_models_and_sources_cost_the_same(scene, temporary):
+    formats = [".spz", "meta.json"]
+    expected = nanogs.packing_cost(scene, formats)
+    assert nanogs.packing_cost(nanogs.load(scene), formats) == expected
+    with nanogs.open(scene) as source:
+        assert nanogs.packing_cost(source, formats) == expected
+
+
+def test_little_memory_gives_the_same_numbers(scene, temporary, monkeypatch):
+    expected = nanogs.packing_cost(scene, [".spz"])
+    monkeypatch.setattr("nanogs.scoring.packing.needed_bytes", lambda *_, **__: 10**15)
+    monkeypatch.setattr(FileSource, "load", None)  # held by nobody
+    assert nanogs.packing_cost(scene, [".spz"], max_memory="1GB") == expected
+    with pytest.raises(NotEnoughMemoryError, match=r"Measuring takes about .*leave out"):
+        nanogs.packing_cost(scene, [".spz"], max_memory=LIBRARIES + 1000)
+
+
+@pytest.mark.parametrize(
+    ("formats", "options", "message"),
+    [
+        ([], {}, "at least one format"),
+        ([".html"], {}, r"does not read \.html files, .*; name another"),
+        ([".sgo"], {}, r"did you mean '\.sog'"),
+        ([".ksplat"], {}, "does not write this format"),
+        (["lod-meta.json"], {}, "levels of detail; make them with `nanogs lod`"),
+        ([".spz", ".splat"], {"palette": 9}, r"palette is for .*, not for \.spz; leave it out"),
+        ([".splat", ".sog"], {"bits": 99}, "bits must be a whole number from 4 to 8, not 99"),
+        ([".ply"], {}, r"scene\.ply is packed as \.ply already; name another"),
+    ],
+)
+def test_formats_that_cannot_be_measured_are_refused(scene, temporary, formats, options, message):
+    with pytest.raises(OptionError, match=message):
+        nanogs.packing_cost(scene, formats, format_options=options)
+
+
+def test_nothing_is_left_where_nothing_is_seen(temporary):
+    unseen = random_splats(9)
+    unseen.opacity_logits[:] = -np.inf
+    with pytest.raises(ModelError):
+        nanogs.packing_cost(unseen, [".sog"])
+
+
+def test_a_file_that_is_packed_itself_is_named(scene, tmp_path, temporary):
+    nanogs.save(nanogs.load(scene), tmp_path / "a.splat")
+    nanogs.save(nanogs.load(scene), tmp_path / "a" / "meta.json")
+    [note] = nanogs.packing_cost(tmp_path / "a.splat", [".spz"]).notes
+    assert note.startswith("The file is packed itself, as .splat: ")
+    for packed in ("a", "a/meta.json"):
+        with pytest.raises(OptionError, match=r"is packed as \.sog already"):
+            nanogs.packing_cost(tmp_path / packed, [".sog"])
+
+
+def test_steps_are_told(scene, temporary):
+    steps = []
+    nanogs.packing_cost(scene, [".spz", ".sog"], progress=steps.append)
+    stages = list(dict.fromkeys((step.number, step.stage) for step in steps))
+    assert [stage for _, stage in stages] == ["read", "render"] + ["write", "score"] * 2
+    assert steps[-1].fraction == 1
+
+
+# ---- nanogs info ----------------------------------------------------------------------------
+
+
+def test_info_says_what_packing_costs(scene, temporary):
+    cost = nanogs.packing_cost(scene, [".sog", ".spz"], format_options={"bits": 6})
+    arguments = ("info", scene, "--packed", ".sog,spz", "--bits", "6")
+    told = run(*arguments)
+    assert told.returncode == 0, told.stderr
+    for file in cost.files:
+        judged = f"{file.judged.psnr:.2f} dB / {file.judged.ssim:.4f} of the model unpacked"
+        size = f"{file.file_bytes / 1e3:.1f} kB, {file.splat_bytes:.1f} bytes a splat"
+        line = next(row for row in told.stdout.splitlines() if f"packed as {file.format}" in row)
+        assert line.split(maxsplit=3)[-1] == f"{size}; {judged}"
+    assert f"on {WORDS}: PSNR and SSIM of each file, read back" in told.stdout
+    report = json.loads(run(*arguments, "--json").stdout)
+    assert report["packed"] == json.loads(json.dumps([file.to_dict() for file in cost.files]))
+    assert report["packed"][0]["judged"] == json.loads(json.dumps(asdict(cost.files[0].judged)))
+    assert report["splats"] == 400
+
+
+def test_info_without_the_option_has_nothing_packed(scene):
+    assert json.loads(run("info", scene, "--json").stdout)["packed"] == []
+    assert "packed as" not in run("info", scene).stdout
+
+
+def test_info_refuses_in_one_sentence(scene):
+    refused = {
+        (".html",): "does not read .html",
+        (".sgo",): "did you mean '.sog'",
+        (",",): "at least one format",
+        (".ply",): "scene.ply is packed as .ply already",
+        (".spz", "--palette", "9"): "palette is for .sog",
+        ("", "--bits", "6"): "--bits is for what is packed",
+    }
+    for (formats, *more), words in refused.items():
+        assert_refused(run("info", scene, "--packed", formats, *more), words)
+
+
+def test_info_of_stdin_names_no_temporary_file(scene, tmp_path):
+    nanogs.save(nanogs.load(scene), tmp_path / "a.splat")
+    data = (tmp_path / "a.splat").read_bytes()
+    told = run("info", "-", "--from", "splat", "--packed", ".spz", data=data)
+    assert "packed as .spz" in told.stdout
+    assert "note: The file is packed itself, as .splat" in told.stderr
+    assert tempfile.gettempdir() not in told.stdout + told.stderr
