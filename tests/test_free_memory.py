@@ -233,7 +233,7 @@ def test_in_python_a_comparison_that_would_not_fit_is_refused_before_work(tmp_pa
     splats, path = make_scene(2000), tmp_path / "a.ply"
     nanogs.save(splats, path)
     monkeypatch.setattr(memory, "free_memory", lambda **_: Memory(100_000, "free on this machine"))
-    monkeypatch.setattr("nanogs.scoring.api.as_splats", None)  # nothing is read
+    monkeypatch.setattr("nanogs.scoring.api.named", None)  # nothing is read
     for models in ((splats, splats), (path, splats), (path, path)):
         with pytest.raises(NotEnoughMemoryError, match="fewer or smaller views"):
             nanogs.compare(*models)

@@ -93,7 +93,7 @@ def test_paths_models_and_sources_cost_the_same(scene, temporary):
 
 def test_little_memory_gives_the_same_numbers(scene, temporary, monkeypatch):
     expected = nanogs.packing_cost(scene, [".spz"])
-    monkeypatch.setattr("nanogs.scoring.packing.needed_bytes", lambda *_, **__: 10**15)
+    monkeypatch.setattr("nanogs.scoring.packing_cost.needed_bytes", lambda *_, **__: 10**15)
     monkeypatch.setattr(FileSource, "load", None)  # held by nobody
     assert nanogs.packing_cost(scene, [".spz"], max_memory="1GB") == expected
     with pytest.raises(NotEnoughMemoryError, match=r"Measuring takes about .*leave out"):
@@ -172,7 +172,7 @@ def test_info_refuses_in_one_sentence(scene):
     refused = {
         (".html",): "does not read .html",
         (".sgo",): "did you mean '.sog'",
-        (",",): "at least one format",
+        (",",): "--packed names no format",
         (".ply",): "scene.ply is packed as .ply already",
         (".spz", "--palette", "9"): "palette is for .sog",
         ("", "--bits", "6"): "--bits is for what is packed",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from nanogs.raster.camera import Camera
     from nanogs.report import SimplifyReport
     from nanogs.scoring.api import compare
-    from nanogs.scoring.packing import packing_cost
+    from nanogs.scoring.packing_cost import packing_cost
     from nanogs.source import Source
     from nanogs.splats import RenderMode, Splats
     from nanogs.views.api import render
@@ -73,7 +73,7 @@ _HOMES = {
     "levels": "pipeline.levels",
     "load": "io",
     "open": "io",
-    "packing_cost": "scoring.packing",
+    "packing_cost": "scoring.packing_cost",
     "presets": "pipeline.presets",
     "refit": "fit.api",
     "render": "views.api",

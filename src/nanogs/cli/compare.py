@@ -62,6 +62,8 @@ def compare(
     metrics: Annotated[
         str, typer.Option(help="Further metrics: flip, lpips (each needs its extra).")
     ] = "",
+    packed: options.Packed = "",
+    of_format: options.OfFormat,
     run: options.Running,
 ) -> None:
     """Score models against the original, on views that no method has used."""
@@ -70,6 +72,7 @@ def compare(
     from nanogs.cli.progress import shown
     from nanogs.io.atomic import check_writable
 
+    formats = options.parse_packed(packed, of_format)
     pixels = options.parse_sizes(sizes)
     color = None if background is None else options.parse_background(background)
     extras = [name.strip() for name in metrics.split(",") if name.strip()]
@@ -89,7 +92,7 @@ def compare(
             cameras=cameras, views=views, sizes=pixels, up=up,
             background=color, extras=extras, photos=photos, images=images, split=split,
             report=report, interactive=interactive, overwrite=run.overwrite, progress=progress,
-            max_memory=run.max_memory,
+            packed=formats, format_options=of_format, max_memory=run.max_memory,
         )  # fmt: skip
     run.tell(comparison.to_dict(), partial(_show, comparison, report), comparison.all_notes)
 
@@ -100,6 +103,12 @@ def _show(comparison: "Comparison", report: Path | None) -> None:
     show(out, _table(comparison))
     means = ", ".join(one.protocol.text for one in comparison.each)
     say(f"PSNR in dB; means over {means}; worst: the view of least PSNR")
+    if any(model.packed for model in comparison.models):
+        show(out, _packing_table(comparison))
+        say(
+            "costs: PSNR and SSIM of the model less those of its file, so what packing alone costs;"
+            " to model: of the file against the same model unpacked"
+        )
     if report:
         say(f"report: {report} ({bytes_text(report.stat().st_size)})")
 
@@ -124,4 +133,24 @@ def _table(comparison: "Comparison") -> "Table":
             cells += [number_text(model.least_psnr), number_text(model.ssim, 4)]
             cells += [number_text(model.depth, 4)] if against else []
             table.add_row(*cells, *(number_text(model.extras[name], 4) for name in extras))
+    return table
+
+
+def _packing_table(comparison: "Comparison") -> "Table":
+    """What packing alone costs: a row for each file of a model."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table("model", *(["views"] if comparison.further else []), box=None, pad_edge=False)
+    for heading in ("bytes a splat", "costs dB", "SSIM", "to model, dB", "SSIM"):
+        table.add_column(heading, justify="right")
+    for place in range(len(comparison.models)):
+        for one in comparison.each:
+            model, packed = one.models[place], one.models[place].packed
+            if packed:
+                cells: list[str | Text] = [Text(model.name)]
+                cells += [one.protocol.label] if comparison.further else []
+                cells += [number_text((model.file_bytes or 0) / model.splats, 1)]
+                cells += [number_text(packed.psnr_cost), number_text(packed.ssim_cost, 4)]
+                table.add_row(*cells, number_text(packed.psnr), number_text(packed.ssim, 4))
     return table

@@ -14,7 +14,7 @@ from nanogs.formatting import bytes_text, counted
 
 if TYPE_CHECKING:
     from nanogs.model_info import ModelInfo, Spread
-    from nanogs.scoring.packing import PackedFile, PackingCost
+    from nanogs.scoring.packing_cost import PackedFile, PackingCost
 
 # By the name of the render mode.
 _MODES = {"default": "default", "mip": "mip (antialiased)", "2dgs": "2dgs (flat splats)"}
@@ -39,8 +39,8 @@ def info(
 
     formats = options.parse_packed(packed, of_format)
     with Streams(read_as).received(source) as path:
+        cost = _packing_cost(path, formats, of_format, quiet=json) if formats else None
         model = _described(path, source)
-        cost = _packing_cost(path, formats, of_format, quiet=json) if packed else None
     if json:
         files = [file.to_dict() for file in cost.files] if cost else []
         print_json(model.to_dict() | {"packed": files})
@@ -54,7 +54,7 @@ def _packing_cost(
     path: Path, formats: list[str], of_format: dict[str, Any], *, quiet: bool
 ) -> "PackingCost":
     from nanogs.cli.progress import shown
-    from nanogs.scoring.packing import packing_cost
+    from nanogs.scoring.packing_cost import packing_cost
 
     with shown(quiet=quiet) as progress:
         return packing_cost(path, formats, format_options=of_format, progress=progress)

@@ -191,8 +191,8 @@ OfFormat = Annotated[
 Packed = Annotated[
     str,
     typer.Option(
-        help="Formats, as in .sog,.spz: say what packing alone costs, by writing the model so,"
-        " reading it back and looking at both.",
+        help="Formats, as in .sog,.spz: say what packing alone costs, by writing models so, reading"
+        " them back and looking at both.",
         metavar="FORMAT,...",
         show_default=False,
     ),
@@ -296,15 +296,18 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
 
 
 def parse_packed(text: str, of_format: dict[str, Any]) -> list[str]:
-    """Formats from their suffixes with commas between; none of an empty text.
+    """Formats from their suffixes with commas between; none where the option is not given.
 
     Raises:
-        OptionError: Options of a format are given, but none to write.
+        OptionError: The option names none, or options of a format are given without it.
     """
+    formats = [part.strip() for part in text.split(",") if part.strip()]
+    if text and not formats:
+        raise OptionError("--packed names no format; write it as in --packed .sog,.spz.")
     if not text and of_format:
         option = next(iter(of_format)).replace("_", "-")
         raise OptionError(f"--{option} is for what is packed; name formats, as in --packed .sog.")
-    return [part.strip() for part in text.split(",") if part.strip()]
+    return formats
 
 
 def parse_ratio(text: str) -> float:

@@ -2,26 +2,28 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from nanogs.bar import drawn
 from nanogs.errors import OptionError
-from nanogs.io import inspect
-from nanogs.io.models import Model, as_splats, opened
+from nanogs.io.models import Model, opened
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background
 from nanogs.quantities import as_bytes
 from nanogs.raster.camera import Camera
+from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside
 from nanogs.scoring.needed import room_for_comparison
+from nanogs.scoring.packing import packing_of
 from nanogs.source import Source
 from nanogs.splats import Splats
 from nanogs.views.cameras import Cameras, given_cameras
 
 if TYPE_CHECKING:
-    from nanogs.scoring.comparison import Comparison, NamedModel
+    from nanogs.io.format import FormatOptions
+    from nanogs.scoring.comparison import Comparison
     from nanogs.scoring.view_sets import Size, ViewSet
 
 Pixels: TypeAlias = int | tuple[int, int] | list[int] | list[tuple[int, int]]
@@ -37,6 +39,8 @@ def compare(
     up: Sequence[float] | None = None,
     background: Background = BLACK,
     metrics: Sequence[str] = (),
+    packed: Sequence[str] = (),
+    format_options: "FormatOptions | None" = None,
     threads: int | None = None,
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
@@ -58,6 +62,9 @@ def compare(
         up: (3,) direction of automatic views, scene units; found from the original by default.
         background: RGB in [0, 1] behind the splats.
         metrics: Further ones: "flip", "lpips"; each needs its extra.
+        packed: Suffixes of formats, such as [".sog"]: each model is written as such a file, read
+            back and scored too, with what packing alone cost in `packed` of its score.
+        format_options: Of these formats, as `save` takes them; each gets those that it has.
         threads: Threads to use; all by default. The result does not depend on it.
         max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
             what is free, less a tenth. Models that do not fit are read some rows at a time, as
@@ -77,31 +84,38 @@ def compare(
     """
     called, asked = _names(models, names), _asked(cameras, pixels)
     largest, most = asked.pictures(views)
-    given = (original, *models)
+    packing = packing_of(packed, format_options) if packed else {}
+    given, limit = (original, *models), None if max_memory is None else as_bytes(max_memory)
     with ExitStack() as stack:
         names = [_file_name(original) or "original", *called]
         sources = [
             stack.enter_context(opened(model, name))
             for name, model in zip(names, given, strict=True)
         ]
-        room = room_for_comparison(
-            given, sources, largest, most, None if max_memory is None else as_bytes(max_memory)
-        )
+        looking = largest, most * (2 if packing else 1), limit
+        room = room_for_comparison(given, sources, *looking)
         # Here and not above: these bring Numba.
         from nanogs.scoring.on_sets import compare_on_sets
         from nanogs.threads import use_threads
 
-        first, *others = map(_named, names, given, sources, [room is None] * len(given))
         with use_threads(threads), drawn(progress) as tell:
-            sets = asked.sets(first.splats, views, up)
-            stages = [Stage("render", 1.0), Stage("score", float(len(others)))]
-            tracker = Tracker(tell, stages * len(sets))
+            first, *tests = zip(names, sources, strict=True)
+            entries: list[tuple[str, Splats | Source, str]] = [(*test, "") for test in tests]
+            files = files_of(sources[1:], packing)
+            tracker = Tracker(tell, _stages(len(models), files, asked.sets_count))
+            if packing:
+                entries = packed_beside(tests, packing, stack, limit, tracker)
+                made = [source for _, source, suffix in entries if suffix]
+                room = room_for_comparison([*given, *made], [*sources, *made], *looking)
+            reference, *others = (named(*entry, room is None) for entry in [(*first, ""), *entries])
+            sets = asked.sets(reference.splats, views, up)
             comparison, _ = compare_on_sets(
-                first, others, sets, background=background, extras=metrics, room=room,
+                reference, others, sets, background=background, extras=metrics, room=room,
                 progress=tracker,
             )  # fmt: skip
             tracker.finish()
-    return comparison
+            notes = (*notes_beside(tests, packing), *comparison.notes)
+    return replace(comparison, notes=notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +134,11 @@ class _Asked:
             return max(camera.width * camera.height for camera in self.cameras), len(self.cameras)
         largest = max((width * height for width, height in self.sizes), default=0)
         return largest, max(found_views(self.sources, views), default=0)
+
+    @property
+    def sets_count(self) -> int:
+        """How many sets of views there will be."""
+        return 1 if self.cameras else len(self.sources) * len(self.sizes)
 
     def sets(
         self, model: Splats | Source, views: int | None, up: Sequence[float] | None
@@ -162,9 +181,7 @@ def _file_name(model: Model) -> str | None:
     return Path(model).name if isinstance(model, str | PathLike) else None
 
 
-def _named(name: str, model: Model, source: Splats | Source, whole: bool) -> "NamedModel":
-    """A model and its name; read whole if that is wanted, else as its source."""
-    from nanogs.scoring.comparison import NamedModel
-
-    file_bytes = inspect(model).file_bytes if isinstance(model, str | PathLike) else None
-    return NamedModel(name, as_splats(model, name) if whole else source, file_bytes)
+def _stages(models: int, files: int, sets: int) -> list[Stage]:
+    """The stages to come, for so many models, files of them, and sets of views."""
+    looking = [Stage("render", 1.0), Stage("score", float(models + files))]
+    return [Stage("pack", float(files))] * bool(files) + looking * sets

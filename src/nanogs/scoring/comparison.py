@@ -20,6 +20,7 @@ from nanogs.scoring.scores import (
     reference_views,
     score,
 )
+from nanogs.scoring.unpacked import Unpacked
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.views.streamed import drawable
@@ -34,11 +35,14 @@ class NamedModel:
         splats: The model; a source is read some rows at a time where `compare_models` is given
             room for that, and held else.
         file_bytes: Size of its file, or None.
+        packed: Suffix of the format where it is read back from a file, to be held against the same
+            model unpacked too, the last one before it without a suffix; else empty.
     """
 
     name: str
     splats: Splats | Source
     file_bytes: int | None = None
+    packed: str = ""
 
     @property
     def sh_degree(self) -> int:
@@ -77,7 +81,7 @@ class Comparison:
     def __repr__(self) -> str:
         return "\n".join(
             f"{model.name}: {counted(model.splats, 'splat')}, {one.judged(place).text}, SSIM"
-            f" {number_text(model.ssim, 4)}"
+            f" {number_text(model.ssim, 4)}{_cost_text(model)}"
             for one in self.each
             for place, model in enumerate(one.models)
         )
@@ -99,6 +103,10 @@ class Comparison:
         """The means of one of the models, with how they were measured."""
         model = self.models[place]
         return Judged(model.psnr, model.ssim, self.protocol)
+
+
+def _cost_text(model: ModelScore) -> str:
+    return f", packing costs {number_text(model.packed.psnr_cost)} dB" if model.packed else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,14 +245,17 @@ def score_models(
         raise OptionError("Name at least one model to compare.")
     sheets = [Sheet(view.camera.name, data_uri(view.image)) for view in views if pictures]
     scores: list[ModelScore] = []
+    unpacked = Unpacked(keep=any(model.packed for model in models))
     progress.begin("score")
     for model in models:
+        unpacked.begin(model.packed)
         remaining = iter(sheets)
         done = count(len(scores) * len(views) + 1)
 
         # Called within this turn of the loop only.
         def scored(view: ReferenceView, rendering: Rendering, found: ViewScore) -> None:
             progress.part(next(done), len(models) * len(views))  # noqa: B023
+            unpacked.see(rendering)
             if not pictures:
                 return
             sheet = next(remaining)  # noqa: B023
@@ -252,17 +263,16 @@ def score_models(
             sheet.errors.append(data_uri(error_map(view.image, rendering.shown())))
             sheet.scores.append(found)
 
-        scores.append(
-            score(
-                model.name,
-                drawable(model.splats, room),
-                views,
-                background,
-                file_bytes=model.file_bytes,
-                extras=extras,
-                on_view=scored,
-            )
+        found = score(
+            model.name,
+            drawable(model.splats, room),
+            views,
+            background,
+            file_bytes=model.file_bytes,
+            extras=extras,
+            on_view=scored,
         )
+        scores.append(unpacked.end(found))
     return scores, sheets
 
 

@@ -1,37 +1,18 @@
-"""`nanogs.packing_cost`: models as packed files give them back, beside the same models unpacked.
-
-What a small file differs by from an original has two causes: there are fewer splats, and the file
-rounds their values. Here is the second alone. No Numba until something is rendered.
-"""
+"""Models written as files of packed formats, to see what that alone costs. No Numba here."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import asdict, dataclass
-from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from nanogs.bar import drawn
-from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError
-from nanogs.formatting import bytes_text, number_text
-from nanogs.io import open as open_model
 from nanogs.io import registry, save
-from nanogs.io.collect import model_in
 from nanogs.io.format import FormatOptions
-from nanogs.io.models import Model, opened
 from nanogs.io.parts import FileSource
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import convert_bytes
-from nanogs.progress import Progress, Stage, Tracker
-from nanogs.protocol import PIXELS, VIEWS, Judged
-from nanogs.quantities import as_bytes
-from nanogs.scoring.needed import needed_bytes
+from nanogs.progress import Progress
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
-
-if TYPE_CHECKING:
-    from nanogs.scoring.held_out import HeldOut
 
 Packing = Mapping[str, FormatOptions]
 """Formats to pack models in, by suffix, each with the options that it is written with."""
@@ -39,104 +20,6 @@ Packing = Mapping[str, FormatOptions]
 # By the name that `FileInfo` has for a format, where that is not the suffix: the one packed alike.
 _ALIKE = {"meta.json": "sog", "streamed sog": "sog"}
 _ROUNDED = {"sog", "spz", "compressed.ply", "splat", "ksplat"}  # which round what they hold
-_SLOW = {".sog": 8.0, "meta.json": 8.0}  # how long writing takes beside reading
-
-
-@dataclass(frozen=True, slots=True)
-class PackedFile:
-    """A model as a file of one format, and what is left of it there.
-
-    Attributes:
-        format: Suffix of the format.
-        file_bytes: Size of the file, or of all files of a folder, bytes.
-        splats: Number of splats in it.
-        judged: The model as read back from the file, against the model itself.
-    """
-
-    format: str
-    file_bytes: int
-    splats: int
-    judged: Judged
-
-    @property
-    def splat_bytes(self) -> float:
-        """Bytes a splat."""
-        return self.file_bytes / self.splats
-
-    @property
-    def text(self) -> str:
-        """Size and likeness: "1.2 MB, 14.3 bytes a splat; 41.20 dB / 0.9912 of the model ..."."""
-        size = f"{bytes_text(self.file_bytes)}, {number_text(self.splat_bytes, 1)} bytes a splat"
-        marks = f"{number_text(self.judged.psnr)} dB / {number_text(self.judged.ssim, 4)}"
-        return f"{size}; {marks} of the model unpacked"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings."""
-        return {**asdict(self), "splat_bytes": self.splat_bytes}
-
-
-@dataclass(frozen=True, slots=True)
-class PackingCost:
-    """The result of `packing_cost`.
-
-    Attributes:
-        files: One for each format, in the order asked for.
-        notes: What the reader of the numbers should know, one sentence each.
-    """
-
-    files: tuple[PackedFile, ...]
-    notes: tuple[str, ...]
-
-
-def packing_cost(
-    model: Model,
-    formats: Sequence[str],
-    *,
-    format_options: FormatOptions | None = None,
-    threads: int | None = None,
-    max_memory: int | str | None = None,
-    progress: Progress | bool | None = None,
-) -> PackingCost:
-    """Measure what packing alone costs: write a model in formats, read it back, and look at both.
-
-    The views are those of `compare` at its defaults. Files are temporary, one at a time.
-
-    Args:
-        model: The model, or its path.
-        formats: Suffixes of formats, such as [".sog", ".spz"].
-        format_options: As `save` takes them; each format gets those that it has.
-        threads: Threads to use; all by default. The result does not depend on it.
-        max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
-            what is free, less a tenth. A model that does not fit is read some rows at a time: the
-            numbers are the same.
-        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
-            each `nanogs.progress.Step`.
-
-    Returns:
-        Of each format the size of the file, and PSNR and SSIM of the model as read back from it,
-        against the model itself.
-
-    Raises:
-        FormatError: The model cannot be read.
-        ModelError: Nothing of the model is visible, or a format cannot hold it at all.
-        NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
-        OptionError: nanogs does not write a format, or does not read it; no format has an option;
-            or the model is a file of the format already.
-        OutputError: A file cannot be written.
-    """
-    packing = packing_of(formats, format_options)
-    limit = None if max_memory is None else as_bytes(max_memory)
-    with ExitStack() as stack:
-        given = model_in(Path(model)) if isinstance(model, str | PathLike) else model
-        source = stack.enter_context(opened(given))
-        refuse_packed(source, packing)
-        tracker = Tracker(stack.enter_context(drawn(progress)), _stages(packing))
-        from nanogs.threads import use_threads  # here and not above: it brings Numba
-
-        with use_threads(threads):
-            files = _measured(given, source, packing, limit, tracker)
-        tracker.finish()
-    return PackingCost(files, notes_on(source))
 
 
 def packing_of(formats: Sequence[str], format_options: FormatOptions | None = None) -> Packing:
@@ -239,40 +122,3 @@ def write_packed(
         )
     save(model, path, format_options=options, progress=progress)
     return path
-
-
-def _stages(packing: Packing) -> list[Stage]:
-    stages = [Stage("read", 1.0), Stage("render", 4.0)]
-    for suffix in packing:
-        stages += [Stage("write", _SLOW.get(suffix, 1.0)), Stage("score", 4.0)]
-    return stages
-
-
-def _measured(
-    given: Model, source: Splats | Source, packing: Packing, limit: int | None, tracker: Tracker
-) -> tuple[PackedFile, ...]:
-    """The files of a model, which is held where that and a second one fit."""
-    from nanogs.scoring.held_out import held_out
-
-    tracker.begin("read")
-    both = [given, source_of(source)]
-    needed = needed_bytes(both, PIXELS**2, VIEWS, all_of_it=limit is not None)
-    held = needed <= allowed_memory(limit).bytes
-    model = source_of(source).load() if held else source
-    tracker.begin("render")
-    views = held_out(model, tracker.part, limit)
-    files = []
-    for suffix, options in packing.items():
-        with temporary_folder("nanogs-") as folder:
-            tracker.begin("write")
-            path = write_packed(model, suffix, options, folder, limit, tracker.passing())
-            tracker.begin("score")
-            files.append(PackedFile(suffix, *_read_back(path, views, held)))
-    return tuple(files)
-
-
-def _read_back(path: Path, views: "HeldOut", held: bool) -> tuple[int, int, Judged]:
-    """Bytes and splats of a file, and how it looks."""
-    with open_model(path) as file:
-        judged = views.judge(file.load() if held else file)
-        return file.info.file_bytes, file.count, judged

@@ -49,6 +49,8 @@ def render_page(
         sheets=sheets,
         full_scale=ERROR_FULL_SCALE,
         extras=sorted({name for model in comparison.models for name in model.extras}),
+        packed=any(model.packed for model in comparison.models),
+        moving=sum(not model.packed for model in comparison.models),
         viewer=viewer,
         viewer_policy=POLICY,
         plot=rate_distortion_plot(comparison.models) if several else "",

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,11 +10,13 @@ from nanogs.errors import OptionError
 from nanogs.formatting import counted
 from nanogs.io import open as open_model
 from nanogs.io.atomic import atomic_write
+from nanogs.io.format import FormatOptions
 from nanogs.io.parts import FileSource
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import compare_bytes, photographs_bytes
 from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged
+from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside
 from nanogs.scoring.comparison import (
     Comparison,
     NamedModel,
@@ -21,6 +24,7 @@ from nanogs.scoring.comparison import (
 )
 from nanogs.scoring.needed import LESS, room_for_comparison
 from nanogs.scoring.on_sets import compare_on_sets
+from nanogs.scoring.packing import packing_of
 from nanogs.scoring.page import render_page
 from nanogs.scoring.scores import ReferenceView
 from nanogs.scoring.view_sets import Size, found_views, parse_sources, view_sets
@@ -53,6 +57,8 @@ def compare_files(
     split: str = "test",
     report: Path | None = None,
     interactive: bool = False,
+    packed: Sequence[str] = (),
+    format_options: FormatOptions | None = None,
     max_memory: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -75,6 +81,8 @@ def compare_files(
         split: Photographs to use, "test" or "train".
         report: Page to write, or None.
         interactive: Put the models into the page too, to be loaded and moved there.
+        packed: Suffixes of formats: each test is scored as a file of these too.
+        format_options: Of these, as `save` takes them; each gets those that it has.
         max_memory: Bytes that this process may take; by default what is free, less a tenth. Models
             that do not fit are read some rows at a time, with the same numbers.
         overwrite: Replace the page if it exists.
@@ -86,18 +94,26 @@ def compare_files(
     if report and interactive:
         check_built()
     page = interactive if report else None
-    paths = (reference, *tests)
+    packing = packing_of(packed, format_options) if packed else {}
     kinds = [] if photos else parse_sources(cameras)
     counts = found_views(kinds, views)
     with ExitStack() as stack:
-        sources = [stack.enter_context(open_model(path)) for _name, path in paths]
-        room = _room(sources, _most_pixels(sizes), max(counts, default=0), page, max_memory)
-        tracker = Tracker(progress, _stages(len(paths), counts, sizes, page))
+        given = [
+            (name, stack.enter_context(open_model(path))) for name, path in (reference, *tests)
+        ]
+        sources = [source for _name, source in given]
+        looking = _most_pixels(sizes), max(counts, default=0) * (2 if packing else 1), page
+        room = _room(sources, *looking, max_memory)
+        files = files_of(sources[1:], packing)
+        tracker = Tracker(progress, _stages(len(given), files, counts, sizes, page))
+        opened = [(name, source, "") for name, source in given]
+        if packing:
+            opened[1:] = packed_beside(given[1:], packing, stack, max_memory, tracker)
+            room = _room([source for _name, source, _suffix in opened], *looking, max_memory)
         tracker.begin("read")
         models = []
-        for (name, _path), source in each(list(zip(paths, sources, strict=True)), tracker.part):
-            model = source.load() if room is None else source
-            models.append(NamedModel(name, model, source.info.file_bytes))
+        for name, source, suffix in each(opened, tracker.part):
+            models.append(named(name, source, suffix, room is None))
         options: dict[str, Any] = {"extras": extras, "pictures": bool(report), "progress": tracker}
         start: Kind | Camera
         if photos is None:
@@ -110,11 +126,14 @@ def compare_files(
         else:
             tracker.begin("photographs")
             behind, frames = photographs(photos, images, split, background, max_memory)
-            room = None if room is None else max(room - _bytes_of(frames), LEAST)
+            kept = _bytes_of(frames) * (2 if packing else 1)
+            room = None if room is None else max(room - kept, LEAST)
             comparison, sheets = compare_with_photographs(
                 str(photos), models, frames, split=split, background=behind, room=room, **options
             )
             start = frames[0].camera
+        notes = (*notes_beside(given[1:], packing), *comparison.notes)
+        comparison = replace(comparison, notes=notes)
     if report:
         viewer = None
         if interactive:
@@ -154,24 +173,27 @@ def _most_pixels(sizes: Sequence[Size]) -> int:
 
 
 def _stages(
-    models: int, counts: Sequence[int], sizes: Sequence[Size], page: bool | None
+    given: int, files: int, counts: Sequence[int], sizes: Sequence[Size], page: bool | None
 ) -> list[Stage]:
     """The stages to come, for so many models; the page has a 3D part, none, or is not made.
 
     Args:
-        models: With the original.
+        given: Models, with the original.
+        files: That models are packed in.
         counts: Views of each kind; none of photographs.
         sizes: Of the views.
         page: Whether it has a 3D part, or None.
     """
-    stages = [Stage("read", 2.0 * models)]
+    models = given + files
+    stages = [Stage("pack", 8.0 * files)] if files else []
+    stages += [Stage("read", 2.0 * models)]
     if not counts:
         stages += [Stage("photographs", 8), Stage("score", 8.0 * models)]
     for views in counts:
         for width, height in sizes:
             effort = (views or VIEWS) * max(1.0, width * height / PIXELS**2)
             stages += [Stage("render", effort), Stage("score", models * effort)]
-    stages += [Stage("encode", 3.0 * models)] if page else []
+    stages += [Stage("encode", 3.0 * given)] if page else []
     return stages + ([] if page is None else [Stage("write", 1.0)])
 
 
@@ -182,7 +204,8 @@ def _viewer(
     up: Sequence[float] | None,
     behind: Background,
 ) -> str:
-    """The part of a page in which the models move."""
+    """The part of a page in which the models move: those that are given, not files of them."""
+    models = [model for model in models if not model.packed]
     held = [source_of(model.splats).load() for model in models]
     opening = opening_for(held[0], start, up)
     return viewer_part(_shown(models, held, comparison, opening), opening, behind)
@@ -195,7 +218,11 @@ def _shown(
     start: Opening,
 ) -> list[Shown]:
     """The models as the page's viewer has them, with their scores."""
-    judged: list[Judged | None] = [comparison.judged(i) for i in range(len(comparison.models))]
+    judged: list[Judged | None] = [
+        comparison.judged(place)
+        for place, model in enumerate(comparison.models)
+        if model.packed is None
+    ]
     if len(judged) < len(models):  # the original is what the others are held against
         judged = [None, *judged]
     return [

@@ -59,6 +59,28 @@ class ViewScore:
 
 
 @dataclass(frozen=True, slots=True)
+class PackingLoss:
+    """What packing alone did to a model, on the views of its score.
+
+    Attributes:
+        format: Suffix of the file's format.
+        of: Name of the model that was packed.
+        psnr_cost: The model's PSNR less that of its file, dB: what packing costs against the
+            reference. Infinite where the model equals the reference.
+        ssim_cost: The same of SSIM.
+        psnr: Of the file against the model that was packed, mean over the views, dB.
+        ssim: The same of SSIM.
+    """
+
+    format: str
+    of: str
+    psnr_cost: float
+    ssim_cost: float
+    psnr: float
+    ssim: float
+
+
+@dataclass(frozen=True, slots=True)
 class ModelScore:
     """A model's scores on all views, and their means.
 
@@ -74,6 +96,7 @@ class ModelScore:
         extras: Means of further metrics by name.
         views: Scores view by view.
         notes: What the reader of the numbers should know.
+        packed: What packing alone did, where this is a model as read back from a file; else None.
     """
 
     name: str
@@ -87,6 +110,7 @@ class ModelScore:
     extras: dict[str, float]
     views: tuple[ViewScore, ...]
     notes: tuple[str, ...] = ()
+    packed: PackingLoss | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""

@@ -1,0 +1,95 @@
+"""Models to compare, each with files of it beside it. No Numba until a model is read."""
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, TypeVar
+
+from nanogs.cleanup import temporary_folder
+from nanogs.io import open as open_model
+from nanogs.io.parts import FileSource
+from nanogs.progress import Stage, Tracker
+from nanogs.scoring.packing import Packing, is_packed_so, notes_on, write_packed
+from nanogs.source import Source, source_of
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.scoring.comparison import NamedModel
+
+S = TypeVar("S", bound=Splats | Source)
+
+
+def packed_beside(
+    models: Sequence[tuple[str, S]],
+    packing: Packing,
+    stack: ExitStack,
+    max_memory: int | None,
+    progress: Tracker,
+) -> list[tuple[str, S | FileSource, str]]:
+    """Models, each followed by what files of it are read as; none of a format that it is in.
+
+    Args:
+        models: Names and models.
+        packing: From `packing_of`.
+        stack: Until its end files are there, in a temporary folder.
+        max_memory: Bytes that this process may take; by default what is free, less a tenth.
+        progress: Told of the stage "pack", a part for each file.
+
+    Returns:
+        Names, models, and the suffix of the format; empty for the models themselves.
+
+    Raises:
+        NanogsError: As for `write_packed`.
+    """
+    progress.begin("pack")
+    folder = stack.enter_context(temporary_folder("nanogs-"))
+    files, done = files_of([source for _, source in models], packing), 0
+    found: list[tuple[str, S | FileSource, str]] = []
+    for place, (name, source) in enumerate(models):
+        found.append((name, source, ""))
+        for suffix, options in packing.items():
+            if is_packed_so(source, suffix):
+                continue
+            told = progress.within(done, files, [Stage("write", 1.0)]).passing()
+            path = folder / f"{place}"
+            path.mkdir(exist_ok=True)
+            path = write_packed(source, suffix, options, path, max_memory, told)
+            found.append((f"{name} as {suffix}", stack.enter_context(open_model(path)), suffix))
+            done += 1
+    return found
+
+
+def files_of(models: Sequence[Splats | Source], packing: Packing) -> int:
+    """How many files `packed_beside` writes."""
+    return sum(not is_packed_so(source, suffix) for source in models for suffix in packing)
+
+
+def notes_beside(
+    models: Sequence[tuple[str, Splats | Source]], packing: Packing
+) -> tuple[str, ...]:
+    """What to know of models and the files that are made of them."""
+    notes = []
+    for name, source in models:
+        same = [suffix for suffix in packing if is_packed_so(source, suffix)]
+        notes += [
+            f"{name}: The file is packed as {suffix} already, and is not once more; what that cost"
+            " shows beside the model that it was made of."
+            for suffix in same
+        ]
+        if len(same) < len(packing):
+            notes += [f"{name}: {note}" for note in notes_on(source)]
+    return tuple(notes)
+
+
+def named(name: str, source: Splats | Source, packed: str, whole: bool) -> "NamedModel":
+    """A model as it is compared.
+
+    Args:
+        name: Its name.
+        source: The model.
+        packed: As `packed_beside` has it.
+        whole: Whether it is read whole, or some rows at a time.
+    """
+    from nanogs.scoring.comparison import NamedModel
+
+    file_bytes = source.info.file_bytes if isinstance(source, FileSource) else None
+    return NamedModel(name, source_of(source).load() if whole else source, file_bytes, packed)

@@ -1,0 +1,204 @@
+"""Comparing models, and each of them as the files that it is packed in."""
+
+import json
+import math
+import tempfile
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from launch import run
+from nanogs.errors import FormatError, NotEnoughMemoryError
+from nanogs.formatting import number_text
+from nanogs.io.parts import FileSource
+from nanogs.memory import LIBRARIES
+from nanogs.metrics import psnr, ssim
+from nanogs.scoring.run import compare_files
+from nanogs.views.automatic import automatic_cameras
+from test_bench import write_photographs
+from test_cli import assert_refused
+from viewer_bundle import require_bundle
+
+FORMATS = [".sog", ".spz"]
+SMALL = {"views": 3, "pixels": 64}
+WORDS = ("--views", "3", "--pixels", "64")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """An original, two smaller models of it, and a packed one."""
+    folder = tmp_path_factory.mktemp("beside")
+    splats = random_splats(600, degree=2)
+    nanogs.save(splats, folder / "scene.ply")
+    nanogs.save(splats.take(np.arange(0, 600, 2)), folder / "half.ply")
+    nanogs.save(splats.take(np.arange(0, 600, 3)).with_sh_degree(0), folder / "third.ply")
+    nanogs.save(splats.take(np.arange(0, 600, 2)), folder / "half.spz")
+    return folder
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """The folder of temporary files, which is empty after every test."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    yield folder
+    assert list(folder.iterdir()) == []
+
+
+def marks(one, other, cameras):
+    """Mean PSNR and SSIM of a model against another, in the plainest way."""
+    pairs = list(zip(*(nanogs.render(model, cameras) for model in (one, other)), strict=True))
+    return [float(np.mean([metric(a, b) for a, b in pairs])) for metric in (psnr, ssim)]
+
+
+def test_a_plain_twin_has_the_same_numbers(files, tmp_path, temporary):
+    scene, models = files / "scene.ply", [files / "half.ply", files / "third.ply"]
+    found = nanogs.compare(scene, *models, packed=FORMATS, **SMALL).models
+    original = nanogs.load(scene)
+    cameras = automatic_cameras(original, 3, width=64, height=64, split="test")
+    assert [one.name for one in found] == [
+        f"{path.name}{more}" for path in models for more in ("", " as .sog", " as .spz")
+    ]
+    for path, (own, *packed) in zip(models, (found[:3], found[3:]), strict=True):
+        whole = nanogs.load(path)
+        unpacked = marks(original, whole, cameras)
+        assert (own.packed, own.psnr) == (None, pytest.approx(unpacked[0]))
+        for suffix, one in zip(FORMATS, packed, strict=True):
+            nanogs.save(whole, tmp_path / f"twin{suffix}", overwrite=True)
+            back = nanogs.load(tmp_path / f"twin{suffix}")
+            expected = marks(original, back, cameras)
+            assert [one.psnr, one.ssim] == pytest.approx(expected)
+            assert one.file_bytes == (tmp_path / f"twin{suffix}").stat().st_size
+            loss = one.packed
+            assert (loss.format, loss.of) == (suffix, path.name)
+            assert loss.psnr_cost == pytest.approx(unpacked[0] - expected[0])
+            assert loss.ssim_cost == pytest.approx(unpacked[1] - expected[1])
+            assert [loss.psnr, loss.ssim] == pytest.approx(marks(whole, back, cameras))
+
+
+def test_further_kinds_and_sizes_have_it_too(files, temporary):
+    pair = (files / "scene.ply", files / "half.ply")
+    both = nanogs.compare(*pair, packed=[".spz"], views=2, pixels=[32, 64])
+    for pixels, one in zip((32, 64), both.each, strict=True):
+        alone = nanogs.compare(*pair, packed=[".spz"], views=2, pixels=pixels)
+        assert one.models == alone.models
+    assert both.models[1].packed != both.further[0].models[1].packed
+
+
+def test_models_and_sources_are_packed_like_files(files, temporary):
+    paths = (files / "scene.ply", files / "half.ply")
+    expected = nanogs.compare(*paths, packed=[".sog"], **SMALL).models[1]
+    found = nanogs.compare(*map(nanogs.load, paths), packed=["sog"], **SMALL).models[1]
+    assert (found.name, found.packed.of) == ("model 1 as .sog", "model 1")
+    assert (found.file_bytes, found.psnr) == (expected.file_bytes, expected.psnr)
+    assert str(nanogs.compare(*paths, packed=[".sog"], **SMALL)).endswith(
+        f"packing costs {number_text(expected.packed.psnr_cost)} dB"
+    )
+
+
+def test_little_memory_gives_the_same_numbers(files, temporary, monkeypatch):
+    pair = (files / "scene.ply", files / "half.ply")
+    expected = nanogs.compare(*pair, packed=[".spz"], **SMALL)
+    monkeypatch.setattr("nanogs.scoring.needed.needed_bytes", lambda *_, **__: 10**15)
+    monkeypatch.setattr(FileSource, "load", None)  # held by nobody
+    assert nanogs.compare(*pair, packed=[".spz"], max_memory="1GB", **SMALL) == expected
+    with pytest.raises(NotEnoughMemoryError):
+        nanogs.compare(*pair, packed=[".spz"], max_memory=LIBRARIES + 1000, **SMALL)
+
+
+def test_what_is_packed_already_is_told_and_not_packed_so_again(files, temporary):
+    pair = (files / "scene.ply", files / "half.spz")
+    found = nanogs.compare(*pair, packed=FORMATS, **SMALL)
+    assert [model.name for model in found.models] == ["half.spz", "half.spz as .sog"]
+    already, itself = (note for note in found.notes if note.startswith("half.spz: The file is "))
+    assert "packed as .spz already, and is not once more" in already
+    assert "packed itself, as .spz" in itself
+    alone = nanogs.compare(*pair, packed=[".spz"], **SMALL)
+    assert [model.name for model in alone.models] == ["half.spz"]
+    assert len([note for note in alone.notes if "packed" in note]) == 1
+
+
+def test_a_model_that_equals_the_original_loses_all_that_it_has(files, temporary):
+    scene = files / "scene.ply"
+    _, packed = nanogs.compare(scene, scene, packed=[".sog"], **SMALL).models
+    assert packed.packed.psnr_cost == math.inf
+    assert packed.packed.psnr == packed.psnr < math.inf
+    nothing = nanogs.compare(scene, scene, packed=[".npz"], **SMALL).models[1].packed
+    assert (nothing.psnr_cost, nothing.ssim_cost, nothing.psnr) == (0, 0, math.inf)
+
+
+def test_photographs_take_the_place_of_the_original(files, tmp_path, temporary):
+    scene = files / "scene.ply"
+    write_photographs(tmp_path / "photos", scene)
+    found = compare_files(
+        ("all", scene), [("half", files / "half.ply")], photos=tmp_path / "photos", packed=[".sog"]
+    )
+    _, half, packed = found.models
+    assert [model.name for model in found.models] == ["all", "half", "half as .sog"]
+    assert packed.packed.of == "half"
+    assert packed.packed.psnr_cost == half.psnr - packed.psnr
+    assert packed.packed.psnr > packed.psnr
+
+
+# ---- the command ----------------------------------------------------------------------------
+
+
+def test_the_command_has_the_numbers_of_the_library(files, temporary):
+    pair = (files / "scene.ply", files / "half.ply")
+    arguments = ("compare", *pair, *WORDS, "--packed", ".sog,spz", "--bits", "6")
+    found = nanogs.compare(*pair, packed=FORMATS, format_options={"bits": 6}, **SMALL)
+    assert json.loads(run(*arguments, "--json").stdout) == json.loads(json.dumps(found.to_dict()))
+    told = run(*arguments)
+    assert told.returncode == 0, told.stderr
+    rows = told.stdout.splitlines()
+    for model in found.models[1:]:
+        main, own = (row for row in rows if row.startswith(model.name))
+        assert f"{model.psnr:.2f}" in main.split()
+        cells = [model.file_bytes / model.splats, model.packed.psnr_cost, model.packed.ssim_cost]
+        cells += [model.packed.psnr, model.packed.ssim]
+        texts = [number_text(cell, digits) for cell, digits in zip(cells, (1, 2, 4, 2, 4))]  # noqa: B905
+        assert own.removeprefix(model.name).split() == texts
+    assert "so what packing alone costs; to model: of the file against" in told.stderr
+    assert "packing" not in run("compare", *pair, *WORDS).stderr
+
+
+def test_the_command_refuses_in_one_sentence(files, temporary):
+    pair = (files / "scene.ply", files / "half.ply")
+    refused = {
+        ("--packed", ".html"): "does not read .html",
+        ("--packed", ".sgo"): "did you mean '.sog'",
+        ("--packed", ","): "--packed names no format",
+        ("--packed", ".spz", "--palette", "9"): "palette is for .sog",
+        ("--palette", "9"): "--palette is for what is packed",
+        ("--packed", ".spz", "--cameras", "no.json"): "no.json",
+    }
+    for more, words in refused.items():
+        assert_refused(run("compare", *pair, *WORDS, *more), words)
+
+
+def test_nothing_is_left_where_a_file_is_damaged(files, tmp_path, temporary):
+    (tmp_path / "short.ply").write_bytes((files / "half.ply").read_bytes()[:-40])
+    with pytest.raises(FormatError):
+        nanogs.compare(files / "scene.ply", tmp_path / "short.ply", packed=[".sog"], **SMALL)
+
+
+def test_the_page_shows_what_packing_costs(files, tmp_path, temporary):
+    require_bundle()
+    page = tmp_path / "page.html"
+    arguments = ("compare", files / "scene.ply", files / "half.ply", *WORDS, "--packed", ".sog")
+    result = run(*arguments, "--report", page, "--json")
+    assert result.returncode == 0, result.stderr
+    _, packed = json.loads(result.stdout)["models"]
+    text = page.read_text(encoding="utf-8")
+    loss = packed["packed"]
+    assert f'<td data-is="costs (dB)">{loss["psnr_cost"]:.2f}</td>' in text
+    assert f'<td data-is="to model (dB)">{loss["psnr"]:.2f}</td>' in text
+    assert text.count('data-name="half.ply as .sog"') == 3  # a picture a view
+    assert text.count('id="nanogs-model-') == 2  # those that move are the ones that were given
+    assert "half.ply on the right" in text
+    result = run(*arguments[:-2], "--report", page, "-w", "--json")
+    assert "costs (dB)" not in page.read_text(encoding="utf-8")
