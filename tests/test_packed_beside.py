@@ -23,6 +23,7 @@ from viewer_bundle import require_bundle
 
 FORMATS = [".sog", ".spz"]
 SMALL = {"views": 3, "pixels": 64}
+WORDS_OF_VIEWS = "dB on 8 held-out views of 512 pixels"
 WORDS = ("--views", "3", "--pixels", "64")
 
 
@@ -96,7 +97,7 @@ def test_models_and_sources_are_packed_like_files(files, temporary):
     assert (found.name, found.packed.of) == ("model 1 as .sog", "model 1")
     assert (found.file_bytes, found.psnr) == (expected.file_bytes, expected.psnr)
     assert str(nanogs.compare(*paths, packed=[".sog"], **SMALL)).endswith(
-        f"packing costs {number_text(expected.packed.psnr_cost)} dB"
+        f"packing alone costs {number_text(expected.packed.psnr_cost)} dB"
     )
 
 
@@ -142,6 +143,40 @@ def test_photographs_take_the_place_of_the_original(files, tmp_path, temporary):
     assert packed.packed.of == "half"
     assert packed.packed.psnr_cost == half.psnr - packed.psnr
     assert packed.packed.psnr > packed.psnr
+
+
+# ---- what simplify measures -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("more", [{}, {"frame": ("rdf", "rub")}, {"format_options": {"bits": 5}}])
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_result_that_is_measured_says_what_packing_cost(files, tmp_path, suffix, more):
+    scene, asked = files / "scene.ply", {"ratio": 0.3, "preset": "fast"}
+    found = nanogs.simplify_blocks(scene, tmp_path / f"a{suffix}", measured=True, **asked, **more)
+    plain = nanogs.simplify_blocks(scene, tmp_path / "a.ply", measured=True, **asked)
+    assert plain.packed is None
+    own, packed = nanogs.compare(
+        scene, tmp_path / "a.ply", packed=[suffix], format_options=more.get("format_options")
+    ).models
+    assert (own.psnr, own.ssim) == (plain.judged.psnr, plain.judged.ssim)
+    near = {"abs": 0.3} if "frame" in more else {}  # other values are rounded there
+    expected, loss = packed.packed, found.packed
+    assert loss.format == suffix
+    assert found.judged.psnr == pytest.approx(packed.psnr, **near)
+    assert loss.psnr_cost == pytest.approx(expected.psnr_cost, **near)
+    assert loss.psnr == pytest.approx(expected.psnr, **(near and {"abs": 3}))
+    assert loss.psnr_cost == pytest.approx(plain.judged.psnr - found.judged.psnr, abs=1e-3)
+
+
+def test_simplify_says_what_packing_cost(files, tmp_path):
+    arguments = ("simplify", files / "scene.ply", tmp_path / "a.spz", "--ratio", "0.3")
+    arguments += ("--preset", "fast")
+    told = run(*arguments, "--measure")
+    assert told.returncode == 0, told.stderr
+    [report] = [json.loads(run(*arguments, "-w", "--measure", "--json").stdout)]
+    cost = number_text(report["packed"]["psnr_cost"])
+    assert f"{WORDS_OF_VIEWS}, packing alone costs {cost} dB, " in told.stderr
+    assert json.loads(run(*arguments, "-w", "--json").stdout)["packed"] is None
 
 
 # ---- the command ----------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from typing import Any
 
 from nanogs.filters import FilterReport
 from nanogs.fit.report import RefitReport
-from nanogs.protocol import Judged
+from nanogs.protocol import Judged, PackingLoss
 
 
 class StopReason(StrEnum):
@@ -162,6 +162,8 @@ class SimplifyReport:
         filters: What each filter took.
         judged: The result held against the input as `nanogs compare` does it, on views that nothing
             was learnt from; None where that was not measured, as it is only for an asked PSNR.
+        packed: Where that is the file's, in a format that rounds: what packing alone cost, beside
+            the same result unpacked; else None.
     """
 
     preset: str
@@ -192,6 +194,7 @@ class SimplifyReport:
     read_count: int = 0
     filters: tuple[FilterReport, ...] = ()
     judged: Judged | None = None
+    packed: PackingLoss | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""

@@ -72,6 +72,7 @@ def summary(run: Run) -> str:
         f"{report.read_count:,} {to} {made} in {files['output']}",
         sizes_text(files["input_bytes"], files["output_bytes"], to) + _formats_text(run, to),
         report.judged.text if report.judged else "",
+        report.packed.text if report.packed else "",
         time_text(report.total_seconds),
     ]
     return ", ".join(part for part in parts if part)

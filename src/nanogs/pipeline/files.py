@@ -189,7 +189,7 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
             small, output, overwrite=request.overwrite, format_options=options,
             progress=tracker.passing(),
         )  # fmt: skip
-    judged = report.judged
+    judged, packed = report.judged, None
     if is_measured(request) and judged is None:
         tracker.begin("measure")
         with clock.time("measure"):
@@ -197,12 +197,13 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
             judge = file_judge(
                 splats, request.suffix, turn=turn, threads=threads, tell=tracker.part
             )
-            judged = judge.of(output)
+            judged, packed = judge.beside(output, small)
         notes += judge.notes
     tracker.finish()
     return replace(
         report,
         judged=judged,
+        packed=packed,
         notes=(*report.notes, *notes, *losses(small, output)),
         read_count=plan.splats,
         filters=filtered,

@@ -68,7 +68,7 @@ def forest_stages(
     draw = target * (PREPARED + DRAWN) + pixels * COMPARED if drawn else 0
     labels = 2 * count * _I4 if looked else count * _I4
     stages = {
-        "measure": _IMAGES + count * (_I4 + PREPARED + DRAWN) if judged else 0,
+        "measure": 2 * _IMAGES + count * (_I4 + PREPARED + DRAWN) if judged else 0,
         "look": images + pixels * PIXEL + count * (_I4 + PREPARED + DRAWN + SHARES)
         if looked
         else 0,

@@ -106,7 +106,7 @@ class Comparison:
 
 
 def _cost_text(model: ModelScore) -> str:
-    return f", packing costs {number_text(model.packed.psnr_cost)} dB" if model.packed else ""
+    return f", {model.packed.text}" if model.packed else ""
 
 
 @dataclass(frozen=True, slots=True)

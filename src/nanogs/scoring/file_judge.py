@@ -9,7 +9,8 @@ from nanogs.frames import change_frame
 from nanogs.io import load, registry
 from nanogs.io import open as open_model
 from nanogs.progress import Parts, untold
-from nanogs.protocol import Judged
+from nanogs.protocol import Judged, PackingLoss
+from nanogs.scoring.packing import rounds
 from nanogs.source import Source, Turned
 from nanogs.splats import Splats
 
@@ -54,11 +55,33 @@ class FileJudge:
             self.notes = (*self.notes, _unmeasured(error))
             return None
 
+    def beside(self, path: Path, result: Splats) -> tuple[Judged | None, PackingLoss | None]:
+        """What was measured of a file, and what packing alone cost where its format rounds.
+
+        Args:
+            path: The file.
+            result: What was written to it.
+        """
+        suffix = registry.writable(path).suffix
+        if self.views is None or not rounds(suffix):
+            return self.of(path), None
+        from nanogs.threads import use_threads
+
+        try:
+            with use_threads(self.threads):
+                both = self._turned_back(result), self._turned_back(load(path))
+                return self.views.judge_packed(*both, suffix)
+        except (ModelError, FormatError) as error:
+            self.notes = (*self.notes, _unmeasured(error))
+            return None, None
+
+    def _turned_back(self, splats: Splats) -> Splats:
+        return change_frame(splats, self.turn[1], self.turn[0]) if self.turn else splats
+
     def _judged(self, views: "HeldOut", path: Path, level: int) -> Judged:
-        back = (self.turn[1], self.turn[0]) if self.turn else None
         if self.held:
-            small = load(path, level=level)
-            return views.judge(change_frame(small, *back) if back else small)
+            return views.judge(self._turned_back(load(path, level=level)))
+        back = (self.turn[1], self.turn[0]) if self.turn else None
         with open_model(path, level=level) as source:
             return views.judge(Turned(source, *back) if back else source)
 

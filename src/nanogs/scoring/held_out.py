@@ -10,9 +10,16 @@ from dataclasses import dataclass
 from nanogs.errors import ModelError
 from nanogs.metrics import psnr
 from nanogs.progress import Parts, untold
-from nanogs.protocol import BLACK, PIXELS, VIEWS, Judged, Protocol
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Judged, PackingLoss, Protocol
 from nanogs.raster.rendering import PreparedSplats
-from nanogs.scoring.scores import ReferenceView, mean_psnr, reference_views, score
+from nanogs.scoring.scores import (
+    ModelScore,
+    ReferenceView,
+    mean_psnr,
+    reference_views,
+    score,
+)
+from nanogs.scoring.unpacked import Unpacked
 from nanogs.source import Source
 from nanogs.splats import Splats
 from nanogs.views.cameras import cameras_for
@@ -51,6 +58,30 @@ class HeldOut:
         """Hold a model against the original; it raises what `psnr` does."""
         means = score("", _drawable(small, self.max_memory), self.views, BLACK)
         return Judged(means.psnr, means.ssim, self.protocol)
+
+    def judge_packed(
+        self, model: Splats, packed: Splats, suffix: str
+    ) -> tuple[Judged, PackingLoss | None]:
+        """Hold a model as read back from a file against the original, and against itself.
+
+        Args:
+            model: The model.
+            packed: The same as read back.
+            suffix: Format of the file.
+
+        Returns:
+            The marks of the file, as `judge` gives them, and what packing alone cost.
+        """
+        beside = Unpacked(keep=True)
+
+        def marks(small: Splats, form: str) -> ModelScore:
+            beside.begin(form)
+            drawn = _drawable(small, self.max_memory)
+            return beside.end(score("", drawn, self.views, BLACK, on_view=beside.see_view))
+
+        marks(model, "")
+        means = marks(packed, suffix)
+        return Judged(means.psnr, means.ssim, self.protocol), means.packed
 
 
 def held_out(

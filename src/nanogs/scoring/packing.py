@@ -67,6 +67,12 @@ def refuse_packed(source: Splats | Source, packing: Packing) -> None:
             )
 
 
+def rounds(suffix: str) -> bool:
+    """Whether a format rounds what it holds, and not only leaves out what it cannot."""
+    name = suffix.removeprefix(".")
+    return _ALIKE.get(name, name) in _ROUNDED
+
+
 def is_packed_so(source: Splats | Source, suffix: str) -> bool:
     """Whether a model comes from a file of a format, or of one that packs alike."""
     name = suffix.removeprefix(".")

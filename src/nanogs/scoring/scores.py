@@ -12,7 +12,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import undrawn
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
 from nanogs.progress import Parts, untold
-from nanogs.protocol import Background
+from nanogs.protocol import Background, PackingLoss
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering
 from nanogs.views.streamed import Streamed, renderings
@@ -56,28 +56,6 @@ class ViewScore:
     ssim: float
     depth: float | None
     extras: dict[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class PackingLoss:
-    """What packing alone did to a model, on the views of its score.
-
-    Attributes:
-        format: Suffix of the file's format.
-        of: Name of the model that was packed.
-        psnr_cost: The model's PSNR less that of its file, dB: what packing costs against the
-            reference. Infinite where the model equals the reference.
-        ssim_cost: The same of SSIM.
-        psnr: Of the file against the model that was packed, mean over the views, dB.
-        ssim: The same of SSIM.
-    """
-
-    format: str
-    of: str
-    psnr_cost: float
-    ssim_cost: float
-    psnr: float
-    ssim: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,9 @@ import numpy as np
 
 from nanogs._types import F32
 from nanogs.metrics import psnr, ssim
+from nanogs.protocol import PackingLoss
 from nanogs.raster.rendering import Rendering
-from nanogs.scoring.scores import ModelScore, PackingLoss, mean_psnr
+from nanogs.scoring.scores import ModelScore, ReferenceView, ViewScore, mean_psnr
 
 
 @dataclass(slots=True)
@@ -38,6 +39,10 @@ class Unpacked:
             self._marks.append((psnr(beside, image), ssim(beside, image)))
         elif self.keep:
             self._images.append(rendering.shown())
+
+    def see_view(self, _view: ReferenceView, rendering: Rendering, _score: ViewScore) -> None:
+        """Take the next view as `score` tells of it."""
+        self.see(rendering)
 
     def end(self, score: ModelScore) -> ModelScore:
         """Take the model's score; that of a file is given back with what packing cost."""
