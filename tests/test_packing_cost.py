@@ -96,8 +96,18 @@ def test_little_memory_gives_the_same_numbers(scene, temporary, monkeypatch):
     monkeypatch.setattr("nanogs.scoring.packing_cost.needed_bytes", lambda *_, **__: 10**15)
     monkeypatch.setattr(FileSource, "load", None)  # held by nobody
     assert nanogs.packing_cost(scene, [".spz"], max_memory="1GB") == expected
-    with pytest.raises(NotEnoughMemoryError, match=r"Measuring takes about .*leave out"):
+    with pytest.raises(NotEnoughMemoryError, match=r"takes about .* free some"):
         nanogs.packing_cost(scene, [".spz"], max_memory=LIBRARIES + 1000)
+
+
+def test_what_takes_too_much_memory_to_write_is_refused_before_work(scene, temporary, monkeypatch):
+    monkeypatch.setattr("nanogs.scoring.packing.convert_bytes", lambda *_, **__: 10**15)
+    monkeypatch.setattr(FileSource, "load", None)
+    said = r"Packing .*scene\.ply as \.sog takes about"
+    with pytest.raises(NotEnoughMemoryError, match=said):
+        nanogs.packing_cost(scene, [".sog"])
+    with pytest.raises(NotEnoughMemoryError, match=said):
+        nanogs.compare(scene, scene, packed=[".sog"])
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,13 @@ from nanogs.cleanup import temporary_folder
 from nanogs.io import open as open_model
 from nanogs.io.parts import FileSource
 from nanogs.progress import Stage, Tracker
-from nanogs.scoring.packing import Packing, is_packed_so, notes_on, write_packed
+from nanogs.scoring.packing import (
+    Packing,
+    is_packed_so,
+    notes_on,
+    refuse_too_large_to_pack,
+    write_packed,
+)
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
@@ -38,8 +44,10 @@ def packed_beside(
         Names, models, and the suffix of the format; empty for the models themselves.
 
     Raises:
-        NanogsError: As for `write_packed`.
+        NanogsError: As for `refuse_too_large_to_pack` and `write_packed`.
     """
+    for _, source in models:
+        refuse_too_large_to_pack(source, packing, max_memory)
     progress.begin("pack")
     folder = stack.enter_context(temporary_folder("nanogs-"))
     files, done = files_of([source for _, source in models], packing), 0
@@ -52,7 +60,7 @@ def packed_beside(
             told = progress.within(done, files, [Stage("write", 1.0)]).passing()
             path = folder / f"{place}"
             path.mkdir(exist_ok=True)
-            path = write_packed(source, suffix, options, path, max_memory, told)
+            path = write_packed(source, suffix, options, path, told)
             found.append((f"{name} as {suffix}", stack.enter_context(open_model(path)), suffix))
             done += 1
     return found

@@ -94,12 +94,38 @@ def _packed_as(source: FileSource) -> str:
     return _ALIKE.get(source.info.format, source.info.format)
 
 
+def refuse_too_large_to_pack(
+    source: Splats | Source, packing: Packing, max_memory: int | None, others: int = 0
+) -> None:
+    """Refuse formats whose writing takes more memory than there is; of a file, as `convert` does.
+
+    Args:
+        source: The model.
+        packing: From `packing_of`.
+        max_memory: Bytes that this process may take; by default what is free, less a tenth.
+        others: Bytes of what is held meanwhile, beside the model.
+
+    Raises:
+        NotEnoughMemoryError: There is too little.
+    """
+    if not isinstance(source, FileSource):
+        return
+    for suffix in packing:
+        if is_packed_so(source, suffix):
+            continue
+        refuse_too_large(
+            f"Packing {source.name} as {suffix}",
+            convert_bytes(source, Path(f"packed{suffix}"), whole=False) + others,
+            allowed_memory(max_memory),
+            "free some, or name another format",
+        )
+
+
 def write_packed(
     model: Splats | Source,
     suffix: str,
     options: FormatOptions,
     folder: Path,
-    max_memory: int | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Write a model as a file of a format.
@@ -109,22 +135,13 @@ def write_packed(
         suffix: Of the format.
         options: As `save` takes them.
         folder: Where the file is made, which has none of that format yet.
-        max_memory: Bytes that this process may take; by default what is free, less a tenth.
         progress: Told of the stage "write".
 
     Raises:
         ModelError: The format cannot hold the model at all.
-        NotEnoughMemoryError: There is too little memory.
         OutputError: The file cannot be written.
     """
     is_folder = registry.writable(Path(suffix)).write_folder is not None
     path = folder / "packed" / suffix if is_folder else folder / f"packed{suffix}"
-    if isinstance(model, FileSource):
-        refuse_too_large(
-            f"Packing {model.name} as {suffix}",
-            convert_bytes(model, path, whole=False),
-            allowed_memory(max_memory),
-            "free some, or name another format",
-        )
     save(model, path, format_options=options, progress=progress)
     return path

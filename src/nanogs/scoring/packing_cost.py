@@ -19,11 +19,19 @@ from nanogs.io.collect import model_in
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, opened
 from nanogs.memory import allowed_memory
+from nanogs.needs import pictures_bytes
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import PIXELS, VIEWS, Judged
 from nanogs.quantities import as_bytes
 from nanogs.scoring.needed import needed_bytes
-from nanogs.scoring.packing import Packing, notes_on, packing_of, refuse_packed, write_packed
+from nanogs.scoring.packing import (
+    Packing,
+    notes_on,
+    packing_of,
+    refuse_packed,
+    refuse_too_large_to_pack,
+    write_packed,
+)
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
@@ -147,6 +155,7 @@ def _measured(
     both = [given, source_of(source)]
     needed = needed_bytes(both, PIXELS**2, VIEWS, all_of_it=limit is not None)
     held = needed <= allowed_memory(limit).bytes
+    refuse_too_large_to_pack(source, packing, limit, pictures_bytes(PIXELS**2, VIEWS))
     model = source_of(source).load() if held else source
     tracker.begin("render")
     views = held_out(model, tracker.part, limit)
@@ -154,7 +163,7 @@ def _measured(
     for suffix, options in packing.items():
         with temporary_folder("nanogs-") as folder:
             tracker.begin("write")
-            path = write_packed(model, suffix, options, folder, limit, tracker.passing())
+            path = write_packed(model, suffix, options, folder, tracker.passing())
             tracker.begin("score")
             files.append(PackedFile(suffix, *_read_back(path, views, held)))
     return tuple(files)
