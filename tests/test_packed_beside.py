@@ -115,8 +115,8 @@ def test_what_is_packed_already_is_told_and_not_packed_so_again(files, temporary
     pair = (files / "scene.ply", files / "half.spz")
     found = nanogs.compare(*pair, packed=FORMATS, **SMALL)
     assert [model.name for model in found.models] == ["half.spz", "half.spz as .sog"]
-    already, itself = (note for note in found.notes if note.startswith("half.spz: The file is "))
-    assert "packed as .spz already, and is not once more" in already
+    already, itself = (note for note in found.notes if note.startswith("half.spz: the file is "))
+    assert "packed as .spz already and is not packed so again" in already
     assert "packed itself, as .spz" in itself
     alone = nanogs.compare(*pair, packed=[".spz"], **SMALL)
     assert [model.name for model in alone.models] == ["half.spz"]

@@ -139,7 +139,7 @@ def test_a_file_that_is_packed_itself_is_named(scene, tmp_path, temporary):
     nanogs.save(nanogs.load(scene), tmp_path / "a.splat")
     nanogs.save(nanogs.load(scene), tmp_path / "a" / "meta.json")
     [note] = nanogs.packing_cost(tmp_path / "a.splat", [".spz"]).notes
-    assert note.startswith("The file is packed itself, as .splat: ")
+    assert note.startswith("the file is packed itself, as .splat; ")
     for packed in ("a", "a/meta.json"):
         with pytest.raises(OptionError, match=r"is packed as \.sog already"):
             nanogs.packing_cost(tmp_path / packed, [".sog"])
@@ -196,5 +196,5 @@ def test_info_of_stdin_names_no_temporary_file(scene, tmp_path):
     data = (tmp_path / "a.splat").read_bytes()
     told = run("info", "-", "--from", "splat", "--packed", ".spz", data=data)
     assert "packed as .spz" in told.stdout
-    assert "note: The file is packed itself, as .splat" in told.stderr
+    assert "note: stdin: the file is packed itself, as .splat" in told.stderr
     assert tempfile.gettempdir() not in told.stdout + told.stderr

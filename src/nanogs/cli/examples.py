@@ -15,7 +15,11 @@ EXAMPLES = {
         "nanogs convert scene.ply scene.spz --sh-degree 1",
         "nanogs convert scans/ --out-dir web/ --format sog",
     ),
-    "info": ("nanogs info scene.ply", "nanogs info scene.sog --json"),
+    "info": (
+        "nanogs info scene.ply",
+        "nanogs info scene.ply --packed .sog,.spz",
+        "nanogs info scene.sog --json",
+    ),
     "presets": ("nanogs presets",),
     "render": (
         "nanogs render scene.ply pictures/ --views 12",
@@ -24,6 +28,7 @@ EXAMPLES = {
     "compare": (
         "nanogs compare scene.ply small.ply --report report.html",
         "nanogs compare scene.ply tenth=a.ply hundredth=b.ply --json",
+        "nanogs compare scene.ply small.ply --packed .sog",
     ),
     "view": ("nanogs view scene.ply", "nanogs view scene.ply small.ply -o page.html"),
     "bench": (

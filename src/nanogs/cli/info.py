@@ -45,7 +45,8 @@ def info(
         files = [file.to_dict() for file in cost.files] if cost else []
         print_json(model.to_dict() | {"packed": files})
         return
-    for note in (*model.notes, *(cost.notes if cost else ())):
+    notes = [f"{model.file.path}: {note}" for note in cost.notes] if cost else []
+    for note in (*model.notes, *notes):
         warn(note)
     show(out, key_value_table(_rows(model) | (_packed_rows(cost.files) if cost else {})))
 

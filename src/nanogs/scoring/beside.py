@@ -79,8 +79,8 @@ def notes_beside(
     for name, source in models:
         same = [suffix for suffix in packing if is_packed_so(source, suffix)]
         notes += [
-            f"{name}: The file is packed as {suffix} already, and is not once more; what that cost"
-            " shows beside the model that it was made of."
+            f"{name}: the file is packed as {suffix} already and is not packed so again; compare it"
+            " with the model that it was made of to see what that cost."
             for suffix in same
         ]
         if len(same) < len(packing):

@@ -84,8 +84,8 @@ def notes_on(source: Splats | Source) -> tuple[str, ...]:
     if not isinstance(source, FileSource) or _packed_as(source) not in _ROUNDED:
         return ()
     note = (
-        f"The file is packed itself, as .{_packed_as(source)}: here the model unpacked is what is"
-        " read from it, and what packing cost before is in no number."
+        f"the file is packed itself, as .{_packed_as(source)}; unpacked stands for the model as it"
+        " is read from there, so what packing cost before is in no number."
     )
     return (note,)
 
