@@ -244,7 +244,7 @@ def test_simplify_drops_bands(folder, tmp_path):
     ("given", "words"),
     [
         (["--sh-degree", "5", "-r", "0.1"], ["0 to 4", "5"]),
-        (["--sh-degree", "1", "--psnr", "30"], ["--psnr", "nanogs convert"]),
+        (["--sh-degree", "1", "--psnr", "30", "--preset", "fast"], ["--psnr", "nanogs convert"]),
     ],
 )
 def test_degrees_that_make_no_sense_are_refused(folder, tmp_path, given, words):

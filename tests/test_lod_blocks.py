@@ -362,7 +362,7 @@ def test_names_of_files_lead_out_of_no_folder(tmp_path):
         tmp_path / "levels", overwrite=False, source="a.ply", chunks=Tiles(100)
     )
     with pytest.raises(FormatError, match="mine"):
-        sink.open(tmp_path / "made").add_blocks(
+        sink.open(tmp_path / "made", {}).add_blocks(
             [BlockChunks({}, 1, (), [("../mine.txt", b"theirs")])]
         )
     assert (tmp_path / "mine.txt").read_text() == "mine"

@@ -238,7 +238,8 @@ def test_one_level_and_one_splat_and_coincident_ones(tmp_path):
 def test_nothing_of_a_level_is_kept(tmp_path):
     small = random_splats(200)
     array = weakref.ref(small.sh)
-    out = LevelsFolder(tmp_path, overwrite=True, source="", chunks=StreamedSog(50)).open(tmp_path)
+    out = LevelsFolder(tmp_path, overwrite=True, source="", chunks=StreamedSog(50))
+    out = out.open(tmp_path, {})
     out.add(small)
     del small
     assert array() is None

@@ -132,6 +132,7 @@ def test_a_compressed_file_is_no_larger_than_asked(
     small, report = nanogs.simplify(
         splats, size=size, format=suffix, format_options=options, **given
     )
+    options = {**options, **report.format_options}
     nanogs.save(small, tmp_path / f"a{suffix}", format_options=options)
     written = (tmp_path / f"a{suffix}").stat().st_size
     assert report.achieved_size == written <= size

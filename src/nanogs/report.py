@@ -1,6 +1,6 @@
 """The report of a simplification: frozen dataclasses that become JSON as they stand."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -101,6 +101,28 @@ class SizeProbeReport:
 
 
 @dataclass(frozen=True, slots=True)
+class PackingReport:
+    """A way of packing that was tried for a size.
+
+    Attributes:
+        sh_degree: Of the spherical harmonics that are written.
+        options: Of the format, by name.
+        count: Splats of the result, a plain cut.
+        bytes: Its file.
+        psnr: Of the file as it is read back, on views by which is chosen, dB; not what `compare`
+            measures.
+        ssim: Over the same views.
+    """
+
+    sh_degree: int
+    options: dict[str, int]
+    count: int
+    bytes: int
+    psnr: float
+    ssim: float
+
+
+@dataclass(frozen=True, slots=True)
 class BlocksReport:
     """How a model that was not held whole was divided.
 
@@ -157,6 +179,9 @@ class SimplifyReport:
         achieved_size: Bytes of the result's file, at most the size asked for; None where none was.
         size_probes: The counts written to find one that fits, in order; none where the size of a
             file is known beforehand.
+        packings: The ways of packing that were tried for a size, in order.
+        format_options: Options of the format that were chosen for a size, and by which the result
+            has to be saved to have it.
         blocks: How the model was divided, or None where it was held whole.
         read_count: Splats of the inputs, before filters.
         filters: What each filter took.
@@ -190,6 +215,8 @@ class SimplifyReport:
     probes: tuple[ProbeReport, ...] = ()
     achieved_size: int | None = None
     size_probes: tuple[SizeProbeReport, ...] = ()
+    packings: tuple[PackingReport, ...] = ()
+    format_options: dict[str, int] = field(default_factory=dict)
     blocks: BlocksReport | None = None
     read_count: int = 0
     filters: tuple[FilterReport, ...] = ()

@@ -242,8 +242,13 @@ class Sink(Protocol):
             OutputError: They cannot.
         """
 
-    def open(self, making: Path) -> Filling:
-        """Begin at a place with the same suffix; what is there of a run before is removed."""
+    def open(self, making: Path, options: FormatOptions) -> Filling:
+        """Begin at a place with the same suffix; what is there of a run before is removed.
+
+        Args:
+            making: The place.
+            options: Of the format, beside those that were given.
+        """
 
     def move(self, made: Path) -> None:
         """Give its name to what was made, across file systems if need be.
@@ -285,9 +290,9 @@ class OneFile:
         """As `Sink` says."""
         check_writable(self.place, overwrite=self.overwrite, format_options=self.format_options)
 
-    def open(self, making: Path) -> Filling:
+    def open(self, making: Path, options: FormatOptions) -> Filling:
         """As `Sink` says."""
-        return _File(making, self.format_options)
+        return _File(making, {**(self.format_options or {}), **options})
 
     def move(self, made: Path) -> None:
         """As `Sink` says."""

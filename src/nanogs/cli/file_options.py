@@ -107,7 +107,7 @@ class Edits:
     sh_degree: Annotated[
         int | None,
         typer.Option(
-            help="Drop the spherical harmonics above this degree, 0 to 4, before anything else.",
+            help="Highest degree of spherical harmonics that stays, 0 to 4.",
             metavar="DEGREE",
         ),
     ] = None

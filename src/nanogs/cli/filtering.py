@@ -38,7 +38,7 @@ def _crop(text: str) -> filters.Filter:
     )
 
 
-def parse_changes(edits: Edits, psnr: float | None = None) -> Changes:
+def parse_changes(edits: Edits, psnr: float | None = None, *, looks: bool = False) -> Changes:
     """The changes that options ask for, all but the frame, which each file has its own of.
 
     Raises:
@@ -47,7 +47,7 @@ def parse_changes(edits: Edits, psnr: float | None = None) -> Changes:
     degree = edits.sh_degree
     if degree is not None and not 0 <= degree <= MAX_SH_DEGREE:
         raise OptionError(f"--sh-degree is from 0 to {MAX_SH_DEGREE}, not {degree}.")
-    if degree is not None and psnr is not None:
+    if degree is not None and psnr is not None and not looks:
         raise OptionError(
             "--psnr is against the whole model, of which --sh-degree leaves out some; run"
             " `nanogs convert --sh-degree` first."

@@ -94,7 +94,8 @@ class Plan:
         if wish.goal.size is None and not wish.filters:
             return self
         splats = prepare(read_parts(wish.inputs), wish.edits).splats
-        count = target_of(wish.goal, splats, len(usable_rows(splats, wish.nan)), wish.output)
+        usable = len(usable_rows(splats, wish.nan))
+        count = target_of(wish.goal, splats, usable, wish.output, wish.parameters, wish.sh_degree)
         return replace(self, info=replace(self.info, splats=len(splats)), count=count)
 
     def _divide(self) -> tuple[Settings, ScalePlan]:
@@ -162,7 +163,10 @@ def wish_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: ANN40
     Raises:
         OptionError: An option makes no sense.
     """
-    changes, blocks = parse_changes(method.edits, goal.psnr), method.blocks
+    changes, blocks = (
+        parse_changes(method.edits, goal.psnr, looks=renders(method.chosen)),
+        method.blocks,
+    )
     threads = method.threads
     if threads is None and blocks.workers is not None:
         threads = max((cpu_count() or 1) // blocks.workers, 1)

@@ -68,8 +68,10 @@ def summary(run: Run) -> str:
     """Sum up: "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s", with the PSNR if known."""
     files, report, to = run.files, run.report, arrow()
     made = counted(report.achieved_count, "splat")
+    chosen = ", ".join(f"{name} {value:,}" for name, value in report.format_options.items())
     parts = [
-        f"{report.read_count:,} {to} {made} in {files['output']}",
+        f"{report.read_count:,} {to} {made} in {files['output']}"
+        + (f" ({chosen})" if chosen else ""),
         sizes_text(files["input_bytes"], files["output_bytes"], to) + _formats_text(run, to),
         report.judged.text if report.judged else "",
         report.packed.text if report.packed else "",

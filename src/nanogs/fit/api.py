@@ -92,6 +92,7 @@ def fit_to_views(
     original_count: int,
     threads: int,
     tell: Parts,
+    entries: int | None = None,
 ) -> tuple[Splats, RefitReport]:
     """Fit a small model to given views.
 
@@ -103,12 +104,17 @@ def fit_to_views(
         original_count: Splats of the original, for the report.
         threads: Threads in use, for the report.
         tell: Told of the steps made.
+        entries: Sets of higher harmonics that splats are to share at most, if they are.
     """
     from nanogs.fit.rounds import fit
+    from nanogs.fit.shared import fit_shared
 
     clock = StageClock()
     with clock.time("fit"):
-        fitted, outcome = fit(small, fitting, deciding, parameters, tell)
+        if entries is None:
+            fitted, outcome = fit(small, fitting, deciding, parameters, tell)
+        else:
+            fitted, outcome = fit_shared(small, entries, fitting, deciding, parameters, tell)
     report = RefitReport(
         parameters=asdict(parameters),
         original_count=original_count,

@@ -7,6 +7,7 @@ are those of a separable surrogate (see `nanogs.kernels.backward`).
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from nanogs.kernels.chain import PACKED
 from nanogs.kernels.damped import LANES
 from nanogs.raster.rendering import together
 from nanogs.splats import RenderMode, Splats
+
+if TYPE_CHECKING:
+    from nanogs.fit.shared import Shared
 
 # Largest steps: centres in standard deviations, log-scales, turns in radians, logit of the opacity.
 LIMITS = (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.5)
@@ -35,10 +39,18 @@ class Descent:
         splats: The input; ridges pull back to its colours.
         views: The views to fit to, each in its turn; a view is drawn when its turn comes.
         parameters: See there.
+        shared: Which splats share their higher harmonics; by default each has its own.
     """
 
-    def __init__(self, splats: Splats, views: Fitting, parameters: RefitParameters) -> None:
+    def __init__(
+        self,
+        splats: Splats,
+        views: Fitting,
+        parameters: RefitParameters,
+        shared: "Shared | None" = None,
+    ) -> None:
         self.splats = splats
+        self.shared = shared
         self.views = views
         self.parameters = parameters
         self.finite: Bool = splats.finite()
@@ -81,7 +93,10 @@ class Descent:
         self._count += 1
         rate *= min(1.0, self._count / WARM_UP)
         rate *= SLOWEST + (1 - SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
-        return self._follow(*self._next(), rate)
+        error = self._follow(*self._next(), rate)
+        if self.shared is not None:
+            self.shared.level(self.state.sh)
+        return error
 
     def _next(self) -> tuple[Target, int]:
         """A view, and the blocks of its tiles that the step follows."""

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from nanogs.fit.targets import Fitting
 from nanogs.progress import Parts
 from nanogs.raster.rendering import PreparedSplats, prepare, together
 from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.fit.shared import Shared
 
 SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # of a round's way that are tried
 AVERAGED = 0.2  # of all steps, the last ones: their states are averaged; at most the last round's
@@ -84,6 +88,7 @@ def fit(
     deciding: Sequence[Group],
     parameters: RefitParameters,
     tell: Parts,
+    shared: "Shared | None" = None,
 ) -> tuple[Splats, Outcome]:
     """Fit the model in rounds.
 
@@ -93,12 +98,14 @@ def fit(
         deciding: Views that decide what is kept.
         parameters: See there.
         tell: Told of the steps made, and of how many there may be.
+        shared: Which splats share their higher harmonics, as the model's do already; by default
+            each has its own.
 
     Returns:
         The fitted model, or the input itself where nothing helped, and what happened.
     """
     guard = Guard(small, deciding, fitting.surroundings)
-    descent = Descent(small, fitting, parameters)
+    descent = Descent(small, fitting, parameters, shared)
     best: State | None = None  # the input, which is its own state
     rate = parameters.rate
     reports: list[RoundReport] = []

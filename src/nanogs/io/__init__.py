@@ -20,6 +20,7 @@ from nanogs.splats import Splats, refuse_other
 
 __all__ = [
     "FileInfo",
+    "as_packed",
     "as_stored",
     "bytes_on_disk",
     "check_writable",
@@ -186,13 +187,28 @@ def as_stored(
     known = registry.writable(Path(path))
     if known.suffix == ".ply" or not known.readable:
         return splats
+    return as_packed(splats, path, format_options)[0]
+
+
+def as_packed(
+    splats: Splats, path: str | PathLike[str], format_options: FormatOptions | None = None
+) -> tuple[Splats, int]:
+    """The model as a file of a readable format gives it back, and the bytes of that file.
+
+    Raises:
+        NanogsError: As for `save`.
+    """
+    known = registry.writable(Path(path))
+    if known.suffix == ".ply" and known.file_bytes is not None:
+        return splats, known.file_bytes(splats, len(splats))  # which changes nothing
     with temporary_folder("nanogs-") as folder:
         file = folder / "model" / known.suffix
         if not known.write_folder:
             file = file.with_name(f"model{known.suffix}")
             file.parent.mkdir()
         save(splats, file, format_options=format_options)
-        return load(file)
+        size = bytes_on_disk(file)
+        return load(file), size
 
 
 def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from nanogs.errors import FormatError
 from nanogs.frames import TRAINED
 from nanogs.io.folder import Ours
 from nanogs.io.parts import FileSource
-from nanogs.splats import Splats
+from nanogs.splats import MAX_SH_DEGREE, Splats
 
 UNSTATED = "not stated in the file; y down (rdf) by habit"
 FormatOptions = Mapping[str, Any]
@@ -40,10 +40,18 @@ def unread(path: Path) -> NoReturn:
 
 @dataclass(frozen=True, slots=True)
 class WriteOption:
-    """A choice in writing a format: what the writer calls it, and what it may be."""
+    """A choice in writing a format.
+
+    Attributes:
+        keyword: What the writer calls it.
+        values: What it may be.
+        usual: Of one that says how finely values are kept, from coarse to fine, what it is by
+            default; None for others.
+    """
 
     keyword: str
     values: tuple[Any, ...] | range
+    usual: int | None = None
 
     @property
     def allowed(self) -> str:
@@ -65,7 +73,8 @@ class Format:
     `format_options` for it. Of a format whose model is a folder, described by the file of the name
     `suffix` in it, `write_folder` makes that folder and `ours` says what in such a folder nanogs
     made. With `tells`, `write` takes `tell`: it takes long, and tells its parts. With `streams`,
-    `write` takes a source too, and holds no more than some rows of it. `check` fails before any
+    `write` takes a source too, and holds no more than some rows of it. `max_degree` is the highest
+    degree of harmonics that files hold. `check` fails before any
     computing where this installation cannot write the format. Files without a name are known by
     what they begin with, one of `starts`, or, where they are zips, by a file that is in them,
     `holds`.
@@ -84,6 +93,7 @@ class Format:
     write_folder: FolderWriter | None = None
     tells: bool = False
     streams: bool = False
+    max_degree: int = MAX_SH_DEGREE
     ours: Ours | None = None
     check: Callable[[], None] = lambda: None
     starts: tuple[bytes, ...] = ()

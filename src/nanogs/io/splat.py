@@ -134,4 +134,4 @@ def _near_unit(quats: F32) -> F64:
     return np.where(np.abs(length - 1) < _BYTE_SLACK, wide, unit)
 
 
-FORMATS = (Format(_SUFFIX, SplatFile, write, file_bytes, losses, streams=True),)
+FORMATS = (Format(_SUFFIX, SplatFile, write, file_bytes, losses, streams=True, max_degree=0),)

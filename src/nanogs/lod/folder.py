@@ -13,6 +13,7 @@ from nanogs.errors import FormatError
 from nanogs.findings import join_findings
 from nanogs.io import losses, registry, save
 from nanogs.io.folder import atomic_folder, check_folder_writable, move_folder
+from nanogs.io.format import FormatOptions
 from nanogs.io.models import as_splats
 from nanogs.lod import manifest, streamed_sog, tiles
 from nanogs.lod.cells import Cells
@@ -65,7 +66,7 @@ class LevelsFolder:
         """As `Sink` says."""
         check_folder_writable(self.place, made_files, overwrite=self.overwrite)
 
-    def open(self, making: Path) -> "LevelsFilling":
+    def open(self, making: Path, options: FormatOptions) -> "LevelsFilling":  # noqa: ARG002
         """As `Sink` says."""
         shutil.rmtree(making, ignore_errors=True)
         making.mkdir()

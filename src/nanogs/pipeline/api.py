@@ -1,24 +1,30 @@
 """`nanogs.simplify`: from a model and a wish to a smaller model and a report."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
 from nanogs.clock import StageClock
-from nanogs.io import as_stored, encoded_bytes, registry
+from nanogs.io import as_stored, registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.job import Job, NanPolicy, prepare_job
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search
-from nanogs.pipeline.target import Goal
+from nanogs.pipeline.presets import (
+    DEFAULT_PRESET,
+    Parameters,
+    parameters,
+    refuse_search,
+    renders,
+)
+from nanogs.pipeline.rows import check_degree
+from nanogs.pipeline.target import Goal, is_searched
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
-from nanogs.report import SimplifyReport
+from nanogs.report import SimplifyReport, StopReason
 from nanogs.splats import Splats, refuse_misaligned_elements
 
 if TYPE_CHECKING:
@@ -35,6 +41,7 @@ def simplify(
     format: str = ".ply",  # noqa: A002 - what it is called everywhere
     format_options: FormatOptions | None = None,
     preset: str = DEFAULT_PRESET,
+    sh_degree: int | None = None,
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     threads: int | None = None,
@@ -51,14 +58,18 @@ def simplify(
         ratio: Compaction ratio in (0, 1]: ceil(ratio x finite splats) are delivered.
         count: Splats to deliver.
         size: Bytes that the saved file may have, a number or text like "20MB": as many splats as
-            fit are delivered. Where only writing a file tells its size, results are written to
-            memory until one fits that takes 98 % of it or more.
+            fit are delivered. Where only writing a file tells its size, results are written until
+            one fits that takes 98 % of it or more; presets that render choose by looking how many
+            harmonics and how large a palette are written, too, and `format_options` of the report
+            has what to save the result with.
         psnr: dB that the result must reach as `nanogs compare` measures it at its defaults, on
             views that nothing is learnt from. A count is searched whose result lies from there to
             0.3 dB above (see `reach`), as a file of the format gives it back.
         format: Suffix of the file that `size` and `psnr` are about.
         format_options: What that file will be saved with, as `save` takes it.
         preset: Name of a preset.
+        sh_degree: Of the result's harmonics, which are fitted for it; by default the model's, or
+            where `size` is searched for and the preset renders, whichever shows most.
         cameras: Views that matter, for presets that render; by default automatic.
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise.
@@ -86,17 +97,20 @@ def simplify(
     parameters(preset, overrides)
     path = Path(f"model{registry.suffix_of(format)}")
     refuse_searches(goal, preset, path)
+    check_degree(sh_degree)
     splats = as_splats(model)
+    if sh_degree is not None and not renders(parameters(preset, overrides)):
+        splats = splats.with_sh_degree(min(sh_degree, splats.sh_degree))
     # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.pipeline.foreseen import simplify_stages
     from nanogs.threads import use_threads
 
     with use_threads(threads) as threads_used, drawn(progress) as tell:
         with clock.time("check"):
-            job = prepare_job(splats, preset, overrides, cameras, nan)
-            target = target_of(goal, splats, len(job.rows), path)
+            job = prepare_job(splats, preset, overrides, cameras, nan, sh_degree)
+            target = target_of(goal, splats, len(job.rows), path, job.parameters, sh_degree)
             refuse_misaligned_elements(splats, 1 if target is None else target)
-            job.refuse_too_large(target, max_memory, judged=psnr is not None)
+            job.refuse_too_large(target, max_memory, judged=target is None)
         tracker = Tracker(
             tell,
             simplify_stages(job.parameters, goal, len(job.rows), target, path.suffix),
@@ -104,13 +118,14 @@ def simplify(
         if target is not None:
             outcome = job.deliverer(target, threads_used, clock, tracker)(target, clock, tracker)
             if size is not None:
-                outcome = replace(outcome, achieved_size=registry.sizer(path)(splats, target))
+                achieved = registry.sizer(path)(outcome.splats, target)
+                outcome = replace(outcome, achieved_size=achieved)
         elif size is not None:
-            encode = partial(encoded_bytes, path=path, format_options=format_options)
-            outcome = _fit(job, size, encode, threads_used, clock, tracker)
+            given = format_options or {}
+            outcome = _fit(job, size, path, given, threads_used, clock, tracker)
         else:
-            stored = partial(as_stored, path=path, format_options=format_options)
-            outcome = _reach(job, goal.psnr or 0.0, stored, threads_used, clock, tracker)
+            given = format_options or {}
+            outcome = _reach(job, goal.psnr or 0.0, path, given, threads_used, clock, tracker)
         target = len(outcome.splats) if target is None else target
         tracker.finish()
     if size is not None and target == len(job.rows):
@@ -138,72 +153,113 @@ def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
         refuse_search(preset, f"the size of a {known.suffix if known else path.suffix} file")
 
 
-def target_of(goal: Goal, splats: Splats, available: int, path: Path) -> int | None:
-    """The count that a wish comes to; None where only measuring or writing can tell.
+def target_of(
+    goal: Goal,
+    splats: Splats,
+    available: int,
+    path: Path,
+    chosen: Parameters,
+    sh_degree: int | None = None,
+) -> int | None:
+    """The count that a wish comes to; None where only trying can tell.
 
     Args:
         goal: What is asked.
         splats: The model.
         available: Its usable splats.
         path: What will be written; only its suffix counts.
+        chosen: Parameters of the method.
+        sh_degree: Of the result's harmonics, if it is asked for.
 
     Raises:
         OptionError: It cannot be had from this model, or not in this format.
     """
     if goal.size is None:
         return goal.target(available, lambda _count: 0)
-    if registry.writable(path).file_bytes is None:
+    known = registry.writable(path)
+    if known.file_bytes is None:
         return None
-    file_bytes = registry.sizer(path)
-    return goal.target(available, lambda count: file_bytes(splats, count))
+    file_bytes = known.file_bytes
+    like = splats if sh_degree is None else splats.with_sh_degree(sh_degree)
+    degree = splats.sh_degree if sh_degree is None else 0
+    searched = is_searched(goal, known, degree=degree, looks=renders(chosen))
+    if searched and file_bytes(like, available) > goal.size:
+        return None
+    return goal.target(available, lambda count: file_bytes(like, count))
 
 
 def _fit(
     job: Job,
     size: int,
-    encode: Callable[[Splats], int],
+    path: Path,
+    given: FormatOptions,
     threads: int,
     clock: StageClock,
     progress: Tracker,
 ) -> Outcome:
-    from nanogs.pipeline.fit_size import fit_size, guess_count
+    from nanogs.pipeline.fit_size import least_bytes
+    from nanogs.pipeline.held_files import HeldFiles
     from nanogs.pipeline.results import HeldResults
+    from nanogs.pipeline.sized import Wish, fill_size
 
-    def bytes_of(outcome: Outcome) -> int:
-        with clock.time("encode"):
-            return encode(outcome.splats)
-
-    progress.begin("guess")
-    with clock.time("encode"):
-        guess = guess_count(job.splats.take(job.rows), len(job.rows), size, encode)
+    files, usable = HeldFiles(path, given, job.splats, clock), job.splats.take(job.rows)
+    lowest = usable.with_sh_degree(job.sh_degree or 0)
+    least_bytes(lowest, size, lambda one: files.sample_bytes(one, {}))
     results = HeldResults(job.build(threads, clock, progress), clock)
-    outcome, found = fit_size(results, size, guess, bytes_of, progress)
-    notes = (*outcome.notes, *found.leap(size, results.available))
-    return replace(outcome, achieved_size=found.bytes, size_probes=found.probes, notes=notes)
+    wish = Wish(size, registry.writable(path), given, job.sh_degree)
+    outcome, found = fill_size(results, wish, usable, files, progress)
+    fitted, packed = found.fitted, found.packed
+    return replace(
+        outcome,
+        achieved_size=fitted.bytes,
+        size_probes=fitted.probes,
+        packings=packed.packings,
+        format_options=packed.packing.options(len(outcome.splats)),
+        notes=(
+            *outcome.notes,
+            *fitted.leap(size, results.available),
+            *packed.notes,
+        ),
+    )
 
 
 def _reach(
     job: Job,
     psnr: float,
-    stored: Callable[[Splats], Splats],
+    path: Path,
+    given: FormatOptions,
     threads: int,
     clock: StageClock,
     progress: Tracker,
 ) -> Outcome:
+    from nanogs.pipeline.held_files import HeldFiles
     from nanogs.pipeline.reach import reach_psnr
     from nanogs.pipeline.results import HeldResults
+    from nanogs.pipeline.sized import PackNear, Wish
     from nanogs.scoring.held_out import held_out
 
     progress.begin("measure")
     with clock.time("measure"):
         views = held_out(job.splats, progress.part)
 
+    def stored(outcome: Outcome) -> Splats:
+        return as_stored(outcome.splats, path, {**given, **pack.options(outcome)})
+
     def psnr_of(outcome: Outcome) -> float:
         with clock.time("measure"):
-            return views.psnr(stored(outcome.splats))
+            return views.psnr(stored(outcome))
 
     results = HeldResults(job.build(threads, clock, progress), clock)
-    outcome, found = reach_psnr(results, psnr, psnr_of, progress)
+    files = HeldFiles(path, given, job.splats, clock)
+    wish = Wish(0, registry.writable(path), given, job.sh_degree)
+    pack = PackNear(results, wish, lambda: job.splats.take(job.rows), files, progress)
+    outcome, found = reach_psnr(results, psnr, psnr_of, progress, pack)
+    if found.stop is StopReason.UNREACHED:  # and so the whole model is written, as it is
+        pack.packed = None
     with clock.time("measure"):
-        judged = views.judge(stored(outcome.splats))
-    return replace(outcome, probes=found.probes, stop=found.stop, judged=judged)
+        judged = views.judge(stored(outcome))
+    entries = pack.entries(outcome)
+    notes = (*outcome.notes, *pack.notes)
+    return replace(
+        outcome, probes=found.probes, stop=found.stop, judged=judged, notes=notes, **entries
+    )

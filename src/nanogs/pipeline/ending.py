@@ -84,7 +84,7 @@ class Ending:
 
     def _make(self, done: Done, made: Path, progress: Tracker) -> list[Written]:
         try:
-            filling, work = self.sink.open(made), done.work
+            filling, work = self.sink.open(made, done.entries.get("format_options", {})), done.work
             for number, level in enumerate(done.levels):
                 if self.sink.chunks is None:
                     progress.part(number, len(done.levels))

@@ -177,10 +177,12 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
     splats, filtered, notes = read_changed(request.inputs, request.edits, tracker, clock)
     small, report = simplify(
         splats, ratio=goal.ratio, count=goal.count, size=goal.size, psnr=goal.psnr,
-        format=request.suffix, preset=request.preset, nan=request.nan, threads=request.threads,
+        format=request.suffix, preset=request.preset, sh_degree=request.sh_degree,
+        nan=request.nan, threads=request.threads,
         cameras=cameras_of(request, splats), max_memory=request.max_memory,
         progress=tracker.passing(), format_options=options, **request.overrides,
     )  # fmt: skip
+    options = {**(options or {}), **report.format_options}
     if request.frame:
         small = change_frame(small, *request.frame)
     tracker.begin("write")

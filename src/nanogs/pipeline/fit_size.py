@@ -87,14 +87,19 @@ def search_fit(
             over = probe
         if fits is None:
             if count == fewest:
-                raise TooSmallError(
-                    f"The size {size:,} B is too small: a file of {counted(count, 'splat')}, the"
-                    f" fewest that this model can be merged to, takes {probe.bytes:,} B."
-                )
+                raise fewest_too_large(size, count, probe.bytes)
         elif fits.bytes >= enough or _final(fits, over, available, len(probes)):
             return Fitted(fits.count, fits.bytes, tuple(probes))
         count = _next(fits, over, size, probes)
         count = min(max(count, fewest), available)
+
+
+def fewest_too_large(size: int, count: int, needed: int) -> TooSmallError:
+    """What to raise where not even the fewest splats fit."""
+    return TooSmallError(
+        f"The size {size:,} B is too small: a file of {counted(count, 'splat')}, the fewest that"
+        f" this model can be merged to, takes {needed:,} B."
+    )
 
 
 def _final(fits: SizeProbeReport, over: Probe, available: int, tried: int) -> bool:
@@ -139,15 +144,30 @@ def guess_count(sample: Splats, available: int, size: int, encode: Encode) -> in
     Raises:
         TooSmallError: Not even one splat fits.
     """
+    least = least_bytes(sample, size, encode)
+    rows = np.arange(0, len(sample), -(-len(sample) // SAMPLE))
+    each = (encode(sample.take(rows)) - least) / max(len(rows) - 1, 1)
+    return 1 + int((AIM * size - least) / each) if each > 0 else available
+
+
+def least_bytes(sample: Splats, size: int, encode: Encode) -> int:
+    """Bytes of a file of one splat, for which a size must have room.
+
+    Args:
+        sample: Some usable splats.
+        size: Bytes that the file may have.
+        encode: Bytes of a model's file.
+
+    Raises:
+        TooSmallError: It has none.
+    """
     least = encode(sample.take(np.arange(1)))
     if size < least:
         raise TooSmallError(
             f"The size {size:,} B is too small: a file of one splat of this model takes"
             f" {least:,} B."
         )
-    rows = np.arange(0, len(sample), -(-len(sample) // SAMPLE))
-    each = (encode(sample.take(rows)) - least) / max(len(rows) - 1, 1)
-    return 1 + int((AIM * size - least) / each) if each > 0 else available
+    return least
 
 
 def fit_size(
@@ -156,6 +176,8 @@ def fit_size(
     guess: int,
     bytes_of: Callable[[T], int],
     progress: Tracker,
+    *,
+    near: bool = False,
 ) -> tuple[T, Fitted]:
     """The largest result of a model that is found to fit, and takes most of the size.
 
@@ -168,6 +190,8 @@ def fit_size(
         guess: Count to begin with.
         bytes_of: Bytes of a result's file.
         progress: Told of each stage.
+        near: Whether the guess comes from results as they are delivered, so that nothing else leads
+            nearer.
 
     Returns:
         The result, and what was tried.
@@ -201,12 +225,15 @@ def fit_size(
         fewest, available = results.fewest, results.available
         return search_fit(bytes_for, size, guess, fewest, available, enough)
 
-    progress.begin("search")
-    found = search(results.plain(), SIZES, guess)
-    probes = found.probes
-    if results.looks:
+    probes: tuple[SizeProbeReport, ...] = ()
+    enough = ENOUGH * size
+    if not near:
+        progress.begin("search")
+        found = search(results.plain(), SIZES, guess)
+        probes, guess, enough = found.probes, found.count, ENOUGH * min(size, found.bytes)
+        if not results.looks:
+            return best[0], found
         best.clear()
-        progress.begin("deliver")
-        found = search(results, RESULTS, found.count, ENOUGH * min(size, found.bytes))
-        probes += found.probes
-    return best[0], replace(found, probes=probes)
+    progress.begin("deliver")
+    found = search(results, RESULTS, guess, enough)
+    return best[0], replace(found, probes=probes + found.probes)

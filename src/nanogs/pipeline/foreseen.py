@@ -10,6 +10,7 @@ from nanogs.pipeline.stages import STAGES, level_stages, stages_of
 from nanogs.pipeline.target import Goal
 from nanogs.pipeline.weights import (
     COUNTS,
+    PACKINGS,
     RESULTS,
     SIZES,
     Load,
@@ -106,17 +107,20 @@ def search_stages(
     """
     typical, millions = splats // 10, splats / 1e6
     weight = sum(stage.weight for stage in delivery_stages(parameters, splats, typical))
+    looks = renders(parameters)
+    writing = write_weight(suffix, typical)
+    packing = [
+        Stage("guess", writing / 5),
+        Stage("pack", measure_stage(splats).weight + PACKINGS * (2 * writing + weight)),
+    ]
     if psnr is not None:
-        before, tried = measure_stage(splats), COUNTS
-        quick, whole = 0.1 + 0.4 * millions, weight + 0.1
-    else:
-        writing, tried = write_weight(suffix, typical), SIZES
-        before = Stage("guess", writing / 5)
-        quick, whole = writing + 0.3 * millions, writing + weight
-    search = [Stage("search", tried * quick)]
-    if renders(parameters):
-        search.append(Stage("deliver", (COUNTS if psnr is not None else RESULTS) * whole))
-    return [before], search
+        search = [Stage("search", COUNTS * (0.1 + 0.4 * millions))]
+        search += [*packing, Stage("deliver", COUNTS * (weight + 0.1))] if looks else []
+        return [measure_stage(splats)], search
+    search = packing if looks else packing[:1]
+    search = [*search, Stage("search", SIZES * (writing + 0.3 * millions))]
+    search += [Stage("deliver", RESULTS * (writing + weight))] if looks else []
+    return [], search
 
 
 def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) -> list[Stage]:

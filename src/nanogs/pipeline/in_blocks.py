@@ -21,7 +21,7 @@ from nanogs.pipeline.plan import (
     ScalePlan,
     plan_blocks,
 )
-from nanogs.pipeline.presets import parameters
+from nanogs.pipeline.presets import parameters, renders
 from nanogs.pipeline.rows import (
     look_at,
     refuse_large_whole,
@@ -156,13 +156,15 @@ def plan_job(
             memory is too little.
     """
     chosen = block_parameters(request.preset, request.overrides)
-    changes, goals, sought = request.changes, request.goals, sought_by(request)
+    changes, goals = request.changes, request.goals
     changes.check()
     inputs, layout = look_at(request.inputs, changes)
-    if request.measured or request.goal.psnr is not None:
+    sought = sought_by(request, layout, sum(each.splats for each in inputs))
+    seen = sought is not None and (sought.psnr is not None or renders(chosen))
+    if request.measured or seen:
         with Joined([open_model(path) for path in request.inputs]) as source:
             room_for_measuring(source, request.max_memory)
-    beside = pictures_bytes(PIXELS**2, VIEWS) if sought and sought.psnr is not None else 0
+    beside = pictures_bytes(PIXELS**2, VIEWS) if seen else 0
 
     def planned(splats: int) -> ScalePlan:
         # A search may try any count, and has two results at a time in files.
@@ -189,16 +191,26 @@ def plan_job(
         chunks=request.chunks,
         filters=sieve,
         frame=changes.frame,
+        sh_degree=request.sh_degree,
         asked=changes.asked,
         search=sought,
     )
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
 
 
-def sought_by(request: "Request") -> Sought | None:
-    """What a count is searched for; None where it is known beforehand."""
+def sought_by(request: "Request", layout: Layout, splats: int) -> Sought | None:
+    """What a count is searched for; None where it is known beforehand.
+
+    Args:
+        request: What is asked for.
+        layout: The columns of the model.
+        splats: Of the model.
+    """
     goal = request.goal
-    if goal.psnr is None and (goal.size is None or request.sizer is not None):
+    if request.ratios or not request.searches(layout.sh_degree):
+        return None
+    known = goal.size is not None and request.sizer is not None
+    if known and count_of(goal, splats, layout, request.sizer) == splats:
         return None
     options = json.dumps(dict(request.format_options or {}), sort_keys=True, default=str)
     return Sought(goal.size, goal.psnr, request.suffix, options)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -41,6 +41,7 @@ class Job:
         preset: Name of the preset.
         parameters: Of the method.
         cameras: The user's views, or None for automatic ones.
+        sh_degree: Of the result's harmonics, or None where none is asked for.
     """
 
     splats: Splats
@@ -48,6 +49,7 @@ class Job:
     preset: str
     parameters: Parameters
     cameras: "Sequence[Camera] | None"
+    sh_degree: int | None = None
 
     def refuse_too_large(
         self, target: int | None, max_memory: int | None, *, judged: bool = False
@@ -87,6 +89,7 @@ class Job:
 
         assert isinstance(self.parameters, ForestParameters)  # noqa: S101 - the caller's choice
         settings = whole_settings(self.splats, self.parameters)
+        settings = replace(settings, sh_degree=self.sh_degree)
         scene = OneBlock(self.splats, self.rows, settings, threads, self.cameras)
         build(scene, clock, progress)
         return scene
@@ -163,6 +166,7 @@ def prepare_job(
     overrides: dict[str, Any],
     cameras: "Sequence[Camera] | None",
     nan: NanPolicy,
+    sh_degree: int | None = None,
 ) -> Job:
     """Check all that can be checked before anything is computed.
 
@@ -171,7 +175,7 @@ def prepare_job(
         ModelError: No splat is usable, or `nan="error"` and one is not.
     """
     chosen = parameters(preset, overrides)
-    return Job(splats, usable_rows(splats, nan), preset, chosen, cameras)
+    return Job(splats, usable_rows(splats, nan), preset, chosen, cameras, sh_degree)
 
 
 def import_stages(chosen: Parameters) -> None:

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, replace
 
 from nanogs.errors import OutputError
 from nanogs.pipeline.foreseen import result_stages
-from nanogs.pipeline.run import Run, is_done, plain
+from nanogs.pipeline.results import M
+from nanogs.pipeline.run import Run, brief, is_done, plain
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.stages import level_stages
@@ -80,6 +81,14 @@ class JobResults:
         """As `Results` says."""
         return replace(self, settings=plain(self.settings, rounds))
 
+    def brief(self) -> "JobResults":
+        """As `Results` says."""
+        return replace(self, settings=brief(self.settings))
+
+    def packed(self, sh_degree: int, share: float | None) -> "JobResults":
+        """As `Results` says."""
+        return replace(self, settings=replace(self.settings, sh_degree=sh_degree, share=share))
+
     def stages(self, count: int) -> list[Stage]:
         """As `Results` says."""
         return result_stages(self.settings, count)
@@ -91,8 +100,8 @@ class JobResults:
         return result
 
     def marked(
-        self, count: int, mark: Callable[[Result], float], progress: Tracker
-    ) -> tuple[Result, float]:
+        self, count: int, mark: Callable[[Result], M], progress: Tracker
+    ) -> tuple[Result, M]:
         """As `Results` says.
 
         Raises:

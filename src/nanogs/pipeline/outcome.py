@@ -1,12 +1,13 @@
 """What the stages have found of a result, as reports have it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from nanogs.fit.report import RefitReport
 from nanogs.protocol import Judged
 from nanogs.report import (
     CandidateReport,
+    PackingReport,
     PassReport,
     ProbeReport,
     SizeProbeReport,
@@ -37,6 +38,8 @@ class Outcome:
     probes: tuple[ProbeReport, ...] = ()
     achieved_size: int | None = None
     size_probes: tuple[SizeProbeReport, ...] = ()
+    packings: tuple[PackingReport, ...] = ()
+    format_options: dict[str, int] = field(default_factory=dict)
 
 
 def outcome_of(scene: "OneBlock", level: int) -> Outcome:

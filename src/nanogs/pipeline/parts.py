@@ -46,7 +46,7 @@ class Parts(Source):
         self._work = work
         self._records = work.delivered(level)
         self._ends = [0, *accumulate(map(count_of, self._records))]
-        self.count, self.columns = self._ends[-1], work.settings.layout
+        self.count, self.columns = self._ends[-1], work.settings.delivered
         self._table: Table | None = None
 
     def _span(self, start: int, stop: int) -> Splats:
@@ -91,7 +91,7 @@ def write_rest(work: "Work", name: str, level: int) -> Record:
     records, target = work.delivered(level), work.target(level)
     if sum(map(count_of, records)) <= target:
         return write_table(work.scratch, name, {}, {BOUNDS: None})
-    parts = [read_part(work.scratch, work.settings.layout, record) for record in records]
+    parts = [read_part(work.scratch, work.settings.delivered, record) for record in records]
     small = further(concatenate(parts), target, work.settings)
     codes = work.frame.codes(small)
     order = np.argsort(codes, kind="stable")
@@ -107,7 +107,7 @@ def part_of_block(work: "Work", block: int, level: int) -> Splats:
 
     They are in the frame that results are turned to.
     """
-    splats = _rows(work.scratch, work.settings.layout, *_place(work, block, level))
+    splats = _rows(work.scratch, work.settings.delivered, *_place(work, block, level))
     frame = work.settings.frame
     return change_frame(splats, *frame) if frame else splats
 

@@ -171,7 +171,11 @@ def _slope(probes: "list[ProbeReport] | tuple[ProbeReport, ...]") -> float:
 
 
 def reach_psnr(
-    results: Results[T], asked: float, psnr_of: Callable[[T], float], progress: Tracker
+    results: Results[T],
+    asked: float,
+    psnr_of: Callable[[T], float],
+    progress: Tracker,
+    pack: Callable[[int], tuple[Results[T], int]],
 ) -> tuple[T, Found]:
     """The smallest result of a model that is found to reach a PSNR on the views held out.
 
@@ -182,6 +186,8 @@ def reach_psnr(
         asked: dB.
         psnr_of: Measures a result on views that nothing is learnt from, dB.
         progress: Told of each stage.
+        pack: Told the count that quick results lead to, it chooses how those that are delivered are
+            packed, and gives them and a count to begin with.
 
     Returns:
         The result, and what was tried.
@@ -221,8 +227,11 @@ def reach_psnr(
         best.clear()
         if _hopeless(near, asked):
             return _whole(results, near, progress)
+        packed, guess = pack(guess)
         progress.begin("deliver")
-    found = search(results, guess, slope, quick=False)
+        found = search(packed, guess, slope, quick=False)
+    else:
+        found = search(results, guess, slope, quick=False)
     found = replace(found, probes=probes + found.probes)
     if not best:
         return _whole(results, found, progress)

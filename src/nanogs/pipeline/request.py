@@ -19,8 +19,8 @@ from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
-from nanogs.pipeline.rows import Changes
-from nanogs.pipeline.target import Goal, target_count
+from nanogs.pipeline.rows import Changes, check_degree
+from nanogs.pipeline.target import Goal, is_searched, target_count
 from nanogs.sink import Chunked
 from nanogs.source import Joined
 from nanogs.store.columns import row_bytes
@@ -88,8 +88,12 @@ class Request:
 
     @property
     def edits(self) -> Changes:
-        """What is left out of the model, and where results are turned to."""
-        return Changes(self.filters, self.sh_degree, self.frame)
+        """What is left out of the model, and where results are turned to.
+
+        Harmonics of a single result are left out of that where it is fitted to all that views show.
+        """
+        fitted = not self.ratios and renders(self.parameters)
+        return Changes(self.filters, None if fitted else self.sh_degree, self.frame)
 
     @property
     def changes(self) -> Changes:
@@ -107,6 +111,12 @@ class Request:
         """Bytes of the output's format for a count; None where only writing a file tells."""
         return None if self.ratios else registry.writable(self.output).file_bytes
 
+    def searches(self, degree: int) -> bool:
+        """Whether only trying tells the count of a result of a model of a degree of harmonics."""
+        free = degree if self.sh_degree is None else 0
+        known, looks = registry.writable(self.output), renders(self.parameters)
+        return is_searched(self.goal, known, degree=free, looks=looks)
+
     @property
     def folder(self) -> Path:
         """Of the job, if it becomes one."""
@@ -122,9 +132,10 @@ class Request:
 
         Raises:
             OptionError: A search is asked of a preset that has none, or for the size of a file that
-                is turned once that is found; or the format is not written.
+                is turned once that is found; or there is no such degree or format to write.
         """
         refuse_searches(self.goal, self.preset, self.output)
+        check_degree(self.sh_degree)
         if self.frame and self.goal.size is not None and self.sizer is None:
             raise OptionError(
                 f"`frame` changes the size of a {self.output.suffix} file that `size` has found;"
@@ -196,7 +207,7 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
     """
     # Where the preset looks, it has taken as much before as measuring one result does.
     measured = is_measured(request) and (bool(request.ratios) or not renders(request.parameters))
-    judged = measured or request.goal.psnr is not None
+    judged = measured or (not request.ratios and request.searches(degree))
     plan = plan_memory(splats, degree, extra, request.parameters, target, judged=judged)
     if request.chunks is None:
         return plan

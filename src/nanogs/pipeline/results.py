@@ -8,10 +8,11 @@ from nanogs.clock import StageClock
 from nanogs.pipeline.foreseen import delivery_stages
 from nanogs.pipeline.one_block import OneBlock
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.run import deliver, plain
+from nanogs.pipeline.run import brief, deliver, plain
 from nanogs.progress import Stage, Tracker
 
 T = TypeVar("T")
+M = TypeVar("M")
 
 
 class Results(Protocol[T]):
@@ -32,18 +33,29 @@ class Results(Protocol[T]):
     def plain(self, rounds: int | None = None) -> Self:
         """Results that are cut without looking; see `run.plain`."""
 
+    def brief(self) -> Self:
+        """Results that are fitted in few steps; see `run.brief`."""
+
+    def packed(self, sh_degree: int, share: float | None) -> Self:
+        """Results whose harmonics are of a degree at most, and fitted as a palette has them.
+
+        Args:
+            sh_degree: Of the harmonics, as far as the scene's are.
+            share: Splats for an entry of the palette, or None where each has its own harmonics.
+        """
+
     def stages(self, count: int) -> list[Stage]:
         """The stages of one result."""
 
     def make(self, count: int, progress: Tracker) -> T:
         """The result of a count."""
 
-    def marked(self, count: int, mark: Callable[[T], float], progress: Tracker) -> tuple[T, float]:
+    def marked(self, count: int, mark: Callable[[T], M], progress: Tracker) -> tuple[T, M]:
         """The result of a count, and what a function says of it.
 
         Args:
             count: Splats.
-            mark: Measures the result; a function of nothing else.
+            mark: Measures the result, by what JSON holds; a function of nothing else.
             progress: Told of each stage.
         """
 
@@ -83,6 +95,15 @@ class HeldResults:
         scene = self.scene
         return replace(self, scene=replace(scene, settings=plain(scene.settings, rounds)))
 
+    def brief(self) -> "HeldResults":
+        """As `Results` says."""
+        return replace(self, scene=replace(self.scene, settings=brief(self.scene.settings)))
+
+    def packed(self, sh_degree: int, share: float | None) -> "HeldResults":
+        """As `Results` says."""
+        settings = replace(self.scene.settings, sh_degree=sh_degree, share=share)
+        return replace(self, scene=replace(self.scene, settings=settings))
+
     def stages(self, count: int) -> list[Stage]:
         """As `Results` says."""
         return delivery_stages(self.scene.settings.parameters, len(self.scene.usable), count)
@@ -92,8 +113,8 @@ class HeldResults:
         return deliver(self.scene, count, self.clock, progress)
 
     def marked(
-        self, count: int, mark: Callable[[Outcome], float], progress: Tracker
-    ) -> tuple[Outcome, float]:
+        self, count: int, mark: Callable[[Outcome], M], progress: Tracker
+    ) -> tuple[Outcome, M]:
         """As `Results` says."""
         outcome = self.make(count, progress)
         return outcome, mark(outcome)

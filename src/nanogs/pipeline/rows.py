@@ -51,15 +51,22 @@ class Changes:
             raise OptionError(
                 "A job takes the filters of nanogs.filters alone; apply others to the model first."
             )
-        if self.sh_degree is not None and not 0 <= self.sh_degree <= MAX_SH_DEGREE:
-            raise OptionError(
-                f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {self.sh_degree}."
-            )
+        check_degree(self.sh_degree)
         if self.frame is not None:
             change_between(*self.frame)
 
 
 NOTHING = Changes()
+
+
+def check_degree(sh_degree: int | None) -> None:
+    """Refuse a degree of harmonics that there is none of.
+
+    Raises:
+        OptionError: It is neither None nor from 0 to 4.
+    """
+    if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
+        raise OptionError(f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {sh_degree}.")
 
 
 def look_at(

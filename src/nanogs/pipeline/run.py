@@ -16,6 +16,8 @@ from nanogs.progress import Tracker, untold
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import verified, write_table
 
+BRIEF = 28  # steps of the fit of results that are only held against each other
+
 
 class Executor(Protocol):
     """Does tasks that need nothing of each other."""
@@ -183,6 +185,16 @@ def plain(settings: Settings, rounds: int | None = None) -> Settings:
         given, measure=False, steps=0, rounds=given.rounds if rounds is None else rounds
     )
     return replace(settings, parameters=parameters)
+
+
+def brief(settings: Settings) -> Settings:
+    """Settings by which results are fitted in few steps, to be held against each other.
+
+    Args:
+        settings: Others.
+    """
+    given = settings.parameters
+    return replace(settings, parameters=replace(given, steps=min(given.steps, BRIEF)))
 
 
 def _do_here(

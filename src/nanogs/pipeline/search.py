@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,16 +12,19 @@ from nanogs.io import bytes_on_disk, encoded_bytes, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.format import FormatOptions
 from nanogs.pipeline.ending import result_of
-from nanogs.pipeline.fit_size import SAMPLE, WHOLE_FITS, fit_size, guess_count
+from nanogs.pipeline.fit_size import SAMPLE, WHOLE_FITS
 from nanogs.pipeline.job_results import JobResults, Result
 from nanogs.pipeline.reach import reach_psnr
 from nanogs.pipeline.rows import opened, sample
 from nanogs.pipeline.run import Done, Run
+from nanogs.pipeline.sized import PackNear, Wish, fill_size
 from nanogs.pipeline.work import SPAN, Work
 from nanogs.progress import Tracker
-from nanogs.scoring.held_out import held_out
+from nanogs.report import StopReason
+from nanogs.scoring.held_out import HeldOut, held_out
 from nanogs.sink import refuse_large
-from nanogs.source import Source, Turned
+from nanogs.source import Reduced, Source, Turned
+from nanogs.splats import Splats
 from nanogs.store.columns import row_bytes
 
 TRIED = ".nanogs-tried"  # a file that is written to be measured; the job takes it away
@@ -76,63 +79,116 @@ class Search:
     def _reach(
         self, results: JobResults, psnr: float, clock: StageClock, progress: Tracker
     ) -> _Found:
-        work = results.work
+        work, given = results.work, self.options or {}
         progress.begin("measure")
         with clock.time("measure"), opened(work.settings, work.unpacked()) as original:
             views = held_out(original, progress.part, self.max_memory)
 
         def psnr_of(result: Result) -> float:
-            with clock.time("measure"), self._stored(result) as small:
+            with clock.time("measure"), self._stored(result, pack.options(result)) as small:
                 return views.psnr(small)
 
-        result, found = reach_psnr(results, psnr, psnr_of, progress)
+        files = _Files(self, work, clock)
+        wish = Wish(0, registry.writable(self.output), given, work.settings.sh_degree)
+        pack = PackNear(results, wish, partial(_sample, work), files, progress)
+        result, found = reach_psnr(results, psnr, psnr_of, progress, pack)
+        if found.stop is StopReason.UNREACHED:  # and so the whole model is written, as it is
+            pack.packed = None
         results.verify(result, progress)
-        with clock.time("measure"), self._stored(result) as small:
+        with clock.time("measure"), self._stored(result, pack.options(result)) as small:
             judged = views.judge(small)
-        return _Found(result, {"probes": found.probes, "stop": found.stop, "judged": judged})
+        entries = {"probes": found.probes, "stop": found.stop, "judged": judged}
+        return _Found(result, entries | pack.entries(result), pack.notes)
 
     def _fit(self, results: JobResults, size: int, clock: StageClock, progress: Tracker) -> _Found:
-        def bytes_of(result: Result) -> int:
-            with (
-                clock.time("encode"),
-                result_of(result.work, result.level) as source,
-                self._written(source) as path,
-            ):
-                return bytes_on_disk(path)
-
-        progress.begin("guess")
         work = results.work
-        some = sample(work.settings, work.unpacked(), rows=SAMPLE, span=SPAN, bare=False)
-        encode = partial(encoded_bytes, path=self.output, format_options=self.options)
-        with clock.time("encode"):
-            guess = guess_count(some, results.available, size, encode)
-        result, found = fit_size(results, size, guess, bytes_of, progress)
+        files, given = _Files(self, work, clock), self.options or {}
+        wish = Wish(size, registry.writable(self.output), given, work.settings.sh_degree)
+        result, found = fill_size(results, wish, _sample(work), files, progress)
         results.verify(result, progress)
-        notes = found.leap(size, results.available)
-        if found.count == results.available:
+        fitted, packed = found.fitted, found.packed
+        options = packed.packing.options(files.count(result))
+        notes = fitted.leap(size, results.available)
+        notes += packed.notes
+        if fitted.count == results.available:
             notes += (WHOLE_FITS,)
-        return _Found(result, {"achieved_size": found.bytes, "size_probes": found.probes}, notes)
+        entries = {"achieved_size": fitted.bytes, "size_probes": fitted.probes}
+        entries |= {"packings": packed.packings, "format_options": options}
+        return _Found(result, entries, notes)
 
     @contextmanager
-    def _stored(self, result: Result) -> Iterator[Source]:
+    def _stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:
         """A result as its file gives it back, in the frame of the inputs."""
-        known, frame = registry.writable(self.output), result.work.settings.frame
-
-        def back(source: Source) -> Source:
-            return Turned(source, frame[1], frame[0]) if frame else source
-
+        known = registry.writable(self.output)
         with result_of(result.work, result.level) as source:
             if known.suffix == ".ply" or not known.readable:
-                yield back(source)
+                yield turned_back(source, result)
                 return
-            with self._written(source) as path, open_model(path) as file:
-                yield back(file)
+            with self.written(source, options) as path, open_model(path) as file:
+                yield turned_back(file, result)
 
     @contextmanager
-    def _written(self, source: Source) -> Iterator[Path]:
-        """A file of a result, which is taken away afterwards."""
+    def written(self, source: Source, options: Mapping[str, Any]) -> Iterator[Path]:
+        """A file of a result, with more options of the format; it is taken away afterwards."""
         refuse_large(self.output, source.count, row_bytes(source.columns), self.max_memory)
         path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
-        save(source, path, overwrite=True, format_options=self.options)
+        save(source, path, overwrite=True, format_options={**(self.options or {}), **options})
         yield path
         path.unlink()
+
+
+def _sample(work: Work) -> Splats:
+    return sample(work.settings, work.unpacked(), rows=SAMPLE, span=SPAN, bare=False)
+
+
+def turned_back(source: Source, result: Result) -> Source:
+    """A result, or its file, in the frame of the inputs."""
+    frame = result.work.settings.frame
+    return Turned(source, frame[1], frame[0]) if frame else source
+
+
+@dataclass(eq=False)
+class _Files:
+    """Writes results of a job; see `sized.Files`."""
+
+    search: Search
+    work: Work
+    clock: StageClock
+
+    @cached_property
+    def views(self) -> HeldOut:
+        """The original on views from which much is learnt, so that others can judge the result."""
+        with opened(self.work.settings, self.work.unpacked()) as original:
+            return held_out(original, max_memory=self.search.max_memory, split="fit")
+
+    def count(self, result: Result) -> int:
+        """As `Files` says."""
+        return result.work.target(result.level)
+
+    def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
+        """As `Files` says."""
+        given = {**(self.search.options or {}), **options}
+        with self.clock.time("encode"):
+            return encoded_bytes(some, self.search.output, given)
+
+    def bytes_of(self, result: Result, options: Mapping[str, Any]) -> int:
+        """As `Files` says."""
+        with (
+            self.clock.time("encode"),
+            result_of(result.work, result.level) as source,
+            self.search.written(source, options) as path,
+        ):
+            return bytes_on_disk(path)
+
+    def seen(
+        self, result: Result, sh_degree: int, options: Mapping[str, Any]
+    ) -> tuple[int, float, float]:
+        """As `Files` says."""
+        with (
+            self.clock.time("encode"),
+            result_of(result.work, result.level) as source,
+            self.search.written(Reduced(source, sh_degree), options) as path,
+            open_model(path) as file,
+        ):
+            judged = self.views.judge(turned_back(file, result))
+            return bytes_on_disk(path), judged.psnr, judged.ssim

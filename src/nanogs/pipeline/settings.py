@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -15,7 +15,7 @@ from nanogs.source import Layout
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
-VERSION = 5  # of the job folder; one of another version is not continued
+VERSION = 6  # of the job folder; one of another version is not continued
 
 
 class Access(StrEnum):
@@ -102,6 +102,9 @@ class Settings:
         filters: What they leave of the files; None without any.
         frame: From and to which results are turned, or None.
         asked: The views that were asked for.
+        sh_degree: The highest of the results' harmonics, or None for all.
+        share: Splats for each different set of higher harmonics, as a palette has them, or None
+            where each has its own.
         search: What a count is searched for, or None where it is known beforehand.
     """
 
@@ -117,12 +120,27 @@ class Settings:
     filters: Sieve | None = None
     frame: tuple[str, str] | None = None
     asked: Asked = AUTOMATIC
+    sh_degree: int | None = None
+    share: float | None = None
     search: Sought | None = None
 
     @property
     def splats(self) -> int:
         """Rows that filters leave of all inputs."""
         return self.filters.left[-1] if self.filters else self.read
+
+    @property
+    def delivered(self) -> Layout:
+        """The columns of the results."""
+        if self.sh_degree is None or self.sh_degree >= self.layout.sh_degree:
+            return self.layout
+        return replace(self.layout, sh_degree=self.sh_degree)
+
+    def entries(self, count: int) -> int | None:
+        """Sets of higher harmonics that so many splats share; None where each has its own."""
+        if self.share is None or self.delivered.sh_degree == 0:
+            return None
+        return max(int(count / self.share), 1)
 
     @property
     def read(self) -> int:

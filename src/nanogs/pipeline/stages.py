@@ -231,13 +231,16 @@ def _choose(scene: Scene, task: Task) -> Record:
 
 
 def _part(scene: Scene, task: Task) -> Record:
-    if not scene.merges(task.level):
+    if scene.merges(task.level):
+        chosen = scene.chosen(task.level)
+        found = scene.members(task.number, task.level, reassigned=chosen.reassigned)
+        small = scene.stored(found).grown(chosen.growth)
+        del found
+    else:
         own = scene.open(task.number)
-        rows = np.sort(own.rows).astype(np.int64)
-        return scene.keep_part(task.name, task.level, own.splats.take(rows))
-    chosen = scene.chosen(task.level)
-    found = scene.members(task.number, task.level, reassigned=chosen.reassigned)
-    small = scene.stored(found).grown(chosen.growth)
+        small = own.splats.take(np.sort(own.rows).astype(np.int64))
+    if (degree := scene.settings.sh_degree) is not None:
+        small = small.with_sh_degree(degree)
     return scene.keep_part(task.name, task.level, small)
 
 

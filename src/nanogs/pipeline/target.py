@@ -7,6 +7,7 @@ from fractions import Fraction
 
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
+from nanogs.io.format import Format
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,21 @@ class Goal:
         if self.size is not None:
             return count_for_size(available, self.size, file_bytes)
         return target_count(available, self.ratio, self.count)
+
+
+def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:
+    """Whether only trying tells the count.
+
+    Args:
+        goal: What is asked.
+        known: The format of the file.
+        degree: Of the harmonics, as far as they may be chosen; 0 where they may not.
+        looks: Whether results are made by what views show.
+    """
+    if goal.size is None:
+        return goal.psnr is not None
+    chosen = looks and known.readable and min(degree, known.max_degree) > 0
+    return known.file_bytes is None or chosen
 
 
 def target_count(available: int, ratio: float | None, count: int | None) -> int:

@@ -14,6 +14,7 @@ from nanogs.protocol import VIEWS
 
 ROUND = 32  # steps of the fit, about: what each of its rounds makes
 SIZES, RESULTS = 4, 2  # files that a search for a size writes: of plain cuts, and of results
+PACKINGS = 4  # results that a search for the best packing makes
 COUNTS = 4  # that a search for a PSNR tries, of plain cuts and again of results
 _MILLION = 1e6
 

@@ -360,7 +360,7 @@ class Work(Scene):
     def part(self, block: int, level: int) -> Splats:
         """As `Scene` says."""
         record = self.of_block("part", block, level)
-        return read_part(self.scratch, self.settings.layout, record)
+        return read_part(self.scratch, self.settings.delivered, record)
 
     def keep_part(self, name: str, level: int, small: Splats) -> Record:
         """As `Scene` says, in Morton order."""

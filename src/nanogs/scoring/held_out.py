@@ -22,6 +22,7 @@ from nanogs.scoring.scores import (
 from nanogs.scoring.unpacked import Unpacked
 from nanogs.source import Source
 from nanogs.splats import Splats
+from nanogs.views.automatic import Split
 from nanogs.views.cameras import cameras_for
 from nanogs.views.plan import room_for_measuring
 from nanogs.views.streamed import Streamed, drawable, renderings
@@ -85,7 +86,10 @@ class HeldOut:
 
 
 def held_out(
-    original: Splats | Source, tell: Parts = untold, max_memory: int | None = None
+    original: Splats | Source,
+    tell: Parts = untold,
+    max_memory: int | None = None,
+    split: Split = "test",
 ) -> HeldOut:
     """Render the original once, for any number of models.
 
@@ -94,6 +98,7 @@ def held_out(
         tell: Told of the views rendered.
         max_memory: Bytes that this process may take, where a source is rendered; by default what is
             free.
+        split: Of the views; "fit" for such as methods learn from, to choose by.
 
     Raises:
         FormatError: The source cannot be read.
@@ -102,11 +107,14 @@ def held_out(
     """
     drawn = _drawable(original, max_memory)
     try:
-        cameras = cameras_for(original, "auto", count=VIEWS, width=PIXELS, height=PIXELS)
+        cameras = cameras_for(
+            original, "auto", count=VIEWS, width=PIXELS, height=PIXELS, split=split
+        )
         views, _ = reference_views(drawn, cameras, BLACK, tell, depth=False)
     except ModelError as error:
         raise ModelError(f"The PSNR cannot be measured: {error}") from None
-    return HeldOut(views, Protocol(views=len(views)), max_memory)
+    protocol = Protocol(views=len(views), split="test" if split == "test" else "train")
+    return HeldOut(views, protocol, max_memory)
 
 
 def _drawable(model: Splats | Source, max_memory: int | None) -> PreparedSplats | Streamed:

@@ -3,6 +3,7 @@
 from nanogs.io.format import Format
 from nanogs.io.gltf import tileset, write
 from nanogs.io.gltf.glb import MAGIC
+from nanogs.io.gltf.primitives import MAX_DEGREE
 from nanogs.io.gltf.read import open_gltf
 from nanogs.io.registry import TILESET
 
@@ -18,6 +19,7 @@ FORMATS = (
         frame=_FRAME,
         turns=True,
         streams=True,
+        max_degree=MAX_DEGREE,
         starts=(MAGIC,),
     ),
     Format(".gltf", open_gltf, frame=_FRAME, turns=True),

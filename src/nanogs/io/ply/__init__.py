@@ -13,6 +13,7 @@ FORMATS = (
         compressed_write.file_bytes,
         compressed_write.losses,
         streams=True,
+        max_degree=compressed_write.MAX_DEGREE,
     ),
     Format(".ply", open_ply, write.write, write.file_bytes, streams=True, starts=_STARTS),
 )

@@ -10,7 +10,7 @@ from nanogs.io.sog.read import META, SogSource
 
 _OPTIONS = {
     "palette": WriteOption("palette_size", range(1, PALETTE_MAX + 1)),
-    "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1)),
+    "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1), write.USUAL_BITS),
 }
 FORMATS = (
     Format(
@@ -20,6 +20,7 @@ FORMATS = (
         tells=True,
         losses=write.losses,
         options=_OPTIONS,
+        max_degree=write.MAX_DEGREE,
         holds=META,
     ),
     Format(
@@ -27,6 +28,7 @@ FORMATS = (
         SogSource,
         losses=write.losses,
         options=_OPTIONS,
+        max_degree=write.MAX_DEGREE,
         write_folder=write.write_folder,
         ours=write.ours,
     ),

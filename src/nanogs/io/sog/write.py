@@ -39,6 +39,7 @@ _BLOCK = 4  # sides of textures are multiples of it
 _GENERATOR = "nanogs"
 _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
 _LAST = 65535  # of the codes of a coordinate
+_CODES = 256  # of a codebook
 # Entries of the codebook of a palette; a palette that rounds already needs fewer.
 _EXACT, _ROUNDED = 64, 32
 _SMALL_PALETTE = 1024  # models of so few splats keep a value each
@@ -284,7 +285,8 @@ def _higher(splats: Splats, packing: Packing, submit: Submit, tell: Parts) -> di
     points = splats.sh[:, 1 : coefficients + 1].reshape(len(splats), -1)
     size = packing.palette_size or usual_palette(len(splats))
     found = palette(points, size, visibility(splats), tell)
-    book = codebook(found.entries, _EXACT if found.exact else _ROUNDED)
+    kept = found.exact and (len(found.entries) == len(splats) or _few_values(found.entries))
+    book = codebook(found.entries, _EXACT if kept else _ROUNDED)
     count = len(found.entries)
     height = -(-count // sog_meta.PALETTE_COLUMNS)
     texels = np.zeros((height * sog_meta.PALETTE_COLUMNS, coefficients, 3), np.uint8)
@@ -302,6 +304,11 @@ def _higher(splats: Splats, packing: Packing, submit: Submit, tell: Parts) -> di
         "codebook": _short(book),
         "files": ["shN_centroids.webp", "shN_labels.webp"],
     }
+
+
+def _few_values(entries: F32) -> bool:
+    """Whether entries are of a codebook already, and not the means of splats that share them."""
+    return len(np.unique(entries)) <= _CODES
 
 
 def usual_palette(count: int) -> int:

@@ -19,8 +19,8 @@ FORMATS = (
         axes=None,
         options={
             "spz_version": WriteOption("version", (2, 3, 4)),
-            "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1)),
-            "sh_bits": WriteOption("sh_bits", range(2, 9)),
+            "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1), MOST_BITS),
+            "sh_bits": WriteOption("sh_bits", range(2, 9), write.SH_BITS),
         },
         streams=True,
         starts=(MAGIC, GZIP),

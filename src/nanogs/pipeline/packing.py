@@ -1,0 +1,231 @@
+"""What a size leaves to be chosen besides the count: harmonics, their palette and the bits.
+
+A megabyte holds many splats of one colour each, or fewer that shine; which of them shows more only
+looking tells. Each way of packing is tried at a count that about fills the size: a result is made
+for it, packed, unpacked and held against the original on views. The bits are looked for among
+files of the first result, since they hardly change what is best else; there a lower degree is seen
+as well, and made only where it is not far behind.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from nanogs.method.choose import quality
+from nanogs.pipeline.fit_size import AIM
+from nanogs.report import PackingReport
+
+# Splats for an entry of the palette: what a file is usually written with, and what else is tried.
+USUAL_SHARE = 1.5
+SHARES = USUAL_SHARE, 8.0, 32.0, 128.0
+LARGEST_PALETTE = 1 << 16
+# Of the quality and of the PSNR alone, dB for e times the bytes; trained scenes: 4 to 10, 3 to 10.
+SLOPE, PSNR_SLOPE = 5.0, 4.0
+NEAR = 0.12  # logarithm of the bytes over the size within which a result is not made again
+BEHIND = 1.5  # dB by which a degree that nothing is fitted for may be behind and still be tried
+
+
+@dataclass(frozen=True, slots=True)
+class Packing:
+    """How results are packed.
+
+    Attributes:
+        sh_degree: Of the harmonics that are written.
+        share: Splats for an entry of the palette of the higher ones, or None without a choice.
+        bits: Options of the format that say how fine it is, by name.
+    """
+
+    sh_degree: int
+    share: float | None = None
+    bits: tuple[tuple[str, int], ...] = ()
+
+    def share_of(self, count: int) -> float | None:
+        """Splats for an entry of the palette of a result, or None where there is no choice."""
+        if self.share is None or self.sh_degree == 0:
+            return None
+        return max(self.share, count / LARGEST_PALETTE)
+
+    def options(self, count: int) -> dict[str, Any]:
+        """Options of the format for a result of so many splats."""
+        share = self.share_of(count)
+        return dict(self.bits) | ({"palette": max(int(count / share), 1)} if share else {})
+
+
+Seen = Callable[[Packing], PackingReport]
+"""Packs the result at hand, whose harmonics may be of a higher degree, and measures it."""
+Look = Callable[[Seen], list[PackingReport]]
+"""Looks at files of a result."""
+Try = Callable[[Packing, int, Look], list[PackingReport]]
+"""Makes the result of a packing and a count, and looks at files of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bits:
+    """What an option that says how fine a format is may be.
+
+    Attributes:
+        usual: What it is by default.
+        values: All, ascending.
+    """
+
+    usual: int
+    values: Sequence[int]
+
+    def ways(self) -> tuple[list[int], list[int]]:
+        """The other values, from the usual one to fewer and to more."""
+        fewer = [value for value in self.values if value < self.usual]
+        return fewer[::-1], [value for value in self.values if value > self.usual]
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What there is to choose.
+
+    Attributes:
+        degrees: Of the harmonics that may be written, ascending, at least one.
+        palettes: Whether the size of a palette is to be chosen.
+        bits: The options of the format that say how fine it is, by name.
+        by_psnr: Whether the PSNR alone decides, and not the SSIM beside it.
+    """
+
+    degrees: Sequence[int]
+    palettes: bool
+    bits: Mapping[str, Bits] = field(default_factory=dict)
+    by_psnr: bool = False
+
+    @property
+    def usual(self) -> Packing:
+        """How a file is packed without choosing."""
+        palette = USUAL_SHARE if self.palettes and self.degrees[-1] else None
+        return Packing(self.degrees[-1], palette)
+
+    @property
+    def any(self) -> bool:
+        """Whether there is a choice."""
+        return len(self.degrees) > 1 or self.usual.share is not None or bool(self.bits)
+
+
+def choose_packing(
+    choices: Choices,
+    size: int,
+    guess: Callable[[Packing], int],
+    attempt: Try,
+    available: int,
+) -> tuple[Packing, int, tuple[PackingReport, ...]]:
+    """Look for the packing whose file of a size shows most.
+
+    Args:
+        choices: What may be chosen.
+        size: Bytes that the file may have.
+        guess: The count of the model's own splats that fill the size with a packing, about.
+        attempt: Makes results.
+        available: Splats of the whole model.
+
+    Returns:
+        The packing, a count that about fills the size with it, and what was tried in order.
+    """
+    search = _Search(choices, size, guess, attempt, available)
+    best = search.begin()
+    if best.share is not None:
+        best = search.climb(best, [replace(best, share=share) for share in SHARES[1:]])
+    lower = [replace(best, sh_degree=degree) for degree in search.promising]
+    best = search.climb(best, lower)
+    return best, search.filling(best), tuple(search.probes)
+
+
+@dataclass(slots=True)
+class _Search:
+    """What packings were found to be worth."""
+
+    choices: Choices
+    size: int
+    guess: Callable[[Packing], int]
+    attempt: Try
+    available: int
+    found: dict[Packing, PackingReport] = field(default_factory=dict)
+    probes: list[PackingReport] = field(default_factory=list)
+    promising: list[int] = field(default_factory=list)
+
+    def begin(self) -> Packing:
+        """Make the first result, as a file is usually packed; the best bits for it."""
+        usual = self.choices.usual
+        count = min(max(self.guess(usual), 1), self.available)
+        probes = self._tried(usual, count, self._look)
+        full = [probe for probe in probes if probe.sh_degree == usual.sh_degree]
+        best = max(full, key=self._worth)
+        lower = probes[len(full) :]
+        self.promising = [probe.sh_degree for probe in lower if self._promises(probe, best)]
+        bits = {name: best.options[name] for name in self.choices.bits if name in best.options}
+        packing = replace(usual, bits=tuple(bits.items()))
+        self.found[packing] = best
+        return packing
+
+    def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
+        """The best of a packing and others in a row, as far as each is better than the last."""
+        for other in others:
+            if self(other) <= self(best):
+                break
+            best = other
+        return best
+
+    def __call__(self, packing: Packing) -> float:
+        if packing not in self.found:
+            (probe,) = self._tried(packing, self._expected(packing), lambda seen: [seen(packing)])
+            fitting = self._filling(probe)
+            if abs(math.log(probe.bytes / self.size)) > NEAR and fitting != probe.count:
+                (probe,) = self._tried(packing, fitting, lambda seen: [seen(packing)])
+            self.found[packing] = probe
+        return self._worth(self.found[packing])
+
+    def filling(self, packing: Packing) -> int:
+        """A count that about fills the size with a packing that was tried."""
+        return self._filling(self.found[packing])
+
+    def _look(self, seen: Seen) -> list[PackingReport]:
+        """Files of the first result: with other bits, and with lower degrees."""
+        usual, bits = self.choices.usual, self.choices.bits
+        chosen = {name: each.usual for name, each in bits.items()}
+        best = seen(usual)
+        probes = [best]
+        for name, each in bits.items():
+            for way in each.ways():
+                for value in way:
+                    changed = chosen | {name: value}
+                    probes.append(seen(replace(usual, bits=tuple(changed.items()))))
+                    if self._worth(probes[-1]) <= self._worth(best):
+                        break
+                    best, chosen = probes[-1], changed
+                if chosen[name] != each.usual:
+                    break
+        fine = tuple(chosen.items()) if best is not probes[0] else ()
+        for degree in reversed(self.choices.degrees[:-1]):
+            probes.append(seen(Packing(degree, usual.share, fine)))
+            if not self._promises(probes[-1], best):
+                break
+        return probes
+
+    def _promises(self, lower: PackingReport, best: PackingReport) -> bool:
+        return self._worth(lower) > self._worth(best) - BEHIND
+
+    def _worth(self, found: PackingReport) -> float:
+        over = math.log(found.bytes / self.size)
+        # What is left of the size would be filled, unless that was the whole model.
+        over = over if found.count < self.available else max(over, 0)
+        if self.choices.by_psnr:
+            return found.psnr - PSNR_SLOPE * over
+        return quality(found.psnr, found.ssim) - SLOPE * over
+
+    def _tried(self, packing: Packing, count: int, look: Look) -> list[PackingReport]:
+        probes = self.attempt(packing, count, look)
+        self.probes += probes
+        return probes
+
+    def _expected(self, packing: Packing) -> int:
+        """The count that should fill the size, by what the model's own splats take."""
+        before = [*self.found][-1]
+        share = self.guess(packing) / max(self.guess(before), 1)
+        return min(max(int(self.filling(before) * share), 1), self.available)
+
+    def _filling(self, found: PackingReport) -> int:
+        return min(max(int(found.count * AIM * self.size / found.bytes), 1), self.available)

@@ -1,0 +1,195 @@
+"""How results are packed for a size: the harmonics, their palette and the bits, by looking."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import nanogs
+from builders import random_splats
+from nanogs.errors import TooSmallError
+from nanogs.fit.shared import Shared
+from nanogs.io import as_packed
+from nanogs.pipeline.packing import SHARES, Bits, Choices, Packing, choose_packing
+from nanogs.report import PackingReport
+from nanogs.scoring.held_out import held_out
+
+SIZE = 100_000
+FEW = {"views": 3, "view_size": 48, "roaming": 0, "steps": 2}
+BITS = {"bits": Bits(7, range(4, 9))}
+
+
+# ---- the search ------------------------------------------------------------------------------
+
+
+class MadeUp:
+    """A model of bytes and quality that has one best packing."""
+
+    def __init__(self, degree, share, bits):
+        self.best, self.made, self.files = (degree, share, bits), [], []
+
+    def bytes_of(self, packing, count):
+        palette = 30 / packing.share if packing.share and packing.sh_degree else 0
+        bits = dict(packing.bits).get("bits", 7)
+        return int((5 + bits + packing.sh_degree + palette) * count) + 100
+
+    def guess(self, packing):
+        return int(0.8 * SIZE / self.bytes_of(packing, 1000) * 1000)
+
+    def attempt(self, packing, count, look):
+        self.made.append((packing, count))
+        return look(lambda other: self.seen(other, count))
+
+    def seen(self, packing, count):
+        self.files.append((packing, count))
+        degree, share, bits = self.best
+        size = self.bytes_of(packing, count)
+        psnr = 30 + 5 * math.log(count / 5000) - 2 * abs(packing.sh_degree - degree)
+        psnr += 5 * math.log(self.bytes_of(packing, 1000) / 1000)  # as much as its bytes are worth
+        psnr -= 0.8 * abs(dict(packing.bits).get("bits", 7) - bits)
+        if packing.share and packing.sh_degree:
+            psnr -= 0.4 * abs(math.log2(packing.share / share))
+        return PackingReport(packing.sh_degree, packing.options(count), count, size, psnr, 0.9)
+
+
+@given(st.integers(0, 3), st.sampled_from(SHARES), st.integers(4, 8), st.booleans(), st.booleans())
+def test_the_best_packing_is_found(degree, share, bits, palettes, fine):
+    model = MadeUp(degree, share, bits)
+    choices = Choices(range(4), palettes, BITS if fine else {})
+    found, count, probes = choose_packing(choices, SIZE, model.guess, model.attempt, 10**9)
+    assert found.sh_degree == degree
+    assert dict(found.bits).get("bits", 7) == (bits if fine else 7)
+    assert found.share == (None if not palettes else share if degree else found.share)
+    assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.05)
+    assert len(probes) == len(model.files)
+    assert len(model.made) <= 2 * (len(SHARES) + 4)
+
+
+def test_a_lower_degree_far_behind_is_seen_but_not_made():
+    model = MadeUp(3, 8.0, 7)
+    choose_packing(Choices(range(4), palettes=True), SIZE, model.guess, model.attempt, 10**9)
+    assert {packing.sh_degree for packing, _ in model.made} == {3}
+    assert {packing.sh_degree for packing, _ in model.files} == {3, 2}
+
+
+def test_a_model_that_fits_whole_takes_what_shows_most():
+    model = MadeUp(3, 8.0, 7)
+    choices = Choices(range(4), palettes=False)
+    found, count, _ = choose_packing(choices, 10**9, model.guess, model.attempt, 1000)
+    assert (found.sh_degree, count) == (3, 1000)
+
+
+def test_options_follow_the_count():
+    assert Packing(2, 16.0).options(1600) == {"palette": 100}
+    assert Packing(2, 64.0).options(10) == {"palette": 1}
+    assert Packing(2, 1.5).options(1_000_000) == {"palette": 65_536}
+    assert Packing(2, 8.0, (("bits", 5),)).options(800) == {"palette": 100, "bits": 5}
+    assert Packing(0, 16.0).options(1600) == Packing(3).options(1600) == {}
+
+
+def test_bits_are_tried_from_the_usual_ones_on():
+    assert Bits(7, range(4, 9)).ways() == ([6, 5, 4], [8])
+
+
+# ---- harmonics that splats share ---------------------------------------------------------------
+
+
+@given(st.integers(1, 9), st.integers(0, 2**32 - 1))
+def test_levelled_harmonics_are_weighted_means(entries, seed):
+    rng = np.random.default_rng(seed)
+    labels = np.concatenate([np.arange(entries), rng.integers(0, entries, 20)]).astype(np.int32)
+    weights = rng.uniform(0.1, 3, len(labels))
+    sh = rng.normal(size=(len(labels), 4, 3)).astype(np.float32)
+    before = sh.astype(np.float64)
+    Shared.of(labels, entries, weights).level(sh)
+    assert (sh[:, 0] == before[:, 0]).all()
+    for k in range(entries):
+        own = labels == k
+        mean = np.average(before[own, 1:], axis=0, weights=weights[own].astype(np.float32))
+        np.testing.assert_allclose(sh[own, 1:], np.broadcast_to(mean, sh[own, 1:].shape), atol=1e-5)
+
+
+# ---- as a whole ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def splats():
+    return random_splats(4000, degree=2)
+
+
+def sets_of(small):
+    """How many sets of higher harmonics there are."""
+    return len(np.unique(small.sh[:, 1:].reshape(len(small), -1), axis=0))
+
+
+def test_a_size_chooses_how_it_is_packed(splats):
+    small, report = nanogs.simplify(splats, size=30_000, format=".sog", **FEW)
+    assert {each.sh_degree for each in report.packings} >= {1, 2}
+    assert report.achieved_size <= 30_000
+    assert as_packed(small, "a.sog", report.format_options)[1] == report.achieved_size
+    assert all(each.bytes > 0 and each.psnr > 0 for each in report.packings)
+    if small.sh_degree:
+        assert sets_of(small) <= report.format_options["palette"]
+
+
+def test_what_the_user_fixes_is_not_chosen(splats):
+    given_options = {"palette": 50, "bits": 6}
+    small, report = nanogs.simplify(
+        splats, size=30_000, format=".sog", sh_degree=1, format_options=given_options, **FEW
+    )
+    assert small.sh_degree == 1
+    assert 40 <= sets_of(small) <= 50
+    assert (report.packings, report.format_options) == ((), {})
+    assert as_packed(small, "a.sog", given_options)[1] == report.achieved_size
+    _, free = nanogs.simplify(splats, size=30_000, format=".sog", sh_degree=1, **FEW)
+    assert {each.sh_degree for each in free.packings} == {1}
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".glb"])
+def test_formats_of_known_sizes_choose_the_degree(splats, suffix):
+    dull = replace(splats, sh=splats.sh * np.float32([1, *[1e-3] * 8])[:, None])
+    size = 60_000
+    small, report = nanogs.simplify(dull, size=size, format=suffix, **FEW)
+    assert small.sh_degree == 0
+    assert {each.sh_degree for each in report.packings} == {0, 1, 2}
+    assert any("above degree 0 are left out" in note for note in report.notes)
+    found = as_packed(small, f"a{suffix}")[1]
+    assert 0.99 * size < found == report.achieved_size <= size
+    kept, report = nanogs.simplify(dull, size=size, format=suffix, sh_degree=2, **FEW)
+    assert (kept.sh_degree, report.packings) == (2, ())
+    assert len(kept) < len(small)
+
+
+def test_what_does_not_look_keeps_all_harmonics(splats):
+    small, report = nanogs.simplify(splats, size=30_000, format=".sog", preset="fast")
+    assert (small.sh_degree, report.packings, report.format_options) == (2, (), {})
+
+
+def test_a_size_without_room_is_said_before_anything_is_grown(splats, monkeypatch):
+    monkeypatch.setattr("nanogs.pipeline.job.Job.build", None)
+    with pytest.raises(TooSmallError, match="a file of one splat"):
+        nanogs.simplify(splats, size=100, format=".sog", **FEW)
+
+
+@pytest.mark.parametrize("suffix", [".sog", ".spz", ".ply"])
+def test_files_hold_what_was_found(splats, tmp_path, suffix):
+    source = tmp_path / "in.ply"
+    nanogs.save(splats, source)
+    for name, block in (("a", None), ("b", 1500)):
+        out = tmp_path / f"{name}{suffix}"
+        report = nanogs.simplify_blocks(source, out, size=30_000, block=block, **FEW)
+        assert report.packings
+        assert out.stat().st_size == report.achieved_size <= 30_000
+        assert nanogs.open(out).columns.sh_degree in (0, 1, 2)
+
+
+def test_a_result_of_fewer_harmonics_is_fitted_for_them(splats):
+    views = {"steps": 48, "views": 12, "view_size": 96, "roaming": 0}
+    small, _ = nanogs.simplify(splats, ratio=0.2, sh_degree=0, **views)
+    late = nanogs.simplify(splats, ratio=0.2, **views)[0].with_sh_degree(0)
+    assert small.sh_degree == 0
+    original = held_out(splats)
+    assert original.psnr(small) > 0.02 + original.psnr(late)
