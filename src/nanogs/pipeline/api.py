@@ -21,7 +21,7 @@ from nanogs.pipeline.presets import (
     renders,
 )
 from nanogs.pipeline.rows import check_degree
-from nanogs.pipeline.target import Goal, is_searched
+from nanogs.pipeline.target import Goal, count_for_size, is_searched
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport, StopReason
@@ -128,11 +128,21 @@ def simplify(
             outcome = _reach(job, goal.psnr or 0.0, path, given, threads_used, clock, tracker)
         target = len(outcome.splats) if target is None else target
         tracker.finish()
-    if size is not None and target == len(job.rows):
-        from nanogs.pipeline.fit_size import WHOLE_FITS
-
-        outcome = replace(outcome, notes=(*outcome.notes, WHOLE_FITS))
+    if size is not None:
+        outcome = _with_size_notes(outcome, size, len(job.rows), path)
     return outcome.splats, job.report(goal, target, outcome, threads_used, clock, start)
+
+
+def _with_size_notes(outcome: Outcome, size: int, available: int, path: Path) -> Outcome:
+    """The outcome that says, where it is so, why much of the size is not used."""
+    from nanogs.pipeline.fit_size import WHOLE_FITS, notes_on_known
+
+    small, file_bytes = outcome.splats, registry.writable(path).file_bytes
+    notes: tuple[str, ...] = (WHOLE_FITS,) if len(small) == available else ()
+    if file_bytes is not None:
+        known = file_bytes
+        notes = notes_on_known(size, len(small), available, lambda count: known(small, count))
+    return replace(outcome, notes=(*outcome.notes, *notes))
 
 
 def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
@@ -197,16 +207,21 @@ def _fit(
     clock: StageClock,
     progress: Tracker,
 ) -> Outcome:
-    from nanogs.pipeline.fit_size import least_bytes
+    from nanogs.pipeline.fit_size import refuse_hopeless
     from nanogs.pipeline.held_files import HeldFiles
     from nanogs.pipeline.results import HeldResults
     from nanogs.pipeline.sized import Wish, fill_size
 
     files, usable = HeldFiles(path, given, job.splats, clock), job.splats.take(job.rows)
-    lowest = usable.with_sh_degree(job.sh_degree or 0)
-    least_bytes(lowest, size, lambda one: files.sample_bytes(one, {}))
+    known, looks = registry.writable(path), renders(job.parameters)
+    wish = Wish(size, known, given, job.sh_degree, looks=looks)
+    smallest = wish.smallest(usable.sh_degree)
+    lowest = usable.with_sh_degree(smallest.sh_degree)
+    if (file_bytes := known.file_bytes) is not None:
+        count_for_size(1, size, lambda _count: file_bytes(lowest, 1))
+    else:
+        refuse_hopeless(lowest, size, lambda one: files.sample_bytes(one, smallest.options(1)))
     results = HeldResults(job.build(threads, clock, progress), clock)
-    wish = Wish(size, registry.writable(path), given, job.sh_degree)
     outcome, found = fill_size(results, wish, usable, files, progress)
     fitted, packed = found.fitted, found.packed
     return replace(

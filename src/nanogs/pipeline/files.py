@@ -13,6 +13,7 @@ from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, losses, save
+from nanogs.io import open as open_model
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -28,6 +29,7 @@ from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import file_judge
 from nanogs.sink import OneFile
 from nanogs.splats import Splats
+from nanogs.store.columns import empty_columns, splats_of
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -162,8 +164,22 @@ def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:
     [written], [report] = fill_in_blocks(request, sink, told)
     report = replace(report, notes=(*report.notes, *written.losses))
     if request.goal.size is not None:
-        return replace(report, achieved_size=bytes_on_disk(request.output))
+        notes = (*report.notes, *_size_notes(request, report))
+        return replace(report, achieved_size=bytes_on_disk(request.output), notes=notes)
     return report
+
+
+def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
+    """What is to be said of a size that was known beforehand; a search has said it itself."""
+    if (sizer := request.sizer) is None or request.goal.size is None:
+        return ()
+    from nanogs.pipeline.fit_size import notes_on_known
+
+    with open_model(request.output) as file:
+        like = splats_of(empty_columns(file.columns, 0), file.columns)
+    available = report.input_count - report.dropped_nonfinite
+    size, count = request.goal.size, report.achieved_count
+    return notes_on_known(size, count, available, lambda n: sizer(like, n))
 
 
 def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:

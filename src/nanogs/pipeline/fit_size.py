@@ -18,6 +18,7 @@ ENOUGH = 0.98  # of the size: a file that takes so much of it ends the search
 TOLERANCE = 0.01  # or counts one of which fits, and one so much larger does not
 MOST_PROBES = 12
 SAMPLE = 8192  # splats of the input that are written for the first guess
+HOPELESS = 0.5  # of the file of one splat: no smaller one can be made
 _STEP = 0.97  # of a count that is too large: the next is at most so much of it
 
 WHOLE_FITS = "The whole model fits into the size asked for; nothing was merged."
@@ -38,14 +39,43 @@ class Fitted:
     def leap(self, size: int, available: int) -> tuple[str, ...]:
         """A sentence where much of the size is left, since a few splats more take far more."""
         over = min((probe for probe in self.probes if probe.bytes > size), default=None, key=_count)
-        if over is None or self.count == available or self.bytes >= ENOUGH * size:
+        if over is None or self.count == available:
             return ()
-        more = f"one of {over.count:,} splats takes {over.bytes:,} B"
-        return (f"The file takes {self.bytes / size:.0%} of the size asked for: {more}.",)
+        return little_used(size, self.bytes, over)
 
 
 def _count(probe: SizeProbeReport) -> int:
     return probe.count
+
+
+def little_used(size: int, taken: int, over: SizeProbeReport) -> tuple[str, ...]:
+    """A sentence where a file leaves much of the size, since the next one is too large.
+
+    Args:
+        size: Bytes that the file may have.
+        taken: Its bytes.
+        over: One that is too large.
+    """
+    if taken >= ENOUGH * size:
+        return ()
+    more = f"one of {counted(over.count, 'splat')} takes {over.bytes:,} B"
+    return (f"The file takes {taken / size:.0%} of the size asked for: {more}.",)
+
+
+def notes_on_known(
+    size: int, count: int, available: int, file_bytes: Callable[[int], int]
+) -> tuple[str, ...]:
+    """A sentence where a size is far from used that a format of known sizes was to fill.
+
+    Args:
+        size: Bytes that the file may have.
+        count: Its splats.
+        available: Splats of the whole model.
+        file_bytes: Size of the file for a count.
+    """
+    if count == available:
+        return (WHOLE_FITS,)
+    return little_used(size, file_bytes(count), SizeProbeReport(count + 1, file_bytes(count + 1)))
 
 
 def search_fit(
@@ -87,19 +117,20 @@ def search_fit(
             over = probe
         if fits is None:
             if count == fewest:
-                raise fewest_too_large(size, count, probe.bytes)
+                raise too_small(size, count, probe.bytes)
         elif fits.bytes >= enough or _final(fits, over, available, len(probes)):
             return Fitted(fits.count, fits.bytes, tuple(probes))
         count = _next(fits, over, size, probes)
         count = min(max(count, fewest), available)
 
 
-def fewest_too_large(size: int, count: int, needed: int) -> TooSmallError:
-    """What to raise where not even the fewest splats fit."""
-    return TooSmallError(
-        f"The size {size:,} B is too small: a file of {counted(count, 'splat')}, the fewest that"
-        f" this model can be merged to, takes {needed:,} B."
-    )
+def too_small(size: int, fewest: int, needed: int) -> TooSmallError:
+    """What to raise where not even the fewest splats fit, whose file takes so many bytes."""
+    if fewest == 1:
+        held = "a file of one splat of this model"
+    else:
+        held = f"a file of {fewest:,} splats, the fewest that this model can be merged to,"
+    return TooSmallError(f"The size {size:,} B is too small: {held} takes {needed:,} B.")
 
 
 def _final(fits: SizeProbeReport, over: Probe, available: int, tried: int) -> bool:
@@ -140,34 +171,34 @@ def guess_count(sample: Splats, available: int, size: int, encode: Encode) -> in
         available: How many there are in all.
         size: Bytes that the file may have.
         encode: Bytes of a model's file.
-
-    Raises:
-        TooSmallError: Not even one splat fits.
     """
-    least = least_bytes(sample, size, encode)
+    least = encode(sample.take(np.arange(1)))
     rows = np.arange(0, len(sample), -(-len(sample) // SAMPLE))
     each = (encode(sample.take(rows)) - least) / max(len(rows) - 1, 1)
-    return 1 + int((AIM * size - least) / each) if each > 0 else available
+    count = 1 + int((AIM * size - least) / each) if each > 0 else available
+    return min(max(count, 1), available)
 
 
-def least_bytes(sample: Splats, size: int, encode: Encode) -> int:
-    """Bytes of a file of one splat, for which a size must have room.
+def refuse_hopeless(sample: Splats, size: int, encode: Encode) -> None:
+    """Refuse, before anything is computed, a size that is far too small.
+
+    How many bytes the fewest splats take is known exactly once they are made; a splat of the model
+    itself takes about as many.
 
     Args:
         sample: Some usable splats.
         size: Bytes that the file may have.
-        encode: Bytes of a model's file.
+        encode: Bytes of a model's file, as small as may be.
 
     Raises:
-        TooSmallError: It has none.
+        TooSmallError: It has room for less than half of one splat's file.
     """
     least = encode(sample.take(np.arange(1)))
-    if size < least:
+    if size < HOPELESS * least:
         raise TooSmallError(
-            f"The size {size:,} B is too small: a file of one splat of this model takes"
+            f"The size {size:,} B is too small: a file of one splat of this model takes about"
             f" {least:,} B."
         )
-    return least
 
 
 def fit_size(

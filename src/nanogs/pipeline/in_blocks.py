@@ -4,6 +4,7 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ from nanogs.protocol import PIXELS, VIEWS
 from nanogs.report import SimplifyReport
 from nanogs.sink import Sink, Written
 from nanogs.source import Joined, Layout
+from nanogs.splats import Splats
 from nanogs.store.columns import empty_columns, row_bytes, splats_of
 from nanogs.store.scratch import is_url
 from nanogs.views.plan import room_for_measuring
@@ -74,7 +76,7 @@ def fill_in_blocks(
     from nanogs.pipeline.stored_job import BlockJob, Where
 
     if settings.search is None:
-        most = count_of(goals[0], settings.splats, settings.layout, request.sizer)
+        most = count_of(goals[0], settings.splats, settings.delivered, request.sizer)
         sink.refuse_large(most, row_bytes(settings.layout), max_memory)
     if not request.resume:
         refuse_full_disk(divided, folder, request.scratch)
@@ -166,9 +168,11 @@ def plan_job(
             room_for_measuring(source, request.max_memory)
     beside = pictures_bytes(PIXELS**2, VIEWS) if seen else 0
 
+    delivered = _delivered(layout, request.sh_degree)
+
     def planned(splats: int) -> ScalePlan:
         # A search may try any count, and has two results at a time in files.
-        counts = [count_of(goal, splats, layout, request.sizer) for goal in goals if not sought]
+        counts = [count_of(goal, splats, delivered, request.sizer) for goal in goals if not sought]
         shares = tuple(count / splats for count in counts) or (1.0, 1.0)
         given = max_memory, block, request.chunks, beside
         return plan_blocks(splats, layout, chosen, shares, *given)
@@ -184,7 +188,7 @@ def plan_job(
         layout=layout,
         segments=segments_of(plan.splats, plan.segment),
         ratios=tuple(goal.ratio for goal in goals if goal.ratio is not None),
-        counts=tuple(count_of(goal, plan.splats, layout, request.sizer) for goal in counted),
+        counts=tuple(count_of(goal, plan.splats, delivered, request.sizer) for goal in counted),
         nan=request.nan,
         block=plan.block,
         parameters=chosen,
@@ -205,13 +209,17 @@ def sought_by(request: "Request", layout: Layout, splats: int) -> Sought | None:
         request: What is asked for.
         layout: The columns of the model.
         splats: Of the model.
+
+    Raises:
+        TooSmallError: Not even one splat fits, where that is known beforehand.
     """
     goal = request.goal
     if request.ratios or not request.searches(layout.sh_degree):
         return None
-    known = goal.size is not None and request.sizer is not None
-    if known and count_of(goal, splats, layout, request.sizer) == splats:
-        return None
+    if goal.size is not None and request.sizer is not None:
+        if request.sizer(_like(layout), splats) <= goal.size:
+            return None
+        count_of(goal, 1, _delivered(layout, 0), request.sizer)
     options = json.dumps(dict(request.format_options or {}), sort_keys=True, default=str)
     return Sought(goal.size, goal.psnr, request.suffix, options)
 
@@ -230,8 +238,20 @@ def count_of(goal: Goal, splats: int, layout: Layout, sizer: Sizer | None) -> in
     """
     if goal.size is None or sizer is None:
         return target_count(splats, goal.ratio, goal.count)
-    like = splats_of(empty_columns(layout, 0), layout)
+    like = _like(layout)
     return count_for_size(splats, goal.size, lambda count: sizer(like, count))
+
+
+def _like(layout: Layout) -> Splats:
+    """A model without splats that is like those of a layout in all else."""
+    return splats_of(empty_columns(layout, 0), layout)
+
+
+def _delivered(layout: Layout, sh_degree: int | None) -> Layout:
+    """The columns of results whose harmonics are of a degree at most."""
+    if sh_degree is None or sh_degree >= layout.sh_degree:
+        return layout
+    return replace(layout, sh_degree=sh_degree)
 
 
 def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None:

@@ -116,7 +116,10 @@ class Job:
         from nanogs.pipeline.run import deliver
 
         if smallest == len(self.rows):
-            whole = Outcome(self.splats.take(self.rows), (), StopReason.TARGET)
+            kept = self.splats.take(self.rows)
+            if self.sh_degree is not None:
+                kept = kept.with_sh_degree(self.sh_degree)
+            whole = Outcome(kept, (), StopReason.TARGET)
             return lambda _target, _clock, _progress: whole
         scene = self.build(threads, clock, progress)
         return lambda target, clock, progress: deliver(scene, target, clock, progress)

@@ -14,6 +14,7 @@ from nanogs.io.format import FormatOptions
 from nanogs.pipeline.ending import result_of
 from nanogs.pipeline.fit_size import SAMPLE, WHOLE_FITS
 from nanogs.pipeline.job_results import JobResults, Result
+from nanogs.pipeline.presets import renders
 from nanogs.pipeline.reach import reach_psnr
 from nanogs.pipeline.rows import opened, sample
 from nanogs.pipeline.run import Done, Run
@@ -103,14 +104,15 @@ class Search:
     def _fit(self, results: JobResults, size: int, clock: StageClock, progress: Tracker) -> _Found:
         work = results.work
         files, given = _Files(self, work, clock), self.options or {}
-        wish = Wish(size, registry.writable(self.output), given, work.settings.sh_degree)
+        known, looks = registry.writable(self.output), renders(work.settings.parameters)
+        wish = Wish(size, known, given, work.settings.sh_degree, looks=looks)
         result, found = fill_size(results, wish, _sample(work), files, progress)
         results.verify(result, progress)
         fitted, packed = found.fitted, found.packed
         options = packed.packing.options(files.count(result))
         notes = fitted.leap(size, results.available)
         notes += packed.notes
-        if fitted.count == results.available:
+        if fitted.count == results.available and known.file_bytes is None:
             notes += (WHOLE_FITS,)
         entries = {"achieved_size": fitted.bytes, "size_probes": fitted.probes}
         entries |= {"packings": packed.packings, "format_options": options}

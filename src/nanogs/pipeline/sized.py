@@ -5,9 +5,10 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
+from nanogs.errors import TooSmallError
 from nanogs.io.format import Format
-from nanogs.pipeline.fit_size import Fitted, fewest_too_large, fit_size, guess_count
-from nanogs.pipeline.packing import Bits, Choices, Look, Packing, Try, choose_packing
+from nanogs.pipeline.fit_size import Fitted, fit_size, guess_count, too_small
+from nanogs.pipeline.packing import SHARES, Bits, Choices, Look, Packing, Try, choose_packing
 from nanogs.pipeline.results import Results
 from nanogs.pipeline.target import count_for_size
 from nanogs.pipeline.weights import PACKINGS
@@ -18,6 +19,7 @@ from nanogs.splats import Splats
 T = TypeVar("T")
 R_contra = TypeVar("R_contra", contravariant=True)
 PALETTE, SH_BITS = "palette", "sh_bits"
+FEW = 8  # times the fewest splats: more of the model's own hide that these would not fit
 Options = Mapping[str, Any]
 
 
@@ -52,6 +54,7 @@ class Wish(NamedTuple):
         given: Options of it.
         sh_degree: Of the harmonics that are to be written, or None to choose it.
         by_psnr: Whether the PSNR alone says what is best.
+        looks: Whether what is not asked for may be chosen, as by presets that render.
     """
 
     size: int
@@ -59,12 +62,13 @@ class Wish(NamedTuple):
     given: Options
     sh_degree: int | None = None
     by_psnr: bool = False
+    looks: bool = True
 
     def choices(self, degree: int) -> Choices:
         """What it leaves to be chosen, of a model with harmonics of a degree."""
         highest = min(degree, self.known.max_degree)
         fixed = None if self.sh_degree is None else [min(self.sh_degree, highest)]
-        if not self.known.readable:
+        if not (self.looks and self.known.readable):
             return Choices(fixed or [highest], palettes=False)
         bits = {
             name: Bits(option.usual, option.values)
@@ -82,6 +86,13 @@ class Wish(NamedTuple):
             return max(count / int(self.given[PALETTE]), 1.0)
         return packing.share_of(count)
 
+    def smallest(self, degree: int) -> Packing:
+        """The packing of the smallest files, of a model with harmonics of a degree."""
+        choices = self.choices(degree)
+        share = SHARES[-1] if choices.usual.share else None
+        bits = tuple((name, each.values[0]) for name, each in choices.bits.items())
+        return Packing(choices.degrees[0], share, bits)
+
 
 @dataclass(frozen=True, slots=True)
 class Packed:
@@ -92,18 +103,21 @@ class Packed:
         count: Splats that about fill the size with it.
         packings: What was tried.
         highest: Degree of the harmonics that there might be.
+        tight: Whether nothing fits that is not packed as small as may be.
     """
 
     packing: Packing
     count: int
     packings: tuple[PackingReport, ...]
     highest: int
+    tight: bool = False
 
     @property
     def notes(self) -> tuple[str, ...]:
         """A sentence where harmonics were left out that might have been kept."""
         kept = self.packing.sh_degree
-        left = f"Spherical harmonics above degree {kept} are left out: so the file shows more."
+        why = "nothing else fits" if self.tight else "so the file shows more"
+        left = f"Spherical harmonics above degree {kept} are left out: {why}."
         return (left,) if kept < self.highest else ()
 
 
@@ -130,21 +144,8 @@ def pack(
         sample: Some usable splats of the model.
         files: Writes results.
         progress: Told of each stage.
-
-    Raises:
-        TooSmallError: Not even one splat fits.
     """
-
-    def guess(packing: Packing) -> int:
-        some = sample.with_sh_degree(packing.sh_degree)
-        if (known := wish.known.file_bytes) is not None:
-            return count_for_size(results.available, wish.size, lambda n: known(some, n))
-
-        def encode(part: Splats) -> int:
-            return files.sample_bytes(part, packing.options(len(part)))
-
-        return guess_count(some, results.available, wish.size, encode)
-
+    guess = partial(_guess, results, wish, sample, files)
     choices = wish.choices(sample.sh_degree)
     progress.begin("guess")
     if not results.looks or not choices.any:
@@ -230,7 +231,70 @@ def fill_size(
     Raises:
         TooSmallError: Not even the fewest splats fit.
     """
+    smallest = _smallest(results, wish, sample, files, progress)
     packed = pack(results, wish, sample, files, progress)
+    try:
+        return _filled(results, wish, sample, files, packed, progress)
+    except TooSmallError:
+        packed = replace(packed, packing=smallest, count=results.fewest, tight=True)
+    return _filled(results, wish, sample, files, packed, progress)
+
+
+def _guess(
+    results: Results[T], wish: Wish, sample: Splats, files: Files[T], packing: Packing
+) -> int:
+    """The count of the model's own splats that fill the size with a packing, about."""
+    some = sample.with_sh_degree(packing.sh_degree)
+    if (known := wish.known.file_bytes) is not None:
+        if known(some, 1) > wish.size:
+            return 1
+        return count_for_size(results.available, wish.size, lambda n: known(some, n))
+
+    def encode(part: Splats) -> int:
+        return files.sample_bytes(part, packing.options(len(part)))
+
+    return guess_count(some, results.available, wish.size, encode)
+
+
+def _smallest(
+    results: Results[T], wish: Wish, sample: Splats, files: Files[T], progress: Tracker
+) -> Packing:
+    """The packing of the smallest files, of which the smallest of all is made if it may matter.
+
+    So the same size is the least that can be had, whatever is asked for.
+
+    Raises:
+        TooSmallError: That is too large.
+    """
+    packing, fewest = wish.smallest(sample.sh_degree), results.fewest
+    if (known := wish.known.file_bytes) is not None:
+        needed = known(sample.with_sh_degree(packing.sh_degree), fewest)
+    else:
+        progress.begin("guess")
+        if _guess(results, wish, sample, files, packing) > FEW * fewest:
+            return packing
+        chosen = results.packed(packing.sh_degree, wish.share(packing, fewest))
+        within = progress.within(0, 1, chosen.stages(fewest))
+        options = packing.options(fewest)
+        _, needed = chosen.marked(fewest, partial(files.bytes_of, options=options), within)
+    if needed > wish.size:
+        raise too_small(wish.size, fewest, needed)
+    return packing
+
+
+def _filled(
+    results: Results[T],
+    wish: Wish,
+    sample: Splats,
+    files: Files[T],
+    packed: Packed,
+    progress: Tracker,
+) -> tuple[T, Filled]:
+    """The result that fills a size as it is packed.
+
+    Raises:
+        TooSmallError: Not even the fewest splats fit, so packed.
+    """
     packing, count = packed.packing, packed.count
 
     def bytes_of(result: T) -> int:
@@ -243,11 +307,11 @@ def fill_size(
         count = max(count, results.fewest)
         fitted = Fitted(count, known(like, count), ())
         if fitted.bytes > wish.size:
-            raise fewest_too_large(wish.size, count, fitted.bytes)
+            raise too_small(wish.size, count, fitted.bytes)
         progress.begin("deliver")
         result = chosen.make(count, progress.within(0, 1, chosen.stages(count)))
     else:
-        near = bool(packed.packings)
+        near = packed.tight or bool(packed.packings)
         result, fitted = fit_size(chosen, wish.size, count, bytes_of, progress, near=near)
     return result, Filled(fitted, packed)
 

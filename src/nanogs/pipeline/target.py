@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 
-from nanogs.errors import OptionError
+from nanogs.errors import OptionError, TooSmallError
 from nanogs.formatting import counted
 from nanogs.io.format import Format
 
@@ -108,11 +108,11 @@ def count_for_size(available: int, size: int, file_bytes: Callable[[int], int]) 
         file_bytes: Size of the file for a count; never smaller for a larger count.
 
     Raises:
-        OptionError: Not even one splat fits.
+        TooSmallError: Not even one splat fits.
     """
     smallest = file_bytes(1)
     if size < smallest:
-        raise OptionError(
+        raise TooSmallError(
             f"The size {size:,} B is too small: a file of one splat of this model takes "
             f"{smallest:,} B."
         )

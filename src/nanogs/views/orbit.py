@@ -23,6 +23,7 @@ STEEPEST = 1.2  # radians, for a camera raised over an obstacle
 TOO_NEAR = 0.45  # of the distance to the centre: what stops rays before blocks the view
 ACCEPTED = 0.1  # share of blocked rays that is good enough
 NEAR = 0.05  # near plane over the distance to the centre: skips floaters at the lens
+FINEST = 1e-9  # radius over the coordinates of the centre: what poses in doubles can tell
 # Share of the distance and radians to climb, tried in turn where something blocks.
 DETOURS = ((1, 0), (0.85, 0), (0.85, 0.25), (0.7, 0.25), (0.7, 0.5), (0.5, 0.5), (1, 1.1))
 
@@ -74,7 +75,9 @@ def _focus(matter: Matter, core: Core) -> tuple[F64, float]:
     centre = np.array([quantiles(column, alphas, 0.5)[0] for column in points.T])
     extent = np.linalg.norm(matter.arms[core.rows], axis=2).max(axis=1)
     reach = quantiles(np.linalg.norm(points - centre, axis=1) + extent, alphas, HELD)[0]
-    return centre, reach if reach > 0 else core.radius
+    if reach == 0:
+        reach = core.radius
+    return centre, max(reach, FINEST * float(np.abs(centre).max()))
 
 
 def _unblocked(

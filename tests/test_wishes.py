@@ -1,0 +1,123 @@
+"""Random wishes for a size, and what they once broke."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from nanogs.errors import TooSmallError
+from nanogs.io import registry
+from nanogs.views.opening import opening_for
+from wishing import FEW, Wish, draw, fulfil
+
+PRESETS = ("fast", "default")
+
+
+@pytest.mark.parametrize("number", range(20))
+def test_wishes_are_met_or_refused_in_a_sentence(number):
+    wish = draw(np.random.default_rng([2, number]), {}, PRESETS)
+    if wish.way == "command" or wish.suffix == ".html":  # which take longer
+        wish = replace(wish, way="memory", suffix=".spz", options={})
+    assert fulfil(wish).wrong == "", wish
+
+
+def bytes_named(error):
+    """The last number of bytes in a sentence."""
+    return int(str(error).rpartition(" B.")[0].rpartition(" ")[2].replace(",", ""))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "preset", "block"),
+    [
+        (".sog", "default", None),
+        (".spz", "default", None),
+        (".usda", "fast", None),
+        (".ply", "default", None),
+        (".spz", "fast", 15),
+        (".ply", "default", 15),
+    ],
+)
+def test_the_smallest_size_that_is_named_can_be_had(tmp_path, suffix, preset, block):
+    given = {"preset": preset, **(FEW if preset == "default" else {})}
+    source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
+    nanogs.save(random_splats(24, degree=2), source)
+    least = 10
+    while True:
+        with pytest.raises(TooSmallError, match="is too small: a file of one splat") as error:
+            nanogs.simplify_blocks(source, out, size=least, block=block, **given)
+        assert least < bytes_named(error.value)
+        least = bytes_named(error.value)
+        if "about" not in str(error.value):
+            break
+        least = round(0.6 * least)
+    with pytest.raises(TooSmallError):
+        nanogs.simplify_blocks(source, out, size=least - 1, block=block, **given)
+    assert [*tmp_path.iterdir()] == [source]
+    report = nanogs.simplify_blocks(source, out, size=least, block=block, **given)
+    assert (report.achieved_count, report.achieved_size) == (1, least)
+    assert out.stat().st_size == least
+
+
+@pytest.mark.parametrize(
+    ("suffix", "block"), [(".ply", None), (".sog", None), (".ply", 24), (".sog", 24)]
+)
+def test_harmonics_go_where_only_so_anything_fits(tmp_path, suffix, block):
+    splats = random_splats(24, degree=3)
+    source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
+    nanogs.save(splats, source)
+    bare = tmp_path / f"bare{suffix}"
+    nanogs.save(splats.take(np.arange(1)).with_sh_degree(0), bare)
+    size = round(1.02 * bare.stat().st_size)
+    report = nanogs.simplify_blocks(source, out, size=size, block=block, **FEW)
+    assert out.stat().st_size == report.achieved_size <= size
+    assert any("above degree 0 are left out" in note for note in report.notes)
+
+
+@pytest.mark.parametrize("block", [None, 60])
+def test_a_size_of_fewer_harmonics_is_used(tmp_path, block):
+    """Fewer harmonics that are asked for are counted as such, however the count is found."""
+    source, out = tmp_path / "in.ply", tmp_path / "out.ply"
+    nanogs.save(random_splats(60, degree=3), source)
+    size = 3000
+    given = {"sh_degree": 0, "block": block, **FEW}
+    report = nanogs.simplify_blocks(source, out, size=size, **given)
+    assert size - 68 < report.achieved_size == out.stat().st_size <= size
+    assert nanogs.open(out).columns.sh_degree == 0
+
+
+@pytest.mark.parametrize("wish", [{"ratio": 1}, {"size": "1MB"}], ids=str)
+def test_fewer_harmonics_of_the_whole_model_are_fewer(wish):
+    small, _ = nanogs.simplify(random_splats(20, degree=2), sh_degree=1, **wish, **FEW)
+    assert (len(small), small.sh_degree) == (20, 1)
+
+
+@pytest.mark.parametrize(("suffix", "block"), [(".splat", None), (".ply", 40)])
+def test_what_a_splat_too_many_takes_is_said(tmp_path, suffix, block):
+    splats = random_splats(40, degree=0)
+    file_bytes = registry.writable(Path(f"a{suffix}")).file_bytes
+    source, out = tmp_path / "in.ply", tmp_path / f"out{suffix}"
+    nanogs.save(splats, source)
+    more = file_bytes(splats, 3)
+    given = {"size": more - 1, "preset": "fast", "block": block}
+    report = nanogs.simplify_blocks(source, out, **given)
+    assert report.achieved_count == 2
+    [note] = [note for note in report.notes if "of the size asked for" in note]
+    assert note.endswith(f"one of 3 splats takes {more:,} B.")
+    whole = {"size": "1MB", "preset": "fast", "block": block, "overwrite": True}
+    report = nanogs.simplify_blocks(source, out, **whole)
+    assert any("whole model fits" in note for note in report.notes)
+
+
+def test_a_splat_that_is_far_smaller_than_its_place_tells_is_opened():
+    one = random_splats(1)
+    opening = opening_for(replace(one, log_scales=one.log_scales - 80))
+    assert np.isfinite([*opening.position, *opening.target]).all()
+
+
+def test_a_wish_is_the_same_each_time():
+    first, again = (draw(np.random.default_rng(5), {}, PRESETS) for _ in range(2))
+    assert (str(first), fulfil(first)) == (str(again), fulfil(again))
+    assert isinstance(first, Wish)
