@@ -13,13 +13,22 @@ from builders import random_splats
 from nanogs.errors import TooSmallError
 from nanogs.fit.shared import Shared
 from nanogs.io import as_packed
-from nanogs.pipeline.packing import SHARES, Bits, Choices, Packing, choose_packing
+from nanogs.pipeline.packing import (
+    FIRST_SHARE,
+    LARGER,
+    SMALLER,
+    Bits,
+    Choices,
+    Packing,
+    choose_packing,
+)
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import held_out
 
 SIZE = 100_000
 FEW = {"views": 3, "view_size": 48, "roaming": 0, "steps": 2}
 BITS = {"bits": Bits(7, range(4, 9))}
+SHARES = (*LARGER, FIRST_SHARE, *SMALLER)
 
 
 # ---- the search ------------------------------------------------------------------------------

@@ -16,9 +16,9 @@ from nanogs.method.choose import quality
 from nanogs.pipeline.fit_size import AIM
 from nanogs.report import PackingReport
 
-# Splats for an entry of the palette: what a file is usually written with, and what else is tried.
-USUAL_SHARE = 1.5
-SHARES = USUAL_SHARE, 8.0, 32.0, 128.0
+# Splats for an entry of the palette: what is tried first, and larger and smaller palettes.
+FIRST_SHARE = 8.0
+LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
 LARGEST_PALETTE = 1 << 16
 # Of the quality and of the PSNR alone, dB for e times the bytes; trained scenes: 4 to 10, 3 to 10.
 SLOPE, PSNR_SLOPE = 5.0, 4.0
@@ -95,15 +95,15 @@ class Choices:
     by_psnr: bool = False
 
     @property
-    def usual(self) -> Packing:
-        """How a file is packed without choosing."""
-        palette = USUAL_SHARE if self.palettes and self.degrees[-1] else None
+    def first(self) -> Packing:
+        """What is tried first: as much as there is, but a palette that is seldom far off."""
+        palette = FIRST_SHARE if self.palettes and self.degrees[-1] else None
         return Packing(self.degrees[-1], palette)
 
     @property
     def any(self) -> bool:
         """Whether there is a choice."""
-        return len(self.degrees) > 1 or self.usual.share is not None or bool(self.bits)
+        return len(self.degrees) > 1 or self.first.share is not None or bool(self.bits)
 
 
 def choose_packing(
@@ -127,8 +127,10 @@ def choose_packing(
     """
     search = _Search(choices, size, guess, attempt, available)
     best = search.begin()
-    if best.share is not None:
-        best = search.climb(best, [replace(best, share=share) for share in SHARES[1:]])
+    if (first := best).share is not None:
+        best = search.climb(first, [replace(first, share=share) for share in SMALLER])
+    if best is first and first.share is not None:
+        best = search.climb(first, [replace(first, share=share) for share in LARGER])
     lower = [replace(best, sh_degree=degree) for degree in search.promising]
     best = search.climb(best, lower)
     return best, search.filling(best), tuple(search.probes)
@@ -148,16 +150,16 @@ class _Search:
     promising: list[int] = field(default_factory=list)
 
     def begin(self) -> Packing:
-        """Make the first result, as a file is usually packed; the best bits for it."""
-        usual = self.choices.usual
-        count = min(max(self.guess(usual), 1), self.available)
-        probes = self._tried(usual, count, self._look)
-        full = [probe for probe in probes if probe.sh_degree == usual.sh_degree]
+        """Make the first result, and find the best bits for it."""
+        first = self.choices.first
+        count = min(max(self.guess(first), 1), self.available)
+        probes = self._tried(first, count, self._look)
+        full = [probe for probe in probes if probe.sh_degree == first.sh_degree]
         best = max(full, key=self._worth)
         lower = probes[len(full) :]
         self.promising = [probe.sh_degree for probe in lower if self._promises(probe, best)]
         bits = {name: best.options[name] for name in self.choices.bits if name in best.options}
-        packing = replace(usual, bits=tuple(bits.items()))
+        packing = replace(first, bits=tuple(bits.items()))
         self.found[packing] = best
         return packing
 
@@ -184,15 +186,15 @@ class _Search:
 
     def _look(self, seen: Seen) -> list[PackingReport]:
         """Files of the first result: with other bits, and with lower degrees."""
-        usual, bits = self.choices.usual, self.choices.bits
+        first, bits = self.choices.first, self.choices.bits
         chosen = {name: each.usual for name, each in bits.items()}
-        best = seen(usual)
+        best = seen(first)
         probes = [best]
         for name, each in bits.items():
             for way in each.ways():
                 for value in way:
                     changed = chosen | {name: value}
-                    probes.append(seen(replace(usual, bits=tuple(changed.items()))))
+                    probes.append(seen(replace(first, bits=tuple(changed.items()))))
                     if self._worth(probes[-1]) <= self._worth(best):
                         break
                     best, chosen = probes[-1], changed
@@ -200,7 +202,7 @@ class _Search:
                     break
         fine = tuple(chosen.items()) if best is not probes[0] else ()
         for degree in reversed(self.choices.degrees[:-1]):
-            probes.append(seen(Packing(degree, usual.share, fine)))
+            probes.append(seen(Packing(degree, first.share, fine)))
             if not self._promises(probes[-1], best):
                 break
         return probes

@@ -8,7 +8,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 from nanogs.errors import TooSmallError
 from nanogs.io.format import Format
 from nanogs.pipeline.fit_size import Fitted, fit_size, guess_count, too_small
-from nanogs.pipeline.packing import SHARES, Bits, Choices, Look, Packing, Try, choose_packing
+from nanogs.pipeline.packing import SMALLER, Bits, Choices, Look, Packing, Try, choose_packing
 from nanogs.pipeline.results import Results
 from nanogs.pipeline.target import count_for_size
 from nanogs.pipeline.weights import PACKINGS
@@ -89,7 +89,7 @@ class Wish(NamedTuple):
     def smallest(self, degree: int) -> Packing:
         """The packing of the smallest files, of a model with harmonics of a degree."""
         choices = self.choices(degree)
-        share = SHARES[-1] if choices.usual.share else None
+        share = SMALLER[-1] if choices.first.share else None
         bits = tuple((name, each.values[0]) for name, each in choices.bits.items())
         return Packing(choices.degrees[0], share, bits)
 
@@ -149,7 +149,7 @@ def pack(
     choices = wish.choices(sample.sh_degree)
     progress.begin("guess")
     if not results.looks or not choices.any:
-        packing = replace(choices.usual, share=None)
+        packing = replace(choices.first, share=None)
         return Packed(packing, guess(packing), (), packing.sh_degree)
     progress.begin("pack")
     attempt = _attempts(results, wish, files, progress)
