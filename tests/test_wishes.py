@@ -8,8 +8,9 @@ import pytest
 
 import nanogs
 from builders import random_splats
-from nanogs.errors import TooSmallError
+from nanogs.errors import CrowdedError, TooSmallError
 from nanogs.io import registry
+from nanogs.pipeline.fit_size import MOST_PROBES, search_fit
 from nanogs.views.opening import opening_for
 from wishing import FEW, Wish, draw, fulfil
 
@@ -121,3 +122,24 @@ def test_a_wish_is_the_same_each_time():
     first, again = (draw(np.random.default_rng(5), {}, PRESETS) for _ in range(2))
     assert (str(first), fulfil(first)) == (str(again), fulfil(again))
     assert isinstance(first, Wish)
+
+
+def test_a_large_head_of_a_file_does_not_make_the_search_creep():
+    """Bytes that no splat takes: counts follow the line, not the mean of what each takes."""
+    fitted = search_fit(lambda count: 4000 + 25 * count, 5250, 20, 1, 10**6)
+    assert fitted.bytes >= 0.98 * 5250
+    assert len(fitted.probes) <= 3
+
+
+def test_a_search_that_ends_early_says_so():
+    fitted = search_fit(lambda count: 4000 + count.bit_length(), 10**6, 1, 1, 10**99)
+    assert len(fitted.probes) == MOST_PROBES
+    assert "enough others were tried" in fitted.leap(10**6, 10**99)[0]
+
+
+def test_a_job_that_cannot_be_divided_leaves_nothing(tmp_path):
+    source = tmp_path / "in.ply"
+    nanogs.save(random_splats(1).take(np.zeros(20, np.int64)), source)
+    with pytest.raises(CrowdedError, match="20 splats lie in one place"):
+        nanogs.simplify_blocks(source, tmp_path / "a.ply", ratio=0.5, preset="fast", block=8)
+    assert [*tmp_path.iterdir()] == [source]

@@ -27,7 +27,7 @@ SUFFIXES = (".sog", ".spz") * 3 + (
 FRAMES = (("rdf", "rub"), ("rub", "luf"))
 LEAST = re.compile(r"([\d,]+) B[.;]")
 FEW = {"views": 2, "view_size": 48, "roaming": 0, "steps": 2}
-ENDS = ("whole model fits", "of the size asked for")  # notes that say why a file is small
+ENDS = ("whole model fits", "of the size asked for: one of")  # notes that say why a file is small
 SPANS = 0.3  # dB above an asked PSNR
 
 

@@ -28,6 +28,10 @@ class TooSmallError(OptionError):
     """No result of this model fits into the size that was asked for."""
 
 
+class CrowdedError(OptionError):
+    """More splats than a block may have lie in one place."""
+
+
 class OutputError(NanogsError):
     """The output cannot be written: it exists, its folder is missing, or the disk is full."""
 

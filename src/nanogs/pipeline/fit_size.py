@@ -20,6 +20,7 @@ MOST_PROBES = 12
 SAMPLE = 8192  # splats of the input that are written for the first guess
 HOPELESS = 0.5  # of the file of one splat: no smaller one can be made
 _STEP = 0.97  # of a count that is too large: the next is at most so much of it
+_LEAP = 16  # times a count that fits: the next is at most so many
 
 WHOLE_FITS = "The whole model fits into the size asked for; nothing was merged."
 
@@ -37,9 +38,9 @@ class Fitted:
     probes: tuple[SizeProbeReport, ...]
 
     def leap(self, size: int, available: int) -> tuple[str, ...]:
-        """A sentence where much of the size is left, since a few splats more take far more."""
+        """A sentence where much of the size is left, mostly as a few splats more take far more."""
         over = min((probe for probe in self.probes if probe.bytes > size), default=None, key=_count)
-        if over is None or self.count == available:
+        if not self.probes or self.count == available:
             return ()
         return little_used(size, self.bytes, over)
 
@@ -48,17 +49,19 @@ def _count(probe: SizeProbeReport) -> int:
     return probe.count
 
 
-def little_used(size: int, taken: int, over: SizeProbeReport) -> tuple[str, ...]:
-    """A sentence where a file leaves much of the size, since the next one is too large.
+def little_used(size: int, taken: int, over: Probe) -> tuple[str, ...]:
+    """A sentence where a file leaves much of the size, mostly since the next one is too large.
 
     Args:
         size: Bytes that the file may have.
         taken: Its bytes.
-        over: One that is too large.
+        over: One that is too large, or None where enough others were tried.
     """
     if taken >= ENOUGH * size:
         return ()
-    more = f"one of {counted(over.count, 'splat')} takes {over.bytes:,} B"
+    more = "enough others were tried to find a larger one"
+    if over is not None:
+        more = f"one of {counted(over.count, 'splat')} takes {over.bytes:,} B"
     return (f"The file takes {taken / size:.0%} of the size asked for: {more}.",)
 
 
@@ -144,16 +147,17 @@ def _next(fits: Probe, over: Probe, size: int, probes: Sequence[SizeProbeReport]
     aim, tried = AIM * size, len(probes)
     if over is None:
         assert fits is not None  # noqa: S101 - one has been tried
-        return max(int(fits.count * aim / fits.bytes), fits.count + 1)
+        found = min(_along(probes[-2:], aim), _LEAP * fits.count)
+        return max(int(found), fits.count + 1)
     if fits is None:
         step = _STEP if tried < MOST_PROBES else 0.5  # and so it ends
-        return int(min(_below(probes[-2:], aim), over.count * step))
+        return int(min(_along(probes[-2:], aim), over.count * step))
     between = over.count - fits.count
     share = 0.5 if tried % 2 else (aim - fits.bytes) / (over.bytes - fits.bytes)
     return min(max(fits.count + int(share * between), fits.count + 1), over.count - 1)
 
 
-def _below(probes: Sequence[SizeProbeReport], aim: float) -> float:
+def _along(probes: Sequence[SizeProbeReport], aim: float) -> float:
     """Where a line through the latest counts, or else through nothing, has so many bytes."""
     latest = probes[-1]
     for before in probes[:-1]:
@@ -261,7 +265,9 @@ def fit_size(
     if not near:
         progress.begin("search")
         found = search(results.plain(), SIZES, guess)
-        probes, guess, enough = found.probes, found.count, ENOUGH * min(size, found.bytes)
+        probes, guess = found.probes, found.count
+        if found.bytes < enough:  # the size cannot be used up, and so results need not try
+            enough = ENOUGH * found.bytes
         if not results.looks:
             return best[0], found
         best.clear()

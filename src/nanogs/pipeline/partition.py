@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import I64, U64
-from nanogs.errors import ModelError, OptionError
+from nanogs.errors import CrowdedError, ModelError
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.spill import DIGEST
 from nanogs.store.columns import CODES
@@ -69,7 +69,7 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
 
     Raises:
         ModelError: No splat is usable.
-        OptionError: More splats than a block may have are in one place.
+        CrowdedError: More splats than a block may have are in one place.
     """
     splats = sum(int(record.facts["splats"]) for record in segments)
     if splats == 0:
@@ -85,7 +85,7 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
     found = _without_empty(np.array(bounds, np.int64))
     most = max(found.count(block) for block in range(found.blocks))
     if most > settings.block + slack:
-        raise OptionError(
+        raise CrowdedError(
             f"{most:,} splats lie in one place and cannot be divided into blocks of"
             f" {settings.block:,}; raise `max_memory`."
         )

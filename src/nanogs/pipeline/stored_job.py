@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
-from nanogs.errors import ModelError, NanogsError, OutputError, TooSmallError
+from nanogs.errors import CrowdedError, ModelError, NanogsError, OutputError, TooSmallError
 from nanogs.pipeline.ending import Ending
 from nanogs.pipeline.folder import (
     MANIFEST,
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor as Pool
 
     from distributed import Client
+
+FUTILE = TooSmallError, CrowdedError, ModelError
+"""After these nothing can come of a job any more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +123,7 @@ class BlockJob:
                         scratch, self.settings, runner, threads, clock, progress, resumed=resumed,
                         search=self.search,
                     )  # fmt: skip
-                except (TooSmallError, ModelError):  # of this job nothing can come any more
+                except FUTILE:
                     self._remove(scratch)
                     raise
                 progress.begin("write")
