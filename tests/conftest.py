@@ -3,6 +3,7 @@
 import importlib
 import os
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,3 +84,14 @@ def small_views():
         patch.setattr(nanogs, "presets", few)  # first: it keeps what it was when first asked for
         patch.setattr(presets, "PRESETS", few)
         yield
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """The folder of temporary files, which is empty after every test."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    yield folder
+    assert list(folder.iterdir()) == []

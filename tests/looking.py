@@ -1,7 +1,8 @@
-"""A model as the stages see it, once it has been looked at."""
+"""A model as the stages see it, once it has been looked at, and what views show of models."""
 
 import numpy as np
 
+import nanogs
 from nanogs.metrics import psnr, ssim
 from nanogs.pipeline.one_block import OneBlock, whole_settings
 from nanogs.pipeline.scene import Task
@@ -26,3 +27,9 @@ def judged(small, scene):
         shown = render(small, target.camera).shown()
         scores.append((psnr(wanted, shown), ssim(wanted.mean(axis=2), shown.mean(axis=2))))
     return np.mean(scores, axis=0)
+
+
+def marks(one, other, cameras):
+    """Mean PSNR and SSIM of a model against another, in the plainest way."""
+    pairs = list(zip(*(nanogs.render(model, cameras) for model in (one, other)), strict=True))
+    return [float(np.mean([metric(a, b) for a, b in pairs])) for metric in (psnr, ssim)]

@@ -2,7 +2,6 @@
 
 import json
 import math
-import tempfile
 
 import numpy as np
 import pytest
@@ -10,11 +9,11 @@ import pytest
 import nanogs
 from builders import random_splats
 from launch import run
+from looking import marks
 from nanogs.errors import FormatError, NotEnoughMemoryError
 from nanogs.formatting import number_text
 from nanogs.io.parts import FileSource
 from nanogs.memory import LIBRARIES
-from nanogs.metrics import psnr, ssim
 from nanogs.scoring.run import compare_files
 from nanogs.views.automatic import automatic_cameras
 from test_bench import write_photographs
@@ -37,23 +36,6 @@ def files(tmp_path_factory):
     nanogs.save(splats.take(np.arange(0, 600, 3)).with_sh_degree(0), folder / "third.ply")
     nanogs.save(splats.take(np.arange(0, 600, 2)), folder / "half.spz")
     return folder
-
-
-@pytest.fixture
-def temporary(tmp_path, monkeypatch):
-    """The folder of temporary files, which is empty after every test."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setenv("TMPDIR", str(folder))
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    yield folder
-    assert list(folder.iterdir()) == []
-
-
-def marks(one, other, cameras):
-    """Mean PSNR and SSIM of a model against another, in the plainest way."""
-    pairs = list(zip(*(nanogs.render(model, cameras) for model in (one, other)), strict=True))
-    return [float(np.mean([metric(a, b) for a, b in pairs])) for metric in (psnr, ssim)]
 
 
 def test_a_plain_twin_has_the_same_numbers(files, tmp_path, temporary):

@@ -10,10 +10,10 @@ import pytest
 import nanogs
 from builders import random_splats
 from launch import run
+from looking import marks
 from nanogs.errors import ModelError, NotEnoughMemoryError, OptionError
 from nanogs.io.parts import FileSource
 from nanogs.memory import LIBRARIES
-from nanogs.metrics import psnr, ssim
 from nanogs.views.automatic import automatic_cameras
 from test_cli import assert_refused
 
@@ -27,23 +27,6 @@ def scene(request, tmp_path_factory):
     path = tmp_path_factory.mktemp("cost") / "scene.ply"
     nanogs.save(random_splats(400, degree=request.param), path)
     return path
-
-
-@pytest.fixture
-def temporary(tmp_path, monkeypatch):
-    """The folder of temporary files, which is empty after every test."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setenv("TMPDIR", str(folder))
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    yield folder
-    assert list(folder.iterdir()) == []
-
-
-def marks(one, other, cameras):
-    """Mean PSNR and SSIM of a model against another, in the plainest way."""
-    pairs = list(zip(*(nanogs.render(model, cameras) for model in (one, other)), strict=True))
-    return [float(np.mean([metric(a, b) for a, b in pairs])) for metric in (psnr, ssim)]
 
 
 def twin(scene, folder, suffix, **options):
