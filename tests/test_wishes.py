@@ -1,5 +1,6 @@
 """Random wishes for a size, and what they once broke."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from launch import run
 from nanogs.errors import CrowdedError, TooSmallError
 from nanogs.io import registry
 from nanogs.pipeline.fit_size import MOST_PROBES, search_fit
@@ -143,3 +145,13 @@ def test_a_job_that_cannot_be_divided_leaves_nothing(tmp_path):
     with pytest.raises(CrowdedError, match="20 splats lie in one place"):
         nanogs.simplify_blocks(source, tmp_path / "a.ply", ratio=0.5, preset="fast", block=8)
     assert [*tmp_path.iterdir()] == [source]
+
+
+def test_a_dry_run_in_blocks_counts_fewer_harmonics_too(tmp_path):
+    source, out = tmp_path / "in.ply", tmp_path / "out.ply"
+    nanogs.save(random_splats(60, degree=3), source)
+    given = ("--size", 3000, "--sh-degree", 0, "--job", tmp_path / "job", "--dry-run", "--json")
+    plan = json.loads(run("simplify", source, out, *given).stdout)
+    bare = nanogs.load(source).with_sh_degree(0)
+    file_bytes = registry.writable(out).file_bytes
+    assert file_bytes(bare, plan["asked_count"]) <= 3000 < file_bytes(bare, plan["asked_count"] + 1)
