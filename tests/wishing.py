@@ -363,6 +363,8 @@ def _smallest(wish: Wish, text: str) -> list[str]:
         return [f"twice what is about the smallest: {found.refused}"] if small else []
     at = fulfil(replace(wish, goal={"size": least}), around=False)
     below = fulfil(replace(wish, goal={"size": least - 1}), around=False)
+    if "cannot be divided" in at.refused:  # which no size changes
+        return []
     wrong = [f"with the smallest named: {at.wrong or at.refused}"] * bool(at.wrong or at.refused)
     if not below.refused:
         wrong.append(f"one byte less than the smallest named: {below.wrong or 'is met'}")
