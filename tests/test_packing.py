@@ -16,11 +16,13 @@ from nanogs.io import as_packed
 from nanogs.pipeline.packing import (
     FIRST_SHARE,
     LARGER,
+    SLOPES,
     SMALLER,
     Bits,
     Choices,
     Packing,
     choose_packing,
+    slope_of,
 )
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import held_out
@@ -68,7 +70,7 @@ class MadeUp:
 def test_the_best_packing_is_found(degree, share, bits, palettes, fine):
     model = MadeUp(degree, share, bits)
     choices = Choices(range(4), palettes, BITS if fine else {})
-    found, count, probes = choose_packing(choices, SIZE, model.guess, model.attempt, 10**9)
+    found, count, probes = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
     assert found.sh_degree == degree
     assert dict(found.bits).get("bits", 7) == (bits if fine else 7)
     assert found.share == (None if not palettes else share if degree else found.share)
@@ -79,7 +81,7 @@ def test_the_best_packing_is_found(degree, share, bits, palettes, fine):
 
 def test_a_lower_degree_far_behind_is_seen_but_not_made():
     model = MadeUp(3, 8.0, 7)
-    choose_packing(Choices(range(4), palettes=True), SIZE, model.guess, model.attempt, 10**9)
+    choose_packing(Choices(range(4), palettes=True), SIZE, 5.0, model.guess, model.attempt, 10**9)
     assert {packing.sh_degree for packing, _ in model.made} == {3}
     assert {packing.sh_degree for packing, _ in model.files} == {3, 2}
 
@@ -87,7 +89,7 @@ def test_a_lower_degree_far_behind_is_seen_but_not_made():
 def test_a_model_that_fits_whole_takes_what_shows_most():
     model = MadeUp(3, 8.0, 7)
     choices = Choices(range(4), palettes=False)
-    found, count, _ = choose_packing(choices, 10**9, model.guess, model.attempt, 1000)
+    found, count, _ = choose_packing(choices, 10**9, 5.0, model.guess, model.attempt, 1000)
     assert (found.sh_degree, count) == (3, 1000)
 
 
@@ -100,7 +102,38 @@ def test_options_follow_the_count():
 
 
 def test_bits_are_tried_from_the_usual_ones_on():
-    assert Bits(7, range(4, 9)).ways() == ([6, 5, 4], [8])
+    bits = Bits(7, range(4, 9))
+    assert bits.ways() == ([6, 5, 4], [8])
+    assert [bits.back(present) for present in (4, 7, 8)] == [[5, 6, 7], [], [7]]
+
+
+def test_a_larger_palette_may_want_finer_bits():
+    class Hiding(MadeUp):
+        """A small palette hides what coarse bits lose."""
+
+        def seen(self, packing, count):
+            found = super().seen(packing, count)
+            lost = 0.8 * abs(dict(packing.bits).get("bits", 7) - self.best[2])
+            return replace(found, psnr=found.psnr + (lost if packing.share >= 8 else 3))
+
+    model = Hiding(0, 1.5, 7)
+    choices = Choices([1], palettes=True, bits=BITS)
+    found, _, _ = choose_packing(choices, SIZE, 6.0, model.guess, model.attempt, 10**9)
+    first = model.files[: len([1 for each in model.files if each[0].share == 8])]
+    assert {dict(packing.bits).get("bits") for packing, _ in first} >= {4, 5, 6}
+    assert (found.share, dict(found.bits)) == (1.5, {"bits": 7})
+
+
+def test_what_more_splats_bring_is_measured():
+    choices = Choices([0], palettes=False)
+    less, more = (PackingReport(0, {}, n, n, 30 + 6 * math.log(n), 0.9) for n in (1000, 1600))
+    assert slope_of(choices, less, more) == pytest.approx(6)
+    assert slope_of(choices, less, replace(more, psnr=math.inf)) == SLOPES[1]
+    assert slope_of(choices, less, less) == SLOPES[1]
+    by_psnr = replace(choices, by_psnr=True)
+    better = replace(more, ssim=1.0)
+    assert slope_of(by_psnr, less, better) == pytest.approx(6)
+    assert slope_of(choices, less, better) > 10
 
 
 # ---- harmonics that splats share ---------------------------------------------------------------

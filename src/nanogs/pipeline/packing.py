@@ -20,8 +20,11 @@ from nanogs.report import PackingReport
 FIRST_SHARE = 8.0
 LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
 LARGEST_PALETTE = 1 << 16
-# Of the quality and of the PSNR alone, dB for e times the bytes; trained scenes: 4 to 10, 3 to 10.
-SLOPE, PSNR_SLOPE = 5.0, 4.0
+SLOPES = (
+    2.0,
+    20.0,
+)  # dB of quality for e times the bytes, between which a measured slope is believed
+SAVED = 1.25  # splats more than the usual bits leave room for, which coarser ones mostly make
 NEAR = 0.12  # logarithm of the bytes over the size within which a result is not made again
 BEHIND = 1.5  # dB by which a degree that nothing is fitted for may be behind and still be tried
 
@@ -77,6 +80,11 @@ class Bits:
         fewer = [value for value in self.values if value < self.usual]
         return fewer[::-1], [value for value in self.values if value > self.usual]
 
+    def back(self, present: int) -> list[int]:
+        """The values from another one to the usual one."""
+        step = 1 if present < self.usual else -1
+        return [*range(present + step, self.usual + step, step)] if present != self.usual else []
+
 
 @dataclass(frozen=True, slots=True)
 class Choices:
@@ -100,6 +108,10 @@ class Choices:
         palette = FIRST_SHARE if self.palettes and self.degrees[-1] else None
         return Packing(self.degrees[-1], palette)
 
+    def quality(self, found: PackingReport) -> float:
+        """What a file shows, dB."""
+        return found.psnr if self.by_psnr else quality(found.psnr, found.ssim)
+
     @property
     def any(self) -> bool:
         """Whether there is a choice."""
@@ -109,6 +121,7 @@ class Choices:
 def choose_packing(
     choices: Choices,
     size: int,
+    slope: float,
     guess: Callable[[Packing], int],
     attempt: Try,
     available: int,
@@ -118,6 +131,7 @@ def choose_packing(
     Args:
         choices: What may be chosen.
         size: Bytes that the file may have.
+        slope: What more splats bring, dB of quality for e times the bytes.
         guess: The count of the model's own splats that fill the size with a packing, about.
         attempt: Makes results.
         available: Splats of the whole model.
@@ -125,7 +139,7 @@ def choose_packing(
     Returns:
         The packing, a count that about fills the size with it, and what was tried in order.
     """
-    search = _Search(choices, size, guess, attempt, available)
+    search = _Search(choices, size, slope, guess, attempt, available)
     best = search.begin()
     if (first := best).share is not None:
         best = search.climb(first, [replace(first, share=share) for share in SMALLER])
@@ -136,73 +150,115 @@ def choose_packing(
     return best, search.filling(best), tuple(search.probes)
 
 
+def slope_of(choices: Choices, less: PackingReport, more: PackingReport) -> float:
+    """What more splats bring, dB of quality for e times the bytes, by two files packed alike."""
+    wider = math.log(more.bytes / less.bytes)
+    rise = choices.quality(more) - choices.quality(less)
+    if wider <= 0 or not math.isfinite(rise):
+        return SLOPES[1]
+    return min(max(rise / wider, SLOPES[0]), SLOPES[1])
+
+
+def _plain(packing: Packing) -> Packing:
+    return replace(packing, bits=())
+
+
 @dataclass(slots=True)
 class _Search:
-    """What packings were found to be worth."""
+    """What packings were found to be worth.
+
+    Attributes:
+        found: The best bits of each degree and share of a palette that was tried, and their file.
+        promising: Lower degrees that are not far behind without a fit of their own.
+    """
 
     choices: Choices
     size: int
+    slope: float
     guess: Callable[[Packing], int]
     attempt: Try
     available: int
-    found: dict[Packing, PackingReport] = field(default_factory=dict)
+    found: dict[Packing, tuple[Packing, PackingReport]] = field(default_factory=dict)
     probes: list[PackingReport] = field(default_factory=list)
     promising: list[int] = field(default_factory=list)
 
     def begin(self) -> Packing:
         """Make the first result, and find the best bits for it."""
         first = self.choices.first
-        count = min(max(self.guess(first), 1), self.available)
-        probes = self._tried(first, count, self._look)
+        saved = SAVED if self.choices.bits else 1.0
+        count = min(max(int(saved * self.guess(first)), 1), self.available)
+        probes = self._tried(first, count, lambda seen: self._look(first, seen, lower=True))
         full = [probe for probe in probes if probe.sh_degree == first.sh_degree]
-        best = max(full, key=self._worth)
-        lower = probes[len(full) :]
-        self.promising = [probe.sh_degree for probe in lower if self._promises(probe, best)]
-        bits = {name: best.options[name] for name in self.choices.bits if name in best.options}
-        packing = replace(first, bits=tuple(bits.items()))
-        self.found[packing] = best
-        return packing
+        best = self._keep(first, full)
+        found, lower = self.found[first][1], probes[len(full) :]
+        self.promising = [probe.sh_degree for probe in lower if self._promises(probe, found)]
+        if (first.share is not None or self.promising) and self._is_far(found):
+            best = self._make(best, self._filling(found))
+        return best
 
     def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
         """The best of a packing and others in a row, as far as each is better than the last."""
         for other in others:
-            if self(other) <= self(best):
+            given = replace(other, bits=best.bits)
+            if self._value(given) <= self._value(best):
                 break
-            best = other
+            best = self.found[_plain(given)][0]
         return best
-
-    def __call__(self, packing: Packing) -> float:
-        if packing not in self.found:
-            (probe,) = self._tried(packing, self._expected(packing), lambda seen: [seen(packing)])
-            fitting = self._filling(probe)
-            if abs(math.log(probe.bytes / self.size)) > NEAR and fitting != probe.count:
-                (probe,) = self._tried(packing, fitting, lambda seen: [seen(packing)])
-            self.found[packing] = probe
-        return self._worth(self.found[packing])
 
     def filling(self, packing: Packing) -> int:
         """A count that about fills the size with a packing that was tried."""
-        return self._filling(self.found[packing])
+        return self._filling(self.found[_plain(packing)][1])
 
-    def _look(self, seen: Seen) -> list[PackingReport]:
-        """Files of the first result: with other bits, and with lower degrees."""
-        first, bits = self.choices.first, self.choices.bits
-        chosen = {name: each.usual for name, each in bits.items()}
-        best = seen(first)
+    def _value(self, packing: Packing) -> float:
+        """Worth of a degree and a share, with bits as they are or nearer to the usual ones."""
+        if _plain(packing) not in self.found:
+            self._make(packing, self._expected(packing))
+            if self._is_far(found := self.found[_plain(packing)][1]):
+                self._make(packing, self._filling(found))
+        return self._worth(self.found[_plain(packing)][1])
+
+    def _make(self, packing: Packing, count: int) -> Packing:
+        return self._keep(
+            packing, self._tried(packing, count, lambda seen: self._look(packing, seen))
+        )
+
+    def _is_far(self, found: PackingReport) -> bool:
+        """Whether a file is too far from the size to tell what one of the size would show."""
+        far = abs(math.log(found.bytes / self.size)) > NEAR
+        return far and self._filling(found) != found.count
+
+    def _keep(self, packing: Packing, probes: Sequence[PackingReport]) -> Packing:
+        best = max(probes, key=self._worth)
+        bits = {name: best.options[name] for name in self.choices.bits if name in best.options}
+        kept = replace(packing, bits=tuple(bits.items()))
+        self.found[_plain(packing)] = kept, best
+        return kept
+
+    def _look(self, packing: Packing, seen: Seen, *, lower: bool = False) -> list[PackingReport]:
+        """Files of a result: of the first with any bits, and with lower degrees.
+
+        What a small palette loses hides what bits do, so that with a larger one those nearer to the
+        usual ones are seen again.
+        """
+        chosen = {name: each.usual for name, each in self.choices.bits.items()}
+        chosen |= dict(packing.bits)
+        larger = packing.share is not None and packing.share < FIRST_SHARE
+        best = seen(packing)
         probes = [best]
-        for name, each in bits.items():
-            for way in each.ways():
+        for name, each in self.choices.bits.items():
+            began = chosen[name]
+            for way in each.ways() if lower else (each.back(began) if larger else (),):
                 for value in way:
                     changed = chosen | {name: value}
-                    probes.append(seen(replace(first, bits=tuple(changed.items()))))
+                    probes.append(seen(replace(packing, bits=tuple(changed.items()))))
                     if self._worth(probes[-1]) <= self._worth(best):
                         break
                     best, chosen = probes[-1], changed
-                if chosen[name] != each.usual:
+                if chosen[name] != began:
                     break
-        fine = tuple(chosen.items()) if best is not probes[0] else ()
-        for degree in reversed(self.choices.degrees[:-1]):
-            probes.append(seen(Packing(degree, first.share, fine)))
+        fine = tuple(chosen.items()) if best is not probes[0] else packing.bits
+        for degree in reversed(self.choices.degrees[:-1]) if lower else ():
+            probes.append(seen(Packing(degree, packing.share, fine)))
             if not self._promises(probes[-1], best):
                 break
         return probes
@@ -214,9 +270,7 @@ class _Search:
         over = math.log(found.bytes / self.size)
         # What is left of the size would be filled, unless that was the whole model.
         over = over if found.count < self.available else max(over, 0)
-        if self.choices.by_psnr:
-            return found.psnr - PSNR_SLOPE * over
-        return quality(found.psnr, found.ssim) - SLOPE * over
+        return self.choices.quality(found) - self.slope * over
 
     def _tried(self, packing: Packing, count: int, look: Look) -> list[PackingReport]:
         probes = self.attempt(packing, count, look)
@@ -225,7 +279,7 @@ class _Search:
 
     def _expected(self, packing: Packing) -> int:
         """The count that should fill the size, by what the model's own splats take."""
-        before = [*self.found][-1]
+        before, _ = [*self.found.values()][-1]
         share = self.guess(packing) / max(self.guess(before), 1)
         return min(max(int(self.filling(before) * share), 1), self.available)
 

@@ -8,7 +8,16 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 from nanogs.errors import TooSmallError
 from nanogs.io.format import Format
 from nanogs.pipeline.fit_size import Fitted, fit_size, guess_count, too_small
-from nanogs.pipeline.packing import SMALLER, Bits, Choices, Look, Packing, Try, choose_packing
+from nanogs.pipeline.packing import (
+    SMALLER,
+    Bits,
+    Choices,
+    Look,
+    Packing,
+    Try,
+    choose_packing,
+    slope_of,
+)
 from nanogs.pipeline.results import Results
 from nanogs.pipeline.target import count_for_size
 from nanogs.pipeline.weights import PACKINGS
@@ -19,6 +28,7 @@ from nanogs.splats import Splats
 T = TypeVar("T")
 R_contra = TypeVar("R_contra", contravariant=True)
 PALETTE, SH_BITS = "palette", "sh_bits"
+CUTS = 0.5, 0.8  # of the count that fills a size, of plain cuts that tell what more splats bring
 FEW = 8  # times the fewest splats: more of the model's own hide that these would not fit
 Options = Mapping[str, Any]
 
@@ -153,8 +163,25 @@ def pack(
         return Packed(packing, guess(packing), (), packing.sh_degree)
     progress.begin("pack")
     attempt = _attempts(results, wish, files, progress)
-    chosen = choose_packing(choices, wish.size, guess, attempt, results.available)
+    slope = _slope(results, choices, guess(choices.first), files, progress)
+    chosen = choose_packing(choices, wish.size, slope, guess, attempt, results.available)
     return Packed(*chosen, choices.degrees[-1])
+
+
+def _slope(
+    results: Results[T], choices: Choices, count: int, files: Files[T], progress: Tracker
+) -> float:
+    """What more splats bring, by two plain cuts, whose palettes hide nothing of it."""
+    packing, plain = replace(choices.first, share=None), results.plain(rounds=0)
+
+    def shown(part: int, share: float) -> PackingReport:
+        some = min(max(round(share * count), results.fewest), results.available)
+        within = progress.within(part, PACKINGS, plain.stages(some))
+        _, found = plain.marked(some, lambda one: asdict(_seen(files, one, packing)), within)
+        return PackingReport(**found)
+
+    less, more = (shown(part, share) for part, share in enumerate(CUTS))
+    return slope_of(choices, less, more)
 
 
 @dataclass(eq=False)
