@@ -10,7 +10,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from launch import run
-from nanogs.errors import CrowdedError, TooSmallError
+from nanogs.errors import CrowdedError, TooSmallError, UnstorableError
 from nanogs.io import registry
 from nanogs.pipeline.fit_size import MOST_PROBES, search_fit
 from nanogs.views.opening import opening_for
@@ -144,6 +144,15 @@ def test_a_job_that_cannot_be_divided_leaves_nothing(tmp_path):
     nanogs.save(random_splats(1).take(np.zeros(20, np.int64)), source)
     with pytest.raises(CrowdedError, match="20 splats lie in one place"):
         nanogs.simplify_blocks(source, tmp_path / "a.ply", ratio=0.5, preset="fast", block=8)
+    assert [*tmp_path.iterdir()] == [source]
+
+
+def test_a_search_for_what_a_format_cannot_hold_leaves_nothing(tmp_path):
+    source, splats = tmp_path / "in.ply", random_splats(40)
+    far = replace(splats, means=splats.means + np.float32([1e8, 0, 0]))
+    nanogs.save(far, source)
+    with pytest.raises(UnstorableError, match="move the model to the origin"):
+        nanogs.simplify_blocks(source, tmp_path / "a.spz", size=600, preset="fast", block=16)
     assert [*tmp_path.iterdir()] == [source]
 
 

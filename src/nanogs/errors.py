@@ -36,6 +36,10 @@ class OutputError(NanogsError):
     """The output cannot be written: it exists, its folder is missing, or the disk is full."""
 
 
+class UnstorableError(OutputError):
+    """A format has no code for a value of this model, or not enough room for its splats."""
+
+
 class ExistsError(OutputError):
     """The output exists, and nobody has said that it may be replaced.
 

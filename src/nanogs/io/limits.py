@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from nanogs._types import Bool
-from nanogs.errors import OutputError
+from nanogs.errors import UnstorableError
 from nanogs.findings import Finding, Names
 from nanogs.formatting import counted
 from nanogs.io import render_tag
@@ -35,7 +35,7 @@ def storable(source: Source, suffix: str) -> Iterator[Splats]:
         OutputError: As said.
     """
     if not source.count:
-        raise OutputError(f"The model holds no splats, which a {suffix} file cannot say.")
+        raise UnstorableError(f"The model holds no splats, which a {suffix} file cannot say.")
     first, wrong, at = 0, 0, 0
     for block in source.blocks():
         with np.errstate(over="ignore"):
@@ -46,7 +46,7 @@ def storable(source: Source, suffix: str) -> Iterator[Splats]:
         at += len(block)
         yield block
     if wrong:
-        raise OutputError(
+        raise UnstorableError(
             f"{counted(wrong, 'splat holds', 'splats hold')} NaN or infinite values, the first in"
             f" row {first}, which {suffix} has no code for; leave such splats out, as simplifying"
             " with `ratio=1` does."

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
-from nanogs.errors import CrowdedError, ModelError, NanogsError, OutputError, TooSmallError
+from nanogs.errors import (
+    CrowdedError,
+    ModelError,
+    NanogsError,
+    OutputError,
+    TooSmallError,
+    UnstorableError,
+)
 from nanogs.pipeline.ending import Ending
 from nanogs.pipeline.folder import (
     MANIFEST,
@@ -35,7 +42,7 @@ if TYPE_CHECKING:
 
     from distributed import Client
 
-FUTILE = TooSmallError, CrowdedError, ModelError
+FUTILE = TooSmallError, CrowdedError, ModelError, UnstorableError
 """After these nothing can come of a job any more."""
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from nanogs._types import F32, F64, I64, U8, U16
 from nanogs._version import __version__
-from nanogs.errors import OutputError
+from nanogs.errors import UnstorableError
 from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.folder import atomic_folder
@@ -170,7 +170,7 @@ def _refuse_unstorable(splats: Splats) -> None:
     """Refuse a model that the file would hold in part, or with other values."""
     limits.refuse_unstorable(splats, ".sog")
     if len(splats) > MAX_SIDE**2 // 2:
-        raise OutputError(
+        raise UnstorableError(
             f"{len(splats):,} splats are too many for one .sog file; simplify the model."
         )
     coefficients = splats.sh[:, : (MAX_DEGREE + 1) ** 2]
@@ -178,7 +178,7 @@ def _refuse_unstorable(splats: Splats) -> None:
     good = (np.abs(coefficients) <= _FARTHEST).all(axis=(1, 2))
     good &= (np.abs(scales) <= _FARTHEST).all(axis=1)
     if not good.all():
-        raise OutputError(
+        raise UnstorableError(
             f"{counted(int((~good).sum()), 'splat holds', 'splats hold')} colour coefficients or"
             f" log-scales beyond ±{_FARTHEST:g}, the first in row {int(np.argmin(good))}, and"
             " .sog cannot hold them beside usual ones; correct them, or write .ply."

@@ -15,7 +15,7 @@ from typing import BinaryIO
 import numpy as np
 
 from nanogs._types import F32, F64, U8
-from nanogs.errors import OutputError
+from nanogs.errors import OutputError, UnstorableError
 from nanogs.findings import Finding
 from nanogs.io import limits
 from nanogs.io.by_column import Encoder, encoded_columns
@@ -132,7 +132,7 @@ def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
     source = source_of(model)
     reach = _reach(limits.storable(source, SUFFIX))
     if (bits := _bits(reach)) < 0:
-        raise OutputError(
+        raise UnstorableError(
             f"A centre is {reach:g} from the origin along an axis, but {SUFFIX} ends at"
             f" {_FIXED_MAX:,}; move the model to the origin or scale it down."
         )
