@@ -201,7 +201,7 @@ def test_marks_of_another_search_are_refused(scene, tmp_path, monkeypatch):
     """As if the model had been measured otherwise by then."""
     out = tmp_path / "a.spz"
     job = killed_at_the_end(scene, out, monkeypatch, size=40_000)
-    monkeypatch.setattr("nanogs.pipeline.sized.guess_count", lambda *_: 123)
+    monkeypatch.setattr("nanogs.pipeline.pack.guess_count", lambda *_: 123)
     with pytest.raises(OutputError, match=r"is of another search, which tried .* and not 123"):
         nanogs.simplify_blocks(scene, out, size=40_000, resume=True, **QUICK)
     record = json.loads((job / "scratch" / f"{MARKED}-0-00000.json").read_bytes())

@@ -209,8 +209,10 @@ def _fit(
 ) -> Outcome:
     from nanogs.pipeline.fit_size import refuse_hopeless
     from nanogs.pipeline.held_files import HeldFiles
+    from nanogs.pipeline.pack import Packer
     from nanogs.pipeline.results import HeldResults
-    from nanogs.pipeline.sized import Wish, fill_size
+    from nanogs.pipeline.sized import fill_size
+    from nanogs.pipeline.wish import Wish
 
     files, usable = HeldFiles(path, given, job.splats, clock), job.splats.take(job.rows)
     known, looks = registry.writable(path), renders(job.parameters)
@@ -222,7 +224,7 @@ def _fit(
     else:
         refuse_hopeless(lowest, size, lambda one: files.sample_bytes(one, smallest.options(1)))
     results = HeldResults(job.build(threads, clock, progress), clock)
-    outcome, found = fill_size(results, wish, usable, files, progress)
+    outcome, found = fill_size(Packer(results, wish, usable, files, progress))
     fitted, packed = found.fitted, found.packed
     return replace(
         outcome,
@@ -248,9 +250,10 @@ def _reach(
     progress: Tracker,
 ) -> Outcome:
     from nanogs.pipeline.held_files import HeldFiles
+    from nanogs.pipeline.pack import PackNear
     from nanogs.pipeline.reach import reach_psnr
     from nanogs.pipeline.results import HeldResults
-    from nanogs.pipeline.sized import PackNear, Wish
+    from nanogs.pipeline.wish import Wish
     from nanogs.scoring.held_out import held_out
 
     progress.begin("measure")

@@ -15,7 +15,7 @@ from nanogs.splats import Splats
 
 @dataclass(eq=False)
 class HeldFiles:
-    """Writes results of a model in memory; see `sized.Files`.
+    """Writes results of a model in memory; see `wish.Files`.
 
     Attributes:
         path: What is going to be written; only its suffix counts.

@@ -14,11 +14,13 @@ from nanogs.io.format import FormatOptions
 from nanogs.pipeline.ending import result_of
 from nanogs.pipeline.fit_size import SAMPLE, WHOLE_FITS
 from nanogs.pipeline.job_results import JobResults, Result
+from nanogs.pipeline.pack import Packer, PackNear
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.reach import reach_psnr
 from nanogs.pipeline.rows import opened, sample
 from nanogs.pipeline.run import Done, Run
-from nanogs.pipeline.sized import PackNear, Wish, fill_size
+from nanogs.pipeline.sized import fill_size
+from nanogs.pipeline.wish import Wish
 from nanogs.pipeline.work import SPAN, Work
 from nanogs.progress import Tracker
 from nanogs.report import StopReason
@@ -106,7 +108,7 @@ class Search:
         files, given = _Files(self, work, clock), self.options or {}
         known, looks = registry.writable(self.output), renders(work.settings.parameters)
         wish = Wish(size, known, given, work.settings.sh_degree, looks=looks)
-        result, found = fill_size(results, wish, _sample(work), files, progress)
+        result, found = fill_size(Packer(results, wish, _sample(work), files, progress))
         results.verify(result, progress)
         fitted, packed = found.fitted, found.packed
         options = packed.packing.options(files.count(result))
@@ -151,7 +153,7 @@ def turned_back(source: Source, result: Result) -> Source:
 
 @dataclass(eq=False)
 class _Files:
-    """Writes results of a job; see `sized.Files`."""
+    """Writes results of a job; see `wish.Files`."""
 
     search: Search
     work: Work

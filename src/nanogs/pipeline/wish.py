@@ -1,0 +1,83 @@
+"""What is asked of a file of a size, and who writes results to see what they take and show."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+from nanogs.io.format import Format
+from nanogs.pipeline.packing import SMALLER, Bits, Choices, Packing
+from nanogs.splats import Splats
+
+R_contra = TypeVar("R_contra", contravariant=True)
+PALETTE, SH_BITS = "palette", "sh_bits"
+Options = Mapping[str, Any]
+
+
+class Files(Protocol[R_contra]):
+    """Writes results to see how large their files are, and what these show."""
+
+    def count(self, result: R_contra) -> int:
+        """Splats of a result."""
+
+    def sample_bytes(self, some: Splats, options: Options) -> int:
+        """Bytes of a file of some splats, with options of the format."""
+
+    def bytes_of(self, result: R_contra, options: Options) -> int:
+        """Bytes of a result's file."""
+
+    def seen(self, result: R_contra, sh_degree: int, options: Options) -> tuple[int, float, float]:
+        """Bytes of a result's file, and its PSNR and SSIM on views by which is chosen.
+
+        Args:
+            result: The result.
+            sh_degree: Of the harmonics that are written, as far as it has them.
+            options: Of the format.
+        """
+
+
+class Wish(NamedTuple):
+    """What is asked of a file, besides what can be chosen.
+
+    Attributes:
+        size: Bytes that it may have.
+        known: Its format.
+        given: Options of it.
+        sh_degree: Of the harmonics that are to be written, or None to choose it.
+        by_psnr: Whether the PSNR alone says what is best.
+        looks: Whether what is not asked for may be chosen, as by presets that render.
+    """
+
+    size: int
+    known: Format
+    given: Options
+    sh_degree: int | None = None
+    by_psnr: bool = False
+    looks: bool = True
+
+    def choices(self, degree: int) -> Choices:
+        """What it leaves to be chosen, of a model with harmonics of a degree."""
+        highest = min(degree, self.known.max_degree)
+        fixed = None if self.sh_degree is None else [min(self.sh_degree, highest)]
+        if not (self.looks and self.known.readable):
+            return Choices(fixed or [highest], palettes=False)
+        bits = {
+            name: Bits(option.usual, option.values)
+            for name, option in self.known.options.items()
+            if option.usual is not None and name not in self.given
+        }
+        if not highest:
+            bits.pop(SH_BITS, None)
+        palettes = PALETTE in self.known.options and PALETTE not in self.given
+        return Choices(fixed or range(highest + 1), palettes, bits, self.by_psnr)
+
+    def share(self, packing: Packing, count: int) -> float | None:
+        """Splats for an entry of the palette, of a result of so many; None without one."""
+        if PALETTE in self.given and packing.sh_degree:
+            return max(count / int(self.given[PALETTE]), 1.0)
+        return packing.share_of(count)
+
+    def smallest(self, degree: int) -> Packing:
+        """The packing of the smallest files, of a model with harmonics of a degree."""
+        choices = self.choices(degree)
+        share = SMALLER[-1] if choices.first.share else None
+        bits = tuple((name, each.values[0]) for name, each in choices.bits.items())
+        return Packing(choices.degrees[0], share, bits)
