@@ -39,6 +39,8 @@ SHARES = (*LARGER, FIRST_SHARE, *SMALLER)
 class MadeUp:
     """A model of bytes and quality that has one best packing."""
 
+    bit = 0.8  # dB that a bit more or less than the best costs
+
     def __init__(self, degree, share, bits):
         self.best, self.made, self.files = (degree, share, bits), [], []
 
@@ -60,7 +62,7 @@ class MadeUp:
         size = self.bytes_of(packing, count)
         psnr = 30 + 5 * math.log(count / 5000) - 2 * abs(packing.sh_degree - degree)
         psnr += 5 * math.log(self.bytes_of(packing, 1000) / 1000)  # as much as its bytes are worth
-        psnr -= 0.8 * abs(dict(packing.bits).get("bits", 7) - bits)
+        psnr -= self.bit * abs(dict(packing.bits).get("bits", 7) - bits)
         if packing.share and packing.sh_degree:
             psnr -= 0.4 * abs(math.log2(packing.share / share))
         return PackingReport(packing.sh_degree, packing.options(count), count, size, psnr, 0.9)
@@ -122,6 +124,17 @@ def test_a_larger_palette_may_want_finer_bits():
     first = model.files[: len([1 for each in model.files if each[0].share == 8])]
     assert {dict(packing.bits).get("bits") for packing, _ in first} >= {4, 5, 6}
     assert (found.share, dict(found.bits)) == (1.5, {"bits": 7})
+
+
+def test_the_two_best_bits_are_compared_at_the_size():
+    """What splats bring is overrated: by that 4 bits were the best, then 5, and 6 in truth."""
+    model = MadeUp(0, 8.0, 6)
+    model.bit = 0.05
+    choices = Choices([0], palettes=False, bits=BITS)
+    found, count, _ = choose_packing(choices, SIZE, 5.6, model.guess, model.attempt, 10**9)
+    assert dict(found.bits) == {"bits": 5}
+    assert [dict(packing.bits).get("bits") for packing, _ in model.made] == [None, 4, 5]
+    assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.01)
 
 
 def test_what_more_splats_bring_is_measured():

@@ -10,6 +10,7 @@ as well, and made only where it is not far behind.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from nanogs.method.choose import quality
@@ -159,6 +160,10 @@ def slope_of(choices: Choices, less: PackingReport, more: PackingReport) -> floa
     return min(max(rise / wider, SLOPES[0]), SLOPES[1])
 
 
+def _alone(packing: Packing, seen: Seen) -> list[PackingReport]:
+    return [seen(packing)]
+
+
 def _plain(packing: Packing) -> Packing:
     return replace(packing, bits=())
 
@@ -192,9 +197,23 @@ class _Search:
         best = self._keep(first, full)
         found, lower = self.found[first][1], probes[len(full) :]
         self.promising = [probe.sh_degree for probe in lower if self._promises(probe, found)]
-        if (first.share is not None or self.promising) and self._is_far(found):
-            best = self._make(best, self._filling(found))
-        return best
+        if first.share is not None:
+            return self._make(best, self._filling(found)) if self._is_far(found) else best
+        return self._compared(best, full)
+
+    def _compared(self, best: Packing, probes: Sequence[PackingReport]) -> Packing:
+        """The better of the two best bits, each with a result of its own that fills the size.
+
+        How much splats bring is hardly known well enough to tell them apart.
+        """
+        two = sorted(probes, key=self._worth, reverse=True)[:2]
+        if len(two) < 2 or all(self._filling(probe) == probe.count for probe in two):
+            return best
+        made = []
+        for probe in two:
+            packing = replace(best, bits=self._bits_of(probe))
+            made += self._tried(packing, self._filling(probe), partial(_alone, packing))
+        return self._keep(best, made)
 
     def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
         """The best of a packing and others in a row, as far as each is better than the last."""
@@ -229,10 +248,13 @@ class _Search:
 
     def _keep(self, packing: Packing, probes: Sequence[PackingReport]) -> Packing:
         best = max(probes, key=self._worth)
-        bits = {name: best.options[name] for name in self.choices.bits if name in best.options}
-        kept = replace(packing, bits=tuple(bits.items()))
+        kept = replace(packing, bits=self._bits_of(best))
         self.found[_plain(packing)] = kept, best
         return kept
+
+    def _bits_of(self, probe: PackingReport) -> tuple[tuple[str, int], ...]:
+        names = self.choices.bits
+        return tuple((name, probe.options[name]) for name in names if name in probe.options)
 
     def _look(self, packing: Packing, seen: Seen, *, lower: bool = False) -> list[PackingReport]:
         """Files of a result: of the first with any bits, and with lower degrees.
