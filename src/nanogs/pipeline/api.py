@@ -94,12 +94,12 @@ def simplify(
     start, clock = time.perf_counter(), StageClock()
     size = None if size is None else as_bytes(size)
     goal = Goal(ratio, count, size, psnr)
-    parameters(preset, overrides)
+    chosen, given = parameters(preset, overrides), format_options or {}
     path = Path(f"model{registry.suffix_of(format)}")
     refuse_searches(goal, preset, path)
     check_degree(sh_degree)
     splats = as_splats(model)
-    if sh_degree is not None and not renders(parameters(preset, overrides)):
+    if sh_degree is not None and not renders(chosen):
         splats = splats.with_sh_degree(min(sh_degree, splats.sh_degree))
     # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.pipeline.foreseen import simplify_stages
@@ -121,10 +121,8 @@ def simplify(
                 achieved = registry.sizer(path)(outcome.splats, target)
                 outcome = replace(outcome, achieved_size=achieved)
         elif size is not None:
-            given = format_options or {}
             outcome = _fit(job, size, path, given, threads_used, clock, tracker)
         else:
-            given = format_options or {}
             outcome = _reach(job, goal.psnr or 0.0, path, given, threads_used, clock, tracker)
         target = len(outcome.splats) if target is None else target
         tracker.finish()
@@ -230,13 +228,8 @@ def _fit(
         outcome,
         achieved_size=fitted.bytes,
         size_probes=fitted.probes,
-        packings=packed.packings,
-        format_options=packed.packing.options(len(outcome.splats)),
-        notes=(
-            *outcome.notes,
-            *fitted.leap(size, results.available),
-            *packed.notes,
-        ),
+        notes=(*outcome.notes, *fitted.leap(size, results.available), *packed.notes),
+        **packed.entries(len(outcome.splats)),
     )
 
 

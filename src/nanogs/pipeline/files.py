@@ -29,7 +29,7 @@ from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import file_judge
 from nanogs.sink import OneFile
 from nanogs.splats import Splats
-from nanogs.store.columns import empty_columns, splats_of
+from nanogs.store.columns import no_splats
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -176,7 +176,7 @@ def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
     from nanogs.pipeline.fit_size import notes_on_known
 
     with open_model(request.output) as file:
-        like = splats_of(empty_columns(file.columns, 0), file.columns)
+        like = no_splats(file.columns)
     available = report.input_count - report.dropped_nonfinite
     size, count = request.goal.size, report.achieved_count
     return notes_on_known(size, count, available, lambda n: sizer(like, n))

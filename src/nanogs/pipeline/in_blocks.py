@@ -4,7 +4,6 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,8 +36,7 @@ from nanogs.protocol import PIXELS, VIEWS
 from nanogs.report import SimplifyReport
 from nanogs.sink import Sink, Written
 from nanogs.source import Joined, Layout
-from nanogs.splats import Splats
-from nanogs.store.columns import empty_columns, row_bytes, splats_of
+from nanogs.store.columns import no_splats, row_bytes
 from nanogs.store.scratch import is_url
 from nanogs.views.plan import room_for_measuring
 
@@ -168,7 +166,7 @@ def plan_job(
             room_for_measuring(source, request.max_memory)
     beside = pictures_bytes(PIXELS**2, VIEWS) if seen else 0
 
-    delivered = _delivered(layout, request.sh_degree)
+    delivered = layout.reduced(request.sh_degree)
 
     def planned(splats: int) -> ScalePlan:
         # A search may try any count, and has two results at a time in files.
@@ -217,9 +215,9 @@ def sought_by(request: "Request", layout: Layout, splats: int) -> Sought | None:
     if request.ratios or not request.searches(layout.sh_degree):
         return None
     if goal.size is not None and request.sizer is not None:
-        if request.sizer(_like(layout), splats) <= goal.size:
+        if request.sizer(no_splats(layout), splats) <= goal.size:
             return None
-        count_of(goal, 1, _delivered(layout, 0), request.sizer)
+        count_of(goal, 1, layout.reduced(0), request.sizer)
     options = json.dumps(dict(request.format_options or {}), sort_keys=True, default=str)
     return Sought(goal.size, goal.psnr, request.suffix, options)
 
@@ -238,20 +236,8 @@ def count_of(goal: Goal, splats: int, layout: Layout, sizer: Sizer | None) -> in
     """
     if goal.size is None or sizer is None:
         return target_count(splats, goal.ratio, goal.count)
-    like = _like(layout)
+    like = no_splats(layout)
     return count_for_size(splats, goal.size, lambda count: sizer(like, count))
-
-
-def _like(layout: Layout) -> Splats:
-    """A model without splats that is like those of a layout in all else."""
-    return splats_of(empty_columns(layout, 0), layout)
-
-
-def _delivered(layout: Layout, sh_degree: int | None) -> Layout:
-    """The columns of results whose harmonics are of a degree at most."""
-    if sh_degree is None or sh_degree >= layout.sh_degree:
-        return layout
-    return replace(layout, sh_degree=sh_degree)
 
 
 def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None:

@@ -37,6 +37,10 @@ class Packed:
     highest: int
     tight: bool = False
 
+    def entries(self, count: int) -> dict[str, Any]:
+        """What the report of a result of so many splats has of it."""
+        return {"packings": self.packings, "format_options": self.packing.options(count)}
+
     @property
     def notes(self) -> tuple[str, ...]:
         """A sentence where harmonics were left out that might have been kept."""
@@ -182,8 +186,7 @@ class PackNear(Generic[T]):
 
     def entries(self, result: T) -> dict[str, Any]:
         """What the report has of it."""
-        tried = self.packed.packings if self.packed else ()
-        return {"packings": tried, "format_options": self.options(result)}
+        return self.packed.entries(self.files.count(result)) if self.packed else {}
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -21,10 +21,8 @@ from nanogs.report import PackingReport
 FIRST_SHARE = 8.0
 LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
 LARGEST_PALETTE = 1 << 16
-SLOPES = (
-    2.0,
-    20.0,
-)  # dB of quality for e times the bytes, between which a measured slope is believed
+# Between these a measured slope is believed, dB of quality for e times the bytes.
+SLOPES = 2.0, 20.0
 SAVED = 1.25  # splats more than the usual bits leave room for, which coarser ones mostly make
 NEAR = 0.12  # logarithm of the bytes over the size within which a result is not made again
 BEHIND = 1.5  # dB by which a degree that nothing is fitted for may be behind and still be tried

@@ -111,14 +111,11 @@ class Search:
         result, found = fill_size(Packer(results, wish, _sample(work), files, progress))
         results.verify(result, progress)
         fitted, packed = found.fitted, found.packed
-        options = packed.packing.options(files.count(result))
-        notes = fitted.leap(size, results.available)
-        notes += packed.notes
+        notes = fitted.leap(size, results.available) + packed.notes
         if fitted.count == results.available and known.file_bytes is None:
             notes += (WHOLE_FITS,)
         entries = {"achieved_size": fitted.bytes, "size_probes": fitted.probes}
-        entries |= {"packings": packed.packings, "format_options": options}
-        return _Found(result, entries, notes)
+        return _Found(result, entries | packed.entries(files.count(result)), notes)
 
     @contextmanager
     def _stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:

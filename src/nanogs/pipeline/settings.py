@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -132,9 +132,7 @@ class Settings:
     @property
     def delivered(self) -> Layout:
         """The columns of the results."""
-        if self.sh_degree is None or self.sh_degree >= self.layout.sh_degree:
-            return self.layout
-        return replace(self.layout, sh_degree=self.sh_degree)
+        return self.layout.reduced(self.sh_degree)
 
     def entries(self, count: int) -> int | None:
         """Sets of higher harmonics that so many splats share; None where each has its own."""

@@ -41,6 +41,12 @@ class Layout:
         """The same without higher harmonics and extra columns."""
         return replace(self, sh_degree=0, extras=())
 
+    def reduced(self, sh_degree: int | None) -> "Layout":
+        """The same with harmonics of a degree at most, or None for all."""
+        if sh_degree is None or sh_degree >= self.sh_degree:
+            return self
+        return replace(self, sh_degree=sh_degree)
+
 
 class Source(ABC):
     """A model of which some rows are read at a time.

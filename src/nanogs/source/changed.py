@@ -1,7 +1,6 @@
 """Sources whose rows are changed when they are read: filtered, turned, or of fewer bands."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -79,7 +78,7 @@ class Reduced(_Mapped):
 
     def __init__(self, source: Source, degree: int) -> None:
         super().__init__(source, lambda rows: rows.with_sh_degree(degree))
-        self.columns = replace(self.columns, sh_degree=min(self.columns.sh_degree, degree))
+        self.columns = self.columns.reduced(degree)
 
 
 class Filtered(_Changed):

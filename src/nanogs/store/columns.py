@@ -55,6 +55,11 @@ def empty_columns(layout: Layout, count: int) -> dict[str, Array]:
     }
 
 
+def no_splats(layout: Layout) -> Splats:
+    """A model without splats that is like those of a layout in all else."""
+    return splats_of(empty_columns(layout, 0), layout)
+
+
 def splats_of(columns: Mapping[str, Array], layout: Layout) -> Splats:
     """Splats of these columns, which are not copied."""
     own: dict[str, Any] = {name: columns[name] for name in _OWN}
