@@ -74,6 +74,7 @@ def convert(
     filters: Sequence[Filter] = (),
     sh_degree: int | None = None,
     frame: tuple[str, str] | None = None,
+    render_mode: str | None = None,
     overwrite: bool = False,
     format_options: "FormatOptions | None" = None,
     max_memory: int | str | None = None,
@@ -88,6 +89,7 @@ def convert(
         filters: What leaves out splats, such as `nanogs.filters.box(low, high)`.
         sh_degree: The highest degree of spherical harmonics that stays, 0 to 4; all by default.
         frame: From and to which the model is turned, such as ("rdf", "rub").
+        render_mode: "default" or "mip" in place of the render mode that the file names; see `open`.
         overwrite: Replace the output if it exists.
         format_options: Of the output's format, as `save` takes them.
         max_memory: Bytes that this process may take, a number or text like "4GB"; by default what
@@ -106,7 +108,7 @@ def convert(
     path = Path(target)
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
     check_writable(path, **saving)
-    with open_model(source, level=level) as file, drawn(progress) as tell:
+    with open_model(source, level=level, render_mode=render_mode) as file, drawn(progress) as tell:
         _refuse_too_large(file, path, filters, None if max_memory is None else as_bytes(max_memory))
         typical = 1_000_000  # only how the two compare counts
         write = Stage("write", write_weight(path.suffix, typical))

@@ -74,18 +74,19 @@ class ModelInfo:
         return {**data.pop("file"), **data}
 
 
-def info(path: str | PathLike[str]) -> ModelInfo:
+def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelInfo:
     """Read a model block by block, and describe it: a large one twice, for exact percentiles.
 
     Args:
         path: The file, or the folder of a model.
+        render_mode: "default" or "mip" in place of the render mode that the file names; see `open`.
 
     Raises:
-        NanogsError: The file is missing, damaged or of no known format, or takes more memory than
-            is free.
+        NanogsError: The file is missing, damaged or of no known format, it cannot have that render
+            mode, or it takes more memory than is free.
     """
     path, given = model_in(Path(path)), Path(path)
-    with open_model(path) as source:
+    with open_model(path, render_mode=render_mode) as source:
         file, levels = source.info, source.levels
         refuse_too_large(
             f"Describing {path}",

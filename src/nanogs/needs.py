@@ -11,6 +11,7 @@ from nanogs.io import FileInfo, inspect, registry
 from nanogs.io.files import splat_bytes
 from nanogs.io.models import Model
 from nanogs.io.parts import FileSource, Packed, Whole
+from nanogs.io.retag import file_of
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -60,6 +61,7 @@ def streaming_bytes(source: Source) -> tuple[int, int]:
     Returns:
         Bytes that it takes throughout, and those that it takes before any splat is held.
     """
+    source = file_of(source)
     if isinstance(source, Packed):
         return _STREAMED, source.memory
     return _STREAMED + (_held(source) if isinstance(source, FileSource) else 0), 0
@@ -156,8 +158,9 @@ def info_bytes(source: FileSource) -> int:
     return _held(source) + min(source.count * _COUNTED, _TALLIED)
 
 
-def _held(source: FileSource) -> int:
+def _held(given: FileSource) -> int:
     """Bytes that reading in parts holds: the whole, of formats that can only be read so."""
+    source = file_of(given)
     if isinstance(source, Whole):
         return _read(source.info)
     return source.memory if isinstance(source, Packed) else 0

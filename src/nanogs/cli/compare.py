@@ -62,6 +62,7 @@ def compare(
     metrics: Annotated[
         str, typer.Option(help="Further metrics: flip, lpips (each needs its extra).")
     ] = "",
+    render_mode: options.AsMode = None,
     packed: options.Packed = "",
     of_format: options.OfFormat,
     run: options.Running,
@@ -92,7 +93,8 @@ def compare(
             cameras=cameras, views=views, sizes=pixels, up=up,
             background=color, extras=extras, photos=photos, images=images, split=split,
             report=report, interactive=interactive, overwrite=run.overwrite, progress=progress,
-            packed=formats, format_options=of_format, max_memory=run.max_memory,
+            packed=formats, format_options=of_format, render_mode=render_mode,
+            max_memory=run.max_memory,
         )  # fmt: skip
     run.tell(comparison.to_dict(), partial(_show, comparison, report), comparison.all_notes)
 

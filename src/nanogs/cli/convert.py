@@ -52,8 +52,8 @@ def convert(
         frame = (Y_UP, TRAINED) if turn else framing.frames_of(pair, edits.frame)
         report = library_convert(
             pair.source, pair.target, level=level, filters=filters, sh_degree=edits.sh_degree,
-            frame=frame, overwrite=overwrite, format_options=of_format,
-            max_memory=max_memory, progress=progress,
+            frame=frame, render_mode=edits.render_mode, overwrite=overwrite,
+            format_options=of_format, max_memory=max_memory, progress=progress,
         )  # fmt: skip
         return many.Run(report, {"input": report.input, "output": report.output})
 

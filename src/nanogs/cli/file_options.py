@@ -111,6 +111,7 @@ class Edits:
             metavar="DEGREE",
         ),
     ] = None
+    render_mode: options.AsMode = None
     crop: Annotated[
         list[str] | None,
         _filter(

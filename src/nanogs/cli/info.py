@@ -13,6 +13,7 @@ from nanogs.cli.groups import with_options
 from nanogs.formatting import bytes_text, counted
 
 if TYPE_CHECKING:
+    from nanogs.io import FileInfo
     from nanogs.model_info import ModelInfo, Spread
     from nanogs.scoring.packing_cost import PackedFile, PackingCost
 
@@ -28,6 +29,7 @@ def info(
         typer.Argument(metavar="IN", help="Model to read: a file, its folder, or - for stdin."),
     ],
     read_as: file_options.From = None,
+    render_mode: options.AsMode = None,
     packed: options.Packed = "",
     of_format: options.OfFormat,
     json: options.Json = False,
@@ -39,8 +41,8 @@ def info(
 
     formats = options.parse_packed(packed, of_format)
     with Streams(read_as).received(source) as path:
-        cost = _packing_cost(path, formats, of_format, quiet=json) if formats else None
-        model = _described(path, source)
+        cost = _packing_cost(path, render_mode, formats, of_format, quiet=json) if formats else None
+        model = _described(path, source, render_mode)
     if json:
         files = [file.to_dict() for file in cost.files] if cost else []
         print_json(model.to_dict() | {"packed": files})
@@ -52,13 +54,16 @@ def info(
 
 
 def _packing_cost(
-    path: Path, formats: list[str], of_format: dict[str, Any], *, quiet: bool
+    path: Path, mode: str | None, formats: list[str], of_format: dict[str, Any], *, quiet: bool
 ) -> "PackingCost":
     from nanogs.cli.progress import shown
+    from nanogs.io import open as open_model
+    from nanogs.io.collect import model_in
     from nanogs.scoring.packing_cost import packing_cost
 
-    with shown(quiet=quiet) as progress:
-        return packing_cost(path, formats, format_options=of_format, progress=progress)
+    opened = open_model(model_in(path), render_mode=mode)
+    with opened as model, shown(quiet=quiet) as progress:
+        return packing_cost(model, formats, format_options=of_format, progress=progress)
 
 
 def _packed_rows(files: Sequence["PackedFile"]) -> dict[str, str]:
@@ -69,12 +74,12 @@ def _packed_rows(files: Sequence["PackedFile"]) -> dict[str, str]:
     }
 
 
-def _described(path: Path, source: Path) -> "ModelInfo":
+def _described(path: Path, source: Path, mode: str | None) -> "ModelInfo":
     """The contents of a file, called as the user calls it."""
     from nanogs.cli.blocks import DASH
     from nanogs.model_info import info as describe
 
-    model = describe(path)
+    model = describe(path, render_mode=mode)
     if source != DASH:
         return model
     return replace(model, file=replace(model.file, path=Path("stdin")))
@@ -90,7 +95,7 @@ def _rows(model: "ModelInfo") -> dict[str, str]:
         "splats": f"{file.splats:,}",
         **_levels(model.levels),
         "SH degree": str(file.sh_degree),
-        "render mode": _MODES[file.render_mode],
+        "render mode": _mode_text(file),
         "frame": model.frame,
         "not finite": f"{model.nonfinite:,}",
         "alpha": _spread(model.alpha) + f"; {model.opaque:,} at 1, {model.transparent:,} at 0",
@@ -110,6 +115,11 @@ def _rows(model: "ModelInfo") -> dict[str, str]:
     whole = [suffix for suffix, sentences in model.losses.items() if not sentences]
     rows["fits whole into"] = ", ".join(whole) or "no format that is written"
     return rows | {f"as {name}": "\n".join(text) for name, text in model.losses.items() if text}
+
+
+def _mode_text(file: "FileInfo") -> str:
+    """The render mode, and what in the file says so."""
+    return f"{_MODES[file.render_mode]}, {f'by {file.render_tag}' if file.render_tag else 'no tag'}"
 
 
 def _levels(counts: Sequence[int]) -> dict[str, str]:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -195,6 +195,16 @@ Packed = Annotated[
         " them back and looking at both.",
         metavar="FORMAT,...",
         show_default=False,
+    ),
+]
+AsMode = Annotated[
+    Literal["default", "mip"] | None,
+    typer.Option(
+        "--render-mode",
+        metavar="default|mip",
+        help="Draw the model so, whatever its file says, or where it says nothing: mip is for"
+        " models trained with antialiasing. What is written says the same.",
+        show_default="what the file says",
     ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", "-w", help="Replace what exists.")]

@@ -93,7 +93,7 @@ class Plan:
             return replace(self, blocks=blocks, info=info, count=left)
         if wish.goal.size is None and not wish.filters:
             return self
-        splats = prepare(read_parts(wish.inputs), wish.edits).splats
+        splats = prepare(read_parts(wish.inputs, wish.render_mode), wish.edits).splats
         usable = len(usable_rows(splats, wish.nan))
         count = target_of(wish.goal, splats, usable, wish.output, wish.parameters, wish.sh_degree)
         return replace(self, info=replace(self.info, splats=len(splats)), count=count)
@@ -174,8 +174,8 @@ def wish_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: ANN40
         goal=goal, preset=method.preset, overrides=method.overrides, measured=method.measure,
         max_memory=blocks.max_memory, job=blocks.job, scratch=blocks.scratch,
         resume=blocks.resume, nan=method.nan, filters=changes.filters,
-        sh_degree=changes.sh_degree, cameras=method.cameras, up=method.up, threads=threads,
-        patience=blocks.patience, **given,
+        sh_degree=changes.sh_degree, render_mode=method.edits.render_mode, cameras=method.cameras,
+        up=method.up, threads=threads, patience=blocks.patience, **given,
     )  # fmt: skip
 
 

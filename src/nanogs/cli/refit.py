@@ -36,6 +36,7 @@ def refit(
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     given: Annotated[dict[str, Any], _PARAMETERS],
+    render_mode: options.AsMode = None,
     run: options.Running,
     verbose: Annotated[
         bool,
@@ -56,7 +57,7 @@ def refit(
         refit_bytes(inspect(original), inspect(small), chosen.size**2, chosen.kept + chosen.held),
         "free some, or take fewer or smaller views (--views, --pixels)",
     )
-    report = _refit_files(original, small, target, cameras, up, chosen, run)
+    report = _refit_files(original, small, target, cameras, up, chosen, render_mode, run)
     files = {"original": str(original), "input": str(small), "output": str(target)}
     show = partial(_print_report, report, target, verbose=verbose)
     run.tell(report.to_dict() | files, show, report.notes)
@@ -69,13 +70,15 @@ def _refit_files(
     cameras: str,
     up: options.Direction | None,
     parameters: RefitParameters,
+    mode: str | None,
     run: options.Running,
 ) -> "RefitReport":
     """Read, fit and write; the report with the seconds of I/O."""
     from nanogs.cli.progress import shown
     from nanogs.clock import StageClock
     from nanogs.fit.api import refit as library_refit
-    from nanogs.io import load, losses, save
+    from nanogs.io import losses, save
+    from nanogs.io import open as open_model
     from nanogs.pipeline.cameras import fit_cameras
     from nanogs.progress import Tracker
 
@@ -84,7 +87,9 @@ def _refit_files(
         progress = Tracker(watch, _stages(original, small, target, parameters))
         progress.begin("read")
         with clock.time("read"):
-            reference, model = load(original), load(small)
+            files = [open_model(path, render_mode=mode) for path in (original, small)]
+            reference, model = (file.load() for file in files)
+            remarks = [f"{file.name}: {remark}" for file in files for remark in file.remarks]
         count = parameters.views + parameters.held
         views = fit_cameras(reference, cameras, up, count, parameters.size)
         fitted, report = library_refit(
@@ -100,7 +105,7 @@ def _refit_files(
             save(fitted, target, overwrite=run.overwrite, progress=progress.passing())
     return replace(
         report,
-        notes=(*report.notes, *losses(fitted, target)),
+        notes=(*remarks, *report.notes, *losses(fitted, target)),
         seconds={"read": clock.seconds["read"]} | report.seconds | clock.seconds,
         total_seconds=time.perf_counter() - start,
     )

@@ -44,6 +44,7 @@ def render(
     depth: Annotated[
         bool, typer.Option(help="Also write depth as 16-bit PNG, near is bright.")
     ] = False,
+    render_mode: options.AsMode = None,
     run: options.Running,
 ) -> None:
     """Render a model to PNG files."""
@@ -63,7 +64,7 @@ def render(
     from nanogs.views.png import render_images
 
     stages = [Stage("read", 1.0), Stage("cameras", 0.5), Stage("render", 0.3 * count)]
-    with open_model(source) as opened:
+    with open_model(source, render_mode=render_mode) as opened:
         room = room_for_pictures(source, opened, width * height, 0, run.max_memory)
         with shown(quiet=run.hushed) as watch, use_threads(run.threads):
             progress = Tracker(watch, stages)
@@ -76,8 +77,8 @@ def render(
                 overwrite=run.overwrite, room=room, progress=progress.passing(),
             )  # fmt: skip
     said = f"{target}: {counted(len(written), 'image')}"
-    report = {"input": str(source), "images": written, "notes": notes}
-    run.tell(report, partial(say, said), notes)
+    report = {"input": str(source), "images": written, "notes": [*opened.remarks, *notes]}
+    run.tell(report, partial(say, said), report["notes"])
 
 
 def _is_picture(target: Path) -> bool:

@@ -55,6 +55,7 @@ def view(
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     background: options.BackgroundOption = "black",
+    render_mode: options.AsMode = None,
     run: options.Running,
 ) -> None:
     """Write a page that shows one or two models in 3D, offline; mouse, touch and keys move them."""
@@ -79,8 +80,8 @@ def view(
     with shown(quiet=run.hushed) as progress, _threads(run.threads, len(inputs) > 1 and psnr):
         report = view_files(
             inputs, page, cameras=cameras, views=views, width=width, height=height, up=up,
-            background=color, psnr=psnr, level=level, overwrite=run.overwrite, progress=progress,
-            max_memory=run.max_memory,
+            background=color, psnr=psnr, level=level, render_mode=render_mode,
+            overwrite=run.overwrite, progress=progress, max_memory=run.max_memory,
         )  # fmt: skip
     notes = [
         f"{model.name}: {with_options(note)}" for model in report.models for note in model.notes

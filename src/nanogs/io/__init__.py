@@ -14,6 +14,7 @@ from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format, FormatOptions, nothing_lost
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource
+from nanogs.io.retag import checked_mode, retagged
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats, refuse_other
@@ -38,6 +39,7 @@ def load(
     *,
     level: int = 0,
     format: str | None = None,  # noqa: A002 - what it is called everywhere
+    render_mode: str | None = None,
 ) -> Splats:
     """Read a model from a file of any format that nanogs knows.
 
@@ -47,18 +49,21 @@ def load(
         level: Of a streamed model, which level of detail; 0 is the finest.
         format: Suffix of the format; by default that of the name, or, of an open file without
             one, by its first bytes.
+        render_mode: "default" or "mip" in place of a wrong tag of the file, or a missing one; see
+            `open`.
 
     Raises:
         FormatError: The suffix is unknown, the file cannot be read, is damaged, or holds
             something that cannot be kept.
-        OptionError: There is no such level, or nothing says the format of an open file.
+        OptionError: There is no such level, or nothing says the format of an open file; or the
+            model cannot have that render mode.
         OutputError: An open file cannot be copied to a temporary one.
     """
     if not isinstance(path, str | PathLike):
         if level != 0:
             raise OptionError("An open file has no levels of detail; leave the level out.")
-        return read_file(path, format)
-    with open(path, level=level, format=format) as source:
+        return read_file(path, format, render_mode)
+    with open(path, level=level, format=format, render_mode=render_mode) as source:
         return source.load()
 
 
@@ -67,6 +72,7 @@ def open(  # noqa: A001 - what it is called everywhere
     *,
     level: int = 0,
     format: str | None = None,  # noqa: A002 - as `load` has it
+    render_mode: str | None = None,
 ) -> FileSource:
     """Open a model of which some rows are read at a time, and which is never held whole.
 
@@ -79,6 +85,8 @@ def open(  # noqa: A001 - what it is called everywhere
         path: The file.
         level: Of a streamed model, which level of detail; 0 is the finest.
         format: Suffix of the format; by default that of the name.
+        render_mode: "default" or "mip" in place of the render mode that the file names: it is drawn
+            so, and files made of it say so. A note tells of it. By default the file's own.
 
     Returns:
         The source: its `count`, `columns` and `info`, `read(start, stop)` and `take(rows)`.
@@ -86,17 +94,18 @@ def open(  # noqa: A001 - what it is called everywhere
     Raises:
         FormatError: The suffix is unknown, or the file cannot be read or is damaged; some of it
             only shows when rows are read.
-        OptionError: There is no such level.
+        OptionError: There is no such level, or the model cannot have that render mode.
     """
     path = Path(path)
+    checked_mode(render_mode)
     known = registry.reader(as_named(path, format))
     if known.open_level is not None:
-        return known.open_level(path, level)
+        return retagged(known.open_level(path, level), render_mode)
     if level != 0:
         raise OptionError(
             f"{path} has no levels of detail, so there is no level {level}; leave it out."
         )
-    return known.open(path)
+    return retagged(known.open(path), render_mode)
 
 
 def save(

@@ -16,6 +16,7 @@ from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.registry import sniff
+from nanogs.io.retag import retagged
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -27,12 +28,17 @@ def as_named(path: Path, format: str | None) -> Path:  # noqa: A002 - as `load` 
     return path if format is None else Path(f"model{registry.suffix_of(format)}")
 
 
-def read_file(file: BinaryIO, format: str | None) -> Splats:  # noqa: A002 - as `load` has it
+def read_file(
+    file: BinaryIO,
+    format: str | None,  # noqa: A002 - as `load` has it
+    render_mode: str | None = None,
+) -> Splats:
     """The model in an open file, from where it stands to its end.
 
     Args:
         file: Opened for reading bytes.
         format: Suffix of its format; by default by its name or its first bytes.
+        render_mode: As `load` has it.
 
     Raises:
         FormatError: As for `load`.
@@ -58,7 +64,7 @@ def read_file(file: BinaryIO, format: str | None) -> Splats:  # noqa: A002 - as 
             )
         named = copy.rename(copy.with_name(f"stream{suffix}"))
         try:
-            return registry.reader(named).open(named).load()
+            return retagged(registry.reader(named).open(named), render_mode).load()
         except NanogsError as error:  # which names a folder that the user has never seen
             inside = f"{folder}{os.sep}"
             error.args = tuple(str(part).replace(inside, "") for part in error.args)

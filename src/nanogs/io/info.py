@@ -33,6 +33,8 @@ class FileInfo:
         extras: Names of the columns nanogs carries through without interpreting them.
         elements: (name, rows) of each PLY element besides those that make up the splats.
         render_mode: The rasteriser the model was trained for.
+        render_tag: What in the file says so, such as `the comment "antialiased 1"`; empty where
+            nothing does, and the usual one is taken.
         comments: Comment lines, printable; bytes that are not UTF-8 are shown as Latin-1.
     """
 
@@ -47,6 +49,7 @@ class FileInfo:
     extras: tuple[str, ...] = ()
     elements: tuple[tuple[str, int], ...] = ()
     render_mode: RenderMode = RenderMode.DEFAULT
+    render_tag: str = ""
     comments: tuple[str, ...] = ()
 
     @property

@@ -72,6 +72,11 @@ class FileSource(Source):
         """
         return ()
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is taken otherwise than the file says, as the caller asked; one sentence each."""
+        return ()
+
 
 @dataclass(frozen=True, slots=True)
 class Column:

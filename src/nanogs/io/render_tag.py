@@ -29,6 +29,12 @@ def render_mode(comments: Sequence[str]) -> RenderMode:
     return tags[-1] if tags else RenderMode.DEFAULT
 
 
+def described(comments: Sequence[str]) -> str:
+    """The comment that states the render mode, as `FileInfo.render_tag` has it."""
+    stated = [comment.strip() for comment in comments if tag_of(comment) is not None]
+    return f'the comment "{stated[-1]}"' if stated else ""
+
+
 def contradiction(comments: Sequence[str]) -> list[str]:
     """A note for the user when the comments state more than one render mode."""
     tags = {tag for tag in map(tag_of, comments) if tag is not None}
@@ -38,9 +44,14 @@ def contradiction(comments: Sequence[str]) -> list[str]:
     return [f"The comments state {len(tags)} render modes; the last one ({last}) was taken."]
 
 
+def agreeing(comments: Sequence[str], mode: RenderMode) -> list[str]:
+    """The comments without the tags of other render modes."""
+    return [comment for comment in comments if tag_of(comment) in (None, mode)]
+
+
 def tagged(comments: Sequence[str], mode: RenderMode) -> list[str]:
     """The comments to write: those given, with exactly the tags that agree with `mode`."""
-    kept = [comment for comment in comments if tag_of(comment) in (None, mode)]
+    kept = agreeing(comments, mode)
     stated = any(tag_of(comment) is mode for comment in kept)
     if mode is RenderMode.DEFAULT or stated:
         return kept

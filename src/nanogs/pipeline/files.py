@@ -62,6 +62,7 @@ def simplify_blocks(
     filters: "Sequence[Filter]" = (),
     sh_degree: int | None = None,
     frame: tuple[str, str] | None = None,
+    render_mode: str | None = None,
     cameras: "Cameras | None" = None,
     up: Sequence[float] | None = None,
     threads: int | None = None,
@@ -105,6 +106,8 @@ def simplify_blocks(
             are read once more for them. One that has to see the whole model is refused.
         sh_degree: The highest degree of spherical harmonics that stays; all by default.
         frame: From and to which the result is turned, such as ("rdf", "rub").
+        render_mode: "default" or "mip" in place of the render mode that the inputs name; see
+            `nanogs.open`.
         cameras: Views that matter, for presets that look: "auto", "orbit", "inside", "roam", a file
             or folder of cameras, or cameras; by default automatic.
         up: Up direction of views that are found, scene coordinates.
@@ -134,8 +137,8 @@ def simplify_blocks(
         max_memory=None if max_memory is None else as_bytes(max_memory), block=block,
         job=None if job is None else Path(job), scratch=scratch, resume=resume,
         overwrite=overwrite, nan=nan, filters=filters, sh_degree=sh_degree, frame=frame,
-        cameras=cameras, up=up, threads=threads, executor=executor, patience=patience,
-        format_options=format_options,
+        render_mode=render_mode, cameras=cameras, up=up, threads=threads, executor=executor,
+        patience=patience, format_options=format_options,
     )  # fmt: skip
     with drawn(progress) as tell:
         return simplify_files(request, tell)

@@ -11,7 +11,6 @@ from nanogs.clock import StageClock
 from nanogs.defaults import DEFAULT_MEMORY
 from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
-from nanogs.io import open as open_model
 from nanogs.io.format import Sizer
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.method.parameters import ForestParameters
@@ -24,6 +23,7 @@ from nanogs.pipeline.plan import (
 from nanogs.pipeline.presets import parameters, renders
 from nanogs.pipeline.rows import (
     look_at,
+    open_parts,
     refuse_large_whole,
     segments_of,
     sift,
@@ -162,7 +162,7 @@ def plan_job(
     sought = sought_by(request, layout, sum(each.splats for each in inputs))
     seen = sought is not None and (sought.psnr is not None or renders(chosen))
     if request.measured or seen:
-        with Joined([open_model(path) for path in request.inputs]) as source:
+        with Joined(open_parts(request.inputs, request.render_mode)) as source:
             room_for_measuring(source, request.max_memory)
     beside = pictures_bytes(PIXELS**2, VIEWS) if seen else 0
 

@@ -8,8 +8,7 @@ from typing import NamedTuple
 from nanogs.clock import StageClock
 from nanogs.filters import FilterReport, apply
 from nanogs.io import FileInfo, inspect, load
-from nanogs.io import open as open_model
-from nanogs.pipeline.rows import Changes
+from nanogs.pipeline.rows import Changes, open_parts
 from nanogs.pipeline.weights import read_weight
 from nanogs.progress import Stage, Tracker
 from nanogs.source import Joined
@@ -52,7 +51,7 @@ def read_changed(
     """
     progress.begin("read")
     with clock.time("read"):
-        splats = read_parts(paths)
+        splats = read_parts(paths, changes.render_mode)
     if not changes.filters:
         return prepare(splats, changes)
     progress.begin("filter")
@@ -92,13 +91,17 @@ def inspect_parts(paths: Sequence[Path]) -> FileInfo:
     )
 
 
-def read_parts(paths: Sequence[Path]) -> Splats:
+def read_parts(paths: Sequence[Path], render_mode: str | None = None) -> Splats:
     """The model of one file, or of several that are its parts.
+
+    Args:
+        paths: The files.
+        render_mode: As `nanogs.load` takes it.
 
     Raises:
         NanogsError: A file cannot be read, or they do not go together.
     """
     if len(paths) == 1:
-        return load(paths[0])
-    with Joined([open_model(path) for path in paths]) as source:
+        return load(paths[0], render_mode=render_mode)
+    with Joined(open_parts(paths, render_mode)) as source:
         return source.load()

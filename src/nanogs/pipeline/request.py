@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from nanogs.defaults import PATIENCE
 from nanogs.errors import OptionError
 from nanogs.filters import Filter
-from nanogs.io import open as open_model
 from nanogs.io import registry
 from nanogs.io.files import splat_bytes
 from nanogs.io.format import Sizer
+from nanogs.io.retag import checked_mode
 from nanogs.memory import Memory, allowed_memory
 from nanogs.pipeline.api import refuse_searches
 from nanogs.pipeline.asked import asked_views
@@ -19,7 +19,7 @@ from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
-from nanogs.pipeline.rows import Changes, check_degree
+from nanogs.pipeline.rows import Changes, check_degree, open_parts
 from nanogs.pipeline.target import Goal, is_searched, target_count
 from nanogs.sink import Chunked
 from nanogs.source import Joined
@@ -63,6 +63,7 @@ class Request:
     filters: Sequence[Filter] = ()
     sh_degree: int | None = None
     frame: tuple[str, str] | None = None
+    render_mode: str | None = None
     cameras: "Cameras | None" = None
     up: Sequence[float] | None = None
     threads: int | None = None
@@ -88,12 +89,13 @@ class Request:
 
     @property
     def edits(self) -> Changes:
-        """What is left out of the model, and where results are turned to.
+        """What is left out of the model, how it is drawn, and where results are turned to.
 
         Harmonics of a single result are left out of that where it is fitted to all that views show.
         """
         fitted = not self.ratios and renders(self.parameters)
-        return Changes(self.filters, None if fitted else self.sh_degree, self.frame)
+        degree, mode = None if fitted else self.sh_degree, checked_mode(self.render_mode)
+        return Changes(self.filters, degree, self.frame, render_mode=mode)
 
     @property
     def changes(self) -> Changes:
@@ -179,7 +181,7 @@ def plan_files(request: Request) -> Plan:
     Raises:
         NanogsError: An input cannot be read, or there is no such preset or parameter.
     """
-    with Joined([open_model(path) for path in request.inputs]) as source:
+    with Joined(open_parts(request.inputs, request.render_mode)) as source:
         splats, layout = source.count, source.columns
     target, allowed = _most(request.goal, splats), allowed_memory(request.max_memory)
     extra = row_bytes(layout) - splat_bytes(layout.sh_degree)

@@ -13,12 +13,13 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.filters import Filter, filter_of, refuse_whole
 from nanogs.frames import change_between
 from nanogs.io import open as open_model
+from nanogs.io.parts import FileSource
 from nanogs.pipeline.asked import AUTOMATIC, Asked
 from nanogs.pipeline.inputs import Inputs, input_file
 from nanogs.pipeline.settings import Access, InputFile, Segment, Settings, Sieve
 from nanogs.pipeline.unpack import Unpacked
 from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
-from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
+from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats, concatenate
 
 SPAN, _MOST_SPANS, _LEAST_SPANS = 1024, 256, 16  # of the rows that stand for all
 
@@ -32,12 +33,14 @@ class Changes:
         sh_degree: The highest that stays, or None for all.
         frame: From and to which results are turned, or None.
         asked: The views that were asked for.
+        render_mode: What it is drawn as, in place of what its files say, or None.
     """
 
     filters: Sequence[Filter] = ()
     sh_degree: int | None = None
     frame: tuple[str, str] | None = None
     asked: Asked = AUTOMATIC
+    render_mode: RenderMode | None = None
 
     def check(self) -> None:
         """Refuse what cannot be done in blocks.
@@ -78,12 +81,29 @@ def look_at(
         FormatError: One of them cannot be read.
         ModelError: They do not make one scene.
     """
-    sources = [open_model(path) for path in paths]
+    # What is asked for in place of a tag goes into the columns, which decide when rows are read.
+    sources = open_parts(paths, changes.render_mode)
     layout = joined_layout(sources)
+    if remarks := dict.fromkeys(remark for source in sources for remark in source.remarks):
+        layout = replace(layout, notes=(*layout.notes, *remarks))
     if changes.sh_degree is not None and changes.sh_degree < layout.sh_degree:
         note = f"Spherical harmonics above degree {changes.sh_degree} were dropped first."
         layout = replace(layout, sh_degree=changes.sh_degree, notes=(*layout.notes, note))
-    return tuple(map(input_file, sources)), layout
+    return tuple(map(input_file, map(open_model, paths))), layout
+
+
+def open_parts(paths: Sequence[Path], render_mode: str | None) -> list[FileSource]:
+    """The files of a model, drawn in one way where that is asked for.
+
+    Args:
+        paths: The files.
+        render_mode: As `nanogs.open` takes it.
+
+    Raises:
+        FormatError: One of them cannot be read.
+        OptionError: One of them cannot have that render mode.
+    """
+    return [open_model(path, render_mode=render_mode) for path in paths]
 
 
 def sift(files: Sequence[InputFile], layout: Layout, filters: Sequence[Filter]) -> Sieve | None:

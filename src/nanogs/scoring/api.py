@@ -14,7 +14,7 @@ from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background
 from nanogs.quantities import as_bytes
 from nanogs.raster.camera import Camera
-from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside
+from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside, remarks_on
 from nanogs.scoring.needed import room_for_comparison
 from nanogs.scoring.packing import packing_of
 from nanogs.source import Source
@@ -114,7 +114,8 @@ def compare(
                 progress=tracker,
             )  # fmt: skip
             tracker.finish()
-            notes = (*notes_beside(tests, packing), *comparison.notes)
+            remarks = remarks_on([*zip(names, sources, strict=True)])
+            notes = (*remarks, *notes_beside(tests, packing), *comparison.notes)
     return replace(comparison, notes=notes)
 
 

@@ -88,6 +88,16 @@ def notes_beside(
     return tuple(notes)
 
 
+def remarks_on(models: Sequence[tuple[str, Splats | Source]]) -> tuple[str, ...]:
+    """What of the models is taken otherwise than their files say, behind their names."""
+    return tuple(
+        f"{name}: {remark}"
+        for name, source in models
+        if isinstance(source, FileSource)
+        for remark in source.remarks
+    )
+
+
 def named(name: str, source: Splats | Source, packed: str, whole: bool) -> "NamedModel":
     """A model as it is compared.
 

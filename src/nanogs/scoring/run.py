@@ -16,7 +16,7 @@ from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import compare_bytes, photographs_bytes
 from nanogs.progress import Progress, Stage, Tracker, each
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Judged
-from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside
+from nanogs.scoring.beside import files_of, named, notes_beside, packed_beside, remarks_on
 from nanogs.scoring.comparison import (
     Comparison,
     NamedModel,
@@ -59,6 +59,7 @@ def compare_files(
     interactive: bool = False,
     packed: Sequence[str] = (),
     format_options: FormatOptions | None = None,
+    render_mode: str | None = None,
     max_memory: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -83,6 +84,8 @@ def compare_files(
         interactive: Put the models into the page too, to be loaded and moved there.
         packed: Suffixes of formats: each test is scored as a file of these too.
         format_options: Of these, as `save` takes them; each gets those that it has.
+        render_mode: What all models are drawn as, in place of what their files say; see
+            `nanogs.open`.
         max_memory: Bytes that this process may take; by default what is free, less a tenth. Models
             that do not fit are read some rows at a time, with the same numbers.
         overwrite: Replace the page if it exists.
@@ -99,7 +102,8 @@ def compare_files(
     counts = found_views(kinds, views)
     with ExitStack() as stack:
         given = [
-            (name, stack.enter_context(open_model(path))) for name, path in (reference, *tests)
+            (name, stack.enter_context(open_model(path, render_mode=render_mode)))
+            for name, path in (reference, *tests)
         ]
         sources = [source for _name, source in given]
         looking = _most_pixels(sizes), max(counts, default=0) * (2 if packing else 1), page
@@ -132,7 +136,7 @@ def compare_files(
                 str(photos), models, frames, split=split, background=behind, room=room, **options
             )
             start = frames[0].camera
-        notes = (*notes_beside(given[1:], packing), *comparison.notes)
+        notes = (*remarks_on(given), *notes_beside(given[1:], packing), *comparison.notes)
         comparison = replace(comparison, notes=notes)
     if report:
         viewer = None

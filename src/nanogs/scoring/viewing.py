@@ -86,6 +86,7 @@ def view_files(
     background: Background = BLACK,
     psnr: bool = True,
     level: int | None = None,
+    render_mode: str | None = None,
     max_memory: int | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -105,6 +106,8 @@ def view_files(
         psnr: Measure the second model.
         level: Of streamed models, which level of detail; by default the finest of at most
             `PAGE_SPLATS` splats, or the coarsest.
+        render_mode: What the models are drawn as, in place of what their files say; see
+            `nanogs.open`.
         max_memory: Bytes that this process may take; by default what is free.
         overwrite: Replace the page if it exists.
         progress: Called with each `nanogs.progress.Step`.
@@ -125,7 +128,7 @@ def view_files(
             needed = compare_bytes(infos, width * height, views, paged=True)
         allowed = allowed_memory(max_memory, compiled=measured)
         refuse_too_large("Making this page", needed, allowed, "free some, or view smaller models")
-        models = _read(inputs, level, tracker.part)
+        models = _read(inputs, level, render_mode, tracker.part)
     tracker.begin("cameras")
     with clock.time("cameras"):
         found: list[Camera] = []
@@ -156,7 +159,9 @@ def view_files(
     )
 
 
-def _read(inputs: Sequence[tuple[str, Path]], level: int | None, tell: Parts) -> list[Splats]:
+def _read(
+    inputs: Sequence[tuple[str, Path]], level: int | None, mode: str | None, tell: Parts
+) -> list[Splats]:
     """The models; of streamed ones the level, which a note tells where it was not asked for."""
     counts = [open_model(path).levels for _name, path in inputs]
     if level is not None and not any(counts):
@@ -166,11 +171,12 @@ def _read(inputs: Sequence[tuple[str, Path]], level: int | None, tell: Parts) ->
     models = []
     for (_name, path), levels in each(zip(inputs, counts, strict=True), tell):
         if not levels:
-            models.append(load(path))
+            models.append(load(path, render_mode=mode))
         elif level is not None:
-            models.append(load(path, level=level))
+            models.append(load(path, level=level, render_mode=mode))
         else:
-            models.append(_with_note(load(path, level=_affordable(levels)), levels))
+            shown = load(path, level=_affordable(levels), render_mode=mode)
+            models.append(_with_note(shown, levels))
     return models
 
 

@@ -67,7 +67,8 @@ def joined_layout(parts: Sequence[Source]) -> Layout:
     if len(modes) > 1:
         raise ModelError(
             "The inputs are for different renderers "
-            f"({', '.join(sorted(map(str, modes)))}) and make no one scene; simplify them apart."
+            f"({', '.join(sorted(map(str, modes)))}) and make no one scene; simplify"
+            " them apart, or say how all are to be drawn with `render_mode`."
         )
     columns = [dict(layout.extras) for layout in layouts]
     shared = {

@@ -59,6 +59,7 @@ class _Scene:
     primitives: list[Primitive] = field(default_factory=list)
     comments: list[str] = field(default_factory=list)
     modes: set[RenderMode] = field(default_factory=set)
+    tagged: bool = False  # whether a primitive states its mode
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -108,6 +109,7 @@ class _Rows(FileSource):
             splats=scene.count,
             sh_degree=scene.degree,
             render_mode=scene.mode,
+            render_tag=f"{MODE_KEY} in the extras of its splats" if scene.tagged else "",
             comments=tuple(scene.comments),
         )
 
@@ -228,6 +230,7 @@ def _describe(scene: _Scene, primitive: Part, mode: RenderMode) -> None:
     known_mode = stated in list(RenderMode)
     if not known_mode:
         scene.notes.append(f"The render mode {ascii(stated)[:40]} is unknown and was not carried.")
+    scene.tagged |= known_mode and MODE_KEY in extras
     scene.modes.add(RenderMode(stated) if known_mode else RenderMode.DEFAULT)
     comments = extras.get(COMMENTS_KEY)
     if isinstance(comments, list):

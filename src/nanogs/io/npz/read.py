@@ -108,6 +108,7 @@ class NpzFile(Packed):
             ),
             extras=tuple(whole.extras),
             render_mode=self._mode,
+            render_tag="" if mode is None else f"its array {MODE}",
         )
 
     def unpack(self, _notes: list[str]) -> Iterator[Array]:

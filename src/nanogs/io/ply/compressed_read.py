@@ -64,7 +64,8 @@ class _Chunks(FileSource):
             properties=tuple((p.name, TYPE_NAMES[str(p.code)]) for p in vertex.properties),
             extras=tuple(name for name in vertex.names if name not in PACKED),
             elements=tuple((e.name, e.count) for e in header.elements if e.name not in _OWN),
-            render_mode=render_tag.render_mode(header.comments),
+            render_mode=render_tag.render_mode(header.all_comments),
+            render_tag=render_tag.described(header.all_comments),
             comments=header.printable_comments(),
         )
 
@@ -99,7 +100,7 @@ class _Text(Whole, _Chunks):
 
 def _splats(header: Header, rows: dict[str, Array], degree: int, skipped: int = 0) -> Splats:
     """The model of some rows, of whose first chunk so many are left out."""
-    comments = [*header.comments, *header.obj_info]
+    comments = header.all_comments
     vertex = rows["vertex"]
     return Splats(
         **_decoded(rows, degree, skipped),

@@ -78,6 +78,11 @@ class Header:
         """Byte order of a binary body, as numpy writes it."""
         return ">" if self.encoding == "binary_big_endian" else "<"
 
+    @property
+    def all_comments(self) -> list[str]:
+        """The comments, then the lines of `obj_info`, which are kept as comments too."""
+        return [*self.comments, *self.obj_info]
+
     def printable_comments(self) -> tuple[str, ...]:
         """The comments without lone surrogates: Latin-1 where they are not UTF-8."""
         return tuple(printable(comment) for comment in self.comments)
@@ -103,7 +108,7 @@ def printable(text: str) -> str:
 
 def header_notes(header: Header) -> list[str]:
     """Name what the header holds that `Splats` carries in another way, or not at all."""
-    notes = render_tag.contradiction([*header.comments, *header.obj_info])
+    notes = render_tag.contradiction(header.all_comments)
     if header.obj_info:
         notes.append(f"{len(header.obj_info)} obj_info lines were kept as comments.")
     for element in header.elements:

@@ -59,7 +59,8 @@ class _Ply(FileSource):
             properties=described(vertex.element),
             extras=tuple(name for name in vertex.element.names if not columns.is_known(name)),
             elements=tuple((e.name, e.count) for e in header.elements if e is not vertex.element),
-            render_mode=render_tag.render_mode(header.comments),
+            render_mode=render_tag.render_mode(header.all_comments),
+            render_tag=render_tag.described(header.all_comments),
             comments=header.printable_comments(),
         )
 
@@ -205,7 +206,7 @@ class _Vertex:
                     self.overflowed[name] = self.overflowed.get(name, 0) + int(lost.sum())
 
     def splats(self, elements: list[ExtraElement]) -> Splats:
-        comments = [*self.header.comments, *self.header.obj_info]
+        comments = self.header.all_comments
         return Splats(
             means=self.means,
             log_scales=self.log_scales,

@@ -163,13 +163,16 @@ def joined_notes(models: Sequence[Sequence[str]], notes: Sequence[str]) -> list[
 
 def joined_info(path: Path, kind: str, infos: Sequence[FileInfo], splats: int) -> FileInfo:
     """The description of a level of several models, of a file that names them."""
+    modes = {info.render_mode for info in infos}
+    first = max(infos, key=lambda info: info.sh_degree)
     return replace(
-        max(infos, key=lambda info: info.sh_degree),
+        first,
         path=path,
         format=kind,
         file_bytes=input_size(path) + sum(info.file_bytes for info in infos),
         splats=splats,
-        render_mode=common_mode({info.render_mode for info in infos}),
+        render_tag=first.render_tag if len(modes) == 1 else "",
+        render_mode=common_mode(modes),
         comments=tuple(dict.fromkeys(line for info in infos for line in info.comments)),
     )
 

@@ -62,6 +62,7 @@ class Meta:
         degree: SH degree, or None where only the palette's width tells.
         palette: Entries of the palette, or None where only its size tells.
         render_mode: The rasteriser the model was trained for.
+        tagged: Whether the file says so.
         notes: What was not understood, for the user.
     """
 
@@ -76,6 +77,7 @@ class Meta:
     degree: int | None
     palette: int | None
     render_mode: RenderMode
+    tagged: bool
     notes: tuple[str, ...]
 
     def coordinates(self) -> F32:
@@ -120,6 +122,7 @@ def read_meta(data: Mapping[str, Any], where: str) -> Meta:
         degree=degree,
         palette=fields.palette() if rest else None,
         render_mode=mode,
+        tagged=data.get("model") in MODELS,
         notes=notes,
     )
 

@@ -85,6 +85,7 @@ class SogSource(Packed):
             sh_degree=degree,
             properties=_PROPERTIES + (_PALETTE_PROPERTY if degree else ()),
             render_mode=meta.render_mode,
+            render_tag='"model" in its meta.json' if meta.tagged else "",
         )
 
     @property

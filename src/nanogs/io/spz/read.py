@@ -71,6 +71,7 @@ class SpzSource(Packed):
             sh_degree=header.degree,
             properties=_properties(header),
             render_mode=_render_mode(header),
+            render_tag=f"the antialiased flag of its header, {header.flags & ANTIALIASED}",
         )
 
     @cached_property

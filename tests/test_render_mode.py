@@ -1,0 +1,265 @@
+"""`--render-mode`: a model whose file names the wrong rasteriser, drawn and written as another."""
+
+import io as streams
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import model_bytes, random_splats
+from launch import run
+from nanogs.errors import OptionError
+from nanogs.io import registry
+from nanogs.io.limits import lost_mode
+from nanogs.needs import info_bytes, streaming_bytes
+from nanogs.splats import RenderMode
+from nanogs.views.automatic import automatic_cameras
+from nanogs.views.plan import LEAST
+from nanogs.views.streamed import drawable, renderings
+
+DEFAULT, MIP = RenderMode.DEFAULT, RenderMode.MIP
+OTHER = {DEFAULT: MIP, MIP: DEFAULT}
+READABLE = [
+    known.suffix
+    for known in registry.formats()
+    if known.writable and known.readable and not known.write_folder
+]
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    """One model, rightly tagged as default, and tagged mip by what trainers write."""
+    folder = tmp_path_factory.mktemp("models")
+    model = random_splats(900, degree=1, seed=4)
+    nanogs.save(model, folder / "right.ply")
+    wrong = replace(model, render_mode=MIP, comments=["antialiased 1", "of a trainer"])
+    nanogs.save(wrong, folder / "wrong.ply")
+    nanogs.save(replace(model, comments=["of a trainer"]), folder / "right.ply", overwrite=True)
+    return folder / "right.ply", folder / "wrong.ply"
+
+
+def done(*arguments):
+    """What a run of the command said as JSON."""
+    result = run(*arguments, "--json")
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def is_told(notes):
+    return any("as asked for" in note for note in notes)
+
+
+@pytest.mark.parametrize("own", [DEFAULT, MIP], ids=str)
+@pytest.mark.parametrize("suffix", READABLE)
+def test_every_format_is_read_as_asked_and_row_by_row(tmp_path, suffix, own):
+    model = replace(random_splats(40, degree=1), render_mode=own)
+    path = tmp_path / f"a{suffix}"
+    nanogs.save(model, path)
+    plain = nanogs.load(path)
+    if plain.render_mode is not own:  # the format has no tag
+        assert own is MIP
+        assert lost_mode(model, suffix)
+        return
+    with nanogs.open(path, render_mode=OTHER[own].value) as source:
+        assert source.info.render_mode is OTHER[own]
+        columns = nanogs.open(path).columns
+        comments = source.columns.comments
+        assert source.columns == replace(columns, render_mode=OTHER[own].value, comments=comments)
+        parts = [source.read(3, 9), source.take(np.array([7, 2])), source.load(), *source.blocks(9)]
+        assert {part.render_mode for part in parts} == {OTHER[own]}
+        assert all(is_told(part.notes) for part in parts)
+        assert model_bytes(parts[1]) == model_bytes(plain[[7, 2]])
+        with nanogs.open(path) as same:  # and as much memory is asked for
+            assert info_bytes(source) == info_bytes(same)
+            assert streaming_bytes(source) == streaming_bytes(same)
+    loaded = nanogs.load(path, render_mode=OTHER[own].value)
+    assert model_bytes(loaded) == model_bytes(plain)
+    unchanged = nanogs.load(path, render_mode=own.value)
+    assert unchanged.notes == plain.notes, "there is nothing to tell where the file says so too"
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".spz", ".sog", ".npz", ".glb"])
+def test_what_is_written_says_what_was_asked_for(tmp_path, models, suffix):
+    right, wrong = models
+    for mode, source in ((DEFAULT, wrong), (MIP, right)):
+        path = tmp_path / f"{mode}{suffix}"
+        said = done("convert", source, path, "--render-mode", mode)
+        assert said["render_mode"] == mode
+        assert is_told(said["notes"])
+        assert nanogs.load(path).render_mode is mode
+        assert path.read_bytes() == _converted(tmp_path, models[mode is MIP], suffix)
+
+
+def _converted(tmp_path, source, suffix):
+    path = tmp_path / f"plain{suffix}"
+    model = nanogs.load(source)
+    if model.render_mode is MIP:  # written as ours, where the tag that it had is another's
+        model = replace(model, comments=[c for c in model.comments if "antialiased" not in c])
+    nanogs.save(model, path, overwrite=True)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("blocks", [False, True])
+def test_a_small_model_is_that_of_the_right_tag(tmp_path, models, blocks):
+    right, wrong = models
+    one, two = tmp_path / "one.ply", tmp_path / "two.ply"
+    given = ["--preset", "fast", "--ratio", "0.3", "--measure"]
+    given += ["--job", tmp_path / "job"] * blocks
+    wanted = done("simplify", right, one, *given)
+    found = done("simplify", wrong, two, *given, "--render-mode", "default")
+    assert bool(found["blocks"]) == blocks
+    assert two.read_bytes() == one.read_bytes()
+    assert found["judged"] == wanted["judged"]
+    assert is_told(found["notes"])
+    assert not is_told(wanted["notes"])
+
+
+def test_a_job_is_not_continued_under_another_render_mode(tmp_path, models):
+    right, _ = models
+    given = {"preset": "fast", "ratio": 0.3, "block": 300, "threads": 1}
+
+    def crash(step):
+        if step.fraction > 0.3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        nanogs.simplify_blocks(right, tmp_path / "a.ply", progress=crash, **given)
+    with pytest.raises(nanogs.errors.OutputError, match="layout"):
+        nanogs.simplify_blocks(right, tmp_path / "a.ply", resume=True, render_mode="mip", **given)
+
+
+def test_parts_of_one_scene_that_are_tagged_in_two_ways(tmp_path, models):
+    out, given = tmp_path / "a.ply", ["--join", "--preset", "fast", "-r", "0.5"]
+    refused = run("simplify", *models, out, *given)
+    assert refused.returncode == 2
+    assert "--render-mode" in refused.stderr
+    for more in ([], ["--job", tmp_path / "job"]):
+        done("simplify", *models, out, *given, *more, "--render-mode", "mip", "-w")
+        assert nanogs.load(out).render_mode is MIP
+
+
+def test_levels_are_those_of_the_right_tag(tmp_path, models):
+    right, wrong = models
+    given = ["--levels", "0.5,0.2", "--preset", "fast"]
+    done("lod", right, tmp_path / "one", *given)
+    done("lod", wrong, tmp_path / "two", *given, "--render-mode", "default")
+    for level in ("level_0.ply", "level_1.ply"):
+        assert (tmp_path / "two" / level).read_bytes() == (tmp_path / "one" / level).read_bytes()
+
+
+def test_pictures_are_those_of_the_right_tag(tmp_path, models):
+    right, wrong = models
+    for name, given in {
+        "right": [right],
+        "wrong": [wrong],
+        "asked": [wrong, "--render-mode", "default"],
+    }.items():
+        source, *more = given
+        report = done("render", source, tmp_path / f"{name}.png", "--pixels", "64", *more)
+        assert is_told(report["notes"]) == (name == "asked")
+    pictures = {path.stem: path.read_bytes() for path in tmp_path.glob("*.png")}
+    assert pictures["asked"] == pictures["right"] != pictures["wrong"]
+
+
+def test_pictures_of_a_model_that_is_read_in_parts(models):
+    right, wrong = models
+    [camera] = automatic_cameras(nanogs.load(right), 1, width=48, height=48)
+    with nanogs.open(wrong, render_mode="default") as source:
+        [found] = renderings(drawable(source, LEAST), [camera])
+    [wanted] = nanogs.render(right, cameras=camera)
+    assert found.shown().tobytes() == wanted.tobytes()
+
+
+def test_a_comparison_is_of_models_drawn_alike(models):
+    right, wrong = models
+    given = ["--views", "2", "--sizes", "64"]
+    tagged = done("compare", right, wrong, *given)
+    asked = done("compare", right, wrong, *given, "--render-mode", "default")
+    assert tagged["models"][0]["psnr"] < 60
+    assert asked["models"][0]["psnr"] == "inf"
+    assert [note for note in asked["notes"] if note.startswith("wrong.ply: The render mode")]
+
+
+def test_a_page_and_a_fit_are_of_the_mode_asked_for(tmp_path, models, small_views):
+    from nanogs.view.bundle import is_built
+
+    right, wrong = models
+    done(
+        "refit", right, wrong, tmp_path / "a.ply", "--render-mode", "default", "--views", "2",
+        "--pixels", "32", "--rounds", "1",
+    )  # fmt: skip
+    assert nanogs.load(tmp_path / "a.ply").render_mode is DEFAULT
+    if is_built():
+        said = done(
+            "view", right, tmp_path / "a.ply", "-o", tmp_path / "a.html", "--no-open",
+            "--render-mode", "mip", "--no-psnr",
+        )  # fmt: skip
+        assert all(is_told(model["notes"]) for model in said["models"])
+
+
+def test_flat_splats_are_drawn_as_usual_ones_and_never_with_antialiasing(tmp_path, models):
+    flat = tmp_path / "flat.ply"
+    nanogs.save(replace(nanogs.load(models[0]), render_mode="2dgs"), flat)
+    refused = run("convert", flat, tmp_path / "a.spz", "--render-mode", "mip")
+    assert refused.returncode == 2
+    assert "2dgs" in refused.stderr
+    assert not (tmp_path / "a.spz").exists()
+    refused = run("simplify", flat, tmp_path / "a.ply", "-r", "0.5", "--render-mode", "mip")
+    assert refused.returncode == 2
+    done("convert", flat, tmp_path / "a.ply", "--render-mode", "default")
+    assert nanogs.load(tmp_path / "a.ply").render_mode is DEFAULT
+
+
+def test_other_names_are_refused_wherever_they_are_given(tmp_path, models):
+    right, _ = models
+    refused = run("convert", right, tmp_path / "a.ply", "--render-mode", "2dgs")
+    assert refused.returncode == 2
+    file = streams.BytesIO(right.read_bytes())
+    for call in (
+        lambda: nanogs.open(right, render_mode="2dgs"),
+        lambda: nanogs.load(file, render_mode="antialiased", format=".ply"),
+        lambda: nanogs.convert(right, tmp_path / "a.spz", render_mode=""),
+        lambda: nanogs.simplify_blocks(right, tmp_path / "a.ply", ratio=0.5, render_mode="MIP"),
+        lambda: nanogs.info(right, render_mode="flat"),
+    ):
+        with pytest.raises(OptionError, match="render mode"):
+            call()
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_open_file_is_read_as_asked(models):
+    file = streams.BytesIO(models[1].read_bytes())
+    assert nanogs.load(file, format=".ply", render_mode="default").render_mode is DEFAULT
+
+
+@pytest.mark.parametrize(
+    ("suffix", "said"),
+    [
+        (".ply", 'the comment "antialiased 1"'),
+        (".spz", "the antialiased flag of its header, 1"),
+        (".sog", '"model" in its meta.json'),
+        (".npz", "its array render_mode"),
+        (".glb", "SplatRenderMode in the extras of its splats"),
+    ],
+)
+def test_info_says_where_the_tag_is(tmp_path, models, suffix, said):
+    path = models[1]
+    if suffix != ".ply":
+        path = tmp_path / f"a{suffix}"
+        nanogs.save(nanogs.load(models[1]), path)
+    assert done("info", path)["render_tag"] == said
+    asked = run("info", path, "--render-mode", "default")
+    assert "default, by what was asked for" in asked.stdout
+    assert "as asked for" in asked.stderr
+    assert "no tag" in run("info", models[0]).stdout
+
+
+def test_a_tag_in_obj_info_counts_in_parts_as_in_whole(tmp_path, models):
+    path = tmp_path / "a.ply"
+    start, mark, rest = models[0].read_bytes().partition(b"element vertex")
+    path.write_bytes(start + b"obj_info SplatRenderMode: mip\n" + mark + rest)
+    with nanogs.open(path) as source:
+        assert source.columns.render_mode == source.read(0, 3).render_mode == MIP
+        assert source.info.render_mode is source.load().render_mode is MIP
