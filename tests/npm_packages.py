@@ -3,6 +3,7 @@
 import contextlib
 import http.server
 import os
+import re
 import shutil
 import subprocess
 import threading
@@ -42,6 +43,19 @@ def served(**folders):
     asked = []
 
     class Handler(http.server.SimpleHTTPRequestHandler):
+        def do_GET(self):
+            """As usual, and the part of a file that a viewer asks for."""
+            wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+            path = Path(self.translate_path(self.path)) if wanted else None
+            if path is None or not path.is_file():
+                super().do_GET()
+                return
+            data = path.read_bytes()[int(wanted[1]) : int(wanted[2]) + 1]
+            self.send_response(206)
+            self.send_header("Content-Length", str(len(data)))
+            self.end_headers()
+            self.wfile.write(data)
+
         def translate_path(self, path):
             _, name, rest = path.partition("?")[0].split("/", 2)
             asked.append(f"{name}/{rest}")

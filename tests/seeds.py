@@ -22,6 +22,7 @@ import zstandard
 from PIL import Image
 
 import ksplatfiles
+import radfiles
 import sogfiles
 import spzfiles
 import torchfiles
@@ -205,6 +206,39 @@ def inside_packed_glb(rng, files):
     return {name: glb(json.dumps(content).encode(), packed)}
 
 
+def inside_rad(rng, files):
+    """Values of a description, of the file or of a chunk, or what is packed in a column."""
+    name = next(iter(files))
+    head, chunks = radfiles.parts_of(files[name])
+    which, kind = int(rng.integers(len(chunks))), rng.random()
+    told, payload = chunks[which]
+    if kind < 0.4:
+        entry = told["properties"][rng.integers(len(told["properties"]))]
+        columns = []
+        for each in told["properties"]:
+            data = radfiles.inflated(payload[each["offset"] : each["offset"] + each["bytes"]])
+            data = mutate(rng, data, header=400, anywhere=0.5) if each is entry else data
+            kept = {k: v for k, v in each.items() if k not in ("offset", "bytes")}
+            columns.append((kept, data))
+        others = {k: v for k, v in told.items() if k not in ("properties", "payloadBytes")}
+        others = {k: others.pop(k) for k in ("count", "base")} | others
+        changed = radfiles.chunk(columns, **others)
+    else:
+        told = change_json(rng, told) if kind < 0.7 else told
+        start = radfiles.described(b"RADC", json.dumps(told).encode())
+        changed = start + struct.pack("<Q", len(payload)) + payload
+    parts = [
+        changed if i == which else radfiles.described(b"RADC", t) + struct.pack("<Q", len(p)) + p
+        for i, (t, p) in enumerate(chunks)
+    ]
+    if kind >= 0.7:
+        head = change_json(rng, head)
+        return files | {name: radfiles.described(b"RAD0", json.dumps(head).encode())
+                        + b"".join(parts)}  # fmt: skip
+    others = {k: v for k, v in head.items() if k not in ("chunks", "count")}
+    return files | {name: radfiles.rad(parts, head["count"], **others)}
+
+
 def glb(text, body):
     text, body = text + b" " * (-len(text) % 4), body + b"\0" * (-len(body) % 4)
     chunks = struct.pack("<I", len(text)) + b"JSON" + text
@@ -386,6 +420,21 @@ def _tilesets():
     return [texts | contents, deeper | contents]
 
 
+def _rads():
+    """As nanogs writes them, with a tree, and with a palette."""
+    tree = radfiles.rad(radfiles.small_tree()[0], 8, lodTree=True)
+    others = [tree, radfiles.with_palette()[0], radfiles.with_palette(300, 200)[0]]
+    return _usual("a.rad")() + [{"a.rad": data} for data in others]
+
+
+def _chunked_rads():
+    """Each chunk in a file of its own."""
+    names = ["a-0.radc", "a-1.radc"]
+    places = [{"offset": 0, "bytes": 1, "filename": name} for name in names]
+    head = radfiles.rad([], 8, chunks=places, lodTree=True)
+    return [{"a.rad": head} | dict(zip(names, radfiles.small_tree()[0], strict=True))]
+
+
 FORMATS = {
     ".ply": (_plys, [text, text, plain]),
     ".compressed.ply": (_usual("a.compressed.ply"), [text, plain]),
@@ -401,6 +450,8 @@ FORMATS = {
     ".glb, packed": (_packed_glbs, [plain, inside_glb, inside_packed_glb]),
     ".gltf": (_gltfs, [plain, inside_gltf, inside_gltf, one_missing]),
     ".usda": (_usual("a.usda"), [text, text, plain]),
+    ".rad": (_rads, [plain, inside_rad, inside_rad, inside_rad]),
+    ".rad and .radc": (_chunked_rads, [plain, one_missing]),
     ".sog": (_bundles, [plain, inside_zip, inside_zip]),
     "SOG v1, folder": (_sogs_1, [plain, whole_json, one_texture, one_missing]),
     "SOG v2, folder": (

@@ -24,7 +24,7 @@ from strategies import assert_same, splats
 # What is never read in parts: names of seeds, and suffixes.
 WHOLE = (".pt", ".ckpt", ".pth", ".usda", "tileset.json", ".glb, packed")
 SCENES = ("biker.spz", "biker.compressed.ply", "chair.splat", "skull.sog", "playbot/lod-meta.json")
-WRITTEN = [".ply", ".compressed.ply", ".splat", ".npz", ".spz", ".glb"]
+WRITTEN = [".ply", ".compressed.ply", ".splat", ".npz", ".spz", ".rad", ".glb"]
 
 
 def placed(folder, files):

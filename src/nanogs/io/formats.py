@@ -12,6 +12,7 @@ FAMILIES = (
     "ksplat",
     "gltf",
     "sog",
+    "rad",
     "usda",
     "html",
     "checkpoint",

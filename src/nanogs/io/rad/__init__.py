@@ -1,0 +1,18 @@
+"""Spark's `.rad`: chunks of splats packed column by column, mostly with a tree of levels."""
+
+from nanogs.io.format import Format
+from nanogs.io.rad import write
+from nanogs.io.rad.header import MAGIC, MAX_DEGREE
+from nanogs.io.rad.read import RadFile
+
+FORMATS = (
+    Format(
+        write.SUFFIX,
+        RadFile,
+        write.write,
+        losses=write.losses,
+        streams=True,
+        max_degree=MAX_DEGREE,
+        starts=(MAGIC,),
+    ),
+)

@@ -1,0 +1,301 @@
+"""The layout of `.rad` (Spark), and its descriptions checked, before any splat is unpacked.
+
+Facts of the format as Spark reads and writes it (https://github.com/sparkjsdev/spark,
+rust/spark-lib/src/rad.rs, splat_encode.rs and src/SplatPager.ts), little-endian throughout:
+
+- `RAD0`, u32 length, JSON of that length, zeros up to a multiple of 8 bytes; then the chunks. The
+  JSON has `version` 1, `type` "gsplat", `count`, `maxSh` (0 where it is missing), `lodTree`,
+  `chunkSize`, `allChunkBytes`, and `chunks`, each with `offset`, from the end of this header, and
+  `bytes`; or with the `filename` of a file of its own beside this one. `splatEncoding` are ranges
+  for the textures of a viewer, `shCodeCount` is explained below, `comment` is for people.
+- A chunk is `RADC`, u32 length, JSON, zeros as above, u64 `payloadBytes`, and these. The JSON has
+  `version` 1, `base` (the rows before it), `count`, `payloadBytes` and `properties`, each with its
+  `offset` in the payload, a multiple of 8, `bytes`, `encoding`, and `compression` "gz", which is
+  deflate without a header, or none. A viewer that streams wants 65,536 rows in each but the last.
+- Properties: `center`, `alpha`, `rgb` (0.5 and 0.282 times the coefficient), `scales` (linear),
+  `orientation`, and `sh1`, `sh2`, `sh3`, a band each: coefficient after coefficient, RGB last. In
+  place of bands there may be `sh_label`, the number of an entry in `sh1_code`, `sh2_code` and
+  `sh3_code`, which the first chunk has; `shCodeCount` is how many entries there are.
+- Encodings hold all rows of the first component, then of the second: `f32`, `f16`; `f32_lebytes`
+  and `f16_lebytes`, the lowest bytes of all components first; `r8`, from `min` to `max`; `s8`,
+  signed, 127 for `max`; `r8_delta` and `s8_delta`, each byte less the one before; `ln_f16`, a
+  logarithm; `ln_0r8`, 0 for a scale of zero and 1 to 255 for logarithms from `min` to `max`; `u16`;
+  `u32`. An orientation is xyz as `f32` or `f16` with w the positive rest, or `oct88r8`, row by row:
+  an axis as two bytes, octahedral, and a turn about it from 0 to pi.
+- A tree: `child_count` (u16) and `child_start` (u32) name the rows that stand for the same as this
+  one, only finer. Row 0 is the root, children come after their parents, leaves have none: these are
+  the model. An alpha above 1 is a splat with a wide, opaque middle; see `values`.
+"""
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nanogs.errors import FormatError
+from nanogs.io.files import check_expansion, reading, splat_bytes, unreadable
+from nanogs.io.json_fields import integer, numbers, parse, plain_name, refused, rows, table
+from nanogs.io.section import Section, whole_file
+
+MAGIC, CHUNK_MAGIC = b"RAD0", b"RADC"
+VERSION = 1
+MAX_DEGREE = 3
+CHUNK_ROWS = 1 << 16  # that a viewer which streams wants
+START = struct.Struct("<4sI")
+PAYLOAD = struct.Struct("<Q")
+
+BANDS = ("sh1", "sh2", "sh3")
+CODES = ("sh1_code", "sh2_code", "sh3_code")
+LABEL = "sh_label"
+CHILD_COUNT, CHILD_START = "child_count", "child_start"
+_PLAIN = ("center", "alpha", "rgb", "scales", "orientation")
+_KNOWN = frozenset((*_PLAIN, *BANDS, *CODES, LABEL, CHILD_COUNT, CHILD_START))
+_MAX_JSON = 1 << 20  # as the viewer has it; a chunk takes some 50 bytes
+_MAX_CHUNK_JSON = 1 << 16
+_MAX_ROWS = 1 << 32
+_RANGED = frozenset(("r8", "r8_delta", "ln_0r8"))
+_SIGNED = frozenset(("s8", "s8_delta"))
+
+
+@dataclass(frozen=True, slots=True)
+class Property:
+    """A column of a chunk.
+
+    Attributes:
+        name: As above.
+        encoding: As above.
+        section: Its bytes.
+        packed: Whether they are deflated.
+        low: What byte 0 stands for, of an encoding with a range.
+        high: What the last byte stands for, of an encoding with a range or a sign.
+    """
+
+    name: str
+    encoding: str
+    section: Section
+    packed: bool
+    low: float = 0.0
+    high: float = 0.0
+
+    @property
+    def where(self) -> str:
+        """The file and the column, for messages."""
+        return f"{self.section.path}, {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Some rows.
+
+    Attributes:
+        count: How many, 1 or more.
+        properties: Their columns by name.
+    """
+
+    count: int
+    properties: Mapping[str, Property]
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """A checked file.
+
+    Attributes:
+        path: The file.
+        files: It, and those that it names.
+        file_bytes: Of all of these.
+        count: Rows, 1 or more; of a tree all its nodes.
+        degree: Of the spherical harmonics, 0 to 3.
+        tree: Whether the rows are a tree.
+        codes: Entries of the palette of higher coefficients; 0 where there is none.
+        comment: For people; None where there is none.
+        chunks: In order.
+    """
+
+    path: Path
+    files: tuple[Path, ...]
+    file_bytes: int
+    count: int
+    degree: int
+    tree: bool
+    codes: int
+    comment: str | None
+    chunks: tuple[Chunk, ...]
+
+
+def read_header(path: Path) -> Header:
+    """The descriptions of a file and of all its chunks.
+
+    Raises:
+        FormatError: It cannot be read, is no `.rad` file, or is damaged.
+    """
+    whole = whole_file(path)
+    data, end = _description(whole, MAGIC, _MAX_JSON)
+    where = str(path)
+    _check_version(data, where)
+    if data.get("type") != "gsplat":
+        raise refused(f"{where}, type", 'must be "gsplat"')
+    count = integer(data.get("count"), f"{where}, count", 1, _MAX_ROWS)
+    degree = integer(data.get("maxSh") or 0, f"{where}, maxSh", 0, MAX_DEGREE)
+    tree = data.get("lodTree") or False
+    if not isinstance(tree, bool):
+        raise refused(f"{where}, lodTree", "must be true or false")
+    entries = rows(data.get("chunks"), f"{where}, chunks")
+    sections = _sections(whole, end, entries)
+    files = tuple(dict.fromkeys((path, *(section.path for section in sections))))
+    size = whole.size + sum(s.size for s in sections if s.path != path)
+    check_expansion(where, count * splat_bytes(degree), size)
+    codes = integer(data.get("shCodeCount") or 0, f"{where}, shCodeCount", 0, count)
+    comment = data.get("comment")
+    if comment is not None and not (isinstance(comment, str) and _encodable(comment)):
+        raise refused(f"{where}, comment", "must be text")
+    chunks, base = [], 0
+    for section in sections:
+        chunks.append(_chunk(section, base, count, bool(codes) and base == 0))
+        _check_columns(chunks[-1], section, degree, tree=tree, codes=bool(codes), first=base == 0)
+        base += chunks[-1].count
+    if base != count:
+        raise _damaged(where, f"its chunks hold {base:,} of {count:,} rows")
+    return Header(path, files, size, count, degree, tree, codes, comment, tuple(chunks))
+
+
+def _description(section: Section, magic: bytes, limit: int) -> tuple[dict[str, Any], int]:
+    """The JSON at the beginning of a file or chunk, and where it ends, padding and all."""
+    where = str(section.path)
+    try:
+        with section.opened() as file:
+            start = file.read(START.size)
+            if len(start) < START.size or start[:4] != magic:
+                raise _no_start(where, start, magic)
+            length = START.unpack(start)[1]
+            if length > min(limit, section.size - START.size):
+                raise _damaged(where, f"a description of {length:,} bytes")
+            data = parse(file.read(length), where)
+    except OSError as error:
+        raise unreadable(section.path, error) from error
+    return data, START.size + padded(length)
+
+
+def _no_start(where: str, start: bytes, magic: bytes) -> FormatError:
+    if magic == CHUNK_MAGIC:
+        return _damaged(where, "no chunk lies where one should")
+    if start[:4] == CHUNK_MAGIC:
+        return FormatError(f"{where} is one chunk of a .rad model; name the .rad file itself.")
+    return FormatError(
+        f"{where} does not start with RAD0, so it is no .rad file; check what it is."
+    )
+
+
+def _check_version(data: dict[str, Any], where: str) -> None:
+    if data.get("version") != VERSION:
+        raise refused(f"{where}, version", f"is not {VERSION}, which is the one that nanogs reads")
+
+
+def _encodable(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _sections(whole: Section, end: int, entries: Sequence[object]) -> list[Section]:
+    """Where each chunk lies; no byte belongs to two."""
+    found: list[Section] = []
+    at, names = end, set[str]()
+    for number, entry in enumerate(entries):
+        where = f"{whole.path}, chunks[{number}]"
+        given = table(entry, where)
+        if (name := given.get("filename")) is not None:
+            if plain_name(name, where) in names:
+                raise refused(where, f"names {name} twice")
+            names.add(name)
+            found.append(whole_file(whole.path.parent / name))
+            continue
+        size = integer(given.get("bytes"), f"{where}, bytes", START.size, whole.size)
+        start = end + integer(given.get("offset"), f"{where}, offset", 0, whole.size)
+        if start < at or start + size > whole.size:
+            raise _damaged(where, "it lies outside of the file or in another chunk")
+        found.append(whole.part(start, size))
+        at = start + size
+    return found
+
+
+def _chunk(section: Section, base: int, count: int, palette: bool) -> Chunk:
+    """The description of a chunk that begins with the row `base`."""
+    where = str(section.path)
+    data, end = _description(section, CHUNK_MAGIC, _MAX_CHUNK_JSON)
+    _check_version(data, where)
+    if integer(data.get("base"), f"{where}, base", 0, _MAX_ROWS) != base:
+        raise _damaged(where, f"a chunk does not begin with row {base:,}")
+    held = integer(data.get("count"), f"{where}, count of a chunk", 1, count - base or 1)
+    with reading(section.path) as file:
+        file.seek(section.start + end)
+        told = file.read(PAYLOAD.size)
+    start = end + PAYLOAD.size
+    size = PAYLOAD.unpack(told)[0] if len(told) == PAYLOAD.size else -1
+    if not 0 <= size <= section.size - start or size != data.get("payloadBytes"):
+        raise _damaged(where, "a chunk is cut short, or states two sizes")
+    payload = section.part(start, size)
+    found: dict[str, Property] = {}
+    at = 0
+    for entry in rows(data.get("properties"), f"{where}, properties"):
+        one = _property(payload, table(entry, f"{where}, properties"), at)
+        if one.name in found or (one.name in CODES and not palette):
+            raise refused(one.where, "is there where it should not be")
+        found[one.name] = one
+        at = one.section.start + one.section.size - payload.start
+    return Chunk(held, found)
+
+
+def _property(payload: Section, given: dict[str, Any], at: int) -> Property:
+    """A column, which begins at the byte `at` of the payload or later."""
+    name, encoding = given.get("property"), given.get("encoding")
+    where = f"{payload.path}, properties"
+    if not isinstance(name, str) or name not in _KNOWN:
+        raise FormatError(
+            f"{where} has {str(name)[:40]!r}, which nanogs does not know; leave it out when"
+            " exporting."
+        )
+    where = f"{payload.path}, {name}"
+    size = integer(given.get("bytes"), f"{where}, bytes", 0, payload.size)
+    start = integer(given.get("offset"), f"{where}, offset", 0, payload.size)
+    if start < at or start + size > payload.size:
+        raise _damaged(where, "it lies outside of its chunk or in another property")
+    if (packing := given.get("compression")) not in (None, "gz"):
+        raise refused(where, f"is packed as {str(packing)[:40]!r}, which nanogs does not read")
+    if not isinstance(encoding, str):
+        raise refused(where, "has no encoding")
+    section, packed = payload.part(start, size), packing is not None
+    low = high = 0.0
+    if encoding in _RANGED:
+        low, high = numbers([given.get("min"), given.get("max")], f"{where}, min and max", 2)
+    elif encoding in _SIGNED:
+        (high,) = numbers([given.get("max")], f"{where}, max", 1)
+    return Property(name, encoding, section, packed, float(low), float(high))
+
+
+def _check_columns(
+    chunk: Chunk, section: Section, degree: int, *, tree: bool, codes: bool, first: bool
+) -> None:
+    """Refuse a chunk that lacks what the file's description promises, or has both ways of bands."""
+    needed = [*_PLAIN]
+    if degree:
+        needed += [LABEL, *(CODES[:degree] if first else ())] if codes else BANDS[:degree]
+    needed += [CHILD_COUNT, CHILD_START] if tree else ()
+    if lacking := [name for name in needed if name not in chunk.properties]:
+        raise _damaged(str(section.path), f"a chunk lacks {' and '.join(lacking)}")
+    if spare := [name for name in chunk.properties if name not in needed]:
+        raise _damaged(
+            str(section.path), f"a chunk has {' and '.join(spare)}, of which nothing is said"
+        )
+
+
+def padded(size: int) -> int:
+    """The next multiple of 8."""
+    return size + 7 & ~7
+
+
+def _damaged(where: str, what: str) -> FormatError:
+    return FormatError(f"{where} is damaged: {what}; export or download it again.")

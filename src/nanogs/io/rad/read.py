@@ -1,0 +1,181 @@
+"""Reading `.rad` (Spark), with and without a tree; the layout is in `header`.
+
+Of a tree its leaves are read, in the order of the file: the model that the tree was made of. Each
+chunk is unpacked by itself, and the last one kept, so that rows can be read in parts.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import accumulate, pairwise
+from pathlib import Path
+
+import numpy as np
+
+from nanogs._types import F64, I64, Array
+from nanogs.errors import FormatError
+from nanogs.findings import Finding, negative_scales
+from nanogs.io import render_tag
+from nanogs.io.info import FileInfo
+from nanogs.io.parts import FileSource
+from nanogs.io.ply.header import printable
+from nanogs.io.rad.header import BANDS, CHILD_COUNT, CODES, LABEL, Chunk, read_header
+from nanogs.io.rad.values import (
+    check_encoding,
+    components,
+    log_steps,
+    rotations,
+    shapes,
+    type_name,
+)
+from nanogs.source import joined_rows
+from nanogs.splats import Splats, empty_arrays
+from nanogs.stored import base_colour
+
+
+class RadFile(FileSource):
+    """A `.rad` file; a scale of zero becomes -inf, alpha 0 and 1 become ∓inf.
+
+    Raises:
+        FormatError: It cannot be read, is no `.rad` file, or its descriptions are damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._header = read_header(path)
+        for chunk in self._header.chunks:
+            for column in chunk.properties.values():
+                check_encoding(column)
+        self._last: tuple[int, Splats] | None = None
+
+    @cached_property
+    def info(self) -> FileInfo:
+        """The description; of a tree its leaves have been counted."""
+        header = self._header
+        first = header.chunks[0].properties.values()
+        comments = self._comments
+        return FileInfo(
+            path=self.path,
+            format="rad",
+            encoding="deflate" if any(c.packed for c in first) else "binary_little_endian",
+            file_bytes=header.file_bytes,
+            splats=self._ends[-1],
+            sh_degree=header.degree,
+            properties=tuple((column.name, type_name(column.encoding)) for column in first),
+            render_mode=render_tag.render_mode(comments),
+            comments=tuple(map(printable, comments)),
+        )
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """The file, and those that hold its chunks; see `FileSource`."""
+        return self._header.files
+
+    @property
+    def _comments(self) -> list[str]:
+        comment = self._header.comment
+        return [] if comment is None else comment.split("\n")
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        """0, and the row after the last of each chunk, leaves alone being counted of a tree."""
+        chunks, tree = self._header.chunks, self._header.tree
+        counts = [int(_leaves(chunk).sum()) if tree else chunk.count for chunk in chunks]
+        if not any(counts):
+            raise FormatError(
+                f"{self.path} is damaged: its tree has no leaf; export or download it again."
+            )
+        return list(accumulate(counts, initial=0))
+
+    def _span(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        parts = []
+        for number, (first, end) in enumerate(pairwise(self._ends)):
+            low, high = max(start, first), min(stop, end)
+            if low < high:
+                parts.append(self._chunk(number).span(low - first, high - first))
+        return joined_rows(parts) if parts else self._chunk(0).span(0, 0)
+
+    def _chunk(self, number: int) -> Splats:
+        """The rows of a chunk, of a tree its leaves."""
+        if self._last is None or self._last[0] != number:
+            self._last = None  # before the next one is unpacked
+            chunk = self._header.chunks[number]
+            rows = np.flatnonzero(_leaves(chunk)) if self._header.tree else None
+            with np.errstate(all="ignore"):  # whatever bits there are: NaN, infinity, zero scales
+                self._last = number, self._unpacked(chunk, rows)
+        return self._last[1]
+
+    def _unpacked(self, chunk: Chunk, rows: I64 | None) -> Splats:
+        """Some rows of a chunk, or all."""
+        chosen = slice(None) if rows is None else rows
+        columns, count = chunk.properties, chunk.count
+        out = empty_arrays(count if rows is None else len(rows), self._header.degree)
+        sizes = columns["scales"]
+        logarithms = sizes.encoding != "f32"
+        scales = log_steps(sizes, count) if sizes.encoding == "ln_0r8" else None
+        scales = components(sizes, count, 3) if scales is None else scales
+        alphas = components(columns["alpha"], count, 1)[:, 0]
+        drawn = shapes(alphas[chosen], scales[chosen], logarithms=logarithms)
+        out["means"][:] = components(columns["center"], count, 3)[chosen]
+        out["log_scales"][:], out["opacity_logits"][:] = drawn.log_scales, drawn.logits
+        out["quats"][:] = rotations(columns["orientation"], count)[chosen]
+        out["sh"][:, 0] = base_colour(components(columns["rgb"], count, 3)[chosen])
+        self._fill_bands(chunk, chosen, out["sh"])
+        notes = negative_scales(drawn.negative)
+        if drawn.widened:
+            text = (
+                "{:splat has|splats have} an alpha above 1, as Spark's trees have them, and became"
+                " opaque and larger."
+            )
+            notes.append(Finding(text, drawn.widened))
+        comments = self._comments
+        mode = render_tag.render_mode(comments)
+        return Splats(**out, render_mode=mode, comments=comments, notes=notes)
+
+    def _fill_bands(self, chunk: Chunk, chosen: "slice | I64", sh: Array) -> None:
+        """Write the higher coefficients of a chunk's rows."""
+        if not self._header.degree:
+            return
+        if self._header.codes:
+            labels = components(chunk.properties[LABEL], chunk.count, 1)[:, 0][chosen]
+            if labels.max(initial=0) >= self._header.codes:
+                raise FormatError(
+                    f"{chunk.properties[LABEL].where} names entries beyond the palette's"
+                    f" {self._header.codes:,}; export or download it again."
+                )
+            for place, entries in self._palette:
+                sh[:, place] = entries[labels]
+            return
+        for place, name in zip(_places(self._header.degree), BANDS, strict=False):
+            sh[:, place] = _band(chunk, name, chunk.count)[chosen]
+
+    @cached_property
+    def _palette(self) -> list[tuple[slice, F64]]:
+        """The entries of each band, which the first chunk has."""
+        degree, first = self._header.degree, self._header.chunks[0]
+        return [
+            (place, _band(first, name, self._header.codes))
+            for place, name in zip(_places(degree), CODES, strict=False)
+        ]
+
+    def close(self) -> None:
+        """Let go of the chunk that was read last."""
+        self._last = None
+
+
+def _leaves(chunk: Chunk) -> Array:
+    """(count,) bool: the rows of a tree that have no children."""
+    leaves: Array = components(chunk.properties[CHILD_COUNT], chunk.count, 1)[:, 0] == 0
+    return leaves
+
+
+def _places(degree: int) -> list[slice]:
+    """Where the coefficients of the bands of degree 1 and up lie."""
+    return [slice(band * band, (band + 1) ** 2) for band in range(1, degree + 1)]
+
+
+def _band(chunk: Chunk, name: str, count: int) -> F64:
+    """(count, coefficients, 3) of a band."""
+    width = 3 * (2 * (1 + (BANDS if name in BANDS else CODES).index(name)) + 1)
+    values: F64 = components(chunk.properties[name], count, width).reshape(count, -1, 3)
+    return values

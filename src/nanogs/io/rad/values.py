@@ -1,0 +1,231 @@
+"""What the columns of `.rad` stand for, and back; `header` has the encodings.
+
+A damaged file may hold whatever bits there are; who reads it sets NumPy to ignore what they do.
+
+Alphas above 1 are Spark's own, for splats that stand for many: with D the number stored,
+a = min(4 D - 3, 5) and k = exp((a² - 1) / e), such a splat covers 1 - (1 - g)^k where an opaque one
+of its size covers g. Here it becomes an opaque splat whose scales are the cube root of k as large,
+as Spark draws it with `lodInflate` (rust/spark-lib/src/tsplat.rs, src/shaders/splatVertex.glsl).
+"""
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from nanogs._types import F32, F64, U8, Array
+from nanogs.errors import FormatError
+from nanogs.io.files import reading
+from nanogs.io.rad.header import Property
+
+MOST_STEPS = 254  # of a logarithm: byte 0 is a scale of zero
+_BYTE_SLACK = 1.5 / 255  # an alpha of 1 as the nearest of 256 bytes from 0 to 2
+_HALVES = ("f16", "f16_lebytes")
+_PLANES = ("f32_lebytes", "f16_lebytes")
+_DTYPES = {
+    "f32": "<f4", "f32_lebytes": "<f4", "f16": "<f2", "f16_lebytes": "<f2", "ln_f16": "<f2",
+    "r8": "u1", "r8_delta": "u1", "s8": "u1", "s8_delta": "u1", "ln_0r8": "u1",
+    "oct88r8": "u1", "u16": "<u2", "u32": "<u4",
+}  # fmt: skip
+TYPE_NAMES = {"<f4": "float", "<f2": "float16", "u1": "uchar", "<u2": "ushort", "<u4": "uint"}
+_FLOATS = ("f32", "f16", "f32_lebytes", "f16_lebytes")
+_ALLOWED = {
+    "center": _FLOATS,
+    "alpha": ("f32", "f16", "r8"),
+    "rgb": ("f32", "f16", "r8", "r8_delta"),
+    "scales": ("f32", "ln_f16", "ln_0r8"),
+    "orientation": ("f32", "f16", "oct88r8"),
+    "sh_label": ("u16", "u32"),
+    "child_count": ("u16",),
+    "child_start": ("u32",),
+}
+_BAND = ("f32", "f16", "r8", "r8_delta", "s8", "s8_delta")
+
+
+def type_name(encoding: str) -> str:
+    """The type of a column, as `FileInfo` has it."""
+    return TYPE_NAMES[_DTYPES[encoding]]
+
+
+def check_encoding(column: Property) -> None:
+    """Refuse an encoding that the format does not have for a column.
+
+    Raises:
+        FormatError: It is one.
+    """
+    if column.encoding not in _ALLOWED.get(column.name, _BAND):
+        raise FormatError(
+            f"{column.where} is encoded as {column.encoding[:40]!r}, which nanogs does not read;"
+            " export the model again."
+        )
+
+
+def components(column: Property, count: int, width: int) -> Array:
+    """(count, width) float64 as stored, but for bytes that stand for steps, or whole numbers.
+
+    Args:
+        column: The column.
+        count: Rows.
+        width: Components.
+
+    Raises:
+        FormatError: It cannot be read, or holds more or less.
+    """
+    stored = _unpacked(column, count, width)
+    if column.encoding in ("u16", "u32"):
+        return stored.astype(np.int64)
+    values = stored.astype(np.float64)
+    if column.encoding in ("r8", "r8_delta"):
+        return values / 255 * (column.high - column.low) + column.low
+    if column.encoding in ("s8", "s8_delta"):
+        signed: F64 = stored.view(np.int8) / 127.0 * column.high
+        return signed
+    return values
+
+
+def _unpacked(column: Property, count: int, width: int) -> Array:
+    """(count, width) numbers of the type that is stored, deltas added up."""
+    check_encoding(column)
+    dtype = np.dtype(_DTYPES[column.encoding])
+    data = _bytes(column, count * width * dtype.itemsize)
+    if column.encoding in _PLANES:
+        planes = data.reshape(dtype.itemsize, width, count)
+        return np.ascontiguousarray(planes.transpose(2, 1, 0)).view(dtype)[..., 0]
+    if column.encoding == "oct88r8":
+        return data.reshape(count, width)
+    parts = data.view(dtype).reshape(width, count)
+    if column.encoding.endswith("_delta"):
+        parts = np.cumsum(parts, axis=1, dtype=np.uint8)
+    return np.ascontiguousarray(parts.T)
+
+
+def _bytes(column: Property, expected: int) -> U8:
+    """The bytes of a column, no more than there should be."""
+    section = column.section
+    with reading(section.path) as file:
+        file.seek(section.start)
+        data = file.read(section.size)
+    whole = True
+    if column.packed:
+        inflate = zlib.decompressobj(-zlib.MAX_WBITS)
+        try:
+            data = inflate.decompress(data, expected + 1)
+        except zlib.error as error:
+            raise FormatError(
+                f"{column.where} is damaged ({error}); export or download it again."
+            ) from None
+        # The last byte of output may leave the end mark to be read.
+        whole = inflate.eof or not inflate.decompress(inflate.unconsumed_tail, 1)
+    if len(data) != expected or not whole:
+        raise FormatError(
+            f"{column.where} does not hold {expected:,} bytes, as its rows take; export or download"
+            " it again."
+        )
+    return np.frombuffer(data, np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Shapes:
+    """Logits and log-scales of R splats as they are drawn.
+
+    Attributes:
+        logits: (R,) float64.
+        log_scales: (R, 3) float64.
+        negative: Splats with a negative scale, which became NaN.
+        widened: Splats with an alpha above 1, which became opaque and larger.
+    """
+
+    logits: F64
+    log_scales: F64
+    negative: int
+    widened: int
+
+
+def shapes(alphas: F64, scales: F64, *, logarithms: bool) -> Shapes:
+    """Logits and log-scales of stored alphas and scales.
+
+    Args:
+        alphas: (R,) as stored; those above 1 as explained above.
+        scales: (R, 3) as stored.
+        logarithms: Whether these are logarithms already.
+    """
+    logs: F64 = scales.copy() if logarithms else np.log(scales)
+    wide = alphas > 1 + _BYTE_SLACK
+    spread = np.minimum(4 * alphas[wide] - 3, 5)
+    logs[wide] += ((spread**2 - 1) / np.e / 3)[:, None]
+    logits: F64 = -np.log(1 / np.where(alphas > 1, 1, alphas) - 1)
+    negative = 0 if logarithms else int((scales < 0).any(axis=1).sum())
+    return Shapes(logits, logs, negative, int(wide.sum()))
+
+
+def log_steps(column: Property, count: int) -> F64:
+    """(count, 3) logarithms of scales of the encoding `ln_0r8`; -inf for a scale of zero.
+
+    Raises:
+        FormatError: As for `components`.
+    """
+    stored = _unpacked(column, count, 3)
+    step = (column.high - column.low) / MOST_STEPS
+    table: F64 = np.arange(-1, 255, dtype=np.float64) * step + column.low
+    table[0] = -np.inf
+    values: F64 = table[stored]
+    return values
+
+
+def rotations(column: Property, count: int) -> F64:
+    """(count, 4) wxyz.
+
+    Raises:
+        FormatError: As for `components`.
+    """
+    parts = components(column, count, 3)
+    if column.encoding != "oct88r8":
+        w = np.sqrt(np.maximum(0, 1 - (parts**2).sum(axis=1)))
+        return np.column_stack([w, parts])
+    axis, half = octahedral_axes(parts[:, :2] / 127.5 - 1), parts[:, 2] / 255 * (np.pi / 2)
+    return np.column_stack([np.cos(half), axis * np.sin(half)[:, None]])
+
+
+def octahedral_axes(points: F64) -> F64:
+    """(R, 3) unit vectors of (R, 2) points of the unfolded octahedron, each from -1 to 1."""
+    z = 1 - np.abs(points).sum(axis=1)
+    folded = points - np.where(points >= 0, 1, -1) * np.maximum(-z, 0)[:, None]
+    axes = np.column_stack([folded, z])
+    unit: F64 = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    return unit
+
+
+def octahedral_points(axes: F64) -> F64:
+    """(R, 2) points of the unfolded octahedron of (R, 3) vectors that are not zero."""
+    points = axes[:, :2] / np.abs(axes).sum(axis=1, keepdims=True)
+    outer = (1 - np.abs(points[:, ::-1])) * np.where(points >= 0, 1, -1)
+    unfolded: F64 = np.where(axes[:, 2:] < 0, outer, points)
+    return unfolded
+
+
+def turns(quats: F64) -> U8:
+    """(R, 3) the encoding `oct88r8` of (R, 4) unit wxyz with w at least 0."""
+    sine = np.linalg.norm(quats[:, 1:], axis=1)
+    angle = 2 * np.arctan2(sine, quats[:, 0])
+    # Where nothing turns the axis does not matter; of those that turn it is as long as the sine.
+    axes = np.where(sine[:, None] < 1e-12, (1.0, 0.0, 0.0), quats[:, 1:])
+    out = np.empty((len(quats), 3), np.uint8)
+    out[:, :2] = np.rint((octahedral_points(axes) + 1) * 127.5)
+    out[:, 2] = np.rint(angle / np.pi * 255)
+    return out
+
+
+def by_component(values: Array) -> bytes:
+    """Bytes of all rows of the first component, then of the second, of (R, C) values."""
+    return np.ascontiguousarray(values.T).tobytes()
+
+
+def by_byte(values: F32) -> bytes:
+    """The encoding `f32_lebytes` of (R, C) values: the lowest byte of all components first."""
+    wide = np.ascontiguousarray(values.T).astype("<f4", copy=False)
+    return np.ascontiguousarray(np.moveaxis(wide[..., None].view(np.uint8), -1, 0)).tobytes()
+
+
+def differences(values: U8) -> U8:
+    """(R, C) bytes, each less the one of the row before."""
+    return np.diff(values, axis=0, prepend=np.zeros((1, values.shape[1]), np.uint8))

@@ -1,0 +1,247 @@
+"""Writing `.rad` (Spark); `header` has the layout.
+
+Each chunk has ranges of its own, so that no colour is clamped, and where a byte's steps would be
+wide it has halves. Logarithms of scales are halves, which are finer than what a viewer makes of
+them. Rotations have the axes first that turn a splat least, about which bytes are finest.
+"""
+
+import json
+import shutil
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from tempfile import TemporaryFile
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from nanogs._types import F64, I64, Array
+from nanogs.io import limits, render_tag
+from nanogs.io.rad.header import (
+    BANDS,
+    CHILD_COUNT,
+    CHILD_START,
+    CHUNK_MAGIC,
+    CHUNK_ROWS,
+    MAGIC,
+    MAX_DEGREE,
+    PAYLOAD,
+    START,
+    VERSION,
+    padded,
+)
+from nanogs.io.rad.values import by_byte, by_component, differences, turns
+from nanogs.io.rotations import least_turned
+from nanogs.source import Source, source_of
+from nanogs.splats import RenderMode, Splats
+from nanogs.stored import SH_C0, alphas, rounded_bytes
+
+SUFFIX = ".rad"
+_DEFLATE_LEVEL = 6
+_WIDEST_COLOURS = 1.9  # between the least and the largest, as bytes: steps as those of .spz
+_LARGEST_COEFFICIENT = 4.0  # as bytes: half as wide as those of .spz
+_LARGEST_HALF = 65504.0
+_USUAL = (0.5, 99.5)  # per cent of values between which a viewer's textures are exact
+_LEAST_WIDTH = 1e-3  # of a viewer's range
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """Which rows stand for the same as others, only finer.
+
+    Attributes:
+        counts: (N,) children of each row, 0 of leaves, at most 65,535.
+        starts: (N,) the first of them.
+    """
+
+    counts: I64
+    starts: I64
+
+
+@dataclass(slots=True)
+class _Ranges:
+    """Ranges for the textures of a viewer, by the names of `splatEncoding`."""
+
+    rgbMin: float = 0.0  # noqa: N815 - the format's own
+    rgbMax: float = 1.0  # noqa: N815
+    lnScaleMin: float = np.inf  # noqa: N815
+    lnScaleMax: float = -np.inf  # noqa: N815
+    sh1Max: float = 0.0  # noqa: N815
+    sh2Max: float = 0.0  # noqa: N815
+    sh3Max: float = 0.0  # noqa: N815
+    lodOpacity: bool = False  # noqa: N815
+
+    def add(self, block: Splats, degree: int) -> None:
+        low, high = np.percentile(_colours(block), _USUAL)
+        self.rgbMin, self.rgbMax = min(self.rgbMin, low), max(self.rgbMax, high)
+        logs = block.log_scales[np.isfinite(block.log_scales)]
+        if len(logs):
+            low, high = np.percentile(logs, _USUAL)
+            self.lnScaleMin = min(self.lnScaleMin, low)
+            self.lnScaleMax = max(self.lnScaleMax, high)
+        for name, (first, last) in zip(BANDS, _bands(degree), strict=False):
+            most = float(np.percentile(np.abs(block.sh[:, first:last]), _USUAL[1]))
+            setattr(self, f"{name}Max", max(getattr(self, f"{name}Max"), most))
+
+    def told(self, *, tree: bool) -> dict[str, Any]:
+        """As the file has them, each of some width."""
+        low, high = self.lnScaleMin, self.lnScaleMax
+        low, high = (low, high) if low <= high else (-12.0, 9.0)  # all scales are zero
+        found = asdict(self) | {"lnScaleMin": low, "lnScaleMax": max(high, low + _LEAST_WIDTH)}
+        bands = {f"{name}Max": max(found[f"{name}Max"], _LEAST_WIDTH) for name in BANDS}
+        rounded = {name: float(value) for name, value in (found | bands).items()}
+        return rounded | {"lodOpacity": tree}
+
+
+def write(model: Splats | Source, file: BinaryIO, *, tree: Tree | None = None) -> None:
+    """Write a model in its own order, no more than a chunk of it held.
+
+    Args:
+        model: N splats; with a tree all its nodes, the root first and children after parents.
+        file: Open for binary writing.
+        tree: Which of them stand for others; by default there is none.
+
+    Raises:
+        OutputError: A value is NaN or infinite; nothing has been written then.
+        OSError: The system refuses to write, here or to a temporary file.
+    """
+    source = source_of(model)
+    degree = min(source.columns.sh_degree, MAX_DEGREE)
+    ranges = _Ranges()
+    for block in limits.storable(source, SUFFIX):
+        if block.finite().all():  # others are refused in the end
+            ranges.add(block, degree)
+    told = ranges.told(tree=tree is not None)
+    with TemporaryFile(prefix="nanogs-") as body:
+        chunks, at = [], 0
+        for chunk in _chunks(source, degree, tree, told):
+            body.write(chunk)
+            chunks.append({"offset": at, "bytes": len(chunk)})
+            at += len(chunk)
+        lines = render_tag.tagged(source.columns.comments, RenderMode(source.columns.render_mode))
+        head = {
+            "version": VERSION,
+            "type": "gsplat",
+            "count": source.count,
+            "maxSh": degree,
+            **({"lodTree": True} if tree else {}),
+            "chunkSize": CHUNK_ROWS,
+            "allChunkBytes": at,
+            "chunks": chunks,
+            "splatEncoding": told,
+            **({"comment": "\n".join(lines)} if lines else {}),
+        }
+        file.write(_described(MAGIC, head))
+        body.seek(0)
+        shutil.copyfileobj(body, file, 1 << 20)
+
+
+def losses(splats: Splats) -> tuple[str, ...]:
+    """Name what the file leaves out or clamps, one sentence each."""
+    out = limits.left_out(splats, SUFFIX, comments=False, max_degree=MAX_DEGREE)
+    out += limits.rounded(splats, SUFFIX)
+    logs = splats.log_scales
+    out += limits.clamped(
+        np.isfinite(logs) & (np.abs(logs) > _LARGEST_HALF),
+        f"log-scales outside ±{_LARGEST_HALF:,.0f}, the range of {SUFFIX}",
+    )
+    return tuple(out)
+
+
+def _described(magic: bytes, content: dict[str, Any]) -> bytes:
+    """A description as it begins a file or a chunk."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+    return (START.pack(magic, len(text)) + text).ljust(padded(START.size + len(text)), b"\0")
+
+
+def _chunks(
+    source: Source, degree: int, tree: Tree | None, ranges: dict[str, Any]
+) -> Iterator[bytes]:
+    for start in range(0, source.count, CHUNK_ROWS):
+        block = source.read(start, min(start + CHUNK_ROWS, source.count))
+        properties, payload, at = [], [], 0
+        for entry, plain in _columns(block, degree, tree, start):
+            data = _deflated(plain)
+            properties.append({"offset": at, "bytes": len(data), **entry, "compression": "gz"})
+            payload.append(data.ljust(padded(len(data)), b"\0"))
+            at += len(payload[-1])
+        head = {
+            "version": VERSION,
+            "base": start,
+            "count": len(block),
+            "payloadBytes": at,
+            "maxSh": degree,
+            **({"lodTree": True} if tree else {}),
+            "splatEncoding": ranges,
+            "properties": properties,
+        }
+        yield b"".join((_described(CHUNK_MAGIC, head), PAYLOAD.pack(at), *payload))
+
+
+def _deflated(data: bytes) -> bytes:
+    packer = zlib.compressobj(_DEFLATE_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+    return packer.compress(data) + packer.flush()
+
+
+def _columns(
+    block: Splats, degree: int, tree: Tree | None, start: int
+) -> Iterator[tuple[dict[str, Any], bytes]]:
+    """What is said of each column of a chunk, and its bytes before they are packed."""
+    yield _entry("center", "f32_lebytes"), by_byte(block.means.astype(np.float32))
+    opacities = rounded_bytes(alphas(block.opacity_logits) * 255)[:, None]
+    yield _entry("alpha", "r8", 0.0, 1.0), by_component(opacities)
+    yield _coloured(_colours(block))
+    quats, logs = least_turned(block)
+    finite = np.clip(logs, -_LARGEST_HALF, _LARGEST_HALF)
+    logs = np.where(np.isneginf(logs), logs, finite)
+    yield _entry("scales", "ln_f16"), by_component(logs.astype("<f2"))
+    yield _entry("orientation", "oct88r8"), turns(quats).tobytes()
+    for name, (first, last) in zip(BANDS, _bands(degree), strict=False):
+        yield _band(name, block.sh[:, first:last].reshape(len(block), -1))
+    if tree is not None:
+        rows = slice(start, start + len(block))
+        yield _entry(CHILD_COUNT, "u16"), tree.counts[rows].astype("<u2").tobytes()
+        yield _entry(CHILD_START, "u32"), tree.starts[rows].astype("<u4").tobytes()
+
+
+def _entry(
+    name: str, encoding: str, low: float | None = None, high: float | None = None
+) -> dict[str, Any]:
+    ranged = {} if low is None else {"min": low, "max": high}
+    return {"property": name, "encoding": encoding, **ranged}
+
+
+def _colours(block: Splats) -> F64:
+    """(R, 3): 0.5 and what the coefficient of degree 0 adds."""
+    colours: F64 = block.sh[:, 0] * np.float64(SH_C0) + 0.5
+    return colours
+
+
+def _coloured(colours: F64) -> tuple[dict[str, Any], bytes]:
+    low, high = float(np.float32(colours.min())), float(np.float32(colours.max()))
+    if high - low > _WIDEST_COLOURS:
+        return _floats("rgb", colours)
+    width = (high - low) or 1.0
+    steps = rounded_bytes((colours - low) / width * 255)
+    return _entry("rgb", "r8_delta", low, low + width), by_component(differences(steps))
+
+
+def _band(name: str, values: Array) -> tuple[dict[str, Any], bytes]:
+    most = float(np.abs(values).max()) or 1.0
+    if most > _LARGEST_COEFFICIENT:
+        return _floats(name, values)
+    steps = np.rint(values * (127 / most)).astype(np.int8)
+    return _entry(name, "s8", -most, most), by_component(steps)
+
+
+def _floats(name: str, values: Array) -> tuple[dict[str, Any], bytes]:
+    """Values as halves, or as floats where they are too large for that."""
+    if np.abs(values).max() > _LARGEST_HALF:
+        return _entry(name, "f32"), by_component(values.astype("<f4"))
+    return _entry(name, "f16"), by_component(values.astype("<f2"))
+
+
+def _bands(degree: int) -> Iterable[tuple[int, int]]:
+    """The first coefficient of each band from degree 1 on, and the one after the last."""
+    return pairwise((band + 1) ** 2 for band in range(degree + 1))

@@ -1,0 +1,119 @@
+"""Files of `.rad` built by hand, in every encoding, and taken apart again."""
+
+import json
+import struct
+import zlib
+
+import numpy as np
+
+
+def padded(data):
+    return data + b"\0" * (-len(data) % 8)
+
+
+def described(magic, content):
+    text = content if isinstance(content, bytes) else json.dumps(content).encode()
+    return magic + struct.pack("<I", len(text)) + padded(text)
+
+
+def deflated(data):
+    packer = zlib.compressobj(6, zlib.DEFLATED, -15)
+    return packer.compress(data) + packer.flush()
+
+
+def inflated(data):
+    return zlib.decompress(data, -15)
+
+
+def column(name, encoding, data, **more):
+    """A property, and its bytes before they are packed."""
+    return {"property": name, "encoding": encoding, "compression": "gz"} | more, data
+
+
+def chunk(columns, /, count, base=0, **more):
+    """A chunk of such columns; what is given replaces what its description says."""
+    entries, payload = [], b""
+    for entry, plain in columns:
+        data = deflated(plain) if entry.get("compression") == "gz" else plain
+        kept = {key: value for key, value in entry.items() if value is not None}
+        entries.append({"offset": len(payload), "bytes": len(data)} | kept)
+        payload += padded(data)
+    content = {"version": 1, "base": base, "count": count, "payloadBytes": len(payload)}
+    content |= {"properties": entries} | more
+    return described(b"RADC", content) + struct.pack("<Q", len(payload)) + payload
+
+
+def rad(chunks, count, /, **more):
+    """A file of chunks; what is given replaces what its description says."""
+    places, at = [], 0
+    for data in chunks:
+        places.append({"offset": at, "bytes": len(data)})
+        at += len(data)
+    content = {"version": 1, "type": "gsplat", "count": count, "maxSh": 0, "chunkSize": 65_536,
+               "allChunkBytes": at, "chunks": places} | more  # fmt: skip
+    return described(b"RAD0", content) + b"".join(chunks)
+
+
+def by_component(values, kind="<f4"):
+    return np.asarray(values).astype(kind).T.tobytes()
+
+
+def usual(count, seed=0):
+    """Columns of a model without harmonics, and its values."""
+    rng = np.random.default_rng(seed)
+    values = {
+        "center": rng.normal(size=(count, 3)).astype(np.float32),
+        "alpha": rng.random((count, 1)).astype(np.float32),
+        "rgb": rng.random((count, 3)).astype(np.float32),
+        "scales": np.exp(rng.normal(-3, 1, (count, 3))).astype(np.float32),
+        "orientation": rng.uniform(-0.5, 0.5, (count, 3)).astype(np.float32),
+    }
+    return [column(name, "f32", by_component(value)) for name, value in values.items()], values
+
+
+def tree_columns(counts, starts):
+    return [
+        column("child_count", "u16", by_component(counts, "<u2")),
+        column("child_start", "u32", by_component(starts, "<u4")),
+    ]
+
+
+def small_tree(seed=0):
+    """A root over two nodes over five leaves, of which one hangs on the root, in two chunks."""
+    counts, starts = [3, 2, 2, 0, 0, 0, 0, 0], [1, 4, 6, 0, 0, 0, 0, 0]
+    _, values = usual(8, seed)
+    parts = []
+    for first, last in ((0, 5), (5, 8)):
+        rows = slice(first, last)
+        own = [column(n, "f32", by_component(v[rows])) for n, v in values.items()]
+        parts.append(chunk(own + tree_columns(counts[rows], starts[rows]), last - first, first))
+    return parts, values, np.flatnonzero(np.array(counts) == 0)
+
+
+def with_palette(count=6, entries=4, seed=0):
+    """A file of degree 2 whose harmonics are entries of a palette; and labels and entries."""
+    rng = np.random.default_rng(seed)
+    bands = [rng.normal(size=(entries, 3 * n)).astype(np.float32) for n in (3, 5)]
+    labels = rng.integers(0, entries, count)
+    codes = [column(f"sh{i + 1}_code", "f32", by_component(b)) for i, b in enumerate(bands)]
+    columns = [
+        *usual(count, seed)[0],
+        *codes,
+        column("sh_label", "u16", by_component(labels, "<u2")),
+    ]
+    data = rad([chunk(columns, count)], count, maxSh=2, shCodeCount=entries)
+    return data, labels, np.concatenate(bands, axis=1).reshape(entries, 8, 3)
+
+
+def parts_of(data):
+    """The description of a file, and of each chunk its description and packed payload."""
+    (length,) = struct.unpack_from("<I", data, 4)
+    head, end = json.loads(data[8 : 8 + length]), 8 + length + -length % 8
+    chunks = []
+    for place in head["chunks"]:
+        at = end + place["offset"]
+        (size,) = struct.unpack_from("<I", data, at + 4)
+        start = at + 8 + size + -size % 8
+        payload = data[start + 8 : at + place["bytes"]]
+        chunks.append((json.loads(data[at + 8 : at + 8 + size]), payload))
+    return head, chunks

@@ -1,0 +1,120 @@
+"""A page in which Spark, as its npm package has it, opens a file and draws it from one camera."""
+
+import io
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from npm_packages import served
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+PACKAGES = Path(__file__).resolve().parents[1] / "viewer" / "node_modules"
+PATIENCE = 60_000  # milliseconds
+# As nanogs.render has it: a splat reaches to alpha 1/255, the variance on screen grows by 0.3.
+PAGE = """<!doctype html><meta charset="utf-8">
+<link rel="icon" href="data:,"><style>body { margin: 0 }</style>
+<script type="importmap">{"imports": {
+  "three": "/packages/three/build/three.module.js",
+  "three/addons/": "/packages/three/examples/jsm/",
+  "spark": "/packages/@sparkjsdev/spark/dist/spark.module.js"}}</script>
+<script type="module">
+import { PerspectiveCamera, Scene, WebGLRenderer } from "three";
+import { SparkRenderer, SplatMesh } from "spark";
+const told = TOLD;
+const renderer = new WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
+renderer.setPixelRatio(1);
+renderer.setSize(told.width, told.height);
+renderer.setClearColor(0, 1);
+document.body.append(renderer.domElement);
+const spark = new SparkRenderer({
+  renderer, maxStdDev: Math.sqrt(2 * Math.log(255)), minAlpha: 1 / 255, maxPixelRadius: 16384,
+  clipXY: 3, sortRadial: false, preBlurAmount: 0.3, blurAmount: 0, accumExtSplats: true,
+  ...told.options,
+});
+const scene = new Scene();
+scene.add(spark);
+const mesh = new SplatMesh({ url: told.url, extSplats: !told.paged, paged: told.paged });
+scene.add(mesh);
+const camera = new PerspectiveCamera(told.angle, told.width / told.height, told.near, 1e4);
+camera.matrixAutoUpdate = false;
+camera.matrix.fromArray(told.pose);
+camera.matrix.decompose(camera.position, camera.quaternion, camera.scale);
+camera.updateMatrixWorld(true);
+window.state = { frames: 0, splats: 0, total: 0, still: 0 };
+mesh.initialized.catch((error) => { window.state.error = String(error); });
+const inside = () => mesh.packedSplats?.lodSplats ?? mesh.extSplats?.lodSplats;
+function draw() {
+  renderer.render(scene, camera);
+  const busy = spark.sorting || spark.sortDirty;
+  const count = spark.activeSplats ?? 0;
+  const { state } = window;
+  state.still = !busy && count === state.splats && count > 0 ? state.still + 1 : 0;
+  state.splats = count;
+  state.total = mesh.extSplats?.numSplats ?? mesh.packedSplats?.numSplats ?? 0;
+  state.nodes = inside()?.numSplats ?? 0;
+  state.frames += 1;
+  requestAnimationFrame(draw);
+}
+draw();
+</script>"""
+
+
+def in_spark(path, camera, folder, *, paged=False, calm=8, **options):
+    """What Spark draws of a file, (H, W, 3) float32 in [0, 1], and what it says of itself.
+
+    Args:
+        path: The file.
+        camera: From where; its principal point is in the middle.
+        folder: For the page.
+        paged: Whether chunks are fetched one at a time, as they are needed.
+        calm: Frames in a row that draw the same splats, before a picture is taken.
+        **options: Of Spark's renderer, such as `lodSplatCount`.
+    """
+    if not CHROMIUM:
+        pytest.skip("Chromium is not installed")
+    if not (PACKAGES / "@sparkjsdev" / "spark").exists():
+        pytest.skip("the npm package Spark is absent: run python viewer/bundle.py")
+    from playwright.sync_api import sync_playwright
+
+    pose = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    told = {
+        "url": f"/scene/{path.name}",
+        "paged": paged,
+        "width": camera.width,
+        "height": camera.height,
+        "angle": float(np.degrees(2 * np.arctan(camera.height / 2 / camera.fy))),
+        "near": camera.near,
+        "pose": pose.T.ravel().tolist(),
+        "options": options,
+    }
+    (folder / "spark.html").write_text(PAGE.replace("TOLD", json.dumps(told), 1))
+    with (
+        served(packages=PACKAGES, scene=path.parent, own=folder) as (address, asked),
+        sync_playwright() as driver,
+    ):
+        browser = driver.chromium.launch(
+            executable_path=CHROMIUM, args=[*FLAGS, "--ignore-gpu-blocklist"]
+        )
+        page = browser.new_page(viewport={"width": camera.width, "height": camera.height})
+        faults = []
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
+        page.goto(f"{address}/own/spark.html")
+        done = f"window.state && (window.state.error || window.state.still > {calm})"
+        page.wait_for_function(done, timeout=PATIENCE)
+        state = page.evaluate("window.state")
+        picture = page.locator("canvas").screenshot()
+        browser.close()
+    assert faults == []
+    if kept := os.environ.get("NANOGS_SCREENSHOTS"):
+        Path(kept, f"spark-{path.name}.png").write_bytes(picture)
+    pixels = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=np.float32) / 255
+    return pixels, state | {"asked": [name for name in asked if name.startswith("scene/")]}

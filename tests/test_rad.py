@@ -1,0 +1,345 @@
+"""Spark's `.rad`: each encoding by hand, round trips, trees, palettes, and what is refused."""
+
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+import radfiles
+from builders import random_splats
+from launch import run
+from nanogs import io
+from nanogs.errors import FormatError, OutputError
+from nanogs.io.rad import values, write
+from nanogs.splats import RenderMode
+from nanogs.stored import SH_C0, rotations
+from radfiles import by_component, chunk, column, rad, small_tree, usual, with_palette
+from strategies import splats
+
+C0 = SH_C0
+
+
+def read(folder, data, name="a.rad"):
+    path = folder / name
+    path.write_bytes(data)
+    return io.load(path)
+
+
+def replaced(count, *columns, seed=0):
+    """The usual columns, some of them others."""
+    own = {entry["property"]: (entry, data) for entry, data in usual(count, seed)[0]}
+    return list((own | {entry["property"]: (entry, data) for entry, data in columns}).values())
+
+
+def covariances(model):
+    turned = rotations(model.unit_quats().astype(np.float64))
+    axes = turned * np.exp(model.log_scales.astype(np.float64))[:, None]
+    return axes @ axes.transpose(0, 2, 1)
+
+
+# ---- encodings, by hand
+
+
+def test_floats_come_back_as_they_are(tmp_path):
+    columns, given = usual(7)
+    model = read(tmp_path, rad([chunk(columns, 7)], 7))
+    np.testing.assert_array_equal(model.means, given["center"])
+    np.testing.assert_allclose(model.opacities(), given["alpha"][:, 0], rtol=1e-5)
+    np.testing.assert_allclose(model.sh[:, 0] * C0 + 0.5, given["rgb"], atol=1e-6)
+    np.testing.assert_allclose(model.scales(), given["scales"], rtol=1e-5)
+    np.testing.assert_allclose(model.quats[:, 1:], given["orientation"])
+    np.testing.assert_allclose(np.linalg.norm(model.quats, axis=1), 1, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["f32", "f16"])
+def test_bytes_of_numbers_apart(tmp_path, kind):
+    numbers = np.array([[1.5, -2.25, 3e3], [0.125, 7, -0.0]])
+    dtype = np.dtype({"f32": "<f4", "f16": "<f2"}[kind])
+    plain = np.ascontiguousarray(numbers.astype(dtype).T)
+    apart = b"".join(plain.tobytes()[b :: plain.itemsize] for b in range(plain.itemsize))
+    columns = replaced(2, column("center", f"{kind}_lebytes", apart))
+    np.testing.assert_array_equal(read(tmp_path, rad([chunk(columns, 2)], 2)).means, numbers)
+
+
+def test_bytes_of_a_range(tmp_path):
+    steps = np.array([[0, 128, 255], [255, 1, 2]], np.uint8)
+    delta = np.array([[0, 128, 255], [255, 129, 3]], np.uint8)  # each less the one before
+    given = {"min": -0.5, "max": 2.0}
+    plain = column("rgb", "r8", by_component(steps, "u1"), **given)
+    packed = column("rgb", "r8_delta", by_component(delta, "u1"), **given)
+    expected = steps / 255 * 2.5 - 0.5
+    for one in (plain, packed):
+        model = read(tmp_path, rad([chunk(replaced(2, one), 2)], 2))
+        np.testing.assert_allclose(model.sh[:, 0] * C0 + 0.5, expected, atol=1e-6)
+
+
+def test_logarithms_of_scales(tmp_path):
+    steps = np.array([[0, 1, 255]], np.uint8)
+    one = column("scales", "ln_0r8", by_component(steps, "u1"), min=-9, max=3)
+    model = read(tmp_path, rad([chunk(replaced(1, one), 1)], 1))
+    np.testing.assert_allclose(model.log_scales, [[-np.inf, -9, 3]])
+    halves = column("scales", "ln_f16", by_component([[-np.inf, -2.5, 1]], "<f2"))
+    model = read(tmp_path, rad([chunk(replaced(1, halves), 1)], 1))
+    np.testing.assert_array_equal(model.log_scales, [[-np.inf, -2.5, 1]])
+
+
+def test_turns_about_an_axis(tmp_path):
+    """Half a turn about x, none at all, and a third about the diagonal, which comes near."""
+    stored = bytes([255, 128, 255, 9, 9, 0, 170, 170, 170])
+    one = column("orientation", "oct88r8", stored)
+    model = read(tmp_path, rad([chunk(replaced(3, one), 3)], 3))
+    expected = [[0, 1, 0, 0], [1, 0, 0, 0], [0.5, 0.5, 0.5, 0.5]]
+    np.testing.assert_allclose(model.quats, expected, atol=0.01)
+
+
+@pytest.mark.parametrize("encoding", ["f32", "f16", "r8", "r8_delta", "s8", "s8_delta"])
+def test_bands(tmp_path, encoding):
+    """Of degree 2, coefficient after coefficient and RGB last."""
+    rng = np.random.default_rng(3)
+    columns, expected = list(usual(4)[0]), []
+    for name, width in (("sh1", 9), ("sh2", 15)):
+        if encoding.startswith("f"):
+            stored = rng.integers(-64, 64, (4, width)) / 32
+            data = by_component(stored, "<f4" if encoding == "f32" else "<f2")
+            columns.append(column(name, encoding, data))
+            expected.append(stored)
+            continue
+        steps = rng.integers(0, 256, (4, width)).astype(np.uint8)
+        told = np.diff(steps, axis=0, prepend=np.zeros((1, width), np.uint8))
+        stored = told if encoding.endswith("delta") else steps
+        columns.append(column(name, encoding, by_component(stored, "u1"), min=-2, max=1.5))
+        signed = steps.view(np.int8) / 127 * 1.5
+        expected.append(signed if encoding.startswith("s8") else steps / 255 * 3.5 - 2)
+    model = read(tmp_path, rad([chunk(columns, 4)], 4, maxSh=2))
+    assert model.sh_degree == 2
+    found = model.sh[:, 1:].reshape(4, -1)
+    np.testing.assert_allclose(found, np.concatenate(expected, axis=1), atol=1e-6)
+
+
+def test_palettes(tmp_path):
+    data, labels, entries = with_palette()
+    np.testing.assert_array_equal(read(tmp_path, data).sh[:, 1:], entries[labels])
+
+
+def test_columns_that_are_not_packed_and_gaps_between_chunks(tmp_path):
+    first, _ = usual(3, seed=1)
+    second, given = usual(2, seed=2)
+    plain = [(entry | {"compression": None}, data) for entry, data in second]
+    parts = [chunk(first, 3), b"\0" * 16, chunk(plain, 2, base=3)]
+    sizes = [len(part) for part in parts]
+    places = [{"offset": 0, "bytes": sizes[0]},
+              {"offset": sizes[0] + 16, "bytes": sizes[2]}]  # fmt: skip
+    model = read(tmp_path, rad(parts, 5, chunks=places))
+    np.testing.assert_array_equal(model.means[3:], given["center"])
+
+
+def test_chunks_in_files_of_their_own(tmp_path):
+    parts, given, leaves = small_tree()
+    names = []
+    for number, part in enumerate(parts):
+        names.append(f"a-{number}.radc")
+        (tmp_path / names[-1]).write_bytes(part)
+    places = [{"offset": 0, "bytes": 1, "filename": name} for name in names]
+    model = read(tmp_path, rad([], 8, chunks=places, lodTree=True))
+    np.testing.assert_array_equal(model.means, given["center"][leaves])
+    assert [path.name for path in io.open(tmp_path / "a.rad").files] == ["a.rad", *names]
+    (tmp_path / names[1]).unlink()
+    with pytest.raises(FormatError, match=r"a-1\.radc: no such file"):
+        io.load(tmp_path / "a.rad")
+    with pytest.raises(FormatError, match="one chunk of a"):
+        read(tmp_path, parts[0], "b.rad")
+
+
+# ---- trees
+
+
+def test_of_a_tree_the_leaves_are_read(tmp_path):
+    parts, given, leaves = small_tree()
+    model = read(tmp_path, rad(parts, 8, lodTree=True))
+    np.testing.assert_array_equal(model.means, given["center"][leaves])
+    info = io.inspect(tmp_path / "a.rad")
+    assert (info.splats, info.format, info.encoding) == (5, "rad", "deflate")
+    source = io.open(tmp_path / "a.rad")
+    np.testing.assert_array_equal(source.read(1, 4).means, model.means[1:4])
+
+
+def test_alphas_above_1_are_opaque_and_larger(tmp_path):
+    """As Spark draws them with `lodInflate`; one that rounding took just above 1 is just opaque."""
+    alphas = by_component([[0.5], [1.0039], [1.5]])
+    model = read(tmp_path, rad([chunk(replaced(3, column("alpha", "f32", alphas)), 3)], 3))
+    plain = usual(3)[1]["scales"]
+    factor = np.exp((3**2 - 1) / np.e) ** (1 / 3)
+    np.testing.assert_allclose(model.scales() / plain, np.array([[1], [1], [factor]]) * np.ones(3),
+                               rtol=1e-5)  # fmt: skip
+    assert model.opacity_logits.tolist() == [0, np.inf, np.inf]
+    assert "1 splat has an alpha above 1" in " ".join(model.notes)
+
+
+# ---- round trips
+
+
+@given(splats())
+def test_round_trips(tmp_path_factory, model):
+    path = tmp_path_factory.mktemp("rad") / "a.rad"
+    with path.open("wb") as file:
+        write.write(model, file)
+    back = io.load(path)
+    assert back.sh_degree == min(model.sh_degree, 3)
+    assert back.render_mode == model.render_mode
+    assert {*model.comments} - {*back.comments} == set()
+    np.testing.assert_array_equal(back.means, model.means.astype(np.float32))
+    np.testing.assert_allclose(back.opacities(), model.opacities(), atol=0.5 / 255 + 1e-6)
+    width = (back.sh_degree + 1) ** 2
+    colours = model.sh[:, :1] * np.float32(C0)
+    np.testing.assert_allclose(back.sh[:, :1] * np.float32(C0), colours, atol=0.0038)
+    most = np.abs(model.sh[:, 1:width]).max(initial=0)
+    np.testing.assert_allclose(back.sh[:, 1:], model.sh[:, 1:width], atol=max(most, 2) / 127)
+    own, found = covariances(model), covariances(back)
+    size = np.linalg.norm(own, axis=(1, 2))
+    assert (np.linalg.norm(own - found, axis=(1, 2)) <= 0.03 * size).all()
+    with path.with_name("b.rad").open("wb") as file:
+        write.write(model, file)
+    assert path.read_bytes() == path.with_name("b.rad").read_bytes()
+
+
+def test_what_bytes_cannot_hold_well_is_stored_as_numbers(tmp_path):
+    model = random_splats(50, degree=1)
+    model.sh[3, 0] = 30.0
+    model.sh[4, 1] = (9.0, 0, 0)
+    model.sh[5, 2] = (0, 1e5, 0)
+    io.save(model, tmp_path / "a.rad")
+    back = io.load(tmp_path / "a.rad")
+    np.testing.assert_allclose(back.sh, model.sh, atol=0.004, rtol=0.001)
+    head, [(told, _)] = radfiles.parts_of((tmp_path / "a.rad").read_bytes())
+    encodings = {entry["property"]: entry["encoding"] for entry in told["properties"]}
+    assert (encodings["rgb"], encodings["sh1"]) == ("f16", "f32")
+    assert head["maxSh"] == 1
+
+
+def test_models_of_several_chunks_are_read_and_written_in_parts(tmp_path):
+    model = random_splats(140_000, degree=1, seed=4)
+    io.save(model, tmp_path / "a.ply")
+    io.save(model, tmp_path / "a.rad")
+    done = run("convert", tmp_path / "a.ply", tmp_path / "b.rad", "--json")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "a.rad").read_bytes() == (tmp_path / "b.rad").read_bytes()
+    _, chunks = radfiles.parts_of((tmp_path / "a.rad").read_bytes())
+    assert [told["count"] for told, _ in chunks] == [65_536, 65_536, 8_928]
+    assert [told["base"] for told, _ in chunks] == [0, 65_536, 131_072]
+    back = io.load(tmp_path / "a.rad")
+    np.testing.assert_array_equal(back.means, model.means)
+    source = io.open(tmp_path / "a.rad")
+    np.testing.assert_array_equal(source.read(65_000, 66_000).sh, back.sh[65_000:66_000])
+    rows = np.array([139_999, 3, 70_000])
+    np.testing.assert_array_equal(source.take(rows).quats, back.quats[rows])
+
+
+def test_info_and_losses(tmp_path):
+    model = replace(
+        random_splats(9, degree=4, extras={"label": np.arange(9)}), render_mode=RenderMode.MIP,
+        comments=["made by hand"],
+    )  # fmt: skip
+    io.save(model, tmp_path / "a.rad")
+    told = json.loads(run("info", tmp_path / "a.rad", "--json").stdout)
+    assert (told["splats"], told["sh_degree"], told["render_mode"]) == (9, 3, "mip")
+    assert told["comments"] == ["made by hand", "SplatRenderMode: mip"]
+    said = " ".join(io.losses(model, "a.rad"))
+    assert "label" in said
+    assert "degree 3" in said
+    assert "double" not in said
+
+
+def test_values_that_have_no_code_are_refused(tmp_path):
+    model = random_splats(9)
+    model.means[4, 1] = np.nan
+    with pytest.raises(OutputError, match="row 4"):
+        io.save(model, tmp_path / "a.rad")
+    assert not (tmp_path / "a.rad").exists()
+
+
+def test_octahedra_unfold_and_fold():
+    rng = np.random.default_rng(0)
+    axes = rng.normal(size=(1000, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    points = values.octahedral_points(axes)
+    assert np.abs(points).max() <= 1
+    np.testing.assert_allclose(values.octahedral_axes(points), axes, atol=1e-12)
+
+
+# ---- what is refused
+
+
+def broken(change, count=4):
+    """A file whose description, or that of its chunk, is changed."""
+    columns, _ = usual(count)
+    head, part = {}, {"count": count}
+    change(head, part, columns)
+    return rad([chunk(columns, **part)], count, **head)
+
+
+REFUSED = {
+    "no RAD0": (lambda h, p, c: None, "does not start with RAD0"),
+    "version": (lambda h, p, c: h.update(version=2), "version"),
+    "type": (lambda h, p, c: h.update(type="mesh"), "gsplat"),
+    "degree": (lambda h, p, c: h.update(maxSh=4), "maxSh"),
+    "promised bands": (lambda h, p, c: h.update(maxSh=1), "lacks sh1"),
+    "promised tree": (lambda h, p, c: h.update(lodTree=True), "lacks child_count"),
+    "count": (lambda h, p, c: h.update(count=5), "hold 4 of 5 rows"),
+    "beyond the file": (
+        lambda h, p, c: h.update(chunks=[{"offset": 8, "bytes": 900}]), "outside of the file",
+    ),
+    "the chunk's rows": (lambda h, p, c: p.update(count=3), "hold 3 of 4 rows"),
+    "the chunk's place": (lambda h, p, c: p.update(base=1), "begin with row 0"),
+    "payload": (lambda h, p, c: p.update(payloadBytes=8), "two sizes"),
+    "unknown property": (lambda h, p, c: c.append(column("depth", "f32", b"")), "'depth'"),
+    "twice": (lambda h, p, c: c.append(c[0]), "should not be"),
+    "unpromised": (lambda h, p, c: c.append(column("sh1", "f32", bytes(144))), "nothing is said"),
+    "missing": (lambda h, p, c: c.pop(), "lacks orientation"),
+    "encoding": (lambda h, p, c: c[0][0].update(encoding="u16"), "encoded as 'u16'"),
+    "compression": (lambda h, p, c: c[0][0].update(compression="zstd"), "packed as 'zstd'"),
+    "no range": (
+        lambda h, p, c: c[1][0].update(encoding="r8", min=0), "finite numbers",
+    ),
+    "comment": (lambda h, p, c: h.update(comment="\ud800"), "comment must be text"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_contradictions_are_refused(tmp_path, name):
+    change, words = REFUSED[name]
+    data = broken(change)
+    data = b"RAD1" + data[4:] if name == "no RAD0" else data
+    with pytest.raises(FormatError, match=words):
+        read(tmp_path, data)
+
+
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
+    columns = [
+        column(entry["property"], "f32", bytes(4 * 3_000_000 * len(data) // 16))
+        for entry, data in usual(4)[0]
+    ]
+    with pytest.raises(FormatError, match="far more than splats can be packed"):
+        read(tmp_path, rad([chunk(columns, 3_000_000)], 3_000_000))
+
+
+def test_data_that_go_on_are_refused(tmp_path):
+    columns, _ = usual(4)
+    columns[0] = columns[0][0], columns[0][1] + bytes(1 << 24)
+    with pytest.raises(FormatError, match="does not hold 48 bytes"):
+        read(tmp_path, rad([chunk(columns, 4)], 4))
+
+
+def test_labels_beyond_the_palette_are_refused(tmp_path):
+    columns = [*usual(2)[0], column("sh1_code", "f32", by_component(np.zeros((2, 9)))),
+               column("sh_label", "u16", struct.pack("<2H", 1, 2))]  # fmt: skip
+    with pytest.raises(FormatError, match="beyond the palette's 2"):
+        read(tmp_path, rad([chunk(columns, 2)], 2, maxSh=1, shCodeCount=2))
+
+
+def test_a_tree_without_leaves_is_refused(tmp_path):
+    columns = [*usual(1)[0], *radfiles.tree_columns([1], [0])]
+    with pytest.raises(FormatError, match="no leaf"):
+        read(tmp_path, rad([chunk(columns, 1)], 1, lodTree=True))

@@ -1,0 +1,65 @@
+"""What is written as `.rad`, opened in Spark's npm package in a real browser."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from conftest import scene_path
+from nanogs import io
+from nanogs.metrics import psnr
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import render
+from nanogs.views.opening import opening_for
+from nanogs.views.poses import look_at
+from sparkpage import in_spark
+
+pytestmark = pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+
+
+def seen_from_the_start(model, width=240, height=180):
+    """The camera that `nanogs view` opens with, in a picture of that size."""
+    start = opening_for(model)
+    pose = look_at(start.position, start.target, start.up)
+    focal = height / 2 / start.lens
+    near = start.near * start.distance
+    return Camera(width, height, focal, focal, width / 2, height / 2, pose, near=near)
+
+
+def lopsided(count=400):
+    """Three clusters of three colours, each of its own size, that depend on the view."""
+    model = random_splats(count, degree=2, seed=8, spread=0.3)
+    third = np.arange(count) % 3
+    places = np.array([[-1, -0.4, 0.1], [0.9, 0.6, -0.3], [0.3, -0.9, 0.5]], np.float32)
+    sh = model.sh * np.float32(0.15)
+    sh[:, 0] = np.eye(3, dtype=np.float32)[third] * 3 - 1.5
+    return dataclasses.replace(
+        model,
+        means=(model.means * (1 + third[:, None]) / 2 + places[third]).astype(np.float32),
+        sh=sh,
+        opacity_logits=np.full(count, 1.5, np.float32),
+    )
+
+
+def test_spark_draws_what_nanogs_renders(tmp_path):
+    model = lopsided()
+    camera = seen_from_the_start(model)
+    nanogs.save(model, tmp_path / "a.rad")
+    rendered = render(io.load(tmp_path / "a.rad"), camera).shown()
+    shown, state = in_spark(tmp_path / "a.rad", camera, tmp_path)
+    assert (state["splats"], state["total"]) == (len(model), len(model))
+    assert (rendered.max(axis=2) > 0.2).mean() > 0.05
+    assert psnr(shown, rendered) > 35
+    for other in (shown[::-1], shown[:, ::-1], shown[..., ::-1]):  # so that the measure can tell
+        assert psnr(other, rendered) < 25
+
+
+def test_spark_draws_a_real_model_as_nanogs_renders_it(tmp_path):
+    model = nanogs.load(scene_path("biker.spz"))
+    model = model.take(np.arange(0, len(model), 4))
+    camera = seen_from_the_start(model, 160, 160)
+    nanogs.save(model, tmp_path / "a.rad")
+    shown, _ = in_spark(tmp_path / "a.rad", camera, tmp_path, calm=3)
+    assert psnr(shown, render(model, camera).shown()) > 40
