@@ -62,6 +62,7 @@ class RadFile(FileSource):
             sh_degree=header.degree,
             properties=tuple((column.name, type_name(column.encoding)) for column in first),
             render_mode=render_tag.render_mode(comments),
+            render_tag=render_tag.described(comments),
             comments=tuple(map(printable, comments)),
         )
 
