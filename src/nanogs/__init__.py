@@ -8,6 +8,7 @@ from nanogs._version import __version__
 if TYPE_CHECKING:
     from nanogs import filters
     from nanogs.conversion import ConvertReport, convert
+    from nanogs.costs import DrawCost
     from nanogs.errors import NanogsError
     from nanogs.fit.api import refit
     from nanogs.fit.parameters import RefitParameters
@@ -22,14 +23,18 @@ if TYPE_CHECKING:
     from nanogs.raster.camera import Camera
     from nanogs.report import SimplifyReport
     from nanogs.scoring.api import compare
+    from nanogs.scoring.modes import ModeEvidence, mode_evidence
     from nanogs.scoring.packing_cost import packing_cost
     from nanogs.source import Source
     from nanogs.splats import RenderMode, Splats
     from nanogs.views.api import render
+    from nanogs.views.costing import draw_cost
 
 __all__ = [
     "Camera",
     "ConvertReport",
+    "DrawCost",
+    "ModeEvidence",
     "NanogsError",
     "RefitParameters",
     "RefitReport",
@@ -40,10 +45,12 @@ __all__ = [
     "__version__",
     "compare",
     "convert",
+    "draw_cost",
     "filters",
     "info",
     "levels",
     "load",
+    "mode_evidence",
     "open",
     "packing_cost",
     "presets",
@@ -60,6 +67,8 @@ __all__ = [
 _HOMES = {
     "Camera": "raster.camera",
     "ConvertReport": "conversion",
+    "DrawCost": "costs",
+    "ModeEvidence": "scoring.modes",
     "NanogsError": "errors",
     "RefitParameters": "fit.parameters",
     "RefitReport": "fit.report",
@@ -69,9 +78,11 @@ _HOMES = {
     "Splats": "splats",
     "compare": "scoring.api",
     "convert": "conversion",
+    "draw_cost": "views.costing",
     "info": "model_info",
     "levels": "pipeline.levels",
     "load": "io",
+    "mode_evidence": "scoring.modes",
     "open": "io",
     "packing_cost": "scoring.packing_cost",
     "presets": "pipeline.presets",

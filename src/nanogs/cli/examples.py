@@ -17,6 +17,8 @@ EXAMPLES = {
     ),
     "info": (
         "nanogs info scene.ply",
+        "nanogs info scene.ply --views 8",
+        "nanogs info scene.ply --photos photos/",
         "nanogs info scene.ply --packed .sog,.spz",
         "nanogs info scene.sog --json",
     ),

@@ -10,13 +10,17 @@ import typer
 
 from nanogs.cli import file_options, options
 from nanogs.cli.groups import with_options
-from nanogs.formatting import bytes_text, counted
+from nanogs.cli.looking import Looking
+from nanogs.formatting import bytes_text, counted, number_text
 
 if TYPE_CHECKING:
     from nanogs.io import FileInfo
+    from nanogs.io.parts import FileSource
     from nanogs.model_info import ModelInfo, Spread
+    from nanogs.scoring.modes import Looked
     from nanogs.scoring.packing_cost import PackedFile, PackingCost
 
+_HINT = "; --views 8 says what speaks for it"
 # By the name of the render mode.
 _MODES = {"default": "default", "mip": "mip (antialiased)", "2dgs": "2dgs (flat splats)"}
 
@@ -32,38 +36,75 @@ def info(
     render_mode: options.AsMode = None,
     packed: options.Packed = "",
     of_format: options.OfFormat,
+    looking: Looking,
     json: options.Json = False,
 ) -> None:
-    """Say what a model holds, and what each other format would lose of it."""
+    """Say what a model holds, and what each other format would lose of it.
+
+    With --views or --photos also what it takes to draw, and how it should be drawn.
+    """
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli.console import key_value_table, out, print_json, show, warn
     from nanogs.cli.streams import Streams
+    from nanogs.io import open as open_model
+    from nanogs.io.collect import model_in
 
-    formats = options.parse_packed(packed, of_format)
+    formats, looks = options.parse_packed(packed, of_format), looking.asked(packed=bool(packed))
     with Streams(read_as).received(source) as path:
-        cost = _packing_cost(path, render_mode, formats, of_format, quiet=json) if formats else None
+        cost, looked = None, None
+        if formats or looks:
+            with open_model(model_in(path), render_mode=render_mode) as opened:
+                if formats:
+                    cost = _packing_cost(opened, formats, of_format, looking, quiet=json)
+                if looks:
+                    looked = _looked(opened, looking, quiet=json)
         model = _described(path, source, render_mode)
     if json:
         files = [file.to_dict() for file in cost.files] if cost else []
-        print_json(model.to_dict() | {"packed": files})
+        seen: dict[str, Any] = {"mode_evidence": None, "draw_cost": None}
+        if looked:
+            seen = {"mode_evidence": looked.modes.to_dict(), "draw_cost": looked.cost.to_dict()}
+        print_json(model.to_dict() | {"packed": files} | seen)
         return
     notes = [f"{model.file.path}: {note}" for note in cost.notes] if cost else []
     for note in (*model.notes, *notes):
         warn(note)
-    show(out, key_value_table(_rows(model) | (_packed_rows(cost.files) if cost else {})))
+    rows = _rows(model, looked is not None) | (_packed_rows(cost.files) if cost else {})
+    show(out, key_value_table(rows | (_looked_rows(looked) if looked else {})))
 
 
 def _packing_cost(
-    path: Path, mode: str | None, formats: list[str], of_format: dict[str, Any], *, quiet: bool
+    model: "FileSource",
+    formats: list[str],
+    of_format: dict[str, Any],
+    looking: Looking,
+    *,
+    quiet: bool,
 ) -> "PackingCost":
     from nanogs.cli.progress import shown
-    from nanogs.io import open as open_model
-    from nanogs.io.collect import model_in
     from nanogs.scoring.packing_cost import packing_cost
 
-    opened = open_model(model_in(path), render_mode=mode)
-    with opened as model, shown(quiet=quiet) as progress:
-        return packing_cost(model, formats, format_options=of_format, progress=progress)
+    with shown(quiet=quiet) as progress:
+        return packing_cost(
+            model, formats, format_options=of_format, threads=looking.threads,
+            max_memory=looking.max_memory, progress=progress,
+        )  # fmt: skip
+
+
+def _looked(model: "FileSource", looking: Looking, *, quiet: bool) -> "Looked":
+    from nanogs.cli.progress import shown
+
+    with shown(quiet=quiet) as progress:
+        return looking.looked(model, progress)
+
+
+def _looked_rows(looked: "Looked") -> dict[str, str]:
+    return {
+        "to draw": f"{looked.cost.text}, on {looked.cost.protocol.text}",
+        "default or mip": "\n".join(looked.modes.sentences)
+        + f"\n(evidence, no proof; one drawing is {number_text(looked.modes.between)} dB from the"
+        " other)",
+    }
 
 
 def _packed_rows(files: Sequence["PackedFile"]) -> dict[str, str]:
@@ -85,7 +126,7 @@ def _described(path: Path, source: Path, mode: str | None) -> "ModelInfo":
     return replace(model, file=replace(model.file, path=Path("stdin")))
 
 
-def _rows(model: "ModelInfo") -> dict[str, str]:
+def _rows(model: "ModelInfo", looked: bool) -> dict[str, str]:
     file = model.file
     kinds = Counter(kind for _, kind in file.properties)
     rows = {
@@ -95,7 +136,7 @@ def _rows(model: "ModelInfo") -> dict[str, str]:
         "splats": f"{file.splats:,}",
         **_levels(model.levels),
         "SH degree": str(file.sh_degree),
-        "render mode": _mode_text(file),
+        "render mode": _mode_text(file) + ("" if looked else _HINT),
         "frame": model.frame,
         "not finite": f"{model.nonfinite:,}",
         "alpha": _spread(model.alpha) + f"; {model.opaque:,} at 1, {model.transparent:,} at 0",

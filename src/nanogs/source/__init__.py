@@ -1,12 +1,12 @@
 """Models of which some rows are read at a time: in memory, in a file, joined, filtered or turned.
 
 Every reader gives a `Source`; `load` is one whose rows are all read. `Joined`, `Filtered`,
-`Turned` and `Reduced` change rows when they are read, and hold none. What a format has to do with
-it is in `io`.
+`Turned`, `Reduced` and `Tagged` change rows when they are read, and hold none. What a format has
+to do with it is in `io`.
 """
 
 from nanogs.source.base import Layout, Source, joined_rows
-from nanogs.source.changed import Filtered, Reduced, Turned
+from nanogs.source.changed import Filtered, Reduced, Tagged, Turned
 from nanogs.source.joined import Joined, fitted, joined_layout
 from nanogs.source.whole import InMemory, source_of
 
@@ -17,6 +17,7 @@ __all__ = [
     "Layout",
     "Reduced",
     "Source",
+    "Tagged",
     "Turned",
     "fitted",
     "joined_layout",

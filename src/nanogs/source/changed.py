@@ -1,6 +1,7 @@
-"""Sources whose rows are changed when they are read: filtered, turned, or of fewer bands."""
+"""Sources whose rows are changed when they are read: filtered, turned, of fewer bands, ..."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -11,7 +12,7 @@ from nanogs.filters import Filter, FilterReport, apply, refuse_empty, refuse_who
 from nanogs.frames import change_between, change_frame
 from nanogs.source import base
 from nanogs.source.base import Source, joined_rows
-from nanogs.splats import ExtraElement, Splats, refuse_misaligned
+from nanogs.splats import ExtraElement, RenderMode, Splats, refuse_misaligned
 
 
 class _Changed(Source):
@@ -79,6 +80,19 @@ class Reduced(_Mapped):
     def __init__(self, source: Source, degree: int) -> None:
         super().__init__(source, lambda rows: rows.with_sh_degree(degree))
         self.columns = self.columns.reduced(degree)
+
+
+class Tagged(_Mapped):
+    """A model that is to be drawn as another rasteriser does than the one it names.
+
+    Args:
+        source: The model.
+        mode: The rasteriser.
+    """
+
+    def __init__(self, source: Source, mode: RenderMode) -> None:
+        super().__init__(source, lambda rows: replace(rows, render_mode=mode))
+        self.columns = replace(self.columns, render_mode=mode.value)
 
 
 class Filtered(_Changed):

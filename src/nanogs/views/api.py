@@ -8,9 +8,9 @@ from nanogs.io.models import Model, opened
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background
 from nanogs.quantities import as_bytes
-from nanogs.raster.camera import Camera
 from nanogs.source import source_of
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
+from nanogs.views.costing import pictures_of
 from nanogs.views.plan import room_for_pictures
 
 
@@ -60,7 +60,7 @@ def render(
     wanted = known_cameras(cameras)
     with opened(model) as source:
         most = None if max_memory is None else as_bytes(max_memory)
-        room = room_for_pictures(model, source, *_pictures(wanted, views, pixels), most)
+        room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), most)
         some = source_of(source).load() if room is None else source
         # Here and not above: these bring Numba.
         from nanogs.raster.images import straight
@@ -75,12 +75,3 @@ def render(
             images = [straight(each) if transparent else each.shown() for each in shown]
             tracker.finish()
     return images
-
-
-def _pictures(
-    wanted: str | list[Camera], views: int, pixels: int | tuple[int, int]
-) -> tuple[int, int]:
-    """Pixels of the largest view, and the number of views."""
-    if not isinstance(wanted, str):
-        return max(camera.width * camera.height for camera in wanted), len(wanted)
-    return pixels**2 if isinstance(pixels, int) else pixels[0] * pixels[1], views

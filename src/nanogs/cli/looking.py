@@ -1,0 +1,102 @@
+"""Options of `nanogs info` about what it looks at; without any of them it renders nothing."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from nanogs.cli import options
+from nanogs.errors import OptionError
+from nanogs.protocol import PIXELS, VIEWS
+
+if TYPE_CHECKING:
+    from nanogs.io.models import Model
+    from nanogs.progress import Progress
+    from nanogs.scoring.modes import Looked
+
+_view = options.in_panel(options.VIEWS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Looking:
+    """The views that are looked at; None, and 0, for what is not given."""
+
+    views: Annotated[
+        int | None,
+        _view(
+            "Look at so many automatic views: what the model takes to draw, and what speaks for"
+            " either render mode.",
+            "--views",
+            min=1,
+        ),
+    ] = None
+    pixels: Annotated[
+        str | None,
+        _view(
+            "Width and height of an automatic view: 512 or 1280x720.",
+            metavar="W[xH]",
+            show_default=str(PIXELS),
+        ),
+    ] = None
+    cameras: Annotated[
+        str | None,
+        _view(
+            "Look at the views of a file or folder of cameras, or auto, orbit, inside, roam.",
+            metavar="CAMERAS",
+        ),
+    ] = None
+    up: options.Up = None
+    photos: Annotated[
+        Path | None,
+        _view(
+            "Draw it as default and as mip, and score both against the photographs of this data"
+            " set (NeRF-Synthetic or COLMAP folder)."
+        ),
+    ] = None
+    images: Annotated[str | None, _view("Folder of the photographs, such as images_4.")] = None
+    split: Annotated[
+        str | None, _view("Photographs to use: test or train.", show_default="test")
+    ] = None
+    background: options.PhotoBackground = None
+    threads: options.Threads = None
+    max_memory: options.MaxMemory = None
+
+    def asked(self, *, packed: bool) -> bool:
+        """Whether the model is to be looked at.
+
+        Args:
+            packed: Whether it is rendered anyway, as files give it back.
+
+        Raises:
+            OptionError: Options are given that are for photographs, or for views that are found,
+                without these.
+        """
+        of_photos: dict[str, object] = {"--images": self.images, "--split": self.split}
+        found: dict[str, object] = {"--views": self.views, "--pixels": self.pixels}
+        found |= {"--cameras": self.cameras, "--up": self.up}
+        for option, value in (of_photos if self.photos is None else found).items():
+            if value is not None and self.photos is None:
+                raise OptionError(f"{option} is for photographs; name their folder with --photos.")
+            if value is not None:
+                raise OptionError(f"{option} is without effect beside --photos, which has views.")
+        looks = bool(self.photos) or any(value is not None for value in found.values())
+        others = (self.background, *(() if packed else (self.threads, self.max_memory)))
+        if not looks and any(value is not None for value in others):
+            raise OptionError("Nothing is rendered so; add --views 8, or --photos with a folder.")
+        return looks
+
+    def looked(self, model: "Model", progress: "Progress") -> "Looked":
+        """What is seen of a model.
+
+        Raises:
+            NanogsError: As for `nanogs.mode_evidence`.
+        """
+        from nanogs.scoring.modes import look_at
+
+        behind = None if self.background is None else options.parse_background(self.background)
+        given: dict[str, Any] = {"photos": self.photos, "images": self.images}
+        return look_at(
+            model, self.cameras or "auto", **given, split=self.split or "test",
+            background=behind, views=self.views or VIEWS,
+            pixels=options.parse_pixels(self.pixels or str(PIXELS)), up=self.up,
+            threads=self.threads, max_memory=self.max_memory, progress=progress,
+        )  # fmt: skip

@@ -1,0 +1,54 @@
+"""What a model takes to draw: numbers that a count of splats does not tell."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from nanogs.formatting import number_text
+from nanogs.protocol import Protocol
+
+LARGEST = 0.01  # share of the splats that are called the largest
+
+
+@dataclass(frozen=True, slots=True)
+class DrawCost:
+    """What pictures of a model take to draw, on some views.
+
+    A splat *covers* a pixel where its alpha there is 1/255 or more, whatever stands before it.
+    Viewers that draw splats as triangles shade each of these; tile rasterisers, as those of 3DGS
+    and gsplat, sort the tile pairs and stop at a pixel once nothing shines through.
+
+    Attributes:
+        splats_a_pixel: Splats that cover a pixel, mean over all pixels of all views.
+        most_a_pixel: The 99th percentile: 99 % of the pixels are covered by so many or fewer.
+        tile_pairs: Pairs of a splat and a tile of 16 x 16 pixels that it is listed for, as it may
+            cover a pixel of it, mean over the views.
+        largest_share: Share of all tile pairs that the largest hundredth of the model's splats
+            makes, those of the most pairs over all views, in [0, 1].
+        drawn: Splats that can reach a pixel, mean over the views.
+        protocol: The views; the background does not matter.
+    """
+
+    splats_a_pixel: float
+    most_a_pixel: int
+    tile_pairs: float
+    largest_share: float
+    drawn: float
+    protocol: Protocol
+
+    @property
+    def text(self) -> str:
+        """The numbers in a line, without the views."""
+        return (
+            f"{self.pixel_text} splats a pixel (mean, 99th percentile),"
+            f" {number_text(self.tile_pairs, 0)} tile pairs a view, {self.largest_share:.0%} of"
+            f" them by the largest {LARGEST:.0%} of the splats"
+        )
+
+    @property
+    def pixel_text(self) -> str:
+        """Splats a pixel, mean and 99th percentile: "12.3, 45"."""
+        return f"{number_text(self.splats_a_pixel, 1)}, {self.most_a_pixel:,}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        return asdict(self)

@@ -1,0 +1,49 @@
+"""Kernel that counts the splats which cover each pixel.
+
+What a row of `geometry` holds is said in `nanogs.kernels.project`.
+"""
+
+import math
+
+from nanogs._types import F64, I32, I64
+from nanogs.kernels.blocks import TILE
+from nanogs.kernels.policy import exact_parallel_kernel
+from nanogs.kernels.project import SLACK
+
+
+@exact_parallel_kernel("starts", least=8)
+def cover_tiles(
+    start: int, stop: int, geometry: F64, starts: I64, entries: I32, counts: I32
+) -> None:
+    """Add to each pixel how many splats have an alpha of 1/255 or more there, in any order.
+
+    In a row of pixels these are the ones between the two where the ellipse of alpha 1/255 cuts it.
+
+    Args:
+        start: First tile of the range.
+        stop: The tile after its last.
+        geometry: (N, 8) rows of projected splats.
+        starts: (T + 1,) from `listing.list_tiles`.
+        entries: (E,) from there.
+        counts: (H, W) in and out.
+    """
+    height, width = counts.shape
+    tiles_x = (width + TILE - 1) // TILE
+    for tile in range(start, min(stop, len(starts) - 1)):
+        x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        x1, y1 = min(x0 + TILE, width) - 1, min(y0 + TILE, height)
+        for e in range(starts[tile], starts[tile + 1]):
+            row = geometry[entries[e]]
+            u, v, sigma, slope, inv_yy = row[0], row[1], 1.0 / row[2], row[3], row[4]
+            reach = row[5] - SLACK
+            for y in range(y0, y1):
+                dy = y + 0.5 - v
+                rest = reach - dy * dy * inv_yy
+                if not rest >= 0.0:
+                    continue
+                middle, half = u + slope * dy - 0.5, math.sqrt(rest) * sigma
+                low, high = max(middle - half, float(x0)), min(middle + half, float(x1))
+                if not low <= high:  # before rounding: too large a number makes no integer
+                    continue
+                for x in range(math.ceil(low), math.floor(high) + 1):
+                    counts[y, x] += 1

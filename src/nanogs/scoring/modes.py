@@ -1,0 +1,320 @@
+"""`nanogs.mode_evidence`: what speaks for drawing a model as `default`, and what for `mip`.
+
+A model trained with antialiasing learns opacities that are multiplied by how much of a splat its
+own size on screen makes, and not the dilation by 0.3 pixels² (Yu et al., "Mip-Splatting", 2024).
+One that was trained without relies on the dilation: many of its splats are thinner than that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nanogs.bar import drawn
+from nanogs.costs import DrawCost
+from nanogs.errors import OptionError
+from nanogs.formatting import number_text
+from nanogs.io.models import Model, opened
+from nanogs.progress import Parts, Progress, Stage, Tracker
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Protocol
+from nanogs.quantities import as_bytes
+from nanogs.source import Source, Tagged, source_of
+from nanogs.splats import RenderMode, Splats
+from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
+from nanogs.views.costing import pictures_of, views_of
+from nanogs.views.plan import LEAST, room_for_pictures
+
+if TYPE_CHECKING:
+    from nanogs._types import F32, F64
+    from nanogs.raster.camera import Camera
+    from nanogs.scoring.scores import ReferenceView
+
+MODES = RenderMode.DEFAULT, RenderMode.MIP
+FADED = 0.1  # of its opacity, less than which a splat keeps that antialiasing all but takes away
+OPAQUE = 0.99  # alpha of a pixel through which nothing is seen
+# From where a number is named as evidence; between them it speaks for neither.
+MANY_FADED, FEW_THIN, LEAKING, CLEAR = 0.05, 0.2, 0.01, 0.1  # shares, and dB of photographs
+
+
+@dataclass(frozen=True, slots=True)
+class ModeEvidence:
+    """What views of a model say of the rasteriser it was trained for: evidence, and no proof.
+
+    Attributes:
+        thin: Share of the splats in sight whose thinnest axis is on screen, at their distance, less
+            than the deviation of the dilation, 0.55 pixels; all views together, in [0, 1].
+        faded: Share of the splats in sight of which antialiasing leaves less than a tenth of the
+            opacity, in [0, 1].
+        leak: Light that comes through as `mip` where nothing does as `default`, mean over these
+            pixels, in [0, 1]; None where there is none.
+        between: The picture as `mip` against that as `default`, mean PSNR in dB: how much it
+            matters; infinite where they are the same.
+        photographs: PSNR against photographs by the name of the render mode, dB; empty without.
+        protocol: The views.
+    """
+
+    thin: float
+    faded: float
+    leak: float | None
+    between: float
+    photographs: dict[str, float]
+    protocol: Protocol
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What each number says, the strongest evidence first."""
+        told = []
+        if self.photographs:
+            plain, fine = (self.photographs[mode] for mode in MODES)
+            better = "" if abs(plain - fine) < CLEAR else MODES[plain < fine].value
+            values = f"{number_text(plain)} dB as default and {number_text(fine)} dB as mip"
+            told.append(f"{values} on {self.protocol.text}, {_verdict(better)}")
+        many = "default" if self.faded >= MANY_FADED else ""
+        few = "mip, or for training at more pixels" if self.thin <= FEW_THIN else ""
+        fade = f"{self.faded:.1%} of the splats in sight would lose nine tenths of their opacity"
+        told.append(f"{fade} as mip, {_verdict(many)}")
+        told.append(
+            f"{self.thin:.0%} of them are thinner than default widens them, {_verdict(few)}"
+        )
+        if self.leak is not None:
+            leaks = "default" if self.leak >= LEAKING else ""
+            told.append(
+                f"{self.leak:.2%} of the light comes through opaque places as mip,"
+                f" {_verdict(leaks)}"
+            )
+        return tuple(told)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        return asdict(self) | {"sentences": list(self.sentences)}
+
+
+def _verdict(mode: str) -> str:
+    return f"which speaks for {mode}" if mode else "which says little"
+
+
+def mode_evidence(
+    model: Model,
+    cameras: Cameras = "auto",
+    *,
+    photos: str | PathLike[str] | None = None,
+    images: str | None = None,
+    split: str = "test",
+    background: Background | None = None,
+    views: int = VIEWS,
+    pixels: int | tuple[int, int] = PIXELS,
+    up: Sequence[float] | None = None,
+    threads: int | None = None,
+    max_memory: int | str | None = None,
+    progress: Progress | bool | None = None,
+) -> ModeEvidence:
+    """Draw a model both ways, whatever render mode it names, and say what speaks for either.
+
+    Photographs decide, where there are any. Without them, how the splats look on views says little:
+    on views of as many pixels as those that it was trained on, it says most.
+
+    Args:
+        model: The model, or a path.
+        cameras: As `render` takes them; without effect where photographs are given.
+        photos: Folder of a NeRF-Synthetic or COLMAP data set, to be held against its photographs.
+        images: Folder of the photographs in a COLMAP data set.
+        split: Photographs to use, "test" or "train".
+        background: RGB in [0, 1] behind the splats; by default black, and for photographs the data
+            set's own.
+        views: Number of automatic views.
+        pixels: Of an automatic view: width and height in one number, or both.
+        up: (3,) direction of automatic views, scene units; found from the model by default.
+        threads: Threads to use; all by default. The result does not depend on it.
+        max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
+            what is free, less a tenth. A model that does not fit is read some rows at a time.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`.
+
+    Raises:
+        FormatError: The model, the cameras or the photographs cannot be read.
+        ModelError: Nothing of the model is visible, so that no views are found.
+        NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
+        OptionError: An argument is out of range.
+    """
+    return look_at(
+        model, cameras, photos=photos, images=images, split=split, background=background,
+        views=views, pixels=pixels, up=up, threads=threads, max_memory=max_memory,
+        progress=progress,
+    ).modes  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Looked:
+    """What `nanogs info` says of a model that it looks at.
+
+    Attributes:
+        modes: What speaks for either render mode.
+        cost: What it takes to draw, as the render mode that it has.
+    """
+
+    modes: ModeEvidence
+    cost: DrawCost
+
+
+def look_at(
+    model: Model,
+    cameras: Cameras = "auto",
+    *,
+    photos: str | PathLike[str] | None = None,
+    images: str | None = None,
+    split: str = "test",
+    background: Background | None = None,
+    views: int = VIEWS,
+    pixels: int | tuple[int, int] = PIXELS,
+    up: Sequence[float] | None = None,
+    threads: int | None = None,
+    max_memory: int | str | None = None,
+    progress: Progress | bool | None = None,
+) -> Looked:
+    """Draw a model both ways, and measure what it takes to draw; see `mode_evidence`."""
+    limit = None if max_memory is None else as_bytes(max_memory)
+    wanted = known_cameras(cameras) if photos is None else []
+    stages = [Stage("cameras", 1.0), Stage("render", 6.0), Stage("cover", 2.0)]
+    with opened(model) as source, drawn(progress) as tell:
+        # Here and not above: these bring Numba.
+        from nanogs.threads import use_threads
+        from nanogs.views.covering import cost_on
+
+        tracker = Tracker(tell, stages)
+        tracker.begin("cameras")
+        with use_threads(threads):
+            behind = background or BLACK
+            frames: Sequence[ReferenceView] = ()
+            if photos is not None:
+                behind, frames = _photographs(photos, images, split, background, limit)
+                wanted = [view.camera for view in frames]
+            room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), limit)
+            if room is not None:
+                room = max(room - sum(view.image.nbytes for view in frames), LEAST)
+            some = source_of(source).load() if room is None else source
+            if isinstance(wanted, str):
+                chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
+            else:
+                chosen, kind = wanted, "photographs" if frames else "given"
+            tracker.begin("render")
+            protocol = views_of(chosen, kind, split if frames else "test", behind)
+            truth = [view.image for view in frames]
+            modes = evidence_on(some, chosen, protocol, truth, room, tracker.part)
+            tracker.begin("cover")
+            cost = cost_on(some, chosen, protocol, tracker.part)
+        tracker.finish()
+    return Looked(modes, cost)
+
+
+def _photographs(
+    folder: str | PathLike[str],
+    images: str | None,
+    split: str,
+    background: Background | None,
+    max_memory: int | None,
+) -> "tuple[Background, Sequence[ReferenceView]]":
+    """As `run.photographs`, of which there is one at least.
+
+    Raises:
+        OptionError: There is none.
+    """
+    from nanogs.scoring.run import photographs
+
+    behind, frames = photographs(Path(folder), images, split, background, max_memory)
+    if not frames:
+        raise OptionError(f"{folder} has no photographs to compare with; choose another split.")
+    return behind, frames
+
+
+def evidence_on(
+    model: Splats | Source,
+    cameras: "Sequence[Camera]",
+    protocol: Protocol,
+    photographs: "Sequence[F32]",
+    room: int | None,
+    tell: Parts,
+) -> ModeEvidence:
+    """The evidence on some views, each drawn both ways; the arguments are those of `mode_evidence`.
+
+    Args:
+        model: The model.
+        cameras: The views.
+        protocol: What they are.
+        photographs: (H, W, 3) for each view, or none.
+        room: Bytes for the splats of pictures, to read it some rows at a time; None to hold it.
+        tell: Told of the pictures drawn.
+    """
+    import numpy as np
+
+    from nanogs.metrics import psnr
+    from nanogs.scoring.scores import mean_psnr
+    from nanogs.views.streamed import drawable, renderings
+
+    thin, faded = _splats_in_sight(model, cameras)
+    shown: list[tuple[F32, F32]] = []
+    leaks, apart = np.zeros(2), []
+    marks: dict[RenderMode, list[float]] = {mode: [] for mode in MODES if photographs}
+    for mode in MODES:
+        tagged = drawable(Tagged(source_of(model), mode), room)
+        done = MODES.index(mode) * len(cameras)
+        pictures = renderings(tagged, cameras, background=protocol.background)
+        for number, picture in enumerate(pictures):
+            tell(done + number, len(MODES) * len(cameras))
+            image = picture.shown()
+            if photographs:
+                marks[mode].append(psnr(photographs[number], image))
+            if mode is RenderMode.DEFAULT:
+                shown.append((image, picture.alpha))
+                continue
+            before, alpha = shown[number]
+            apart.append(psnr(before, image))
+            full = alpha >= OPAQUE
+            leaks += (1 - picture.alpha[full]).sum(dtype=np.float64), np.count_nonzero(full)
+    return ModeEvidence(
+        thin=thin,
+        faded=faded,
+        leak=float(leaks[0] / leaks[1]) if leaks[1] else None,
+        between=mean_psnr(apart),
+        photographs={mode.value: mean_psnr(values) for mode, values in marks.items()},
+        protocol=protocol,
+    )
+
+
+def _splats_in_sight(model: Splats | Source, cameras: "Sequence[Camera]") -> tuple[float, float]:
+    """Shares of the splats in sight that are thin, and that antialiasing makes fade; see there."""
+    import numpy as np
+
+    from nanogs.kernels.project import DILATION, HIDDEN
+    from nanogs.raster.rendering import prepare, project_rows
+    from nanogs.views.streamed import BLOCK_ROWS
+
+    seen = thin = faded = 0
+    for rows in source_of(model).blocks(BLOCK_ROWS):
+        least = rows.scales().min(axis=1, initial=np.inf)
+        prepared = prepare(replace(rows, render_mode=RenderMode.DEFAULT))
+        for camera in cameras:
+            geometry, features, boxes = project_rows(prepared, camera, sh_degree=0)
+            sight = np.flatnonzero(boxes != HIDDEN)
+            widths = least[sight] * max(camera.fx, camera.fy) / features[sight, 3]
+            seen += len(sight)
+            thin += int(np.count_nonzero(widths < np.sqrt(DILATION)))
+            faded += int(np.count_nonzero(_kept(geometry[sight]) < FADED))
+    return (thin / seen, faded / seen) if seen else (0.0, 0.0)
+
+
+def _kept(geometry: "F64") -> "F64":
+    """(N,) what antialiasing leaves of opacities: sqrt(det before / det after dilation).
+
+    Args:
+        geometry: (N, 8), see `nanogs.kernels.project`; dilated.
+    """
+    import numpy as np
+
+    from nanogs.kernels.project import DILATION
+
+    yy, slope = 1 / geometry[:, 4], geometry[:, 3]
+    along = 1 / geometry[:, 2] ** 2  # the variance of x given y
+    before = (along + slope**2 * yy - DILATION) * (yy - DILATION) - (slope * yy) ** 2
+    kept: F64 = np.sqrt(np.maximum(before, 0) / (along * yy))
+    return kept

@@ -1,0 +1,95 @@
+"""`nanogs.draw_cost`: what a model takes to draw."""
+
+from collections.abc import Sequence
+
+from nanogs.bar import drawn
+from nanogs.costs import DrawCost
+from nanogs.io.models import Model, opened
+from nanogs.progress import Progress, Stage, Tracker
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Kind, Protocol
+from nanogs.quantities import as_bytes
+from nanogs.raster.camera import Camera
+from nanogs.source import source_of
+from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
+from nanogs.views.plan import room_for_pictures
+
+
+def draw_cost(
+    model: Model,
+    cameras: Cameras = "auto",
+    *,
+    views: int = VIEWS,
+    pixels: int | tuple[int, int] = PIXELS,
+    up: Sequence[float] | None = None,
+    threads: int | None = None,
+    max_memory: int | str | None = None,
+    progress: Progress | bool | None = None,
+) -> DrawCost:
+    """Measure what a model takes to draw, which its count of splats alone does not tell.
+
+    Merged splats are larger: half as many may cover each pixel as often as before. The default
+    views are those of `compare`; the model is read some rows at a time, of any size.
+
+    Args:
+        model: The model, or a path.
+        cameras: As `render` takes them.
+        views: Number of automatic views.
+        pixels: Of an automatic view: width and height in one number, or both.
+        up: (3,) direction of automatic views, scene units; found from the model by default.
+        threads: Threads to use; all by default. The result does not depend on it.
+        max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
+            what is free, less a tenth.
+        progress: True for a bar, in a notebook or on a terminal, or a function that is called with
+            each `nanogs.progress.Step`.
+
+    Returns:
+        Splats a pixel, tile pairs, and how much of them the largest splats make.
+
+    Raises:
+        FormatError: The model or the cameras cannot be read.
+        ModelError: Nothing of the model is visible, so that no views are found.
+        NotEnoughMemoryError: It takes more memory than is free or allowed.
+        OptionError: An argument is out of range.
+    """
+    wanted = known_cameras(cameras)
+    limit = None if max_memory is None else as_bytes(max_memory)
+    with opened(model) as source:
+        room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), limit)
+        some = source_of(source).load() if room is None else source
+        # Here and not above: these bring Numba.
+        from nanogs.threads import use_threads
+        from nanogs.views.covering import cost_on
+
+        with use_threads(threads), drawn(progress) as tell:
+            tracker = Tracker(tell, [Stage("cameras", 1.0), Stage("cover", 4.0)])
+            tracker.begin("cameras")
+            chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
+            tracker.begin("cover")
+            cost = cost_on(some, chosen, views_of(chosen, kind), tracker.part)
+            tracker.finish()
+    return cost
+
+
+def views_of(
+    cameras: Sequence[Camera], kind: Kind, split: str = "test", background: Background = BLACK
+) -> Protocol:
+    """What views are, as numbers from them say it.
+
+    Args:
+        cameras: The views.
+        kind: Where they are from.
+        split: Of those that are found, or photographs.
+        background: RGB in [0, 1] behind the splats.
+    """
+    first = cameras[0]
+    given = None if kind == "given" else split
+    return Protocol(len(cameras), (first.width, first.height), kind, given, background)
+
+
+def pictures_of(
+    wanted: str | list[Camera], views: int, pixels: int | tuple[int, int]
+) -> tuple[int, int]:
+    """Pixels of the largest view, and the number of views; see `cameras.known_cameras`."""
+    if not isinstance(wanted, str):
+        return max(camera.width * camera.height for camera in wanted), len(wanted)
+    return pixels**2 if isinstance(pixels, int) else pixels[0] * pixels[1], views

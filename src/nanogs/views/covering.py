@@ -1,0 +1,87 @@
+"""What views of a model take to draw, added up some rows at a time: no order of splats matters."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from nanogs._types import I32, I64
+from nanogs.costs import LARGEST, DrawCost
+from nanogs.kernels.covering import cover_tiles
+from nanogs.kernels.listing import list_tiles
+from nanogs.kernels.project import HIDDEN
+from nanogs.progress import Parts, untold
+from nanogs.protocol import Protocol
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import prepare, project_rows
+from nanogs.source import Source, source_of
+from nanogs.splats import Splats
+from nanogs.views.streamed import BLOCK_ROWS
+
+SHARE = 0.99  # of the pixels, which `DrawCost.most_a_pixel` is about
+
+
+def cost_on(
+    model: Splats | Source, cameras: Sequence[Camera], protocol: Protocol, tell: Parts = untold
+) -> DrawCost:
+    """Measure what views take to draw; the same of a source and of a model held whole.
+
+    Beside a block of rows, four bytes are held for each pixel of all views.
+
+    Args:
+        model: The model.
+        cameras: The views, one or more.
+        protocol: What they are.
+        tell: Told of the rows that were looked at.
+
+    Raises:
+        FormatError: The source cannot be read.
+        OptionError: A camera makes no sense.
+    """
+    source = source_of(model)
+    counts: list[I32] = [np.zeros((each.height, each.width), np.int32) for each in cameras]
+    sizes: Counter[int] = Counter()  # splats by their tile pairs in all views together
+    drawn, most = 0, source.count
+    for start in range(0, most, BLOCK_ROWS):
+        tell(start, most)
+        block = prepare(source.read(start, min(start + BLOCK_ROWS, most)))
+        pairs = np.zeros(len(block), np.int64)
+        for camera, covered in zip(cameras, counts, strict=True):
+            geometry, _, boxes = project_rows(block, camera, sh_degree=0)
+            order = np.flatnonzero(boxes != HIDDEN)
+            starts, entries = list_tiles(geometry, boxes, order, camera.width, camera.height)
+            cover_tiles(geometry, starts, entries, covered)
+            pairs += np.bincount(entries, minlength=len(block))
+            drawn += len(order)
+        values, times = np.unique(pairs, return_counts=True)
+        sizes.update(dict(zip(values.tolist(), times.tolist(), strict=True)))
+    tell(most, most)
+    mean, high = _pixels(counts)
+    total = sum(size * times for size, times in sizes.items())
+    return DrawCost(
+        splats_a_pixel=mean,
+        most_a_pixel=high,
+        tile_pairs=total / len(cameras),
+        largest_share=_largest(sizes, most) / total if total else 0.0,
+        drawn=drawn / len(cameras),
+        protocol=protocol,
+    )
+
+
+def _pixels(counts: Sequence[I32]) -> tuple[float, int]:
+    """The mean of the counts of all pixels, and the least that 99 % of them do not exceed."""
+    seen: I64 = np.zeros(max(int(each.max()) for each in counts) + 1, np.int64)
+    for each in counts:
+        seen += np.bincount(each.reshape(-1), minlength=len(seen))
+    pixels = int(seen.sum())
+    high = int(np.searchsorted(np.cumsum(seen), SHARE * pixels))
+    return float(seen @ np.arange(len(seen))) / pixels, high
+
+
+def _largest(sizes: Counter[int], splats: int) -> int:
+    """Tile pairs of the largest hundredth of so many splats, at least of one."""
+    left, pairs = -int(-splats * LARGEST // 1), 0
+    for size in sorted(sizes, reverse=True):
+        taken = min(sizes[size], left)
+        pairs, left = pairs + taken * size, left - taken
+    return pairs

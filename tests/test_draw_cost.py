@@ -1,0 +1,140 @@
+"""What a model takes to draw: splats a pixel, tile pairs, and the share of the largest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import nanogs
+from builders import random_splats
+from nanogs.errors import FormatError, OptionError
+from nanogs.kernels.covering import cover_tiles
+from nanogs.kernels.listing import list_tiles
+from nanogs.kernels.project import HIDDEN, unpack_box
+from nanogs.raster.rendering import prepare, project, project_rows
+from nanogs.splats import RenderMode
+from nanogs.views import covering
+from nanogs.views.costing import views_of
+from nanogs.views.covering import cost_on
+from raster_twin import NEARLY, splat_on_screen
+from test_raster import make_camera, make_splats, one_splat
+
+
+def cover_twin(splats, camera):
+    """(H, W) splats of alpha 1/255 or more, and where no rounding can decide otherwise."""
+    shape = (camera.height, camera.width)
+    columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    counts, sure = np.zeros(shape, int), np.ones(shape, bool)
+    for i in np.flatnonzero(splats.finite()):
+        seen = splat_on_screen(splats, camera, i)
+        if seen is None:
+            continue
+        _, centre, covariance, opacity, _ = seen
+        offsets = np.stack([columns - centre[0], rows - centre[1]], axis=-1)
+        power = -0.5 * np.einsum("...i,ij,...j", offsets, np.linalg.inv(covariance), offsets)
+        alpha = opacity * np.exp(np.minimum(power, 0))
+        counts += alpha >= 1 / 255
+        sure &= np.abs(alpha * 255 - 1) > NEARLY
+    return counts, sure
+
+
+def covered(splats, camera):
+    geometry, _, boxes = project_rows(prepare(splats), camera, sh_degree=0)
+    order = np.flatnonzero(boxes != HIDDEN)
+    lists = list_tiles(geometry, boxes, order, camera.width, camera.height)
+    counts = np.zeros((camera.height, camera.width), np.int32)
+    cover_tiles(geometry, *lists, counts)
+    return counts
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=st.integers(0, 10**6), mode=st.sampled_from(["default", "mip"]), size=st.floats(-4, 1))
+def test_every_pixel_is_covered_as_often_as_the_twin_says(seed, mode, size):
+    splats = make_splats(n=30, seed=seed, size=size, render_mode=RenderMode(mode))
+    wanted, sure = cover_twin(splats, make_camera())
+    assert sure.mean() > 0.8
+    np.testing.assert_array_equal(covered(splats, make_camera())[sure], wanted[sure])
+
+
+def test_a_splat_of_known_size():
+    camera = make_camera(width=64, height=64, focal=30.0)
+    splats = one_splat(scale=0.4, logit=0.0)  # 3 pixels, alpha 0.5
+    deviation = np.sqrt((0.4 * 30 / 4) ** 2 + 0.3)
+    reach = deviation * np.sqrt(2 * np.log(255 * 0.5))
+    at = np.arange(64) + 0.5 - 32
+    inside = np.hypot(*np.meshgrid(at, at)) <= reach
+    np.testing.assert_array_equal(covered(splats, camera), inside)
+
+
+def test_tile_pairs_are_those_that_the_rasteriser_lists():
+    model = random_splats(500, seed=2)
+    cameras = [make_camera(100, 70, 60.0), make_camera(40, 90, 20.0)]
+    cost = cost_on(model, cameras, views_of(cameras, "given"))
+    lists = [project(prepare(model), camera) for camera in cameras]
+    assert cost.tile_pairs == sum(len(one.entries) for one in lists) / 2
+    assert cost.drawn == sum(len(one.order) for one in lists) / 2
+    boxes = [unpack_box(box)[2:] for one in lists for box in one.boxes if box != HIDDEN]
+    assert cost.tile_pairs <= sum(across * down for across, down in boxes) / 2
+    counts = np.concatenate([covered(model, camera).reshape(-1) for camera in cameras])
+    assert cost.splats_a_pixel == pytest.approx(counts.mean(), rel=1e-12)
+    assert cost.most_a_pixel == np.percentile(counts, 99, method="inverted_cdf")
+
+
+def test_the_largest_are_a_hundredth_of_all_splats():
+    camera = make_camera(640, 640, 300.0)
+    small = make_splats(199, size=-6.0, spread=0.1)
+    large = make_splats(2, size=1.0, seed=5, spread=0.1, opacity_logits=np.full(2, 4.0))
+    columns = ("means", "log_scales", "quats", "opacity_logits", "sh")
+    both = replace(
+        small,
+        **{name: np.concatenate([getattr(small, name), getattr(large, name)]) for name in columns},
+    )
+    pairs = [len(project(prepare(each), camera).entries) for each in (large, both)]
+    assert cost_on(both, [camera], views_of([camera], "given")).largest_share >= (
+        pairs[0] / pairs[1]
+    ), "201 splats, of which three are a hundredth or more"
+    assert pairs[0] > 0.6 * pairs[1]
+
+
+def test_parts_and_threads_do_not_matter(tmp_path, monkeypatch):
+    model = random_splats(700, seed=8)
+    model.means[::50] = np.nan
+    nanogs.save(model, tmp_path / "a.npz")
+    held = nanogs.draw_cost(nanogs.load(tmp_path / "a.npz"), pixels=96, views=3, threads=1)
+    monkeypatch.setattr(covering, "BLOCK_ROWS", 64)
+    with nanogs.open(tmp_path / "a.npz") as source:
+        assert nanogs.draw_cost(source, pixels=96, views=3, threads=2) == held
+    assert nanogs.draw_cost(tmp_path / "a.npz", pixels=96, views=3, max_memory="1GB") == held
+    assert held.protocol.views == 3
+    assert held.protocol.split == "test"
+
+
+def test_larger_splats_take_more_to_draw():
+    model = random_splats(300, seed=9)
+    cameras = [make_camera(128, 128, 60.0)]
+    larger = replace(model, log_scales=model.log_scales + 0.5)
+    before, after = (cost_on(each, cameras, views_of(cameras, "given")) for each in (model, larger))
+    assert after.splats_a_pixel > 1.3 * before.splats_a_pixel
+    assert after.tile_pairs > before.tile_pairs
+
+
+def test_nothing_in_sight_costs_nothing():
+    model = random_splats(30)
+    away = [replace(make_camera(), world_to_camera=np.diag([1.0, 1, -1, 1]))]
+    behind = replace(model, means=model.means + np.float32([0, 0, 50]))
+    cost = cost_on(behind, away, views_of(away, "given"))
+    assert (cost.splats_a_pixel, cost.most_a_pixel, cost.tile_pairs, cost.largest_share) == (
+        0.0, 0, 0.0, 0.0,
+    )  # fmt: skip
+
+
+def test_what_makes_no_sense_is_refused(tmp_path):
+    model = random_splats(30)
+    with pytest.raises(OptionError):
+        nanogs.draw_cost(model, cameras=tmp_path / "none.json")
+    with pytest.raises(OptionError):
+        nanogs.draw_cost(model, views=0)
+    with pytest.raises(FormatError):
+        nanogs.draw_cost(tmp_path / "none.ply")

@@ -1,0 +1,197 @@
+"""What speaks for drawing a model as `default` or as `mip`, and `nanogs info` that looks."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from conftest import scene_path
+from dataset_files import write_json
+from launch import run
+from nanogs.errors import OptionError
+from nanogs.protocol import Protocol
+from nanogs.scoring.modes import ModeEvidence, evidence_on
+from nanogs.splats import RenderMode
+from nanogs.views.costing import views_of
+from nanogs.views.plan import LEAST
+from raster_twin import splat_on_screen
+from test_raster import make_camera, make_splats
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory):
+    """A model of thin splats, and photographs that it has made as each render mode."""
+    folder = tmp_path_factory.mktemp("taken")
+    model = random_splats(600, seed=3)
+    model = replace(model, log_scales=model.log_scales - 1.2)
+    nanogs.save(model, folder / "model.ply")
+    pose = np.eye(4)
+    pose[2, 3] = 4.0
+    frames = [{"file_path": f"./r_{i}.png", "transform_matrix": pose.tolist()} for i in range(2)]
+    for frame, side in zip(frames, (-0.3, 0.3), strict=True):
+        frame["transform_matrix"][0][3] = side
+    for mode in ("default", "mip"):
+        (folder / mode).mkdir()
+        cameras = {"camera_angle_x": 0.9, "w": 64, "h": 64, "frames": frames}
+        write_json(folder / mode / "transforms_test.json", cameras)
+        pictures = run(
+            "render", folder / "model.ply", folder / mode, "--render-mode", mode,
+            "--cameras", folder / mode / "transforms_test.json", "-q", "-w",
+        )  # fmt: skip
+        assert pictures.returncode == 0, pictures.stderr
+    return folder
+
+
+def looked(path, *arguments):
+    result = run("info", path, *arguments, "--json")
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+@pytest.mark.parametrize("mode", ["default", "mip"])
+@pytest.mark.parametrize("tag", ["default", "mip"])
+def test_photographs_tell_whatever_the_tag_says(taken, mode, tag):
+    pytest.importorskip("PIL.Image")
+    said = looked(
+        taken / "model.ply", "--photos", taken / mode, "--background", "black", "--render-mode", tag
+    )
+    marks = said["mode_evidence"]["photographs"]
+    other = {"default": "mip", "mip": "default"}[mode]
+    assert marks[mode] > 45 > marks[other] + 3  # photographs are of 8 bits
+    assert said["mode_evidence"]["sentences"][0].endswith(f"which speaks for {mode}")
+    assert said["mode_evidence"]["protocol"]["kind"] == "photographs"
+    assert said["draw_cost"]["protocol"]["views"] == 2
+
+
+def test_shares_are_those_of_the_twin():
+    model, cameras = (
+        make_splats(n=60, seed=5, size=-3.0),
+        [make_camera(), make_camera(60, 50, 70.0)],
+    )
+    found = evidence_on(
+        model, cameras, views_of(cameras, "given"), [], None, lambda _done, _parts: None
+    )
+    seen = thin = faded = 0
+    for camera in cameras:
+        for i in range(len(model)):
+            if not _in_sight(model, camera, i):
+                continue
+            z, _, after, _, _ = splat_on_screen(model, camera, i)
+            before = after - 0.3 * np.eye(2)
+            seen += 1
+            thin += np.exp(model.log_scales[i].min()) * camera.fx / z < math.sqrt(0.3)
+            faded += math.sqrt(np.linalg.det(before) / np.linalg.det(after)) < 0.1
+    assert seen > 30
+    assert found.thin == pytest.approx(thin / seen, abs=1e-9)
+    assert found.faded == pytest.approx(faded / seen, abs=1e-9)
+    assert 0 < found.faded < found.thin <= 1
+
+
+def _in_sight(model, camera, i):
+    from nanogs.kernels.project import HIDDEN
+    from nanogs.raster.rendering import prepare, project_rows
+
+    return project_rows(prepare(model[[i]]), camera)[2][0] != HIDDEN
+
+
+def test_a_model_that_is_read_in_parts_has_the_same_evidence(tmp_path, monkeypatch):
+    model = random_splats(500, seed=6)
+    nanogs.save(model, tmp_path / "a.npz")
+    cameras = [make_camera(48, 40, 40.0), make_camera(30, 30, 30.0)]
+    given = (
+        cameras,
+        views_of(cameras, "given"),
+        [],
+    )
+
+    def evidence(some, room):
+        return evidence_on(some, *given, room, lambda _done, _parts: None)
+
+    held = evidence(model, None)
+    monkeypatch.setattr("nanogs.views.streamed.BLOCK_ROWS", 64)
+    with nanogs.open(tmp_path / "a.npz") as source:
+        assert evidence(source, LEAST) == held
+    tagged = evidence(replace(model, render_mode=RenderMode.MIP), None)
+    assert tagged == held, "both ways are drawn, whatever the tag is"
+
+
+def test_nothing_in_sight_says_nothing():
+    model, camera = random_splats(20), make_camera()
+    away = replace(model, means=model.means - np.float32([0, 0, 50]))
+    found = evidence_on(
+        away, [camera], views_of([camera], "given"), [], None, lambda _done, _parts: None
+    )
+    assert (found.thin, found.faded, found.leak) == (0.0, 0.0, None)
+    assert math.isinf(found.between)
+
+
+@pytest.mark.parametrize(
+    ("photographs", "numbers", "verdicts"),
+    [
+        ({}, (0.95, 0.2, 0.02), ["for default", "little", "for default"]),
+        ({}, (0.1, 0.0, 0.0), ["little", "for mip", "little"]),
+        ({"default": 20.0, "mip": 22.0}, (0.9, 0.2, None), ["for mip", "for default", "little"]),
+        ({"default": 22.0, "mip": 21.95}, (0.9, 0.0, None), ["little", "little", "little"]),
+    ],
+)
+def test_the_sentences_say_no_more_than_the_numbers(photographs, numbers, verdicts):
+    thin, faded, leak = numbers
+    evidence = ModeEvidence(thin, faded, leak, 30.0, photographs, Protocol())
+    assert len(evidence.sentences) == len(verdicts)
+    for sentence, verdict in zip(evidence.sentences, verdicts, strict=True):
+        assert verdict in sentence.rpartition("which ")[2]
+
+
+def test_info_looks_only_when_asked(taken):
+    path = taken / "model.ply"
+    plain = looked(path)
+    assert plain["draw_cost"] is None
+    assert plain["mode_evidence"] is None
+    said = looked(path, "--views", "2", "--pixels", "64")
+    cost = nanogs.draw_cost(path, views=2, pixels=64)
+    assert said["draw_cost"]["splats_a_pixel"] == cost.splats_a_pixel
+    assert said["draw_cost"]["protocol"]["pixels"] == [64, 64]
+    text = run("info", path, "--cameras", "orbit", "--pixels", "64").stdout
+    assert "splats a pixel" in text
+    assert "evidence, no proof" in text
+    assert "--views 8" not in text
+    assert "--views 8" in run("info", path).stdout
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["--split", "train"],
+        ["--images", "images_4"],
+        ["--threads", "1"],
+        ["--background", "white"],
+        ["--photos", "here", "--views", "2"],
+        ["--photos", "here"],
+        ["--cameras", "none.json"],
+        ["--views", "2", "--pixels", "0"],
+    ],
+)
+def test_views_that_make_no_sense_are_refused_in_a_sentence(taken, given):
+    result = run("info", taken / "model.ply", *given)
+    assert result.returncode == 2
+    assert result.stderr.startswith("error: ")
+    assert not result.stdout
+
+
+def test_a_split_without_photographs_is_refused(taken):
+    with pytest.raises(OptionError):
+        nanogs.mode_evidence(taken / "model.ply", photos=taken / "mip", split="validation")
+
+
+def test_models_of_known_training():
+    """The chair was trained without antialiasing; the kitchen is tagged mip, and looks so."""
+    chair = nanogs.mode_evidence(scene_path("chair.splat"))
+    kitchen = nanogs.mode_evidence(scene_path("kitchen.spz"))
+    assert chair.faded > 0.3
+    assert chair.leak > 0.01
+    assert kitchen.faded < 0.01
+    assert kitchen.thin < 0.2
