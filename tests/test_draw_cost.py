@@ -1,5 +1,6 @@
 """What a model takes to draw: splats a pixel, tile pairs, and the share of the largest."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,15 +10,21 @@ from hypothesis import strategies as st
 
 import nanogs
 from builders import random_splats
+from launch import run
 from nanogs.errors import FormatError, OptionError
 from nanogs.kernels.covering import cover_tiles
 from nanogs.kernels.listing import list_tiles
 from nanogs.kernels.project import HIDDEN, unpack_box
 from nanogs.raster.rendering import prepare, project, project_rows
+from nanogs.scoring.comparison import NamedModel
+from nanogs.scoring.on_sets import compare_on_sets
+from nanogs.scoring.view_sets import view_sets
 from nanogs.splats import RenderMode
 from nanogs.views import covering
+from nanogs.views.automatic import automatic_cameras
 from nanogs.views.costing import views_of
 from nanogs.views.covering import cost_on
+from nanogs.views.plan import LEAST
 from raster_twin import NEARLY, splat_on_screen
 from test_raster import make_camera, make_splats, one_splat
 
@@ -138,3 +145,50 @@ def test_what_makes_no_sense_is_refused(tmp_path):
         nanogs.draw_cost(model, views=0)
     with pytest.raises(FormatError):
         nanogs.draw_cost(tmp_path / "none.ply")
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """A model, and a smaller one whose splats are larger."""
+    folder = tmp_path_factory.mktemp("pair")
+    model = random_splats(400, seed=11)
+    small = model[::4]
+    nanogs.save(model, folder / "large.ply")
+    larger = replace(small, log_scales=small.log_scales + np.float32(0.4))
+    nanogs.save(larger, folder / "small.ply")
+    return folder / "large.ply", folder / "small.ply"
+
+
+def test_compare_says_what_each_model_takes_on_its_views(pair, tmp_path):
+    page = tmp_path / "page.html"
+    given = ["compare", *pair, "--sizes", "64,96", "--views", "3"]
+    result = run(*given, "--json", "--report", page, "--no-interactive")
+    assert result.returncode == 0, result.stderr
+    said = json.loads(result.stdout)
+    cameras = automatic_cameras(nanogs.load(pair[0]), 3, width=64, height=64, split="test")
+    for place, found in enumerate([said["reference_cost"], said["models"][0]["cost"]]):
+        cost = nanogs.draw_cost(pair[place], cameras)
+        assert found["splats_a_pixel"] == cost.splats_a_pixel
+        assert found["tile_pairs"] == cost.tile_pairs
+        assert found["largest_share"] == cost.largest_share
+        assert found["protocol"]["split"] == "test"
+    assert said["further"][0]["models"][0]["cost"]["protocol"]["pixels"] == [96, 96]
+    share = said["models"][0]["cost"]["splats_a_pixel"] / said["reference_cost"]["splats_a_pixel"]
+    assert share > 0.25, "a quarter of the splats takes more than a quarter of the work"
+    text = run(*given)
+    assert f"{share:.1%}" in text.stdout
+    assert "a pixel: splats that cover one" in text.stderr
+    assert f'<td data-is="draws">{100 * share:.1f} %</td>' in page.read_text(encoding="utf-8")
+
+
+def test_models_that_are_read_in_parts_take_the_same(pair):
+    held = nanogs.compare(pair[0], pair[1], pixels=64, views=2)
+    needed = compare_on_sets(
+        NamedModel(pair[0].name, nanogs.open(pair[0])),
+        [NamedModel(pair[1].name, nanogs.open(pair[1]))],
+        view_sets(nanogs.load(pair[0]), ["auto"], [(64, 64)], views=2),
+        room=LEAST,
+    )[0]
+    assert needed.models[0].cost == held.models[0].cost
+    assert needed.reference_cost == held.reference_cost
+    assert held.models[0].cost.share_of(held.reference_cost) > 0.25

@@ -35,6 +35,10 @@ class DrawCost:
     drawn: float
     protocol: Protocol
 
+    def share_of(self, original: "DrawCost") -> float:
+        """Splats a pixel as a share of those of another model on the same views; 0 of nothing."""
+        return self.splats_a_pixel / original.splats_a_pixel if original.splats_a_pixel else 0.0
+
     @property
     def text(self) -> str:
         """The numbers in a line, without the views."""

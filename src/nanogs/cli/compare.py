@@ -8,7 +8,7 @@ import typer
 
 from nanogs.cli import options
 from nanogs.cli.groups import with_options
-from nanogs.formatting import bytes_text, number_text
+from nanogs.formatting import NONE, bytes_text, number_text
 from nanogs.protocol import PIXELS
 from nanogs.view.bundle import is_built
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from nanogs.scoring.comparison import Comparison
+    from nanogs.scoring.scores import ModelScore
 
 
 @with_options
@@ -105,6 +106,12 @@ def _show(comparison: "Comparison", report: Path | None) -> None:
     show(out, _table(comparison))
     means = ", ".join(one.protocol.text for one in comparison.each)
     say(f"PSNR in dB; means over {means}; worst: the view of least PSNR")
+    if any(model.cost for model in comparison.models):
+        first = comparison.reference_cost
+        share = (
+            f"; draws: that mean as a share of the original's {first.pixel_text}" if first else ""
+        )
+        say(f"a pixel: splats that cover one, mean and 99th percentile{share}")
     if any(model.packed for model in comparison.models):
         show(out, _packing_table(comparison))
         say(
@@ -123,7 +130,8 @@ def _table(comparison: "Comparison") -> "Table":
     extras = sorted({name for model in comparison.models for name in model.extras})
     table = Table("model", *(["views"] if comparison.further else []), box=None, pad_edge=False)
     headings = ["splats", *(["kept"] if against else []), "file", "PSNR", "worst", "SSIM"]
-    for heading in (*headings, *(["depth"] if against else []), *extras):
+    headings += ["depth", "draws"] if against else []
+    for heading in (*headings, "a pixel", *extras):
         table.add_column(heading, justify="right")
     for place in range(len(comparison.models)):
         for one in comparison.each:
@@ -133,9 +141,18 @@ def _table(comparison: "Comparison") -> "Table":
             cells += [f"{model.splats:,}", *([f"{model.splats / against:.2%}"] if against else [])]
             cells += [bytes_text(model.file_bytes), number_text(model.psnr)]
             cells += [number_text(model.least_psnr), number_text(model.ssim, 4)]
-            cells += [number_text(model.depth, 4)] if against else []
+            if against:
+                cells += [number_text(model.depth, 4), _drawn_text(one, model)]
+            cells.append(model.cost.pixel_text if model.cost else NONE)
             table.add_row(*cells, *(number_text(model.extras[name], 4) for name in extras))
     return table
+
+
+def _drawn_text(one: "Comparison", model: "ModelScore") -> str:
+    """How many splats a pixel takes, as a share of those of the original."""
+    if one.reference_cost is None or model.cost is None:
+        return NONE
+    return f"{model.cost.share_of(one.reference_cost):.1%}"
 
 
 def _packing_table(comparison: "Comparison") -> "Table":

@@ -5,6 +5,8 @@ What a row of `geometry` holds is said in `nanogs.kernels.project`.
 
 import math
 
+import numpy as np
+
 from nanogs._types import F64, I32, I64
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.policy import exact_parallel_kernel
@@ -29,21 +31,32 @@ def cover_tiles(
     """
     height, width = counts.shape
     tiles_x = (width + TILE - 1) // TILE
+    steps = np.empty((TILE, TILE + 1), np.int32)  # by how many the pixel has more than its left
     for tile in range(start, min(stop, len(starts) - 1)):
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        x1, y1 = min(x0 + TILE, width) - 1, min(y0 + TILE, height)
+        across, down = min(TILE, width - x0), min(TILE, height - y0)
+        steps[:] = 0
         for e in range(starts[tile], starts[tile + 1]):
             row = geometry[entries[e]]
-            u, v, sigma, slope, inv_yy = row[0], row[1], 1.0 / row[2], row[3], row[4]
-            reach = row[5] - SLACK
-            for y in range(y0, y1):
+            u, v, sigma, slope, inv_yy = row[0] - x0, row[1] - y0, 1.0 / row[2], row[3], row[4]
+            reach, rise = row[5] - SLACK, row[7]
+            top, bottom = max(v - rise - 0.5, 0.0), min(v + rise - 0.5, down - 1.0)
+            if not top <= bottom:  # before rounding: too large a number makes no integer
+                continue
+            for y in range(math.ceil(top), math.floor(bottom) + 1):
                 dy = y + 0.5 - v
                 rest = reach - dy * dy * inv_yy
                 if not rest >= 0.0:
                     continue
                 middle, half = u + slope * dy - 0.5, math.sqrt(rest) * sigma
-                low, high = max(middle - half, float(x0)), min(middle + half, float(x1))
-                if not low <= high:  # before rounding: too large a number makes no integer
-                    continue
-                for x in range(math.ceil(low), math.floor(high) + 1):
-                    counts[y, x] += 1
+                low, high = max(middle - half, 0.0), min(middle + half, across - 1.0)
+                if low <= high:
+                    first, end = math.ceil(low), math.floor(high) + 1
+                    if first < end:
+                        steps[y, first] += 1
+                        steps[y, end] -= 1
+        for y in range(down):
+            count = 0
+            for x in range(across):
+                count += steps[y, x]
+                counts[y0 + y, x0 + x] += count

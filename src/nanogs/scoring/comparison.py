@@ -1,10 +1,11 @@
 """Several models held against one reference, on one set of views."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from typing import Any
 
+from nanogs.costs import DrawCost
 from nanogs.errors import OptionError
 from nanogs.formatting import counted, number_text, undrawn
 from nanogs.progress import Tracker
@@ -23,6 +24,7 @@ from nanogs.scoring.scores import (
 from nanogs.scoring.unpacked import Unpacked
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
+from nanogs.views.covering import cost_on
 from nanogs.views.streamed import drawable
 
 
@@ -63,6 +65,8 @@ class Comparison:
         models: Scores, in the order given.
         notes: What the reader of the numbers should know.
         further: The same on each further kind and size of views that was asked for.
+        reference_cost: What the reference takes to draw on the views that were scored; None for
+            photographs, or where that was not measured.
     """
 
     reference: str
@@ -73,6 +77,7 @@ class Comparison:
     models: tuple[ModelScore, ...]
     notes: tuple[str, ...]
     further: tuple["Comparison", ...] = ()
+    reference_cost: DrawCost | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
@@ -137,6 +142,7 @@ def compare_models(
     background: Background = BLACK,
     extras: Sequence[str] = (),
     pictures: bool = False,
+    costs: bool = False,
     room: int | None = None,
     progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
@@ -150,6 +156,7 @@ def compare_models(
         background: RGB in [0, 1] behind the splats.
         extras: Further metrics, names in `scoring.EXTRA_METRICS`.
         pictures: Also make the pictures for a page; otherwise the sheets are empty.
+        costs: Also measure what each model takes to draw, and the reference.
         room: Bytes for the splats of pictures, to read models some rows at a time; None to hold
             them.
         progress: Told of the stages "render", of the reference, and "score".
@@ -170,13 +177,16 @@ def compare_models(
     if first and first.skipped:
         notes.append(f"the reference: {undrawn(first.skipped)}")
     notes += [*_degree_notes(reference, models), *lens_notes(cameras)]
-    scores, sheets = score_models(
-        models, views, background, extras=extras, pictures=pictures, room=room, progress=progress
-    )
     protocol = protocol_of(views, kind, None if kind == "given" else "test", background)
-    return _comparison(
+    cost = cost_on(reference.splats, _cameras(views), protocol) if costs else None
+    scores, sheets = score_models(
+        models, views, protocol, extras=extras, pictures=pictures, costs=costs, room=room,
+        progress=progress,
+    )  # fmt: skip
+    found = _comparison(
         reference.name, len(reference.splats), views, skipped, protocol, scores, notes
-    ), sheets
+    )
+    return replace(found, reference_cost=cost), sheets
 
 
 def compare_with_photographs(
@@ -188,6 +198,7 @@ def compare_with_photographs(
     background: Background,
     extras: Sequence[str] = (),
     pictures: bool = False,
+    costs: bool = False,
     room: int | None = None,
     progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
@@ -201,6 +212,7 @@ def compare_with_photographs(
         background: RGB in [0, 1] behind the splats and the photographs' transparent parts.
         extras: Further metrics, names in `scoring.EXTRA_METRICS`.
         pictures: Also make the pictures for a page.
+        costs: Also measure what each model takes to draw.
         room: As for `compare_models`.
         progress: Told of the stages "render", of the reference, and "score".
 
@@ -209,16 +221,11 @@ def compare_with_photographs(
     """
     if not views:
         raise OptionError(f"{source} has no photographs to compare with; choose another split.")
-    scores, sheets = score_models(
-        models,
-        views,
-        background,
-        extras=extras,
-        pictures=pictures,
-        room=room,
-        progress=progress or Tracker(None, []),
-    )
     protocol = protocol_of(views, "photographs", split, background)
+    scores, sheets = score_models(
+        models, views, protocol, extras=extras, pictures=pictures, costs=costs, room=room,
+        progress=progress or Tracker(None, []),
+    )  # fmt: skip
     return _comparison(source, None, views, [], protocol, scores, []), sheets
 
 
@@ -230,13 +237,18 @@ def protocol_of(
     return Protocol(len(views), (first.width, first.height), kind, split, background)
 
 
+def _cameras(views: Sequence[ReferenceView]) -> list[Camera]:
+    return [view.camera for view in views]
+
+
 def score_models(
     models: Sequence[NamedModel],
     views: Sequence[ReferenceView],
-    background: Background,
+    protocol: Protocol,
     *,
     extras: Sequence[str],
     pictures: bool,
+    costs: bool,
     room: int | None,
     progress: Tracker,
 ) -> tuple[list[ModelScore], list[Sheet]]:
@@ -267,11 +279,13 @@ def score_models(
             model.name,
             drawable(model.splats, room),
             views,
-            background,
+            protocol.background,
             file_bytes=model.file_bytes,
             extras=extras,
             on_view=scored,
         )
+        if costs:
+            found = replace(found, cost=cost_on(model.splats, _cameras(views), protocol))
         scores.append(unpacked.end(found))
     return scores, sheets
 

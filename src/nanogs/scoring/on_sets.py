@@ -47,6 +47,7 @@ def compare_on_sets(
             background=background,
             extras=extras,
             pictures=pictures and views.kind not in pictured,
+            costs=True,
             room=room,
             progress=progress,
         )

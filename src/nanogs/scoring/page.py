@@ -49,6 +49,7 @@ def render_page(
         sheets=sheets,
         full_scale=ERROR_FULL_SCALE,
         extras=sorted({name for model in comparison.models for name in model.extras}),
+        costs=all(model.cost for one in comparison.each for model in one.models),
         packed=any(model.packed for model in comparison.models),
         moving=sum(not model.packed for model in comparison.models),
         viewer=viewer,

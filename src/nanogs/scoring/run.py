@@ -133,7 +133,14 @@ def compare_files(
             kept = _bytes_of(frames) * (2 if packing else 1)
             room = None if room is None else max(room - kept, LEAST)
             comparison, sheets = compare_with_photographs(
-                str(photos), models, frames, split=split, background=behind, room=room, **options
+                str(photos),
+                models,
+                frames,
+                split=split,
+                background=behind,
+                costs=True,
+                room=room,
+                **options,
             )
             start = frames[0].camera
         notes = (*remarks_on(given), *notes_beside(given[1:], packing), *comparison.notes)

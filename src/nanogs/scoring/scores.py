@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32
+from nanogs.costs import DrawCost
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import undrawn
 from nanogs.metrics import depth_error, flip, lpips, psnr, ssim
@@ -75,6 +76,7 @@ class ModelScore:
         views: Scores view by view.
         notes: What the reader of the numbers should know.
         packed: What packing alone did, where this is a model as read back from a file; else None.
+        cost: What it takes to draw on these views, or None where that was not measured.
     """
 
     name: str
@@ -89,6 +91,7 @@ class ModelScore:
     views: tuple[ViewScore, ...]
     notes: tuple[str, ...] = ()
     packed: PackingLoss | None = None
+    cost: DrawCost | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
