@@ -170,15 +170,17 @@ def test_the_version_of_spz_is_chosen(scene, tmp_path, version):
     assert io.inspect(tmp_path / "c.spz").encoding == encoding
 
 
-def test_the_palette_of_sog_is_chosen(scene, tmp_path):
-    target = tmp_path / "a.sog"
+@pytest.mark.parametrize("suffix", [".sog", ".spz"])
+def test_the_palette_is_chosen(scene, tmp_path, suffix):
+    target, other = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
     assert run(scene, target, "--palette", 3).returncode == 0
-    nanogs.save(nanogs.load(scene), tmp_path / "b.sog", format_options={"palette": 3})
-    assert (tmp_path / "b.sog").read_bytes() == target.read_bytes()
+    nanogs.save(nanogs.load(scene), other, format_options={"palette": 3})
+    assert other.read_bytes() == target.read_bytes()
     assert len(np.unique(nanogs.load(target).sh[:, 1:], axis=0)) == 3
     options = ["-r", "0.5", "--preset", "fast", "--palette", 2, "-q"]
-    assert launch.run("simplify", scene, tmp_path / "c.sog", *options).returncode == 0
-    assert len(np.unique(nanogs.load(tmp_path / "c.sog").sh[:, 1:], axis=0)) == 2
+    small = tmp_path / f"c{suffix}"
+    assert launch.run("simplify", scene, small, *options).returncode == 0
+    assert len(np.unique(nanogs.load(small).sh[:, 1:], axis=0)) == 2
 
 
 def test_options_of_another_format_are_refused(scene, tmp_path):

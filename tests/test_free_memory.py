@@ -523,6 +523,11 @@ def models(tmp_path_factory):
         ),
         (["convert", "large.ply", "a.ply", "-w"], "convert_bytes(file, Path('a.ply'), whole=0)"),
         (["convert", "large.ply", "a.spz", "-w"], "convert_bytes(file, Path('a.spz'), whole=0)"),
+        pytest.param(
+            ["convert", "plain.ply", "a.spz", "--palette", "20000", "-w"],
+            "convert_bytes(file, Path('a.spz'), whole=0, options={'palette': 20000})",
+            marks=pytest.mark.slow,
+        ),
         (["convert", "large.ply", "a.glb", "-w"], "convert_bytes(file, Path('a.glb'), whole=0)"),
     ],
 )

@@ -105,8 +105,9 @@ def test_options_follow_the_count():
 
 def test_bits_are_tried_from_the_usual_ones_on():
     bits = Bits(7, range(4, 9))
-    assert bits.ways() == ([6, 5, 4], [8])
-    assert [bits.back(present) for present in (4, 7, 8)] == [[5, 6, 7], [], [7]]
+    assert bits.ways(7) == ([6, 5, 4], [8])
+    assert bits.ways(5) == ([6, 7, 8], [4])
+    assert bits.ways(8) == ([7, 6, 5, 4], [])
 
 
 def test_a_larger_palette_may_want_finer_bits():

@@ -56,7 +56,7 @@ def test_a_format_gets_the_options_that_it_has(scene, tmp_path, temporary):
     chosen = {"bits": 5, "palette": 9, "spz_version": None}
     sog, spz = nanogs.packing_cost(scene, ["sog", "spz"], format_options=chosen).files
     assert numbers(sog) == pytest.approx(twin(scene, tmp_path, ".sog", bits=5, palette=9))
-    assert numbers(spz) == pytest.approx(twin(scene, tmp_path, ".spz", bits=5))
+    assert numbers(spz) == pytest.approx(twin(scene, tmp_path, ".spz", bits=5, palette=9))
 
 
 def test_what_holds_everything_costs_nothing(scene, temporary):
@@ -101,7 +101,7 @@ def test_what_takes_too_much_memory_to_write_is_refused_before_work(scene, tempo
         ([".sgo"], {}, r"did you mean '\.sog'"),
         ([".ksplat"], {}, "does not write this format"),
         (["lod-meta.json"], {}, "levels of detail; make them with `nanogs lod`"),
-        ([".spz", ".splat"], {"palette": 9}, r"palette is for .*, not for \.spz; leave it out"),
+        ([".splat", ".ply"], {"palette": 9}, r"palette is for .*, not for \.splat; leave it out"),
         ([".splat", ".sog"], {"bits": 99}, "bits must be a whole number from 4 to 8, not 99"),
         ([".ply"], {}, r"scene\.ply is packed as \.ply already; name another"),
     ],
@@ -167,7 +167,7 @@ def test_info_refuses_in_one_sentence(scene):
         (".sgo",): "did you mean '.sog'",
         (",",): "--packed names no format",
         (".ply",): "scene.ply is packed as .ply already",
-        (".spz", "--palette", "9"): "palette is for .sog",
+        (".splat", "--palette", "9"): "palette is for ",
         ("", "--bits", "6"): "--bits is for what is packed",
     }
     for (formats, *more), words in refused.items():

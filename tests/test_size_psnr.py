@@ -143,8 +143,9 @@ def test_a_compressed_file_is_no_larger_than_asked(
     close = too_many and min(too_many) <= max((1 + CLOSE) * len(small), len(small) + 1)
     assert written >= ENOUGH * size or close
     assert bool(report.notes) is (written < ENOUGH * size)
-    by_count, _ = nanogs.simplify(splats, count=len(small), **given)
-    assert model_bytes(small) == model_bytes(by_count)
+    if "palette" not in options:  # which is looked for before the fit
+        by_count, _ = nanogs.simplify(splats, count=len(small), **given)
+        assert model_bytes(small) == model_bytes(by_count)
 
 
 def test_a_model_whose_compressed_file_fits_is_delivered_whole(splats):

@@ -14,11 +14,11 @@ from scipy.spatial import cKDTree
 from conftest import scene_path
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
+from nanogs.io.palette import palette
 from nanogs.io.precision import visibility
 from nanogs.io.rotations import least_turned
 from nanogs.io.sog import write as sog_write
 from nanogs.io.sog.codebook import codebook, nearest
-from nanogs.io.sog.palette import palette
 from nanogs.splats import ExtraElement, RenderMode, Splats
 from nanogs.threads import use_threads
 from strategies import assert_same, splats

@@ -18,6 +18,7 @@ from damage import mutate, outcome
 from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io import registry
+from nanogs.io.rotations import least_turned
 from nanogs.io.spz import write as spz_write
 from nanogs.splats import ExtraElement, RenderMode, Splats
 from spzfiles import encode, row
@@ -245,10 +246,68 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
     again = io.load(tmp_path / "a.spz")
     assert len(np.unique(again.opacity_logits)) <= 2 ** (bits + 1)
     assert len(np.unique(again.sh[:, 0])) <= 2**bits
-    dots = np.abs((again.unit_quats() * model.unit_quats().astype(np.float64)).sum(axis=1))
+    quats, log_scales = least_turned(model)  # which axes come first is told apart by nothing
+    assert np.abs(again.log_scales - log_scales).max() <= 0.5 / 16 + 1e-6
+    dots = np.abs((again.unit_quats() * quats).sum(axis=1))
     turned = 2 * np.arccos(dots.clip(0, 1)).max()
     assert 0.5 * 2.0**-bits < turned < 5 * 2.0**-bits
     assert (tmp_path / "a.spz").stat().st_size < (1 - 0.01 * (8 - bits)) * usual
+
+
+def sharing(count: int, sets: int):
+    """Splats in no order of theirs, whose harmonics are a few sets apart from a little noise."""
+    model, random = random_splats(count, degree=3), np.random.default_rng(5)
+    own = random.uniform(-0.9, 0.9, (sets, 15, 3))
+    rest = own[random.integers(sets, size=count)] + random.normal(0, 0.01, (count, 15, 3))
+    return replace(model, sh=np.concatenate([model.sh[:, :1], rest.astype(np.float32)], axis=1))
+
+
+@pytest.mark.parametrize("version", [2, 3, 4])
+def test_splats_that_share_harmonics_follow_each_other(tmp_path, version):
+    model, options = sharing(3000, 60), {"spz_version": version}
+    usual = io.encoded_bytes(model, tmp_path / "a.spz", options)
+    io.save(model, tmp_path / "a.spz", format_options=options | {"palette": 100})
+    back = io.load(tmp_path / "a.spz")
+    rows = back.sh[:, 1:].reshape(len(back), -1)
+    changes = 1 + int((rows[1:] != rows[:-1]).any(axis=1).sum())
+    # Each set in one run; some round to the same.
+    assert 60 <= len(np.unique(rows, axis=0)) <= changes <= 100
+    assert (tmp_path / "a.spz").stat().st_size < 0.75 * usual
+    # The same splats as without a palette, in another order, but for the harmonics.
+    io.save(model, tmp_path / "b.spz", format_options=options)
+    plain = io.load(tmp_path / "b.spz")
+    found, expected = (
+        np.column_stack([s.means, s.log_scales, s.quats, s.opacity_logits, s.sh[:, 0]])
+        for s in (back, plain)
+    )
+    order, right = (np.lexsort(columns.T) for columns in (found, expected))
+    assert np.array_equal(found[order], expected[right])
+    errors = np.abs(rows[order] - plain.sh[right, 1:].reshape(len(rows), -1)).max(axis=1)
+    assert np.median(errors) < 0.2  # faint splats may be given to another set
+
+
+def test_a_palette_with_room_for_all_changes_nothing(tmp_path):
+    model = random_splats(300, degree=2)
+    options = {"palette": 300}
+    wide = io.encoded_bytes(model, tmp_path / "a.spz", options)
+    io.save(model, tmp_path / "a.spz", format_options=options)
+    io.save(model, tmp_path / "b.spz")
+    assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
+    assert (tmp_path / "a.spz").stat().st_size == wide
+    plain = random_splats(9, degree=0)  # without harmonics there is nothing to share
+    assert io.encoded_bytes(plain, tmp_path / "c.spz", {"palette": 1}) == io.encoded_bytes(
+        plain, tmp_path / "c.spz"
+    )
+
+
+def test_a_palette_of_what_cannot_be_written_is_refused(tmp_path):
+    model = random_splats(20, degree=1)
+    model.sh[3, 2] = np.nan
+    with pytest.raises(OutputError):
+        io.save(model, tmp_path / "a.spz", format_options={"palette": 4})
+    with pytest.raises(OptionError, match="palette must be a whole number from 1 to 1,048,576"):
+        io.save(model, tmp_path / "a.spz", format_options={"palette": 0})
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("options", [{"sh_bits": 1}, {"sh_bits": 9}, {"bits": 3}, {"bits": 9}])

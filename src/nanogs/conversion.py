@@ -109,7 +109,8 @@ def convert(
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
     check_writable(path, **saving)
     with open_model(source, level=level, render_mode=render_mode) as file, drawn(progress) as tell:
-        _refuse_too_large(file, path, filters, None if max_memory is None else as_bytes(max_memory))
+        allowed = None if max_memory is None else as_bytes(max_memory)
+        _refuse_too_large(file, path, filters, format_options, allowed)
         typical = 1_000_000  # only how the two compare counts
         write = Stage("write", write_weight(path.suffix, typical))
         tracker = Tracker(tell, [Stage("read", read_weight(typical)), write])
@@ -132,13 +133,17 @@ def convert(
 
 
 def _refuse_too_large(
-    source: FileSource, target: Path, filters: Sequence[Filter], max_memory: int | None
+    source: FileSource,
+    target: Path,
+    filters: Sequence[Filter],
+    options: "FormatOptions | None",
+    max_memory: int | None,
 ) -> None:
-    known = registry.find(target)
-    compiled = known is not None and known.suffix == ".sog"
+    known, given = registry.find(target), options or {}
+    compiled = known is not None and (known.suffix == ".sog" or given.get("palette") is not None)
     memory.refuse_too_large(
         f"Converting {source.name}",
-        needs.convert_bytes(source, target, whole=_need_whole(filters)),
+        needs.convert_bytes(source, target, whole=_need_whole(filters), options=given),
         memory.allowed_memory(max_memory, compiled=compiled),
         "free some, name a .ply file, which is written in parts, or make a smaller model with"
         " `nanogs simplify` first, which works in blocks",

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from nanogs.io import FileInfo, inspect, registry
 from nanogs.io.files import splat_bytes
+from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model
 from nanogs.io.parts import FileSource, Packed, Whole
 from nanogs.io.retag import file_of
@@ -24,7 +25,7 @@ _FITTED, _FITTING = 450, 1_900  # a splat of the original, and of the model that
 _FIT_KEPT = 8  # a pixel of each view that is fitted to
 _READ = 1.4  # the model and what a reader of a packed file holds beside it, over the model
 # What writing holds beside the model, over the model; palettes take most.
-_WRITE = {".sog": 6.5}
+_WRITE, _SHARED = 0.4, 7.0
 _ROWS = 25_000_000  # blocks of rows on their way from file to file, filtered and turned
 # A splat: of .spz of version 4 a column is packed whole, and .compressed.ply is sorted by centres.
 _COLUMN = {".spz": 90, ".compressed.ply": 60}
@@ -138,18 +139,23 @@ def refit_bytes(original: FileInfo, small: FileInfo, pixels: int, views: int) ->
     return held + working + pixels * (_PICTURE + _FIT_KEPT * views)
 
 
-def convert_bytes(source: FileSource, target: Path, *, whole: bool) -> int:
+def convert_bytes(
+    source: FileSource, target: Path, *, whole: bool, options: FormatOptions | None = None
+) -> int:
     """Writing a model in another format.
 
     Args:
         source: The model.
         target: What is written.
         whole: Whether something has to see the whole model, in whatever format.
+        options: Of the format that is written.
     """
     info, known = source.info, registry.find(target)
-    if known is not None and known.streams and not whole:
+    held = known is None or known.holds_whole(options or {})
+    if known is not None and not held and not whole:
         return _held(source) + _ROWS + _COLUMN.get(known.suffix, 0) * info.splats
-    more = _WRITE.get(known.suffix, 0.4) if known else 0.4
+    shared = held and known is not None and "palette" in known.options
+    more = _SHARED if shared else _WRITE
     return max(_read(info), int(model_bytes(info) * (1 + more)))
 
 

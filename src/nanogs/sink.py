@@ -284,7 +284,7 @@ class OneFile:
 
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
         """As `Sink` says; folders are refused too."""
-        refuse_large(self.place, count, row, max_memory)
+        refuse_large(self.place, count, row, max_memory, self.format_options)
 
     def check(self) -> None:
         """As `Sink` says."""
@@ -326,7 +326,13 @@ class _File(Filling):
         self.measure(judge, [(self._making, 0)])
 
 
-def refuse_large(path: Path, count: int, row: int, max_memory: int | None) -> None:
+def refuse_large(
+    path: Path,
+    count: int,
+    row: int,
+    max_memory: int | None,
+    options: FormatOptions | None = None,
+) -> None:
     """Refuse a result that would have to be held whole and is too large for that.
 
     Args:
@@ -334,14 +340,27 @@ def refuse_large(path: Path, count: int, row: int, max_memory: int | None) -> No
         count: Splats of it.
         row: Bytes of a splat.
         max_memory: Bytes, or None for no limit.
+        options: Of the format.
 
     Raises:
         OptionError: It is too large, a folder, or in a format that is not written.
     """
     registry.writer(path)  # which refuses folders
     known = registry.writable(path)
-    if not known.streams and max_memory is not None and 3 * count * row > max_memory:
+    most = held_splats(row, max_memory)
+    if known.holds_whole(options or {}) and most is not None and count > most:
+        so = " with a palette" if known.streams else ""
         raise OptionError(
-            f"{path}: {known.suffix} is not written block by block, and {count:,} splats are too"
-            " many to be held whole; name a .ply file, or raise `max_memory`."
+            f"{path}: {known.suffix}{so} is not written block by block, and {count:,} splats are"
+            " too many to be held whole; name a .ply file, or raise `max_memory`."
         )
+
+
+def held_splats(row: int, max_memory: int | None) -> int | None:
+    """Splats that a writer may hold whole; None for any number.
+
+    Args:
+        row: Bytes of a splat.
+        max_memory: Bytes, or None for no limit.
+    """
+    return None if max_memory is None else max_memory // (3 * row)

@@ -153,9 +153,9 @@ SpzVersion = Annotated[
 Palette = Annotated[
     int | None,
     typer.Option(
-        help="Of a .sog file: entries of the palette of the spherical harmonics, 1 to 65536; fewer"
-        " make the file smaller and colours less true.",
-        show_default="two thirds of the splats",
+        help="Of a .sog or .spz file: entries of the palette of the spherical harmonics, at most"
+        " 65536 of .sog; fewer make the file smaller and colours less true.",
+        show_default="of .sog two thirds of the splats; of .spz none",
         metavar="ENTRIES",
     ),
 ]

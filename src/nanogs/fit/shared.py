@@ -16,8 +16,8 @@ from nanogs.fit.groups import Group
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.rounds import Outcome, fit
 from nanogs.fit.targets import Fitting
+from nanogs.io.palette import palette
 from nanogs.io.precision import visibility
-from nanogs.io.sog.palette import palette
 from nanogs.kernels.kmeans import group, weighted_means
 from nanogs.progress import Parts
 from nanogs.splats import Splats

@@ -135,9 +135,10 @@ def save(
             needs it.
         format_options: Of the format, by name. Of .spz `spz_version`, 2, 3 (as by default) or 4,
             and `sh_bits` of a colour coefficient of degree 1, 2 to 8 (by default 5), those above
-            having one less; of .sog `palette`, entries for the higher colour coefficients, 1 to
-            65,536, by default two for three splats; of both `bits` of a part of a rotation, 4 to 8
-            (by default 7, of .spz 8), from which those of other values follow.
+            having one less; of both `palette`, entries for the higher colour coefficients, of .sog
+            1 to 65,536, by default two for three splats, and of .spz 1 to 1,048,576, by default
+            each splat its own; and `bits` of a part of a rotation, 4 to 8 (by default 7, of .spz
+            8), from which those of other values follow.
         progress: Called with each `nanogs.progress.Step` of a file whose writing takes long.
 
     Raises:

@@ -47,11 +47,13 @@ class WriteOption:
         values: What it may be.
         usual: Of one that says how finely values are kept, from coarse to fine, what it is by
             default; None for others.
+        whole: Whether a writer to whom it is given has to hold the whole model.
     """
 
     keyword: str
     values: tuple[Any, ...] | range
     usual: int | None = None
+    whole: bool = False
 
     @property
     def allowed(self) -> str:
@@ -73,8 +75,8 @@ class Format:
     `format_options` for it. Of a format whose model is a folder, described by the file of the name
     `suffix` in it, `write_folder` makes that folder and `ours` says what in such a folder nanogs
     made. With `tells`, `write` takes `tell`: it takes long, and tells its parts. With `streams`,
-    `write` takes a source too, and holds no more than some rows of it. `max_degree` is the highest
-    degree of harmonics that files hold. `check` fails before any
+    `write` takes a source too, and holds no more than some rows of it, but for options that say
+    so. `max_degree` is the highest degree of harmonics that files hold. `check` fails before any
     computing where this installation cannot write the format. Files without a name are known by
     what they begin with, one of `starts`, or, where they are zips, by a file that is in them,
     `holds`.
@@ -103,6 +105,11 @@ class Format:
     def readable(self) -> bool:
         """Whether nanogs reads it."""
         return self.open is not unread
+
+    def holds_whole(self, options: FormatOptions) -> bool:
+        """Whether writing with such options holds the whole model, and not some rows of it."""
+        given = [name for name, value in options.items() if value is not None]
+        return not self.streams or any(self.options[n].whole for n in given if n in self.options)
 
     @property
     def writable(self) -> bool:

@@ -69,6 +69,7 @@ class Packer(Generic[T]):
     files: Files[T]
     progress: Tracker
     tried: int = field(default=0, init=False)
+    _guesses: dict[Packing, int] = field(default_factory=dict, init=False)
 
     def pack(self) -> Packed:
         """Choose how results are packed."""
@@ -84,6 +85,11 @@ class Packer(Generic[T]):
 
     def guess(self, packing: Packing) -> int:
         """The count of the model's own splats that fill the size with a packing, about."""
+        if packing not in self._guesses:
+            self._guesses[packing] = self._guess(packing)
+        return self._guesses[packing]
+
+    def _guess(self, packing: Packing) -> int:
         some, available = self.sample.with_sh_degree(packing.sh_degree), self.results.available
         if (known := self.wish.known.file_bytes) is not None:
             if known(some, 1) > self.wish.size:

@@ -20,7 +20,6 @@ from nanogs.report import PackingReport
 # Splats for an entry of the palette: what is tried first, and larger and smaller palettes.
 FIRST_SHARE = 8.0
 LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
-LARGEST_PALETTE = 1 << 16
 # Between these a measured slope is believed, dB of quality for e times the bytes.
 SLOPES = 2.0, 20.0
 SAVED = 1.25  # splats more than the usual bits leave room for, which coarser ones mostly make
@@ -36,17 +35,19 @@ class Packing:
         sh_degree: Of the harmonics that are written.
         share: Splats for an entry of the palette of the higher ones, or None without a choice.
         bits: Options of the format that say how fine it is, by name.
+        entries: Most that a palette of the format has.
     """
 
     sh_degree: int
     share: float | None = None
     bits: tuple[tuple[str, int], ...] = ()
+    entries: int = 1 << 16
 
     def share_of(self, count: int) -> float | None:
         """Splats for an entry of the palette of a result, or None where there is no choice."""
         if self.share is None or self.sh_degree == 0:
             return None
-        return max(self.share, count / LARGEST_PALETTE)
+        return max(self.share, count / self.entries)
 
     def options(self, count: int) -> dict[str, Any]:
         """Options of the format for a result of so many splats."""
@@ -74,15 +75,11 @@ class Bits:
     usual: int
     values: Sequence[int]
 
-    def ways(self) -> tuple[list[int], list[int]]:
-        """The other values, from the usual one to fewer and to more."""
-        fewer = [value for value in self.values if value < self.usual]
-        return fewer[::-1], [value for value in self.values if value > self.usual]
-
-    def back(self, present: int) -> list[int]:
-        """The values from another one to the usual one."""
-        step = 1 if present < self.usual else -1
-        return [*range(present + step, self.usual + step, step)] if present != self.usual else []
+    def ways(self, present: int) -> tuple[list[int], list[int]]:
+        """The other values, from the present one to fewer and to more; the usual ones first."""
+        fewer = [value for value in self.values if value < present][::-1]
+        more = [value for value in self.values if value > present]
+        return (more, fewer) if present < self.usual else (fewer, more)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,18 +91,20 @@ class Choices:
         palettes: Whether the size of a palette is to be chosen.
         bits: The options of the format that say how fine it is, by name.
         by_psnr: Whether the PSNR alone decides, and not the SSIM beside it.
+        entries: Most that a palette of the format has.
     """
 
     degrees: Sequence[int]
     palettes: bool
     bits: Mapping[str, Bits] = field(default_factory=dict)
     by_psnr: bool = False
+    entries: int = 1 << 16
 
     @property
     def first(self) -> Packing:
         """What is tried first: as much as there is, but a palette that is seldom far off."""
         palette = FIRST_SHARE if self.palettes and self.degrees[-1] else None
-        return Packing(self.degrees[-1], palette)
+        return Packing(self.degrees[-1], palette, (), self.entries)
 
     def quality(self, found: PackingReport) -> float:
         """What a file shows, dB."""
@@ -229,15 +228,14 @@ class _Search:
     def _value(self, packing: Packing) -> float:
         """Worth of a degree and a share, with bits as they are or nearer to the usual ones."""
         if _plain(packing) not in self.found:
-            self._make(packing, self._expected(packing))
+            self._make(packing, self._expected(packing), near=True)
             if self._is_far(found := self.found[_plain(packing)][1]):
                 self._make(packing, self._filling(found))
         return self._worth(self.found[_plain(packing)][1])
 
-    def _make(self, packing: Packing, count: int) -> Packing:
-        return self._keep(
-            packing, self._tried(packing, count, lambda seen: self._look(packing, seen))
-        )
+    def _make(self, packing: Packing, count: int, *, near: bool = False) -> Packing:
+        look = partial(self._look, packing, near=near)
+        return self._keep(packing, self._tried(packing, count, look))
 
     def _is_far(self, found: PackingReport) -> bool:
         """Whether a file is too far from the size to tell what one of the size would show."""
@@ -254,20 +252,31 @@ class _Search:
         names = self.choices.bits
         return tuple((name, probe.options[name]) for name in names if name in probe.options)
 
-    def _look(self, packing: Packing, seen: Seen, *, lower: bool = False) -> list[PackingReport]:
+    def _look(
+        self, packing: Packing, seen: Seen, *, lower: bool = False, near: bool = False
+    ) -> list[PackingReport]:
         """Files of a result: of the first with any bits, and with lower degrees.
 
-        What a small palette loses hides what bits do, so that with a larger one those nearer to the
-        usual ones are seen again.
+        What a small palette loses hides what bits do, so that with a larger one bits are looked for
+        again.
+
+        Args:
+            packing: How the result is packed.
+            seen: Packs the result.
+            lower: Whether it is the first.
+            near: Whether bits matter only if the file is near the size, since else another result
+                is made.
         """
         chosen = {name: each.usual for name, each in self.choices.bits.items()}
         chosen |= dict(packing.bits)
         larger = packing.share is not None and packing.share < FIRST_SHARE
         best = seen(packing)
         probes = [best]
+        if near and self._is_far(best):
+            return probes
         for name, each in self.choices.bits.items():
             began = chosen[name]
-            for way in each.ways() if lower else (each.back(began) if larger else (),):
+            for way in each.ways(began) if lower or larger else ():
                 for value in way:
                     changed = chosen | {name: value}
                     probes.append(seen(replace(packing, bits=tuple(changed.items()))))
@@ -278,7 +287,7 @@ class _Search:
                     break
         fine = tuple(chosen.items()) if best is not probes[0] else packing.bits
         for degree in reversed(self.choices.degrees[:-1]) if lower else ():
-            probes.append(seen(Packing(degree, packing.share, fine)))
+            probes.append(seen(replace(packing, sh_degree=degree, bits=fine)))
             if not self._promises(probes[-1], best):
                 break
         return probes

@@ -25,7 +25,7 @@ from nanogs.pipeline.work import SPAN, Work
 from nanogs.progress import Tracker
 from nanogs.report import StopReason
 from nanogs.scoring.held_out import HeldOut, held_out
-from nanogs.sink import refuse_large
+from nanogs.sink import held_splats, refuse_large
 from nanogs.source import Reduced, Source, Turned
 from nanogs.splats import Splats
 from nanogs.store.columns import row_bytes
@@ -82,7 +82,7 @@ class Search:
     def _reach(
         self, results: JobResults, psnr: float, clock: StageClock, progress: Tracker
     ) -> _Found:
-        work, given = results.work, self.options or {}
+        work = results.work
         progress.begin("measure")
         with clock.time("measure"), opened(work.settings, work.unpacked()) as original:
             views = held_out(original, progress.part, self.max_memory)
@@ -92,7 +92,7 @@ class Search:
                 return views.psnr(small)
 
         files = _Files(self, work, clock)
-        wish = Wish(0, registry.writable(self.output), given, work.settings.sh_degree)
+        wish = self._wish(work, 0)
         pack = PackNear(results, wish, partial(_sample, work), files, progress)
         result, found = reach_psnr(results, psnr, psnr_of, progress, pack)
         if found.stop is StopReason.UNREACHED:  # and so the whole model is written, as it is
@@ -105,9 +105,8 @@ class Search:
 
     def _fit(self, results: JobResults, size: int, clock: StageClock, progress: Tracker) -> _Found:
         work = results.work
-        files, given = _Files(self, work, clock), self.options or {}
-        known, looks = registry.writable(self.output), renders(work.settings.parameters)
-        wish = Wish(size, known, given, work.settings.sh_degree, looks=looks)
+        files, known = _Files(self, work, clock), registry.writable(self.output)
+        wish = self._wish(work, size)
         result, found = fill_size(Packer(results, wish, _sample(work), files, progress))
         results.verify(result, progress)
         fitted, packed = found.fitted, found.packed
@@ -116,6 +115,17 @@ class Search:
             notes += (WHOLE_FITS,)
         entries = {"achieved_size": fitted.bytes, "size_probes": fitted.probes}
         return _Found(result, entries | packed.entries(files.count(result)), notes)
+
+    def _wish(self, work: Work, size: int) -> Wish:
+        settings = work.settings
+        return Wish(
+            size,
+            registry.writable(self.output),
+            self.options or {},
+            settings.sh_degree,
+            looks=renders(settings.parameters),
+            most=held_splats(row_bytes(settings.layout), self.max_memory),
+        )
 
     @contextmanager
     def _stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:
@@ -131,9 +141,10 @@ class Search:
     @contextmanager
     def written(self, source: Source, options: Mapping[str, Any]) -> Iterator[Path]:
         """A file of a result, with more options of the format; it is taken away afterwards."""
-        refuse_large(self.output, source.count, row_bytes(source.columns), self.max_memory)
+        row, given = row_bytes(source.columns), {**(self.options or {}), **options}
+        refuse_large(self.output, source.count, row, self.max_memory, given)
         path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
-        save(source, path, overwrite=True, format_options={**(self.options or {}), **options})
+        save(source, path, overwrite=True, format_options=given)
         yield path
         path.unlink()
 

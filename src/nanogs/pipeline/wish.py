@@ -9,6 +9,7 @@ from nanogs.splats import Splats
 
 R_contra = TypeVar("R_contra", contravariant=True)
 PALETTE, SH_BITS = "palette", "sh_bits"
+LEAST_BYTES = 8  # of a splat in a packed file
 Options = Mapping[str, Any]
 
 
@@ -44,6 +45,7 @@ class Wish(NamedTuple):
         sh_degree: Of the harmonics that are to be written, or None to choose it.
         by_psnr: Whether the PSNR alone says what is best.
         looks: Whether what is not asked for may be chosen, as by presets that render.
+        most: Splats that a writer may hold whole; None for any number.
     """
 
     size: int
@@ -52,6 +54,7 @@ class Wish(NamedTuple):
     sh_degree: int | None = None
     by_psnr: bool = False
     looks: bool = True
+    most: int | None = None
 
     def choices(self, degree: int) -> Choices:
         """What it leaves to be chosen, of a model with harmonics of a degree."""
@@ -66,8 +69,23 @@ class Wish(NamedTuple):
         }
         if not highest:
             bits.pop(SH_BITS, None)
-        palettes = PALETTE in self.known.options and PALETTE not in self.given
-        return Choices(fixed or range(highest + 1), palettes, bits, self.by_psnr)
+        return Choices(
+            fixed or range(highest + 1), self._has_palettes(), bits, self.by_psnr, self._entries()
+        )
+
+    def _has_palettes(self) -> bool:
+        """Whether a palette is to be chosen.
+
+        Where the format can do without, one has to see the whole result, for which there must be
+        room.
+        """
+        if PALETTE not in self.known.options or PALETTE in self.given:
+            return False
+        return not self.known.streams or self.most is None or self.size <= self.most * LEAST_BYTES
+
+    def _entries(self) -> int:
+        option = self.known.options.get(PALETTE)
+        return max(option.values) if option else 0
 
     def share(self, packing: Packing, count: int) -> float | None:
         """Splats for an entry of the palette, of a result of so many; None without one."""
@@ -80,4 +98,4 @@ class Wish(NamedTuple):
         choices = self.choices(degree)
         share = SMALLER[-1] if choices.first.share else None
         bits = tuple((name, each.values[0]) for name, each in choices.bits.items())
-        return Packing(choices.degrees[0], share, bits)
+        return Packing(choices.degrees[0], share, bits, choices.entries)

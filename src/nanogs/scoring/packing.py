@@ -110,12 +110,12 @@ def refuse_too_large_to_pack(
     """
     if not isinstance(source, FileSource):
         return
-    for suffix in packing:
+    for suffix, options in packing.items():
         if is_packed_so(source, suffix):
             continue
         refuse_too_large(
             f"Packing {source.name} as {suffix}",
-            convert_bytes(source, Path(f"packed{suffix}"), whole=False) + others,
+            convert_bytes(source, Path(f"packed{suffix}"), whole=False, options=options) + others,
             allowed_memory(max_memory),
             "free some, or name another format",
         )

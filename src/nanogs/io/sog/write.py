@@ -23,11 +23,11 @@ from nanogs.formatting import counted
 from nanogs.io import limits
 from nanogs.io.folder import atomic_folder
 from nanogs.io.json_fields import is_plain
+from nanogs.io.palette import palette
 from nanogs.io.precision import Precision, visibility
 from nanogs.io.rotations import least_turned, split_quats
 from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
-from nanogs.io.sog.palette import palette
 from nanogs.io.sog.texture import MAX_SIDE, encode
 from nanogs.morton import spread_bits
 from nanogs.progress import Parts, untold

@@ -19,9 +19,11 @@ FORMATS = (
         axes=None,
         options={
             "spz_version": WriteOption("version", (2, 3, 4)),
+            "palette": WriteOption("palette_size", range(1, write.MOST_ENTRIES + 1), whole=True),
             "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1), MOST_BITS),
             "sh_bits": WriteOption("sh_bits", range(2, 9), write.SH_BITS),
         },
+        tells=True,
         streams=True,
         starts=(MAGIC, GZIP),
     ),

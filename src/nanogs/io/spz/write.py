@@ -4,11 +4,17 @@ Coefficients of degree 1 keep 5 bits and higher ones 4, as the reference writer 
 values a byte takes, the better it compresses. Unlike there, the fraction bits follow the scene,
 so that a small one keeps its detail and a large one does not wrap around; and centres and
 rotations are no finer than they are worth beside scales, which have steps of a sixteenth.
+
+The higher coefficients are most of a file. Nothing in the format lets splats share them, but what
+repeats within 32 kB costs gzip next to nothing: with a palette, splats that share an entry follow
+each other, and so each entry is packed once. Where rotations are rounded, splats are turned as
+little as their axes allow, so that fewer codes are in use.
 """
 
 import gzip
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from typing import BinaryIO
 
@@ -19,8 +25,9 @@ from nanogs.errors import OutputError, UnstorableError
 from nanogs.findings import Finding
 from nanogs.io import limits
 from nanogs.io.by_column import Encoder, encoded_columns
-from nanogs.io.precision import FINEST, MOST_BITS, Precision
-from nanogs.io.rotations import split_quats
+from nanogs.io.palette import palette
+from nanogs.io.precision import FINEST, MOST_BITS, Precision, visibility
+from nanogs.io.rotations import least_turned, split_quats
 from nanogs.io.spz.header import (
     ANTIALIASED,
     HEADER,
@@ -30,12 +37,14 @@ from nanogs.io.spz.header import (
     column_widths,
 )
 from nanogs.io.spz.read import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
-from nanogs.source import Source, source_of
+from nanogs.progress import Parts, untold
+from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.stored import rounded_bytes
 
 SUFFIX = ".spz"
 SH_BITS = 5  # kept of a coefficient of degree 1; of a higher one, one less
+MOST_ENTRIES = 1 << 20  # of a palette
 USUAL_FRACTION_BITS = 12
 _FIXED_MAX = (1 << 23) - 1
 _SIGNIFICANT_BITS = 16
@@ -47,18 +56,24 @@ _GZIP_LEVEL, _ZSTD_LEVEL = 6, 12  # the reference writer's
 def write(
     model: Splats | Source,
     file: BinaryIO,
+    tell: Parts = untold,
     *,
     version: int = 3,
+    palette_size: int | None = None,
     bits: int = MOST_BITS,
     sh_bits: int = SH_BITS,
 ) -> None:
     """Write a model, axes as they are; `losses` says what does not go in.
 
     Args:
-        model: The model; of a source, no more than a column is held, and that as it is written.
+        model: The model; of a source, no more than a column is held, and that as it is written,
+            unless there is a palette.
         file: Open for binary writing.
+        tell: Told of the rounds in which a palette is looked for.
         version: 3 (gzip); 4 (zstd), which fewer readers know; or 2 (gzip), which more know, with
             rotations of less precision.
+        palette_size: Most sets of higher coefficients that splats may have; by default each splat
+            has its own. Splats of one set then follow each other.
         bits: Of a part of a rotation, a colour and an alpha, 4 to 8; centres follow, see
             `Precision.spare_bits`.
         sh_bits: Of a coefficient of degree 1, 2 to 8; higher ones have one less.
@@ -71,6 +86,8 @@ def write(
     source = source_of(model)
     precision, (degree, count) = Precision(bits), (source.columns.sh_degree, source.count)
     fraction = fraction_bits(source, precision)
+    if palette_size is not None and degree and count:
+        source = InMemory(_sharing(source.load(), palette_size, tell))
     flags = ANTIALIASED if source.columns.render_mode == RenderMode.MIP else 0
     start = (MAGIC, version, count, degree, fraction, flags)
     buckets = _buckets(degree, sh_bits)[:, None]
@@ -156,20 +173,41 @@ def _bits(reach: float) -> int:
     return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
 
 
+def _sharing(splats: Splats, size: int, tell: Parts) -> Splats:
+    """The splats with so many sets of higher coefficients at most, those of one set in a row."""
+    points = splats.sh[:, 1:].reshape(len(splats), -1)
+    found = palette(points, size, visibility(splats), tell)
+    sh = splats.sh.copy()
+    sh[:, 1:] = found.entries[found.labels].reshape(len(splats), -1, 3)
+    return replace(splats, sh=sh).take(np.argsort(found.labels, kind="stable"))
+
+
 def _encoders(fraction: int, version: int, precision: Precision, buckets: F64) -> list[Encoder]:
     """Functions that encode a block of rows, one for each column of the file."""
     step, levels = _ROTATION_STEP * precision.rotation_step, (1 << precision.bits) - 1
-    rotations = _xyz_rotations if version == 2 else partial(_rotations, step=step)
+    pack = _xyz_rotations if version == 2 else partial(_rotations, step=step)
+    turned = _least_turned if precision.bits < MOST_BITS else _as_they_are
     encoders: list[Encoder] = [
         lambda block: _positions(block.means, fraction),
         lambda block: _levels(block.opacities(), precision.alphas),
         lambda block: _levels(block.sh[:, 0] * np.float64(COLOUR_SCALE) + 0.5, levels),
-        lambda block: rounded_bytes((block.log_scales - np.float64(SCALE_LOW)) * SCALE_STEPS),
-        lambda block: rotations(block.unit_quats()),
+        lambda block: rounded_bytes((turned(block)[1] - np.float64(SCALE_LOW)) * SCALE_STEPS),
+        lambda block: pack(turned(block)[0]),
     ]
     if len(buckets):
         encoders.append(lambda block: _coefficients(block.sh[:, 1:], buckets))
     return encoders
+
+
+def _as_they_are(block: Splats) -> tuple[F32, F32]:
+    """(R, 4) unit wxyz, and (R, 3) log-scales."""
+    return block.unit_quats(), block.log_scales
+
+
+def _least_turned(block: Splats) -> tuple[F32, F32]:
+    """The same with other axes first, so that rotations are small."""
+    quats, log_scales = least_turned(block)
+    return quats.astype(np.float32), log_scales
 
 
 def _levels(values: F32 | F64, levels: int) -> U8:
