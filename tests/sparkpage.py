@@ -41,7 +41,7 @@ const spark = new SparkRenderer({
 });
 const scene = new Scene();
 scene.add(spark);
-const mesh = new SplatMesh({ url: told.url, extSplats: !told.paged, paged: told.paged });
+const mesh = new SplatMesh({ url: told.url, extSplats: !told.paged, ...told.mesh });
 scene.add(mesh);
 const camera = new PerspectiveCamera(told.angle, told.width / told.height, told.near, 1e4);
 camera.matrixAutoUpdate = false;
@@ -67,14 +67,15 @@ draw();
 </script>"""
 
 
-def in_spark(path, camera, folder, *, paged=False, calm=8, **options):
+def in_spark(path, camera, folder, *, mesh=None, calm=8, **options):
     """What Spark draws of a file, (H, W, 3) float32 in [0, 1], and what it says of itself.
 
     Args:
         path: The file.
         camera: From where; its principal point is in the middle.
         folder: For the page.
-        paged: Whether chunks are fetched one at a time, as they are needed.
+        mesh: Options of the mesh: `paged`, so that chunks are fetched one at a time as they are
+            needed, or `lod`, with which Spark makes a tree of its own.
         calm: Frames in a row that draw the same splats, before a picture is taken.
         **options: Of Spark's renderer, such as `lodSplatCount`.
     """
@@ -87,7 +88,8 @@ def in_spark(path, camera, folder, *, paged=False, calm=8, **options):
     pose = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
     told = {
         "url": f"/scene/{path.name}",
-        "paged": paged,
+        "mesh": mesh or {},
+        "paged": bool(mesh and mesh.get("paged")),
         "width": camera.width,
         "height": camera.height,
         "angle": float(np.degrees(2 * np.arctan(camera.height / 2 / camera.fy))),

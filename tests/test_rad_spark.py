@@ -38,6 +38,7 @@ def lopsided(count=400):
     return dataclasses.replace(
         model,
         means=(model.means * (1 + third[:, None]) / 2 + places[third]).astype(np.float32),
+        log_scales=(model.log_scales - np.log(count / 400) / 2).astype(np.float32),
         sh=sh,
         opacity_logits=np.full(count, 1.5, np.float32),
     )

@@ -18,6 +18,7 @@ from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
 from nanogs.lod.layout import Layout, chunks_of
 from nanogs.lod.manifest import Manifest, describe_levels
+from nanogs.lod.tree_file import LevelsTree
 from nanogs.pipeline.files import cameras_of
 from nanogs.pipeline.foreseen import levels_stages
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -63,7 +64,8 @@ def write_levels(
         folder: The folder to make.
         ratios: As `levels` takes them.
         source: Name of the model for the manifest; by default that of its files.
-        layout: "files", one a level; "streamed sog" or "3d tiles".
+        layout: "files", one a level; "streamed sog" or "3d tiles"; or "spark tree", for which
+            `folder` is the `.rad` file to make.
         chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
             default.
         plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
@@ -97,7 +99,7 @@ def write_levels(
         chunks=chunks_of(layout, chunk, plain=plain), frame=frame, overwrite=overwrite,
         measured=measured, overrides=overrides, **given,
     )  # fmt: skip
-    sink = sink_of(request, suffix=suffix, source=source)
+    sink = sink_of(request, suffix=suffix, source=source, layout=layout)
     with drawn(progress) as tell:
         if not isinstance(paths, Splats | Source):
             return write_levels_of_files(request, sink, tell)
@@ -106,15 +108,27 @@ def write_levels(
         return _whole(request, prepare(as_splats(paths), request.edits), sink, tell)
 
 
-def sink_of(request: Request, *, suffix: str = PLY, source: str | None = None) -> LevelsFolder:
+LevelsSink = LevelsFolder | LevelsTree
+"""What takes levels."""
+
+
+def sink_of(
+    request: Request,
+    *,
+    suffix: str = PLY,
+    source: str | None = None,
+    layout: Layout | str = Layout.FILES,
+) -> LevelsSink:
     """What takes the levels that are asked for; see `write_levels`."""
     name = source or ", ".join(path.name for path in request.inputs) or "a model"
+    if layout == Layout.TREE:
+        return LevelsTree(request.output, request.overwrite, name)
     chunks = request.chunks if isinstance(request.chunks, ChunkLayout) else None
     return LevelsFolder(request.output, request.overwrite, name, chunks, suffix)
 
 
 def write_levels_of_files(
-    request: Request, sink: LevelsFolder, told: Progress | None
+    request: Request, sink: LevelsSink, told: Progress | None
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make the levels that are asked for, in memory or in blocks.
 
@@ -141,7 +155,7 @@ def write_levels_of_files(
 
 
 def _whole(
-    request: Request, prepared: Prepared, sink: LevelsFolder, told: Progress | None
+    request: Request, prepared: Prepared, sink: LevelsSink, told: Progress | None
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make the levels of a model in memory."""
     splats, filtered, notes = prepared
@@ -168,7 +182,7 @@ def _whole(
     return replace(manifest, notes=(*manifest.notes, *notes)), tuple(reports)
 
 
-def _stages(request: Request, splats: int, sink: LevelsFolder) -> list[Stage]:
+def _stages(request: Request, splats: int, sink: LevelsSink) -> list[Stage]:
     """The stages of `_whole`: those of `levels`, and a "write" after each level.
 
     Where levels are measured, "measure" comes first, and the rest of it belongs to the writing.

@@ -45,7 +45,7 @@ def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
     """
     wish, method, output = wishes.wish, wishes.method, wishes.output
     wish = replace(wish, inputs=(pair.source, *wish.inputs[1:]))  # stdin is a file by now
-    sink = sink_of(wish, suffix=output.suffix)
+    sink = sink_of(wish, suffix=output.suffix, layout=output.layout)
     if not wish.goes_on():
         sink.check()
     plan = plan_run(wish, method)

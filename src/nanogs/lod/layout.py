@@ -1,6 +1,6 @@
 """The layouts in which `nanogs lod` writes levels.
 
-The output's name says which: `out/lod-meta.json`, `out/tileset.json`, or the folder itself.
+The output's name says which: `out/lod-meta.json`, `out/tileset.json`, `out.rad`, or a folder.
 """
 
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from pathlib import Path
 from nanogs.defaults import CHUNK
 from nanogs.errors import OptionError
 from nanogs.io import registry
+from nanogs.io.rad.write import SUFFIX as TREE
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, level_name
 from nanogs.lod.streamed_sog import StreamedSog
@@ -22,6 +23,7 @@ class Layout(StrEnum):
     FILES = "files"  # one a level
     SOG = "streamed sog"
     TILES = "3d tiles"
+    TREE = "spark tree"  # one file
 
 
 _CHUNKED: dict[Layout, type[ChunkLayout]] = {Layout.SOG: StreamedSog, Layout.TILES: Tiles}
@@ -33,7 +35,7 @@ class Output:
     """The place and form of the levels.
 
     Attributes:
-        folder: The folder to make.
+        folder: The folder to make, or the file where it is one.
         layout: How they lie in it.
         suffix: Of the files, where each level has one.
     """
@@ -65,6 +67,10 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
         OptionError: The format is not written, or the name says another one; or the name is that of
             another `.json` file, or of a single model.
     """
+    if path.suffix.lower() == TREE:
+        if suffix is not None:
+            raise OptionError(f"{path} says how the levels are written; leave the format out.")
+        return Output(path, Layout.TREE, TREE)
     for layout, name in NAMES.items():
         if path.name == name:
             if suffix is not None:
@@ -110,6 +116,8 @@ def chunks_of(layout: Layout | str, chunk: int | None, *, plain: bool) -> ChunkL
             "The size of chunks is for lod-meta.json and tileset.json; levels as files of their"
             " own are not divided."
         )
+    if chunk is not None and layout == Layout.TREE:
+        raise OptionError("Chunks of a .rad file have 65,536 splats, as viewers want them.")
     if plain and layout != Layout.TILES:
         raise OptionError("Contents are plain or packed in 3D Tiles only; write a tileset.json.")
     most = CHUNK if chunk is None else chunk

@@ -11,6 +11,7 @@ FORMATS = (
         RadFile,
         write.write,
         losses=write.losses,
+        open_level=RadFile,
         streams=True,
         max_degree=MAX_DEGREE,
         starts=(MAGIC,),

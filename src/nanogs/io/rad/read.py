@@ -1,6 +1,7 @@
 """Reading `.rad` (Spark), with and without a tree; the layout is in `header`.
 
-Of a tree its leaves are read, in the order of the file: the model that the tree was made of. Each
+Of a tree its leaves are read, in the order of the file: the model that the tree was made of, level
+0. Level N has in place of leaves what stands for them N steps up (`levels`). Each
 chunk is unpacked by itself, and the last one kept, so that rows can be read in parts.
 """
 
@@ -16,9 +17,10 @@ from nanogs.errors import FormatError
 from nanogs.findings import Finding, negative_scales
 from nanogs.io import render_tag
 from nanogs.io.info import FileInfo
-from nanogs.io.parts import FileSource
+from nanogs.io.parts import FileSource, check_level
 from nanogs.io.ply.header import printable
 from nanogs.io.rad.header import BANDS, CHILD_COUNT, CODES, LABEL, Chunk, read_header
+from nanogs.io.rad.levels import Heights, heights
 from nanogs.io.rad.values import (
     check_encoding,
     components,
@@ -35,21 +37,29 @@ from nanogs.stored import base_colour
 class RadFile(FileSource):
     """A `.rad` file; a scale of zero becomes -inf, alpha 0 and 1 become ∓inf.
 
+    Args:
+        path: The file.
+        level: Of a tree, which of its levels; 0 is the finest.
+
     Raises:
-        FormatError: It cannot be read, is no `.rad` file, or its descriptions are damaged.
+        FormatError: It cannot be read, is no `.rad` file, or its descriptions or tree are damaged.
+        OptionError: It has no such level.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, level: int = 0) -> None:
         super().__init__(path)
-        self._header = read_header(path)
+        self._header, self._level = read_header(path), level
         for chunk in self._header.chunks:
             for column in chunk.properties.values():
                 check_encoding(column)
+        self._bases = [0, *accumulate(chunk.count for chunk in self._header.chunks)]
         self._last: tuple[int, Splats] | None = None
+        if level:
+            check_level(path, level, len(self.levels) or 1)
 
     @cached_property
     def info(self) -> FileInfo:
-        """The description; of a tree its leaves have been counted."""
+        """The description; of a tree the rows of its level have been counted."""
         header = self._header
         first = header.chunks[0].properties.values()
         comments = self._comments
@@ -72,15 +82,38 @@ class RadFile(FileSource):
         return self._header.files
 
     @property
+    def levels(self) -> tuple[int, ...]:
+        """Splats of each level of a tree; see `FileSource`."""
+        return self._heights.counts() if self._header.tree else ()
+
+    @cached_property
+    def _heights(self) -> Heights:
+        return heights(self._header)
+
+    def _rows(self, number: int) -> Array:
+        """(count,) bool: the rows of a chunk of a tree that are in the level."""
+        if not self._level:
+            chunk = self._header.chunks[number]
+            leaves: Array = components(chunk.properties[CHILD_COUNT], chunk.count, 1)[:, 0] == 0
+            return leaves
+        rows = slice(self._bases[number], self._bases[number + 1])
+        own, parents = self._heights
+        chosen: Array = (own[rows] <= self._level) & (parents[rows] > self._level)
+        return chosen
+
+    @property
     def _comments(self) -> list[str]:
         comment = self._header.comment
         return [] if comment is None else comment.split("\n")
 
     @cached_property
     def _ends(self) -> list[int]:
-        """0, and the row after the last of each chunk, leaves alone being counted of a tree."""
+        """0, and the row after the last of each chunk, of a tree those of the level alone."""
         chunks, tree = self._header.chunks, self._header.tree
-        counts = [int(_leaves(chunk).sum()) if tree else chunk.count for chunk in chunks]
+        counts = [
+            int(self._rows(number).sum()) if tree else chunk.count
+            for number, chunk in enumerate(chunks)
+        ]
         if not any(counts):
             raise FormatError(
                 f"{self.path} is damaged: its tree has no leaf; export or download it again."
@@ -97,11 +130,11 @@ class RadFile(FileSource):
         return joined_rows(parts) if parts else self._chunk(0).span(0, 0)
 
     def _chunk(self, number: int) -> Splats:
-        """The rows of a chunk, of a tree its leaves."""
+        """The rows of a chunk, of a tree those of the level."""
         if self._last is None or self._last[0] != number:
             self._last = None  # before the next one is unpacked
             chunk = self._header.chunks[number]
-            rows = np.flatnonzero(_leaves(chunk)) if self._header.tree else None
+            rows = np.flatnonzero(self._rows(number)) if self._header.tree else None
             with np.errstate(all="ignore"):  # whatever bits there are: NaN, infinity, zero scales
                 self._last = number, self._unpacked(chunk, rows)
         return self._last[1]
@@ -162,12 +195,6 @@ class RadFile(FileSource):
     def close(self) -> None:
         """Let go of the chunk that was read last."""
         self._last = None
-
-
-def _leaves(chunk: Chunk) -> Array:
-    """(count,) bool: the rows of a tree that have no children."""
-    leaves: Array = components(chunk.properties[CHILD_COUNT], chunk.count, 1)[:, 0] == 0
-    return leaves
 
 
 def _places(degree: int) -> list[slice]:

@@ -1,0 +1,80 @@
+"""What Spark draws of trees of levels of detail at equal numbers of splats: ours, and its own.
+
+    python benchmarks/spark.py [--scenes biker.spz,plant.splat] [--shares 0.25,0.1] [--views 2]
+
+Each model is written as `nanogs lod` writes a `.rad`, and as `.spz`, of which Spark, as its npm
+package has it, makes a tree itself: `lod: true`, its quick way, and `lod: "quality"`. All are drawn
+in Chromium from the same cameras with the same number of splats at most (`lodSplatCount`), and held
+against what nanogs renders of the whole model. The page is that of `tests/sparkpage.py`.
+"""
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENES = "biker.spz,plant.splat,kitchen.spz"
+RATIOS = (1, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
+PIXELS = 240
+OWN = {"quick": {"lod": True}, "quality": {"lod": "quality"}}
+
+
+def main() -> None:
+    """Print a table, a row for each scene and number of splats."""
+    options = _options()
+    sys.path.insert(0, str(ROOT / "tests"))
+    print("| scene | splats | drawn | nanogs | Spark, quick | Spark, quality |")
+    print("|---|---|---|---|---|---|")
+    folder = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
+    for scene in options.scenes.split(","):
+        shares = [float(share) for share in options.shares.split(",")]
+        with tempfile.TemporaryDirectory() as made:
+            _compare(folder / scene, Path(made), shares, options.views, options.preset)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--scenes", default=SCENES, help="files, with commas between")
+    parser.add_argument("--shares", default="0.25,0.1", help="of the splats that are drawn")
+    parser.add_argument("--views", type=int, default=2, help="automatic cameras")
+    parser.add_argument("--preset", default="fast", help="of nanogs lod")
+    return parser.parse_args()
+
+
+def _compare(path: Path, made: Path, shares: list[float], views: int, preset: str) -> None:
+    import nanogs
+    from nanogs.metrics import psnr
+    from nanogs.raster.rendering import render
+    from nanogs.splats import RenderMode
+    from nanogs.views.automatic import automatic_cameras
+    from sparkpage import in_spark
+
+    model = nanogs.load(path)
+    nanogs.write_levels(model, made / "a.rad", RATIOS, layout="spark tree", preset=preset)
+    nanogs.save(model, made / "a.spz")
+    mip = model.render_mode is RenderMode.MIP
+    blurs = {"preBlurAmount": 0, "blurAmount": 0.3} if mip else {}
+    cameras = automatic_cameras(model, views, width=PIXELS, height=PIXELS)
+    targets = [render(model, camera).shown() for camera in cameras]
+    for share in shares:
+        count = int(len(model) * share)
+        ways = {"nanogs": (made / "a.rad", {})} | {n: (made / "a.spz", m) for n, m in OWN.items()}
+        cells = []
+        for file, mesh in ways.values():
+            found = []
+            for camera, target in zip(cameras, targets, strict=True):
+                shown, state = in_spark(
+                    file, camera, made, mesh=mesh, calm=4, lodSplatCount=count, **blurs
+                )
+                found.append((psnr(shown, target), state["splats"]))
+            mean, drawn = np.mean(found, axis=0)
+            cells.append(f"{mean:.2f} dB ({drawn:,.0f})")
+        print(f"| {path.stem} | {len(model):,} | {count:,} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

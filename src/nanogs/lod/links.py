@@ -1,0 +1,130 @@
+"""Which splat of a coarser level stands for each splat of a finer one.
+
+Levels are made each for itself, and say nothing of each other. A splat belongs to the coarser one
+among those near it that it most likely came from: as a point drawn from that splat, blurred by its
+own shape, with colours alike.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nanogs._types import F32, F64, I32, I64
+from nanogs.kernels.nodes import covariances_of
+from nanogs.neighbours import nearest_neighbours, nearest_to
+from nanogs.source import Source
+from nanogs.stored import SH_C0
+from nanogs.threads import use_threads
+
+_NEAR = 8  # coarser splats around the nearest one that are looked at beside it
+_COLOUR = 0.15  # standard deviation of what merging changes in a base colour
+_FLATTEST = 1e-3  # thinnest axis over the longest, so that determinants stay finite
+_THINNEST = 1e-12  # scene units
+_ROWS = 1 << 15
+_TAKEN = 8  # finer splats around a coarser one without any, of which it may take one
+
+
+class Shapes(NamedTuple):
+    """What of N splats decides.
+
+    Attributes:
+        means: (N, 3) float64, scene units.
+        covariances: (N, 6) float64, xx, xy, xz, yy, yz, zz, square scene units.
+        colours: (N, 3) float32, of degree 0, from 0 to 1.
+    """
+
+    means: F64
+    covariances: F64
+    colours: F32
+
+
+def shapes_of(level: Source) -> Shapes:
+    """Read what decides of a level, some rows at a time."""
+    found = Shapes(
+        np.empty((level.count, 3)),
+        np.empty((level.count, 6)),
+        np.empty((level.count, 3), np.float32),
+    )
+    at = 0
+    for block in level.blocks():
+        rows = slice(at, at + len(block))
+        found.means[rows] = block.means
+        covariances = np.empty((len(block), 6))
+        covariances_of(block.scales(), block.unit_quats(), _FLATTEST, _THINNEST, covariances)
+        found.covariances[rows] = covariances
+        found.colours[rows] = block.sh[:, 0] * np.float32(SH_C0)
+        at += len(block)
+    return found
+
+
+def parents_of(fine: Shapes, coarse: Shapes) -> I64:
+    """(N,) the coarser splat that stands for each of N finer ones; each stands for one or more.
+
+    Args:
+        fine: N splats.
+        coarse: M splats, M from 1 to N.
+    """
+    parents = _likeliest(fine, coarse)
+    _give_to_childless(parents, fine.means, coarse.means)
+    return parents
+
+
+def _likeliest(fine: Shapes, coarse: Shapes) -> I64:
+    with use_threads(None) as threads:
+        _, nearest = nearest_to(fine.means, coarse.means, threads)
+        around = nearest_neighbours(coarse.means, _NEAR, threads)
+    parents = np.empty(len(fine.means), np.int64)
+    for start in range(0, len(parents), _ROWS):
+        rows = slice(start, min(start + _ROWS, len(parents)))
+        near = nearest[rows]
+        candidates = np.column_stack([near, around[near]])
+        deltas = fine.means[rows, None] - coarse.means[candidates]
+        blurred = coarse.covariances[candidates] + fine.covariances[rows, None]
+        tints = fine.colours[rows, None] - coarse.colours[candidates]
+        unlikely = _unlikelihoods(deltas, blurred)
+        unlikely += (tints.astype(np.float64) ** 2).sum(axis=-1) / _COLOUR**2
+        best = unlikely.argmin(axis=1)
+        parents[rows] = candidates[np.arange(len(best)), best]
+    return parents
+
+
+def _unlikelihoods(deltas: F64, covariances: F64) -> F64:
+    """(R, C): minus twice the logarithm of a Gaussian's density, but for a constant.
+
+    Args:
+        deltas: (R, C, 3) from its centre, scene units.
+        covariances: (R, C, 6), positive definite, square scene units.
+    """
+    xx, xy, xz, yy, yz, zz = np.moveaxis(covariances, -1, 0)
+    x, y, z = np.moveaxis(deltas, -1, 0)
+    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    determinants = np.maximum(xx * a + xy * b + xz * c, np.finfo(np.float64).tiny)
+    squares = x * x * a + y * y * d + z * z * f + 2 * (x * y * b + x * z * c + y * z * e)
+    unlikely: F64 = squares / determinants + np.log(determinants)
+    return unlikely
+
+
+def _give_to_childless(parents: I64, fine: F64, coarse: F64) -> None:
+    """Give a child to each that has none: the nearest one whose parent has others; in place."""
+    counts = np.bincount(parents, minlength=len(coarse))
+    lone = np.flatnonzero(counts == 0)
+    if not len(lone):
+        return
+    with use_threads(None) as threads:
+        _, nearest = nearest_to(coarse[lone], fine, threads)
+        around = nearest_neighbours(fine, _TAKEN, threads)
+    for one, near in zip(lone.tolist(), nearest.tolist(), strict=True):
+        child = _spared(parents, counts, np.append(near, around[near]))
+        if child < 0:  # among all: as there are no more parents than children, one can be spared
+            order = np.argsort(((fine - coarse[one]) ** 2).sum(axis=1), kind="stable")
+            child = _spared(parents, counts, order)
+        counts[parents[child]] -= 1
+        counts[one] += 1
+        parents[child] = one
+
+
+def _spared(parents: I64, counts: I64, children: I32 | I64) -> int:
+    """The first of some children whose parent has others; -1 where none has."""
+    spare = np.flatnonzero(counts[parents[children]] > 1)
+    return int(children[spare[0]]) if len(spare) else -1

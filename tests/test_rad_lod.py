@@ -1,0 +1,302 @@
+"""`nanogs lod` to Spark's `.rad`: a tree whose leaves are the model, and what is refused."""
+
+import heapq
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import nanogs
+import radfiles
+from builders import random_splats
+from launch import run
+from nanogs import io
+from nanogs.errors import FormatError, OptionError
+from nanogs.io.rad.header import read_header
+from nanogs.io.rad.levels import heights
+from nanogs.lod import links
+from nanogs.lod.tree import as_rows, layers_of, remade
+from nanogs.metrics import psnr
+from nanogs.raster.rendering import render
+from nanogs.source import InMemory
+from radfiles import chunk, rad, tree_columns, usual
+from sparkpage import in_spark
+from test_rad_spark import lopsided, seen_from_the_start
+
+RATIOS = (1, 0.5, 0.25, 0.1)
+
+
+def tree_of(path):
+    """The counts and starts of children, as the file has them."""
+    _, chunks = radfiles.parts_of(path.read_bytes())
+    found = {"child_count": [], "child_start": []}
+    for told, payload in chunks:
+        for entry in told["properties"]:
+            if entry["property"] in found:
+                data = payload[entry["offset"] : entry["offset"] + entry["bytes"]]
+                kind = "<u2" if entry["encoding"] == "u16" else "<u4"
+                found[entry["property"]].append(np.frombuffer(radfiles.inflated(data), kind))
+    return (np.concatenate(each).astype(np.int64) for each in found.values())
+
+
+@pytest.fixture(scope="module")
+def model():
+    return random_splats(3000, degree=1, seed=2)
+
+
+@pytest.fixture(scope="module")
+def made(model, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tree")
+    io.save(model, folder / "a.ply")
+    levels = ",".join(map(str, RATIOS))
+    done = run("lod", folder / "a.ply", folder / "a.rad", "--levels", levels, "--preset", "fast")
+    assert done.returncode == 0, done.stderr
+    return folder / "a.rad"
+
+
+def rows_sorted(means):
+    return means[np.lexsort(means.T)]
+
+
+def test_the_leaves_are_the_whole_model(model, made):
+    leaves = io.load(made)
+    np.testing.assert_array_equal(rows_sorted(leaves.means), rows_sorted(model.means))
+    told = json.loads(run("info", made, "--json").stdout)
+    assert told["levels"][:4] == [3000, 1500, 750, 300]
+    assert told["levels"][-1] == 1
+    assert told["splats"] == 3000
+
+
+def test_rows_are_as_spark_wants_them(made):
+    """The root first, children side by side after their parents, each row below just one."""
+    counts, starts = tree_of(made)
+    inner = np.flatnonzero(counts)
+    assert (starts[inner] > inner).all()
+    named = np.concatenate([np.arange(starts[i], starts[i] + counts[i]) for i in inner])
+    np.testing.assert_array_equal(np.sort(named), np.arange(1, len(counts)))
+    assert np.all(np.diff(starts[inner]) > 0)
+
+
+def test_each_level_is_read(model, made):
+    for level, ratio in enumerate(RATIOS):
+        found = nanogs.load(made, level=level)
+        assert len(found) == ratio * 3000
+    done = run("convert", made, made.with_name("c.ply"), "--level", "2")
+    assert done.returncode == 0, done.stderr
+    assert len(io.load(made.with_name("c.ply"))) == 750
+    last = len(io.open(made).levels)
+    with pytest.raises(OptionError, match=f"has levels 0 to {last - 1}"):
+        nanogs.load(made, level=last)
+    io.save(model, made.with_name("plain.rad"))
+    with pytest.raises(OptionError, match="has levels 0 to 0"):
+        nanogs.load(made.with_name("plain.rad"), level=1)
+
+
+def test_coarser_levels_look_like_the_model(tmp_path):
+    """Each parent covers what its leaves cover: a level in place of all changes little."""
+    model = lopsided(2000)
+    nanogs.write_levels(model, tmp_path / "a.rad", RATIOS, layout="spark tree", preset="fast")
+    camera = seen_from_the_start(model)
+    whole = render(model, camera).shown()
+    marks = [psnr(render(nanogs.load(tmp_path / "a.rad", level=n), camera).shown(), whole)
+             for n in range(4)]  # fmt: skip
+    assert marks[0] > 40
+    assert marks == sorted(marks, reverse=True)
+    assert marks[1] > 25
+
+
+def test_the_same_bytes_for_any_number_of_threads(model, made):
+    nanogs.write_levels(
+        model, made.with_name("b.rad"), RATIOS, layout="spark tree", preset="fast", threads=1,
+        source="a.ply",
+    )  # fmt: skip
+    assert made.read_bytes() == made.with_name("b.rad").read_bytes()
+
+
+def test_measured_levels(model, tmp_path):
+    manifest, _ = nanogs.write_levels(
+        model, tmp_path / "a.rad", (1, 0.2), layout="spark tree", preset="fast", measured=True
+    )
+    first, second = manifest.levels
+    assert first.psnr > 40 > second.psnr > 15
+    assert first.bytes + second.bytes <= (tmp_path / "a.rad").stat().st_size
+
+
+def test_in_blocks(model, tmp_path):
+    io.save(model, tmp_path / "a.ply")
+    nanogs.write_levels(
+        tmp_path / "a.ply",
+        tmp_path / "a.rad",
+        RATIOS,
+        layout="spark tree",
+        preset="fast",
+        block=900,
+    )
+    source = io.open(tmp_path / "a.rad")
+    assert source.levels[0] == 3000
+    np.testing.assert_array_equal(rows_sorted(source.load().means), rows_sorted(model.means))
+    assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "a.rad"}
+
+
+def test_nothing_is_overwritten_without_w(made):
+    before = made.read_bytes()
+    done = run("lod", made.with_name("a.ply"), made, "--levels", "1,0.1", "--preset", "fast")
+    assert done.returncode == 2
+    assert "-w" in done.stderr
+    assert made.read_bytes() == before
+    assert {path.suffix for path in made.parent.iterdir()} <= {".ply", ".rad"}
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [(["--chunk", "100"], "65,536"), (["--format", "sog"], "leave the format out"),
+     (["--plain"], "3D Tiles only")],
+)  # fmt: skip
+def test_options_of_other_layouts_are_refused(made, given, words):
+    done = run("lod", made.with_name("a.ply"), made.with_name("d.rad"), *given)
+    assert done.returncode == 2
+    assert words in done.stderr
+
+
+def test_a_splat_for_too_many_others_is_refused(monkeypatch, model):
+    monkeypatch.setattr("nanogs.lod.tree.MOST_CHILDREN", 20)
+    levels = [InMemory(model), InMemory(model.take(np.arange(3)))]
+    with pytest.raises(OptionError, match="give more levels between"):
+        layers_of(levels)
+
+
+# ---- links
+
+
+@given(st.integers(1, 60), st.integers(1, 60), st.integers(0, 9))
+def test_every_coarser_splat_stands_for_some(many, few, seed):
+    fine, coarse = max(many, few), min(many, few)
+    shapes = [
+        links.shapes_of(InMemory(random_splats(n, seed=s)))
+        for n, s in ((fine, seed), (coarse, seed + 1))
+    ]
+    parents = links.parents_of(*shapes)
+    assert set(parents.tolist()) == set(range(coarse))
+
+
+@given(st.integers(2, 40), st.integers(0, 9))
+def test_trees_of_any_size(count, seed):
+    model = random_splats(count, seed=seed)
+    levels = [InMemory(model.take(np.arange(n))) for n in (count, (count + 1) // 2)]
+    layers = remade(layers_of(levels))
+    rows, tree = as_rows(layers)
+    assert rows.count == sum(layer.splats.count for layer in layers) == len(tree.counts)
+    assert tree.counts.sum() == rows.count - 1
+    leaves = rows.load().take(np.flatnonzero(tree.counts == 0))
+    np.testing.assert_array_equal(rows_sorted(leaves.means), rows_sorted(model.means))
+
+
+def test_a_splat_belongs_to_the_one_it_came_from():
+    """Two clusters that nearly touch, and two splats that stand for them, one flat and wide."""
+    rng = np.random.default_rng(0)
+    model = random_splats(200, degree=0)
+    low = np.arange(200) < 100
+    means = rng.normal(size=(200, 3)) * np.where(low[:, None], (2, 2, 0.02), 0.3)
+    means[~low] += (0, 0, 1)
+    model.means[:] = means
+    model.log_scales[:] = -3
+    pair = model.take(np.array([0, 199]))
+    pair.means[:] = (0, 0, 0), (0, 0, 1)
+    pair.log_scales[:] = np.log([(2, 2, 0.03), (0.3, 0.3, 0.3)])
+    pair.quats[:] = (1, 0, 0, 0)
+    parents = links.parents_of(*(links.shapes_of(InMemory(each)) for each in (model, pair)))
+    assert ((parents == 1) == ~low).mean() > 0.97
+
+
+# ---- damaged trees
+
+
+def tree_file(counts, starts):
+    count = len(counts)
+    columns = [*usual(count)[0], *tree_columns(counts, starts)]
+    return rad([chunk(columns, count)], count, lodTree=True)
+
+
+@pytest.mark.parametrize(
+    ("counts", "starts", "words"),
+    [
+        ([2, 0, 0, 0], [1, 0, 0, 0], "several parents, or none"),
+        ([2, 2, 0, 0], [1, 2, 0, 0], "several parents, or none"),
+        ([1, 0, 1, 1], [1, 0, 3, 2], "comes before its parent"),
+        ([1, 0, 2, 0], [3, 0, 1, 0], "comes before its parent"),
+        ([3, 0, 0, 0], [2, 0, 0, 0], "several parents, or none"),
+    ],
+)
+def test_what_is_no_tree_has_no_levels(tmp_path, counts, starts, words):
+    (tmp_path / "a.rad").write_bytes(tree_file(counts, starts))
+    with pytest.raises(FormatError, match=words):
+        heights(read_header(tmp_path / "a.rad"))
+    with pytest.raises(FormatError, match=words):
+        nanogs.load(tmp_path / "a.rad", level=1)
+
+
+def test_trees_of_far_too_many_levels_are_refused(tmp_path):
+    n = 400
+    data = tree_file([1] * (n - 1) + [0], [*range(1, n), 0])
+    (tmp_path / "a.rad").write_bytes(data)
+    with pytest.raises(FormatError, match="more than 256 levels"):
+        nanogs.load(tmp_path / "a.rad", level=1)
+
+
+def test_levels_of_a_lopsided_tree(tmp_path):
+    """A leaf that hangs on the root is in all levels but that of the root."""
+    parts, given_values, leaves = radfiles.small_tree()
+    (tmp_path / "a.rad").write_bytes(rad(parts, 8, lodTree=True))
+    assert io.open(tmp_path / "a.rad").levels == (5, 3, 1)
+    for level, rows in enumerate((leaves, [1, 2, 3], [0])):
+        found = nanogs.load(tmp_path / "a.rad", level=level)
+        np.testing.assert_array_equal(found.means, given_values["center"][rows])
+
+
+# ---- Spark
+
+
+def frontier(rows, counts, starts, camera, most):
+    """The rows that Spark draws, as its traversal picks them: the largest on screen is refined."""
+    sizes = 2 * rows.scales().astype(np.float64).mean(axis=1)
+    sizes /= np.linalg.norm(rows.means - camera.position, axis=1)
+    heap, drawn, total = [(-sizes[0], 0)], [], 1
+    while heap and -heap[0][0] > 1 / camera.fy:
+        row = heap[0][1]
+        if counts[row] == 0:
+            drawn.append(heapq.heappop(heap)[1])
+            continue
+        if total - 1 + counts[row] > most:
+            break
+        heapq.heappop(heap)
+        total += counts[row] - 1
+        for child in range(starts[row], starts[row] + counts[row]):
+            heapq.heappush(heap, (-sizes[child], child))
+    return np.array(sorted(drawn + [row for _, row in heap]))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+@pytest.mark.parametrize("paged", [False, True])
+def test_spark_draws_a_tree_as_it_should(tmp_path, paged):
+    """All splats where they fit; fewer of several levels where they do not, the right ones."""
+    model = lopsided(3000)
+    camera = seen_from_the_start(model)
+    path, mesh = tmp_path / "a.rad", {"paged": paged}
+    nanogs.write_levels(model, path, RATIOS, layout="spark tree", preset="fast")
+    whole = render(model, camera).shown()
+    shown, state = in_spark(path, camera, tmp_path, mesh=mesh, lodRenderScale=0)
+    assert state["splats"] == 3000
+    assert psnr(shown, whole) > 30
+    levels = [InMemory(each) for each, _ in nanogs.levels(model, RATIOS, preset="fast")]
+    rows, tree = as_rows(remade(layers_of(levels)))
+    chosen = frontier(rows.load(), tree.counts, tree.starts, camera, 900)
+    expected = render(rows.load().take(chosen), camera).shown()
+    few, state = in_spark(path, camera, tmp_path, mesh=mesh, lodSplatCount=900)
+    assert abs(state["splats"] - len(chosen)) < 5  # sizes are halves there
+    assert psnr(few, expected) > 30
+    assert 22 < psnr(few, whole) < psnr(shown, whole)
+    if paged:
+        assert state["asked"].count("scene/a.rad") >= 2  # the description, and chunks by range
