@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from nanogs.lod.manifest import Manifest
 
 _LEVELS = "0.5,0.25,0.1,0.01"
+_TREE_LEVELS = "1,0.5,0.25,0.12,0.06,0.03,0.015"  # of a tree, whose leaves are the original
 
 
 @with_options
@@ -28,7 +29,8 @@ def lod(
         typer.Argument(
             metavar="IN OUT",
             help="Model to read, and folder to make, for a file a level; or lod-meta.json (streamed"
-            " SOG) or tileset.json (3D Tiles) in it. With --join several models before OUT.",
+            " SOG) or tileset.json (3D Tiles) in it; or a .rad file (a tree, for Spark). With"
+            " --join several models before OUT.",
         ),
     ],
     levels: Annotated[
@@ -37,7 +39,7 @@ def lod(
             help="Ratios from the finest level to the coarsest, commas between; 1 is the original"
             " itself, which the default leaves out.",
             metavar="RATIOS",
-            show_default=_LEVELS,
+            show_default=f"{_LEVELS}; of .rad {_TREE_LEVELS}",
         ),
     ] = None,
     level_format: Annotated[
@@ -78,22 +80,23 @@ def lod(
     OUT/level_0.ply, the finest, and so on are the files that `nanogs simplify --ratio` writes, and
     levels.json says what is in the folder. The finest has half of the splats by default: --levels
     1,0.5,0.25,0.1,0.01 keeps all of them. OUT/lod-meta.json makes streamed SOG of the levels,
-    OUT/tileset.json 3D Tiles 1.1.
+    OUT/tileset.json 3D Tiles 1.1, and OUT.rad one file of a tree, as Spark streams it.
     """
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
         from nanogs.cli import framing, lod_run, many, plan
         from nanogs.io.collect import Pair
-        from nanogs.lod.layout import chunks_of, output_of
+        from nanogs.lod.layout import Layout, chunks_of, output_of
         from nanogs.pipeline.levels import check_ratios
         from nanogs.pipeline.target import Goal
 
     # Whatever can be refused is refused before minutes of computing.
     method.check(paths)
-    ratios = options.parse_ratios(_LEVELS if levels is None else levels)
-    check_ratios(ratios)
     parts, target = _parts(paths, join=method.blocks.join)
     output = output_of(target, level_format)
+    usual = _TREE_LEVELS if output.layout is Layout.TREE else _LEVELS
+    ratios = options.parse_ratios(usual if levels is None else levels)
+    check_ratios(ratios)
     turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
     wishes = lod_run.Wishes(
         wish=plan.wish_of(
