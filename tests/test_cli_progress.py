@@ -156,6 +156,8 @@ def test_the_report_is_one_line(tmp_path):
             "achieved_count": 50_000,
             "judged": None,
             "packed": None,
+            "cost": None,
+            "original_cost": None,
             "format_options": {},
             "total_seconds": 6.2,
         }

@@ -1,6 +1,6 @@
 """What a model takes to draw: numbers that a count of splats does not tell."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 from nanogs.formatting import number_text
@@ -34,6 +34,18 @@ class DrawCost:
     largest_share: float
     drawn: float
     protocol: Protocol
+
+    @classmethod
+    def usual(
+        cls, a_pixel: float, most: float, pairs: float, largest: float, drawn: float
+    ) -> "DrawCost":
+        """Numbers in their order, on the views of `nanogs compare` at its defaults."""
+        return cls(a_pixel, int(most), pairs, largest, drawn, Protocol())
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """The numbers in their order, without the views."""
+        return astuple(self)[:-1]
 
     def share_of(self, original: "DrawCost") -> float:
         """Splats a pixel as a share of those of another model on the same views; 0 of nothing."""

@@ -4,18 +4,21 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from nanogs.costs import DrawCost
 from nanogs.filters import FilterReport
 from nanogs.fit.report import RefitReport
 from nanogs.protocol import Judged, PackingLoss
 
 
 class StopReason(StrEnum):
-    """Why the loop of passes, or the search for a PSNR, ended."""
+    """Why the loop of passes, or the search for a PSNR or a draw cost, ended."""
 
     TARGET = "target"  # the asked count is reached
     NO_CANDIDATES = "no_candidates"  # no pair is left whose cost is a number
     NO_PROGRESS = "no_progress"  # a pass merged nothing although candidates were left
-    STEP = "step"  # the PSNR steps over what was asked: a hundredth less of the splats misses it
+    STEP = (
+        "step"  # what was asked is stepped over: a hundredth of the splats more or less misses it
+    )
     UNREACHED = "unreached"  # 99 % of the splats miss the asked PSNR; the whole model was delivered
     PROBES = "probes"  # enough counts were tried; a smaller one may reach the asked PSNR too
 
@@ -84,6 +87,21 @@ class ProbeReport:
 
     count: int
     psnr: float
+    quick: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class DrawProbeReport:
+    """A count that was tried on the way to an asked draw cost.
+
+    Attributes:
+        count: Splats of the result.
+        share: Splats a pixel of the result, as a share of the original's.
+        quick: As `ProbeReport` has it.
+    """
+
+    count: int
+    share: float
     quick: bool = False
 
 
@@ -189,6 +207,12 @@ class SimplifyReport:
             was learnt from; None where that was not measured, as it is only for an asked PSNR.
         packed: Where that is the file's, in a format that rounds: what packing alone cost, beside
             the same result unpacked; else None.
+        asked_draw_cost: The most that was asked for of the original's splats a pixel, as a share,
+            or None.
+        draw_probes: The counts tried for that, in order.
+        cost: What the result takes to draw, on the views of `nanogs compare`; None where that was
+            not measured.
+        original_cost: The same of the input.
     """
 
     preset: str
@@ -222,6 +246,10 @@ class SimplifyReport:
     filters: tuple[FilterReport, ...] = ()
     judged: Judged | None = None
     packed: PackingLoss | None = None
+    asked_draw_cost: float | None = None
+    draw_probes: tuple[DrawProbeReport, ...] = ()
+    cost: DrawCost | None = None
+    original_cost: DrawCost | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""

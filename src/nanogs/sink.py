@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from nanogs._types import Array, F
+from nanogs.costs import DrawCost
 from nanogs.errors import OptionError
 from nanogs.io import check_writable, losses, registry, save
 from nanogs.io.atomic import atomic_write
@@ -39,6 +40,8 @@ class Written(NamedTuple):
         judged: PSNR in dB and SSIM against the model it was made of, and over how many views; None
             where that was not measured.
         notes: Why it was not, one sentence each.
+        costs: What it takes to draw, and the model it was made of: the numbers of `DrawCost` but
+            for the views; None where that was not measured.
     """
 
     splats: int
@@ -48,6 +51,12 @@ class Written(NamedTuple):
     sha256: str = ""
     judged: tuple[float, float, int] | None = None
     notes: Sequence[str] = ()
+    costs: Sequence[Sequence[float]] | None = None
+
+    @property
+    def drawn(self) -> tuple[DrawCost, ...]:
+        """The same with the views: of the result, and of the model; none without."""
+        return tuple(DrawCost.usual(*each) for each in self.costs or ())
 
     @property
     def marks(self) -> Judged | None:

@@ -49,6 +49,16 @@ def simplify(
             metavar="DB",
         ),
     ] = None,
+    draw_cost: Annotated[
+        float | None,
+        typer.Option(
+            "--draw-cost",
+            parser=options.parse_ratio,
+            metavar="SHARE",
+            help="Most that OUT may take to draw, e.g. 0.5: splats a pixel as a share of those of"
+            " IN, as `nanogs compare` has it under draws; as many splats as do.",
+        ),
+    ] = None,
     of_format: options.OfFormat,
     overwrite: options.Overwrite = False,
     verbose: Annotated[
@@ -57,7 +67,7 @@ def simplify(
     files: file_options.Files,
     method: Method,
 ) -> None:
-    """Make a smaller model of the same scene: of a ratio, a count, a file size or a PSNR."""
+    """Make a smaller model of the scene: of a ratio, count, file size, PSNR or draw cost."""
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
         from nanogs.cli import many, plan, simplify_run
@@ -70,7 +80,7 @@ def simplify(
     method.check(paths)
     wishes = simplify_run.Wishes(
         wish=plan.wish_of(
-            method, Goal(ratio, count, size, psnr), overwrite=overwrite,
+            method, Goal(ratio, count, size, psnr, draw_cost), overwrite=overwrite,
             format_options=of_format,
         ),
         method=method,

@@ -19,6 +19,11 @@ def stop_text(report: SimplifyReport) -> str:
             f"99 % of the splats do not reach {report.asked_psnr:g} dB{_nearest_text(report)}, so"
             f" the whole model was written: {report.stop}."
         )
+    if report.stop == StopReason.PROBES and report.asked_draw_cost is not None:
+        return (
+            f"The search for the most splats ended after {len(report.draw_probes)} counts; what was"
+            f" written takes no more to draw than was asked, and more may too: {report.stop}."
+        )
     if report.stop == StopReason.PROBES:
         return (
             f"The search for the fewest splats ended after {len(report.probes)} counts; what was "
@@ -75,9 +80,18 @@ def summary(run: Run) -> str:
         sizes_text(files["input_bytes"], files["output_bytes"], to) + _formats_text(run, to),
         report.judged.text if report.judged else "",
         report.packed.text if report.packed else "",
+        _cost_text(report),
         time_text(report.total_seconds),
     ]
     return ", ".join(part for part in parts if part)
+
+
+def _cost_text(report: SimplifyReport) -> str:
+    """What the result takes to draw, beside the original: "41.9 % of its splats a pixel"."""
+    if report.cost is None or report.original_cost is None:
+        return ""
+    share = report.cost.share_of(report.original_cost)
+    return f"{share:.1%} of the splats a pixel ({report.cost.splats_a_pixel:.1f})"
 
 
 def _formats_text(run: Run, to: str) -> str:

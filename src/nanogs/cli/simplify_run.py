@@ -51,6 +51,7 @@ def run_one(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
         shown, goal = plan.shown(), plan.wish.goal
         asked: dict[str, Any] = {"asked_ratio": goal.ratio, "asked_count": shown.count}
         asked |= {"asked_size": goal.size, "asked_psnr": goal.psnr}
+        asked |= {"asked_draw_cost": goal.draw_cost}
         return Run(shown, {"input": plan.name} | asked)
     return _made(plan, progress)
 
@@ -82,6 +83,9 @@ def print_plan(run: Run) -> None:
     plan: Plan = run.report
     if plan.count is None and plan.wish.goal.size is not None:
         text = f"as many splats as fit into {plan.wish.goal.size:,} B, found by writing some"
+    elif plan.count is None and plan.wish.goal.draw_cost is not None:
+        share = f"{plan.wish.goal.draw_cost:.1%} of the splats a pixel"
+        text = f"as many splats as take {share} that the model takes, on {Protocol().text}"
     elif plan.count is None:
         text = f"as few splats as reach {plan.wish.goal.psnr:g} dB on {Protocol().text}"
     else:

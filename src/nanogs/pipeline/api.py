@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +39,7 @@ def simplify(
     count: int | None = None,
     size: int | str | None = None,
     psnr: float | None = None,
+    draw_cost: float | None = None,
     format: str = ".ply",  # noqa: A002 - what it is called everywhere
     format_options: FormatOptions | None = None,
     preset: str = DEFAULT_PRESET,
@@ -49,9 +51,9 @@ def simplify(
     progress: Progress | bool | None = None,
     **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
 ) -> tuple[Splats, SimplifyReport]:
-    """A smaller model of the same scene: of the ratio, the count, the size or the PSNR asked for.
+    """A smaller model of the same scene: of the ratio, count, size, PSNR or draw cost asked for.
 
-    Exactly one of the four is given. A ratio and a count are met exactly.
+    Exactly one of the five is given. A ratio and a count are met exactly.
 
     Args:
         model: The model, which is not changed, or a path.
@@ -65,7 +67,10 @@ def simplify(
         psnr: dB that the result must reach as `nanogs compare` measures it at its defaults, on
             views that nothing is learnt from. A count is searched whose result lies from there to
             0.3 dB above (see `reach`), as a file of the format gives it back.
-        format: Suffix of the file that `size` and `psnr` are about.
+        draw_cost: Most that the result may take to draw, as a share of the model's own splats a
+            pixel (see `draw_cost`), on the views of `compare` at its defaults: the largest count
+            is searched that takes so much, to 2 % below it.
+        format: Suffix of the file that `size`, `psnr` and `draw_cost` are about.
         format_options: What that file will be saved with, as `save` takes it.
         preset: Name of a preset.
         sh_degree: Of the result's harmonics, which are fitted for it; by default the model's, or
@@ -86,14 +91,15 @@ def simplify(
 
     Raises:
         FormatError: The path cannot be read as a model.
-        OptionError: An option is out of range, or the size is less than one splat takes.
+        OptionError: An option is out of range, or the size is less than one splat takes, or the
+            draw cost less than the fewest splats that the model can be made of.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
-        ModelError: No splat is usable, `nan="error"` and one is not, or a PSNR is asked for and
-            nothing is visible.
+        ModelError: No splat is usable, `nan="error"` and one is not, or a PSNR or a draw cost is
+            asked for and nothing is visible.
     """
     start, clock = time.perf_counter(), StageClock()
     size = None if size is None else as_bytes(size)
-    goal = Goal(ratio, count, size, psnr)
+    goal = Goal(ratio, count, size, psnr, draw_cost)
     chosen, given = parameters(preset, overrides), format_options or {}
     path = Path(f"model{registry.suffix_of(format)}")
     refuse_searches(goal, preset, path)
@@ -122,6 +128,8 @@ def simplify(
                 outcome = replace(outcome, achieved_size=achieved)
         elif size is not None:
             outcome = _fit(job, size, path, given, threads_used, clock, tracker)
+        elif draw_cost is not None:
+            outcome = _lighten(job, draw_cost, path, given, threads_used, clock, tracker)
         else:
             outcome = _reach(job, goal.psnr or 0.0, path, given, threads_used, clock, tracker)
         target = len(outcome.splats) if target is None else target
@@ -156,6 +164,8 @@ def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
     """
     if goal.psnr is not None:
         refuse_search(preset, "a PSNR")
+    elif goal.draw_cost is not None:
+        refuse_search(preset, "a draw cost")
     elif goal.size is not None and registry.writable(path).file_bytes is None:
         known = registry.find(path)
         refuse_search(preset, f"the size of a {known.suffix if known else path.suffix} file")
@@ -273,4 +283,36 @@ def _reach(
     notes = (*outcome.notes, *pack.notes)
     return replace(
         outcome, probes=found.probes, stop=found.stop, judged=judged, notes=notes, **entries
+    )
+
+
+def _lighten(
+    job: Job,
+    asked: float,
+    path: Path,
+    given: FormatOptions,
+    threads: int,
+    clock: StageClock,
+    progress: Tracker,
+) -> Outcome:
+    from nanogs.pipeline.draw import meet_cost
+    from nanogs.pipeline.results import HeldResults
+    from nanogs.scoring.draw_views import draw_views
+
+    progress.begin("measure")
+    with clock.time("measure"):
+        views = draw_views(job.splats, progress.part)
+
+    def share_of(outcome: Outcome, *, stored: bool = True) -> float:
+        with clock.time("measure"):
+            small = as_stored(outcome.splats, path, given) if stored else outcome.splats
+            return views.share(small)
+
+    results = HeldResults(job.build(threads, clock, progress), clock)
+    quick = partial(share_of, stored=False)
+    outcome, found = meet_cost(results, asked, share_of, quick, progress)
+    with clock.time("measure"):
+        cost = views.cost(as_stored(outcome.splats, path, given))
+    return replace(
+        outcome, draw_probes=found.probes, stop=found.stop, cost=cost, original_cost=views.original
     )

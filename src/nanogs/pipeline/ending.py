@@ -19,7 +19,7 @@ from nanogs.pipeline.run import Done
 from nanogs.pipeline.work import Work
 from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport
-from nanogs.scoring.file_judge import FileJudge, file_judge
+from nanogs.scoring.file_judge import FileJudge, file_costs, file_judge
 from nanogs.sink import Sink, Written
 from nanogs.source import InMemory, Source, Turned
 from nanogs.store.scratch import hash_file
@@ -36,6 +36,7 @@ class Ending:
         sink: Where they go.
         reports: Makes the report of each result.
         measured: Whether each is held against the model.
+        costed: Whether it is said what the one result takes to draw.
         max_memory: Bytes that this process may take for that; by default what is free.
     """
 
@@ -43,6 +44,7 @@ class Ending:
     reports: Tell
     measured: bool = False
     max_memory: int | None = None
+    costed: bool = False
 
     def check(self, folder: Path, *, resume: bool) -> None:
         """Look whether they can be written, before anything is begun.
@@ -94,6 +96,8 @@ class Ending:
                     filling.add_blocks(blocks_of(work, level, progress.part))
             judge = self._judge(work, progress) if self.measured else None
             filling.finish(self.reports(done, filling.written), judge)
+            if self.costed:
+                filling.written[0] = self._costed(work, filling.written[0], made)
             _seal(made, self.sink.files(made), filling.written, measured=self.measured)
         except OSError as error:
             raise output_error(made, error) from error
@@ -107,6 +111,12 @@ class Ending:
                 original, self.sink.suffix, turn=settings.frame, threads=work.threads,
                 tell=progress.part, max_memory=self.max_memory,
             )  # fmt: skip
+
+    def _costed(self, work: Work, written: Written, made: Path) -> Written:
+        settings = work.settings
+        with opened(settings, work.unpacked()) as original:
+            costs = file_costs(original, made, settings.frame, work.threads)
+        return written._replace(costs=[each.numbers for each in costs] or None)
 
     def _sealed(self, made: Path, place: Path) -> list[Written] | None:
         """The results that were sealed, if they are what stands at a place."""

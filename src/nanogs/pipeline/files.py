@@ -26,7 +26,7 @@ from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
-from nanogs.scoring.file_judge import file_judge
+from nanogs.scoring.file_judge import file_costs, file_judge
 from nanogs.sink import OneFile
 from nanogs.splats import Splats
 from nanogs.store.columns import no_splats
@@ -50,6 +50,7 @@ def simplify_blocks(
     count: int | None = None,
     size: int | str | None = None,
     psnr: float | None = None,
+    draw_cost: float | None = None,
     measured: bool | None = False,
     preset: str = DEFAULT_PRESET,
     max_memory: int | str | None = None,
@@ -83,10 +84,11 @@ def simplify_blocks(
         inputs: A file, or several that are parts of one scene.
         output: The file to write; .ply, .compressed.ply, .splat, .npz and .spz files are written
             block by block, others are held whole.
-        ratio: Compaction ratio in (0, 1]; exactly one of the four is given.
+        ratio: Compaction ratio in (0, 1]; exactly one of the five is given.
         count: Splats to deliver.
         size: As `simplify` takes it.
         psnr: As `simplify` takes it.
+        draw_cost: As `simplify` takes it.
         measured: Hold the file against the model, as `nanogs compare` does. With None that is done
             where the preset renders anyway and the model is in memory.
         preset: Name of a preset; in blocks one that grows a forest: any but `paper`.
@@ -132,7 +134,7 @@ def simplify_blocks(
     paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
     request = Request(
         inputs=tuple(map(Path, paths)), output=Path(output),
-        goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr),
+        goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr, draw_cost),
         preset=preset, overrides=overrides, measured=measured,
         max_memory=None if max_memory is None else as_bytes(max_memory), block=block,
         job=None if job is None else Path(job), scratch=scratch, resume=resume,
@@ -196,6 +198,7 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
     splats, filtered, notes = read_changed(request.inputs, request.edits, tracker, clock)
     small, report = simplify(
         splats, ratio=goal.ratio, count=goal.count, size=goal.size, psnr=goal.psnr,
+        draw_cost=goal.draw_cost,
         format=request.suffix, preset=request.preset, sh_degree=request.sh_degree,
         nan=request.nan, threads=request.threads,
         cameras=cameras_of(request, splats), max_memory=request.max_memory,
@@ -220,9 +223,16 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
             )
             judged, packed = judge.beside(output, small)
         notes += judge.notes
+    costs = report.cost, report.original_cost
+    if request.measured and report.cost is None:
+        with clock.time("measure"):
+            found = file_costs(splats, output, request.frame, request.threads)
+        costs = (found[0], found[1]) if found else (None, None)
     tracker.finish()
     return replace(
         report,
+        cost=costs[0],
+        original_cost=costs[1],
         judged=judged,
         packed=packed,
         notes=(*report.notes, *notes, *losses(small, output)),

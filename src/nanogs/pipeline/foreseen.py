@@ -35,7 +35,9 @@ def job_stages(settings: Settings) -> list[Stage]:
         )
     if (sought := settings.search) is not None:
         splats = settings.splats
-        before, after = search_stages(sought.psnr, settings.parameters, splats, sought.suffix)
+        before, after = search_stages(
+            sought.is_measured, settings.parameters, splats, sought.suffix
+        )
         stages += [*before, *after]
     return [*stages, Stage("write", 0.1 * settings.splats / 1e6)]
 
@@ -90,17 +92,17 @@ def simplify_stages(
     once = build_stages(parameters, splats)
     if isinstance(parameters, PaperParameters) or count is not None:
         return [*once, *delivery_stages(parameters, splats, count or splats)]
-    before, after = search_stages(goal.psnr, parameters, splats, suffix)
+    before, after = search_stages(goal.is_measured, parameters, splats, suffix)
     return [*before, *once, *after]
 
 
 def search_stages(
-    psnr: float | None, parameters: ForestParameters, splats: int, suffix: str
+    measured: bool, parameters: ForestParameters, splats: int, suffix: str
 ) -> tuple[list[Stage], list[Stage]]:
     """What comes before a search for a count, and the search itself.
 
     Args:
-        psnr: What is asked, or None for a size.
+        measured: Whether what is asked is measured on views; else it is a size.
         parameters: Of the method.
         splats: Of the model.
         suffix: Of the file that a size is about.
@@ -113,7 +115,7 @@ def search_stages(
         Stage("guess", writing / 5),
         Stage("pack", measure_stage(splats).weight + PACKINGS * (2 * writing + weight)),
     ]
-    if psnr is not None:
+    if measured:
         search = [Stage("search", COUNTS * (0.1 + 0.4 * millions))]
         search += [*packing, Stage("deliver", COUNTS * (weight + 0.1))] if looks else []
         return [measure_stage(splats)], search

@@ -91,7 +91,8 @@ def fill_in_blocks(
 
         search = Search(request.output, request.format_options, folder, max_memory).find
     measured = bool(request.measured) and request.goal.psnr is None
-    ending = Ending(sink, reports, measured, max_memory)
+    costed = bool(request.measured) and not request.ratios and request.goal.draw_cost is None
+    ending = Ending(sink, reports, measured, max_memory, costed)
     job = BlockJob(settings, folder, request.scratch, ending, search)
     where = Where(request.threads, request.executor, request.patience)
     made = job.run(where, clock, told, resume=request.resume)
@@ -160,7 +161,7 @@ def plan_job(
     changes.check()
     inputs, layout = look_at(request.inputs, changes)
     sought = sought_by(request, layout, sum(each.splats for each in inputs))
-    seen = sought is not None and (sought.psnr is not None or renders(chosen))
+    seen = sought is not None and (sought.is_measured or renders(chosen))
     if request.measured or seen:
         with Joined(open_parts(request.inputs, request.render_mode)) as source:
             room_for_measuring(source, request.max_memory)
@@ -219,7 +220,7 @@ def sought_by(request: "Request", layout: Layout, splats: int) -> Sought | None:
             return None
         count_of(goal, 1, layout.reduced(0), request.sizer)
     options = json.dumps(dict(request.format_options or {}), sort_keys=True, default=str)
-    return Sought(goal.size, goal.psnr, request.suffix, options)
+    return Sought(goal.size, goal.psnr, request.suffix, options, goal.draw_cost)
 
 
 def count_of(goal: Goal, splats: int, layout: Layout, sizer: Sizer | None) -> int:

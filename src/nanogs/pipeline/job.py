@@ -154,6 +154,7 @@ class Job:
             asked_count=asked_count,
             asked_size=goal.size,
             asked_psnr=goal.psnr,
+            asked_draw_cost=goal.draw_cost,
             dropped_nonfinite=len(self.splats) - len(self.rows),
             achieved_count=len(outcome.splats),
             seconds=clock.seconds,

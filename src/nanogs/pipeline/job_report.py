@@ -45,7 +45,15 @@ def report_of(
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
     count = written.splats
     stop = StopReason.TARGET if count == target else StopReason.NO_PROGRESS
-    entries = {"stop": stop, "judged": written.marks, **entries_of(work, level), **done.entries}
+    cost, original = written.drawn or (None, None)
+    drawn = {"cost": cost, "original_cost": original}
+    entries = {
+        "stop": stop,
+        "judged": written.marks,
+        **drawn,
+        **entries_of(work, level),
+        **done.entries,
+    }
     notes = (*settings.layout.notes, *own_notes, *entries["notes"], *done.notes, *written.notes)
     return SimplifyReport(
         preset=preset,
@@ -55,6 +63,7 @@ def report_of(
         asked_count=target,
         asked_size=goal.size,
         asked_psnr=goal.psnr,
+        asked_draw_cost=goal.draw_cost,
         dropped_nonfinite=sum(int(record.facts["dropped"]) for record in segments),
         pruned=0,
         prune_threshold=0.0,

@@ -3,10 +3,12 @@
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from nanogs.costs import DrawCost
 from nanogs.fit.report import RefitReport
 from nanogs.protocol import Judged
 from nanogs.report import (
     CandidateReport,
+    DrawProbeReport,
     PackingReport,
     PassReport,
     ProbeReport,
@@ -40,6 +42,9 @@ class Outcome:
     size_probes: tuple[SizeProbeReport, ...] = ()
     packings: tuple[PackingReport, ...] = ()
     format_options: dict[str, int] = field(default_factory=dict)
+    draw_probes: tuple[DrawProbeReport, ...] = ()
+    cost: DrawCost | None = None
+    original_cost: DrawCost | None = None
 
 
 def outcome_of(scene: "OneBlock", level: int) -> Outcome:

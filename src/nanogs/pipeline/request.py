@@ -192,7 +192,7 @@ def plan_files(request: Request) -> Plan:
 
 def _most(goal: Goal, splats: int) -> int:
     """Splats of the largest result that there may be."""
-    if goal.size is not None or goal.psnr is not None or (goal.count or 0) > splats:
+    if goal.size is not None or goal.is_measured or (goal.count or 0) > splats:
         return splats
     return target_count(splats, goal.ratio, goal.count)
 

@@ -11,6 +11,7 @@ from nanogs.clock import StageClock
 from nanogs.io import bytes_on_disk, encoded_bytes, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.format import FormatOptions
+from nanogs.pipeline.draw import meet_cost
 from nanogs.pipeline.ending import result_of
 from nanogs.pipeline.fit_size import SAMPLE, WHOLE_FITS
 from nanogs.pipeline.job_results import JobResults, Result
@@ -24,6 +25,7 @@ from nanogs.pipeline.wish import Wish
 from nanogs.pipeline.work import SPAN, Work
 from nanogs.progress import Tracker
 from nanogs.report import StopReason
+from nanogs.scoring.draw_views import draw_views
 from nanogs.scoring.held_out import HeldOut, held_out
 from nanogs.sink import held_splats, refuse_large
 from nanogs.source import Reduced, Source, Turned
@@ -68,12 +70,14 @@ class Search:
         Raises:
             TooSmallError: No result is as small as is asked.
             OptionError: A result is too large to be written.
-            ModelError: A PSNR is sought of a model that shows nothing.
+            ModelError: A PSNR or a draw cost is sought of a model that shows nothing.
         """
         results, sought = JobResults.of(work, run), work.settings.search
         assert sought is not None  # noqa: S101 - or there is no search
         if sought.psnr is not None:
             found = self._reach(results, sought.psnr, run.clock, progress)
+        elif sought.draw_cost is not None:
+            found = self._lighten(results, sought.draw_cost, run.clock, progress)
         else:
             found = self._fit(results, sought.size or 0, run.clock, progress)
         result, entries, notes = found
@@ -102,6 +106,29 @@ class Search:
             judged = views.judge(small)
         entries = {"probes": found.probes, "stop": found.stop, "judged": judged}
         return _Found(result, entries | pack.entries(result), pack.notes)
+
+    def _lighten(
+        self, results: JobResults, asked: float, clock: StageClock, progress: Tracker
+    ) -> _Found:
+        work = results.work
+        progress.begin("measure")
+        with clock.time("measure"), opened(work.settings, work.unpacked()) as original:
+            views = draw_views(original, progress.part)
+
+        def share_of(result: Result) -> float:
+            with clock.time("measure"), self._stored(result, {}) as small:
+                return views.share(small)
+
+        def quick_share_of(result: Result) -> float:
+            with clock.time("measure"), result_of(result.work, result.level) as small:
+                return views.share(turned_back(small, result))
+
+        result, found = meet_cost(results, asked, share_of, quick_share_of, progress)
+        results.verify(result, progress)
+        with clock.time("measure"), self._stored(result, {}) as small:
+            cost = views.cost(small)
+        entries = {"draw_probes": found.probes, "stop": found.stop, "cost": cost}
+        return _Found(result, entries | {"original_cost": views.original})
 
     def _fit(self, results: JobResults, size: int, clock: StageClock, progress: Tracker) -> _Found:
         work = results.work

@@ -15,7 +15,7 @@ from nanogs.source import Layout
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
-VERSION = 6  # of the job folder; one of another version is not continued
+VERSION = 7  # of the job folder; one of another version is not continued
 
 
 class Access(StrEnum):
@@ -70,19 +70,26 @@ class Sieve:
 
 @dataclass(frozen=True, slots=True)
 class Sought:
-    """What the count of a result is searched for: one of size and PSNR, of a file of a format.
+    """What the count of a result is searched for: one of three, of a file of a format.
 
     Attributes:
         size: Bytes that the file may have, or None.
         psnr: What it must reach on views of the original, dB, or None.
         suffix: Of the format.
         options: Of the format, as text.
+        draw_cost: Most that it may take to draw, as a share of what the original takes, or None.
     """
 
     size: int | None
     psnr: float | None
     suffix: str
     options: str
+    draw_cost: float | None = None
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether results are held against the original on views."""
+        return self.psnr is not None or self.draw_cost is not None
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,13 +12,14 @@ from nanogs.io.format import Format
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """The wish: exactly one of four.
+    """The wish: exactly one of five.
 
     Attributes:
         ratio: Compaction ratio in (0, 1].
         count: Splats.
         size: Largest size of the file, bytes.
         psnr: What the result must reach on views of the original, dB.
+        draw_cost: Most that it may take to draw, as a share of the original's splats a pixel.
 
     Raises:
         OptionError: Not exactly one is given, or it is out of any range.
@@ -28,12 +29,13 @@ class Goal:
     count: int | None = None
     size: int | None = None
     psnr: float | None = None
+    draw_cost: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse none, several, and values that mean nothing."""
-        given = [v for v in (self.ratio, self.count, self.size, self.psnr) if v is not None]
-        if len(given) != 1:
-            raise OptionError("Give exactly one of `ratio`, `count`, `size` and `psnr`.")
+        wishes = self.ratio, self.count, self.size, self.psnr, self.draw_cost
+        if sum(wish is not None for wish in wishes) != 1:
+            raise OptionError("Give exactly one of `ratio`, `count`, `size`, `psnr`, `draw_cost`.")
         if self.ratio is not None and not 0 < self.ratio <= 1:
             raise OptionError(f"The ratio must be above 0 and at most 1, not {self.ratio:g}.")
         if self.count is not None and self.count < 1:
@@ -42,6 +44,15 @@ class Goal:
             raise OptionError(f"The size must be at least 1 byte, not {self.size}.")
         if self.psnr is not None and not 0 < self.psnr < math.inf:
             raise OptionError(f"The PSNR must be above 0 dB and finite, not {self.psnr:g}.")
+        if self.draw_cost is not None and not 0 < self.draw_cost <= 1:
+            raise OptionError(
+                f"The draw cost is a share above 0 and at most 1, not {self.draw_cost:g}."
+            )
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether only measuring results tells the count, whatever the format."""
+        return self.psnr is not None or self.draw_cost is not None
 
     def target(self, available: int, file_bytes: Callable[[int], int]) -> int | None:
         """Splats to deliver; None where only measuring can tell.
@@ -53,7 +64,7 @@ class Goal:
         Raises:
             OptionError: It is more than the model has, or less than one splat's file takes.
         """
-        if self.psnr is not None:
+        if self.is_measured:
             return None
         if self.size is not None:
             return count_for_size(available, self.size, file_bytes)
@@ -70,7 +81,7 @@ def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:
         looks: Whether results are made by what views show.
     """
     if goal.size is None:
-        return goal.psnr is not None
+        return goal.is_measured
     chosen = looks and known.readable and min(degree, known.max_degree) > 0
     return known.file_bytes is None or chosen
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nanogs.costs import DrawCost
 from nanogs.errors import FormatError, ModelError
 from nanogs.frames import change_frame
 from nanogs.io import load, registry
@@ -118,6 +119,35 @@ def file_judge(
     except (ModelError, FormatError) as error:
         return FileJudge(notes=(_unmeasured(error),))
     return FileJudge(views, isinstance(original, Splats), turn, threads)
+
+
+def file_costs(
+    original: Splats | Source,
+    path: Path,
+    turn: tuple[str, str] | None = None,
+    threads: int | None = None,
+) -> tuple[DrawCost, ...]:
+    """What a file takes to draw, and the model that it was made of; nothing where none can tell.
+
+    Args:
+        original: The model; of a source some rows are read at a time.
+        path: The file.
+        turn: As `FileJudge` has it.
+        threads: See there.
+    """
+    known = registry.find(path)
+    if known is not None and not known.readable:
+        return ()
+    from nanogs.scoring.draw_views import draw_views
+    from nanogs.threads import use_threads
+
+    try:
+        with use_threads(threads), open_model(path) as file:
+            views = draw_views(original)
+            source: Source = Turned(file, turn[1], turn[0]) if turn else file
+            return views.cost(source), views.original
+    except ModelError:  # nothing of it is seen, of which what is measured beside it tells
+        return ()
 
 
 def _unmeasured(reason: object) -> str:

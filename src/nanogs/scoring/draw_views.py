@@ -1,0 +1,67 @@
+"""The views on which a result's draw cost is held against that of the original."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from nanogs.costs import DrawCost
+from nanogs.errors import ModelError
+from nanogs.progress import Parts, untold
+from nanogs.protocol import PIXELS, VIEWS, Protocol
+from nanogs.raster.camera import Camera
+from nanogs.source import Source
+from nanogs.splats import Splats
+from nanogs.views.cameras import cameras_for
+from nanogs.views.covering import cost_on
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawViews:
+    """The views of `nanogs compare` at its defaults, and what they take of the original.
+
+    Attributes:
+        cameras: The views.
+        protocol: What they are.
+        original: What the original takes.
+    """
+
+    cameras: Sequence[Camera]
+    protocol: Protocol
+    original: DrawCost
+
+    def cost(self, model: Splats | Source) -> DrawCost:
+        """What another model takes on them.
+
+        Raises:
+            FormatError: The source cannot be read.
+        """
+        return cost_on(model, self.cameras, self.protocol)
+
+    def share(self, model: Splats | Source) -> float:
+        """The same as a share of the original's splats a pixel."""
+        return self.cost(model).share_of(self.original)
+
+
+def draw_views(original: Splats | Source, tell: Parts = untold) -> DrawViews:
+    """Look at what the original takes, once for any number of models.
+
+    Args:
+        original: The model.
+        tell: Told of the rows that were looked at.
+
+    Raises:
+        FormatError: The source cannot be read.
+        ModelError: Nothing of it is visible.
+    """
+    try:
+        cameras = cameras_for(
+            original, "auto", count=VIEWS, width=PIXELS, height=PIXELS, split="test"
+        )
+    except ModelError as error:
+        raise ModelError(f"What it takes to draw cannot be measured: {error}") from None
+    protocol = Protocol()
+    cost = cost_on(original, cameras, protocol, tell)
+    if not cost.splats_a_pixel:
+        raise ModelError(
+            "What it takes to draw cannot be measured: no splat is seen in any automatic view."
+        )
+    return DrawViews(cameras, protocol, cost)

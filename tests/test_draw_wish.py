@@ -1,0 +1,190 @@
+"""`--draw-cost`: the largest model that takes no more to draw than a share of the original."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import nanogs
+from builders import random_splats
+from launch import run
+from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
+from nanogs.pipeline.draw import MOST_PROBES, SPAN, search_share
+from nanogs.report import StopReason
+
+QUICK = {"preset": "fast"}
+LOOKS = {"preset": "default", "views": 2, "view_size": 48, "roaming": 0, "steps": 2}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "in.ply"
+    model = random_splats(2500, degree=1, seed=7)
+    model.means[3] = np.nan
+    nanogs.save(model, path)
+    return path
+
+
+def share_of(original, small):
+    """Splats a pixel as `compare` says it, as a share of the original's."""
+    result = run("compare", original, small, "--json")
+    assert result.returncode == 0, result.stderr
+    said = json.loads(result.stdout)
+    costs = said["models"][0]["cost"], said["reference_cost"]
+    return costs[0]["splats_a_pixel"] / costs[1]["splats_a_pixel"]
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    asked=st.floats(0.02, 0.99),
+    power=st.floats(0.1, 2.0),
+    least=st.floats(0, 0.3),
+    noise=st.floats(0, 0.05),
+    available=st.integers(2, 10**7),
+    fewest=st.integers(1, 50),
+    guess=st.integers(0, 10**7),
+    quick=st.booleans(),
+)
+def test_the_search_ends_at_or_below_what_is_asked(
+    asked, power, least, noise, available, fewest, guess, quick
+):
+    fewest, tried = min(fewest, available - 1), {}
+
+    def measured(count):
+        assert fewest <= count < available
+        assert count not in tried, "no count is tried twice"
+        unevenness = 1 + noise * np.sin(count * 12.9898)
+        tried[count] = (least + (1 - least) * (count / available) ** power) * unevenness
+        return tried[count]
+
+    try:
+        found = search_share(measured, asked, fewest, available, guess, quick=quick)
+    except TooSmallError:
+        assert tried[fewest] > asked
+        return
+    assert [probe.count for probe in found.probes] == [*tried]
+    assert len(tried) <= MOST_PROBES + 1
+    assert tried[found.count] <= asked * (1 + SPAN * quick)
+    if found.stop is StopReason.TARGET:
+        assert tried[found.count] >= asked * (1 - SPAN)
+    else:
+        fitting = [count for count, share in tried.items() if share <= asked]
+        assert found.count == max(fitting)
+
+
+def test_steps_are_told():
+    def share(count):
+        return 0.2 if count < 700 else 0.9
+
+    found = search_share(share, 0.5, 1, 1000, 500)
+    assert found.stop is StopReason.STEP
+    assert 690 <= found.count < 700
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".sog"])
+@pytest.mark.parametrize("preset", [QUICK, LOOKS], ids=["fast", "default"])
+@pytest.mark.parametrize("block", [None, 900])
+def test_the_file_takes_what_was_asked_for(scene, tmp_path, suffix, preset, block):
+    out = tmp_path / f"a{suffix}"
+    report = nanogs.simplify_blocks(scene, out, draw_cost=0.5, block=block, **preset)
+    assert report.stop is StopReason.TARGET
+    assert report.asked_draw_cost == 0.5
+    assert (report.blocks is not None) == bool(block)
+    share = report.cost.share_of(report.original_cost)
+    assert 0.5 * (1 - SPAN) <= share <= 0.5
+    assert share_of(scene, out) == pytest.approx(share, rel=1e-12)
+    assert report.achieved_count == report.asked_count == nanogs.open(out).count
+    assert (report.achieved_count, share) in [(p.count, p.share) for p in report.draw_probes]
+    assert any(probe.quick for probe in report.draw_probes) == (preset is LOOKS)
+    assert [*tmp_path.iterdir()] == [out]
+
+
+def test_the_command_takes_shares_and_says_them(scene, tmp_path):
+    out = tmp_path / "a.ply"
+    result = run("simplify", scene, out, "--draw-cost", "40%", "--preset", "fast")
+    assert result.returncode == 0, result.stderr
+    assert f"{share_of(scene, out):.1%} of the splats a pixel" in result.stderr
+    planned = run("simplify", scene, out, "--draw-cost", "0.4", "--dry-run", "-w")
+    assert planned.returncode == 0, planned.stderr
+    assert "40.0% of the splats a pixel" in planned.stderr
+    verbose = run("simplify", scene, out, "--draw-cost", "0.4", "--preset", "fast", "-w", "-v")
+    assert "draw probes:" in verbose.stderr
+
+
+@pytest.mark.parametrize("block", [None, 900])
+def test_filters_and_frames_do_not_matter_to_what_is_measured(scene, tmp_path, block):
+    given = {"filters": [nanogs.filters.box((-9, -9, -9), (0.6, 9, 9))], "frame": ("rdf", "rub")}
+    out, left = tmp_path / "a.ply", tmp_path / "left.ply"
+    report = nanogs.simplify_blocks(scene, out, draw_cost=0.6, block=block, **given, **QUICK)
+    kept, _ = nanogs.filters.apply(nanogs.load(scene), given["filters"])
+    nanogs.save(kept, left)
+    turned = tmp_path / "turned.ply"
+    nanogs.convert(out, turned, frame=("rub", "rdf"))
+    share = report.cost.share_of(report.original_cost)
+    assert share_of(left, turned) == pytest.approx(share, rel=1e-6)
+
+
+def test_all_of_it_is_the_whole_model(scene, tmp_path):
+    report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", draw_cost=1.0, **QUICK)
+    assert report.achieved_count == 2499
+    assert report.cost.splats_a_pixel == report.original_cost.splats_a_pixel
+
+
+@pytest.mark.parametrize("block", [None, 900])
+def test_less_than_can_be_had_is_refused(scene, tmp_path, block):
+    with pytest.raises(TooSmallError, match="is too small: 1 splat, the fewest"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", draw_cost=1e-5, block=block, **QUICK)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_makes_no_sense_is_refused(scene, tmp_path):
+    out = tmp_path / "a.ply"
+    for wish in ({"draw_cost": 0.0}, {"draw_cost": 1.5}, {"draw_cost": 0.5, "ratio": 0.5}):
+        with pytest.raises(OptionError, match="draw"):
+            nanogs.simplify_blocks(scene, out, **wish)
+    with pytest.raises(OptionError, match="a draw cost"):
+        nanogs.simplify(nanogs.load(scene), draw_cost=0.5, preset="paper")
+    both = run("simplify", scene, out, "--draw-cost", "0.5", "--psnr", "30")
+    assert both.returncode == 2
+    assert "--draw-cost" in both.stderr
+    unseen = random_splats(20)
+    unseen.opacity_logits[:] = -20
+    with pytest.raises(ModelError, match="to draw cannot be measured"):
+        nanogs.simplify(unseen, draw_cost=0.5, **QUICK)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_search_that_was_killed_goes_on_to_the_same_bytes(scene, tmp_path):
+    given = {"draw_cost": 0.5, "block": 900, **QUICK}
+    one, two = tmp_path / "one.ply", tmp_path / "two.ply"
+    nanogs.simplify_blocks(scene, one, **given)
+    for least in (0.3, 0.6, 0.8):
+
+        def crash(step, least=least):
+            if step.fraction > least:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            nanogs.simplify_blocks(scene, two, progress=crash, resume=True, **given)
+    with pytest.raises(OutputError, match="search"):
+        nanogs.simplify_blocks(scene, two, resume=True, **{**given, "draw_cost": 0.6})
+    nanogs.simplify_blocks(scene, two, resume=True, **given)
+    assert two.read_bytes() == one.read_bytes()
+
+
+@pytest.mark.parametrize("block", [None, 900])
+def test_what_is_measured_says_what_it_takes(scene, tmp_path, block):
+    out = tmp_path / "a.spz"
+    given = {"ratio": 0.2, "block": block, **QUICK}
+    plain = nanogs.simplify_blocks(scene, tmp_path / "plain.spz", **given)
+    assert plain.cost is None
+    report = nanogs.simplify_blocks(scene, out, measured=True, frame=("rdf", "rub"), **given)
+    cost = nanogs.draw_cost(scene)
+    assert report.original_cost.splats_a_pixel == pytest.approx(cost.splats_a_pixel, rel=1e-12)
+    back = tmp_path / "back.npz"
+    nanogs.convert(out, back, frame=("rub", "rdf"))
+    share = report.cost.share_of(report.original_cost)
+    assert share_of(scene, back) == pytest.approx(share, rel=1e-6)
+    assert share > 0.2, "a fifth of the splats takes more than a fifth of the work"
