@@ -26,7 +26,8 @@ def folder(tmp_path_factory):
     nanogs.save(splats, place / "a.ply")
     nanogs.save(splats.take(np.arange(0, 400, 4)), place / "b.ply")
     for out in ("levels", "stream/lod-meta.json", "tiles/tileset.json"):
-        result = run("lod", place / "a.ply", place / out, "--preset", "fast", "-q")
+        given = ("--preset", "fast", "--levels", "0.5,0.25,0.1,0.01", "-q")
+        result = run("lod", place / "a.ply", place / out, *given)
         assert result.returncode == 0, result.stderr
     return place
 
@@ -212,12 +213,14 @@ def test_formats_that_levels_cannot_have_are_refused(folder, tmp_path, out, give
     assert list(tmp_path.iterdir()) == []
 
 
-def test_lod_says_that_the_finest_level_is_not_the_whole(folder, tmp_path):
+def test_the_finest_level_is_the_original(folder, tmp_path):
     fast = ("--preset", "fast", "-w")
     text = run("lod", folder / "a.ply", tmp_path / "l", *fast).stderr
-    assert "The finest level has 200 of 400 splats; --levels 1,0.5,0.25,0.1,0.01" in text
+    assert "400 splats -> 4 levels" in text.replace("→", "->")
+    made = [nanogs.load(tmp_path / "l" / f"level_{number}.ply") for number in range(4)]
+    assert [len(each) for each in made] == [400, 200, 100, 50]
+    assert (tmp_path / "l" / "level_0.ply").read_bytes() == (folder / "a.ply").read_bytes()
     text = run("lod", folder / "a.ply", tmp_path / "l", *fast, "--levels", "0.4,0.1").stderr
-    assert "finest level" not in text  # who names levels knows them
     assert f"400 splats -> 2 levels in {tmp_path / 'l'}, " in text.replace("→", "->")
     assert len(nanogs.load(tmp_path / "l" / "level_0.ply")) == 160
 

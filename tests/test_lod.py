@@ -189,10 +189,10 @@ def test_memory_that_is_enough_changes_nothing(scene, tmp_path):
 def test_dry_run_plans_and_writes_nothing(scene, tmp_path):
     result = run("lod", scene, tmp_path / "levels", "--dry-run")
     assert result.returncode == 0
-    assert "200, 100, 40, 4 splats" in result.stderr
+    assert "400, 200, 100, 50 splats" in result.stderr
     assert "peak memory" in result.stderr
     plan = json.loads(run("lod", scene, tmp_path / "levels", "--dry-run", "--json").stdout)
-    assert [level["count"] for level in plan["levels"]] == [200, 100, 40, 4]
+    assert [level["count"] for level in plan["levels"]] == [400, 200, 100, 50]
     assert list(tmp_path.iterdir()) == []
 
 

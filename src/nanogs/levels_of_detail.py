@@ -13,12 +13,14 @@ from nanogs.bar import drawn
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.frames import change_frame
+from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
 from nanogs.lod.layout import Layout, chunks_of
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
+from nanogs.lod.usual import usual_ratios
 from nanogs.pipeline.files import cameras_of
 from nanogs.pipeline.foreseen import levels_stages
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -41,7 +43,7 @@ _FIELDS = frozenset(each.name for each in fields(Request))
 def write_levels(
     model: Model | Sequence[str | PathLike[str]],
     folder: str | PathLike[str],
-    ratios: Sequence[float],
+    ratios: Sequence[float] | None = None,
     *,
     source: str | None = None,
     layout: Layout | str = Layout.FILES,
@@ -62,7 +64,8 @@ def write_levels(
     Args:
         model: The model, a source of it, a path, or paths of the parts of one scene.
         folder: The folder to make.
-        ratios: As `levels` takes them.
+        ratios: As `levels` takes them; by default the original and halves of halves, see
+            `lod.usual_ratios`.
         source: Name of the model for the manifest; by default that of its files.
         layout: "files", one a level; "streamed sog" or "3d tiles"; or "spark tree", for which
             `folder` is the `.rad` file to make.
@@ -88,8 +91,9 @@ def write_levels(
         ModelError: As for `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
-    check_ratios(ratios)
     paths = [model] if isinstance(model, str | PathLike) else model
+    ratios = usual_levels(paths, layout) if ratios is None else ratios
+    check_ratios(ratios)
     files = () if isinstance(paths, Splats | Source) else tuple(map(Path, paths))
     read: dict[str, Callable[[Any], Any]] = {"max_memory": as_bytes, "job": Path}
     given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
@@ -110,6 +114,26 @@ def write_levels(
 
 LevelsSink = LevelsFolder | LevelsTree
 """What takes levels."""
+
+
+def usual_levels(
+    model: Splats | Source | Sequence[str | PathLike[str]], layout: Layout | str
+) -> tuple[float, ...]:
+    """The levels of a model where nobody says which; see `lod.usual_ratios`.
+
+    Args:
+        model: The model, a source of it, or paths of the parts of one scene.
+        layout: How the levels lie in the folder.
+
+    Raises:
+        FormatError: A path is no model.
+        OptionError: It has no splats.
+    """
+    if isinstance(model, Splats | Source):
+        splats = len(model)
+    else:
+        splats = sum(inspect(path).splats for path in model)
+    return usual_ratios(splats, tree=layout == Layout.TREE)
 
 
 def sink_of(

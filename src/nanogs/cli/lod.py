@@ -17,8 +17,7 @@ from nanogs.errors import OptionError
 if TYPE_CHECKING:
     from nanogs.lod.manifest import Manifest
 
-_LEVELS = "0.5,0.25,0.1,0.01"
-_TREE_LEVELS = "1,0.5,0.25,0.12,0.06,0.03,0.015"  # of a tree, whose leaves are the original
+_LEVELS = "1,0.5,0.25,0.125 and on to a million splats; of .rad to 0.015625"
 
 
 @with_options
@@ -39,7 +38,7 @@ def lod(
             help="Ratios from the finest level to the coarsest, commas between; 1 is the original"
             " itself, which the default leaves out.",
             metavar="RATIOS",
-            show_default=f"{_LEVELS}; of .rad {_TREE_LEVELS}",
+            show_default=_LEVELS,
         ),
     ] = None,
     level_format: Annotated[
@@ -78,15 +77,15 @@ def lod(
     """Make levels of detail from one build: a file each, or chunks for a viewer that streams.
 
     OUT/level_0.ply, the finest, and so on are the files that `nanogs simplify --ratio` writes, and
-    levels.json says what is in the folder. The finest has half of the splats by default: --levels
-    1,0.5,0.25,0.1,0.01 keeps all of them. OUT/lod-meta.json makes streamed SOG of the levels,
-    OUT/tileset.json 3D Tiles 1.1, and OUT.rad one file of a tree, as Spark streams it.
+    levels.json says what is in the folder. The finest is the original by default, and each of the
+    others has half of the splats of the one before. OUT/lod-meta.json makes streamed SOG of the
+    levels, OUT/tileset.json 3D Tiles 1.1, and OUT.rad one file of a tree, as Spark streams it.
     """
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
         from nanogs.cli import framing, lod_run, many, plan
         from nanogs.io.collect import Pair
-        from nanogs.lod.layout import Layout, chunks_of, output_of
+        from nanogs.lod.layout import chunks_of, output_of
         from nanogs.pipeline.levels import check_ratios
         from nanogs.pipeline.target import Goal
 
@@ -94,8 +93,8 @@ def lod(
     method.check(paths)
     parts, target = _parts(paths, join=method.blocks.join)
     output = output_of(target, level_format)
-    usual = _TREE_LEVELS if output.layout is Layout.TREE else _LEVELS
-    ratios = options.parse_ratios(usual if levels is None else levels)
+    # The usual ones follow from the model's count, which of a stream is known once it is read.
+    ratios = (1.0,) if levels is None else options.parse_ratios(levels)
     check_ratios(ratios)
     turn = framing.frames_of(Pair(parts[0], output.model), method.edits.frame)
     wishes = lod_run.Wishes(
@@ -104,9 +103,9 @@ def lod(
             overwrite=overwrite, ratios=ratios,
             chunks=chunks_of(output.layout, chunk, plain=plain),
         ),
-        method=method, output=output,
+        method=method, output=output, usual=levels is None,
     )  # fmt: skip
-    show = partial(lod_run.print_levels, verbose=verbose, chosen=levels is not None)
+    show = partial(lod_run.print_levels, verbose=verbose)
     [run] = many.run_all(
         [Pair(parts[0], output.folder)], partial(lod_run.run_levels, wishes),
         lod_run.print_plan if method.dry_run else show,

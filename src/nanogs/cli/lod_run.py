@@ -14,7 +14,7 @@ from nanogs.cli.plan import carry_out, plan_run, show_plan
 from nanogs.cli.simplify_report import warn_of_input
 from nanogs.formatting import bytes_text, counted, number_text, time_text
 from nanogs.io.collect import Pair
-from nanogs.levels_of_detail import sink_of, write_levels_of_files
+from nanogs.levels_of_detail import sink_of, usual_levels, write_levels_of_files
 from nanogs.lod.layout import Layout, Output
 from nanogs.lod.manifest import ChunkedLevel, Level
 from nanogs.pipeline.request import Request
@@ -30,11 +30,13 @@ class Wishes:
         wish: What is asked of the library.
         method: What the options say of how.
         output: Where the levels go.
+        usual: Whether the levels are the usual ones, whatever the wish says.
     """
 
     wish: Request
     method: Method
     output: Output
+    usual: bool = False
 
 
 def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
@@ -45,6 +47,8 @@ def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
     """
     wish, method, output = wishes.wish, wishes.method, wishes.output
     wish = replace(wish, inputs=(pair.source, *wish.inputs[1:]))  # stdin is a file by now
+    if wishes.usual:
+        wish = replace(wish, ratios=usual_levels(wish.inputs, output.layout))
     sink = sink_of(wish, suffix=output.suffix, layout=output.layout)
     if not wish.goes_on():
         sink.check()
@@ -73,24 +77,17 @@ def print_plan(run: Run) -> None:
     show_plan(run.report, f"{run.files['output']}: levels of {counts} splats")
 
 
-def print_levels(run: Run, *, verbose: bool, chosen: bool) -> None:
+def print_levels(run: Run, *, verbose: bool) -> None:
     """Show on stderr the levels that were made.
 
     Args:
         run: The manifest with the files' names and the reports.
         verbose: Show how each came to be too.
-        chosen: Whether the levels are those that were asked for, and not the default.
     """
     manifest, files = run.report, run.files
     levels, reports = manifest.levels, files["reports"]
     report_filters(files["filters"])
     warn_of_input(manifest.notes, files["dropped_nonfinite"])
-    if levels[0].ratio < 1 and not chosen:
-        ratios = ",".join(f"{level.ratio:g}" for level in levels)
-        warn(
-            f"The finest level has {levels[0].count:,} of {manifest.source_count:,} splats;"
-            f" --levels 1,{ratios} has all of them too."
-        )
     table = Table("level", box=None, pad_edge=False)
     for heading in ("asked", "splats", "file", "PSNR", "SSIM", "seconds"):
         table.add_column(heading, justify="right")
