@@ -191,11 +191,12 @@ def test_trees_of_any_size(count, seed):
     assert tree.counts.sum() == rows.count - 1
     leaves = rows.load().take(np.flatnonzero(tree.counts == 0))
     np.testing.assert_array_equal(rows_sorted(leaves.means), rows_sorted(model.means))
-    means = rows.load().means
-    for row in np.flatnonzero(tree.counts):  # each lies among those that it stands for
-        below = means[tree.starts[row] : tree.starts[row] + tree.counts[row]]
-        assert (means[row] >= below.min(axis=0) - 1e-5).all()
-        assert (means[row] <= below.max(axis=0) + 1e-5).all()
+    for every, links_down in ((rows, tree), as_rows(layers_of(levels[:1]))):
+        means, starts, counts = every.load().means, links_down.starts, links_down.counts
+        for row in np.flatnonzero(counts):  # each lies among those that it stands for
+            below = means[starts[row] : starts[row] + counts[row]]
+            assert (means[row] >= below.min(axis=0) - 1e-5).all()
+            assert (means[row] <= below.max(axis=0) + 1e-5).all()
 
 
 def test_a_splat_belongs_to_the_one_it_came_from():
