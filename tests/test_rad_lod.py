@@ -199,6 +199,16 @@ def test_trees_of_any_size(count, seed):
             assert (means[row] <= below.max(axis=0) + 1e-5).all()
 
 
+@given(st.integers(1, 40), st.integers(0, 40), st.booleans())
+def test_many_without_a_child_in_one_place_get_one_each(few, more, apart):
+    """All but one stand at one place, far from all that they could stand for but the last."""
+    fine = np.random.default_rng(few).normal(size=(few + more, 3))
+    coarse = np.full((few, 3), 50.0 if apart else 0.0)
+    parents = np.full(few + more, few - 1)
+    links._give_to_childless(parents, fine, coarse)
+    assert set(parents.tolist()) == set(range(few))
+
+
 def test_a_splat_belongs_to_the_one_it_came_from():
     """Two clusters that nearly touch, and two splats that stand for them, one flat and wide."""
     rng = np.random.default_rng(0)

@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64
+from nanogs._types import F32, F64, I64
 from nanogs.kernels.nodes import covariances_of
+from nanogs.method.order import code_box, codes_in
 from nanogs.neighbours import nearest_neighbours, nearest_to
 from nanogs.source import Source
 from nanogs.stored import SH_C0
@@ -21,7 +22,7 @@ _COLOUR = 0.15  # standard deviation of what merging changes in a base colour
 _FLATTEST = 1e-3  # thinnest axis over the longest, so that determinants stay finite
 _THINNEST = 1e-12  # scene units
 _ROWS = 1 << 15
-_TAKEN = 8  # finer splats around a coarser one without any, of which it may take one
+_ROUNDS = 8  # in which those without any take the nearest that can be spared
 
 
 class Shapes(NamedTuple):
@@ -106,25 +107,35 @@ def _unlikelihoods(deltas: F64, covariances: F64) -> F64:
 
 
 def _give_to_childless(parents: I64, fine: F64, coarse: F64) -> None:
-    """Give a child to each that has none: the nearest one whose parent has others; in place."""
-    counts = np.bincount(parents, minlength=len(coarse))
-    lone = np.flatnonzero(counts == 0)
+    """Give a child to each that has none, one near by whose parent has others; in place."""
+    lone = np.flatnonzero(np.bincount(parents, minlength=len(coarse)) == 0)
+    for _ in range(_ROUNDS):
+        if not len(lone):
+            return
+        spare = _spare(parents, fine, coarse)
+        with use_threads(None) as threads:
+            distances, nearest = nearest_to(coarse[lone], fine[spare], threads)
+        order = np.argsort(distances, kind="stable")
+        _, first = np.unique(nearest[order], return_index=True)
+        served = order[first]  # of those that are nearest to one child, the nearest
+        parents[spare[nearest[served]]] = lone[served]
+        lone = np.delete(lone, served)
     if not len(lone):
         return
-    with use_threads(None) as threads:
-        _, nearest = nearest_to(coarse[lone], fine, threads)
-        around = nearest_neighbours(fine, _TAKEN, threads)
-    for one, near in zip(lone.tolist(), nearest.tolist(), strict=True):
-        child = _spared(parents, counts, np.append(near, around[near]))
-        if child < 0:  # among all: as there are no more parents than children, one can be spared
-            order = np.argsort(((fine - coarse[one]) ** 2).sum(axis=1), kind="stable")
-            child = _spared(parents, counts, order)
-        counts[parents[child]] -= 1
-        counts[one] += 1
-        parents[child] = one
+    # Many in one place: they and what can be spared are paired in the order of space.
+    spare = _spare(parents, fine, coarse)
+    box = code_box(fine)
+    codes, wanted = codes_in(fine[spare], *box), codes_in(coarse[lone], *box)
+    spare, lone = spare[np.argsort(codes, kind="stable")], lone[np.argsort(wanted, kind="stable")]
+    places, turn = np.searchsorted(np.sort(codes), np.sort(wanted)), np.arange(len(lone))
+    places = np.maximum.accumulate(places - turn) + turn
+    places = np.minimum(places, len(spare) - len(lone) + turn)
+    parents[spare[places]] = lone
 
 
-def _spared(parents: I64, counts: I64, children: I32 | I64) -> int:
-    """The first of some children whose parent has others; -1 where none has."""
-    spare = np.flatnonzero(counts[parents[children]] > 1)
-    return int(children[spare[0]]) if len(spare) else -1
+def _spare(parents: I64, fine: F64, coarse: F64) -> I64:
+    """All rows but, for each parent, the nearest of its children."""
+    distances = ((fine - coarse[parents]) ** 2).sum(axis=1)
+    order = np.lexsort((distances, parents))
+    further: I64 = order[1:][np.diff(parents[order]) == 0]
+    return np.sort(further)
