@@ -18,6 +18,7 @@ from nanogs.io.rad.header import read_header
 from nanogs.io.rad.levels import heights
 from nanogs.lod import links
 from nanogs.lod.tree import as_rows, layers_of, remade
+from nanogs.lod.tree_file import LevelsTree
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
 from nanogs.source import InMemory
@@ -138,6 +139,31 @@ def test_in_blocks(model, tmp_path):
     assert source.levels[0] == 3000
     np.testing.assert_array_equal(rows_sorted(source.load().means), rows_sorted(model.means))
     assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "a.rad"}
+
+
+def test_a_job_that_ended_while_it_wrote_goes_on(model, tmp_path, monkeypatch):
+    io.save(model, tmp_path / "a.ply")
+    given = {"layout": "spark tree", "preset": "fast", "block": 900}
+    nanogs.write_levels(tmp_path / "a.ply", tmp_path / "a.rad", RATIOS, **given)
+    given |= {"job": tmp_path / "job", "resume": True}
+
+    def stopped(*_args, **_options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nanogs.lod.tree_file.write", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            nanogs.write_levels(tmp_path / "a.ply", tmp_path / "b.rad", RATIOS, **given)
+    assert not (tmp_path / "b.rad").exists()
+    nanogs.write_levels(tmp_path / "a.ply", tmp_path / "b.rad", RATIOS, **given)
+    assert (tmp_path / "a.rad").read_bytes() == (tmp_path / "b.rad").read_bytes()
+
+
+def test_links_that_take_too_much_memory_are_refused(tmp_path):
+    sink = LevelsTree(tmp_path / "a.rad", overwrite=False, source="a")
+    with pytest.raises(OptionError, match="name a lod-meta"):
+        sink.refuse_large(20_000_000, 236, 2_000_000_000)
+    sink.refuse_large(3000, 236, 2_000_000_000)
 
 
 def test_nothing_is_overwritten_without_w(made):
