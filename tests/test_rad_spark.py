@@ -57,6 +57,7 @@ def test_spark_draws_what_nanogs_renders(tmp_path):
         assert psnr(other, rendered) < 25
 
 
+@pytest.mark.slow
 def test_spark_draws_a_real_model_as_nanogs_renders_it(tmp_path):
     model = nanogs.load(scene_path("biker.spz"))
     model = model.take(np.arange(0, len(model), 4))

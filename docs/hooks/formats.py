@@ -14,7 +14,7 @@ from nanogs.datasets.synthetic import make_scene
 from nanogs.io import bytes_on_disk
 from nanogs.io.registry import Format, formats
 from nanogs.splats import MAX_SH_DEGREE, ExtraElement, RenderMode, Splats
-from nanogs.stored import SH_C0
+from nanogs.stored import SH_C0, quaternions, rotations
 
 PROBE = 5000  # splats
 SHARE = 99  # per cent of the values whose error a table states
@@ -162,7 +162,22 @@ def _partners(before: Splats, after: Splats) -> I64:
     return np.asarray(rows)
 
 
+def _same_axes(before: Splats, after: Splats) -> Splats:
+    """The model with the axes of each splat in the order and with the signs that the file has.
+
+    An ellipsoid can be written in 24 ways, of which some formats have another one than the model.
+    """
+    matrices = rotations(before.unit_quats().astype(np.float64))
+    along = matrices.transpose(0, 2, 1) @ rotations(after.unit_quats().astype(np.float64))
+    axes = np.abs(along).argmax(axis=1)  # of the model, for each of the file's
+    signs = np.sign(np.take_along_axis(along, axes[:, None], axis=1))
+    turned = np.take_along_axis(matrices, axes[:, None], axis=2) * signs
+    scales = np.take_along_axis(before.log_scales, axes, axis=1)
+    return replace(before, quats=quaternions(turned).astype(np.float32), log_scales=scales)
+
+
 def _errors(before: Splats, after: Splats) -> tuple[float, ...]:
+    before = _same_axes(before, after)
     size = float(np.linalg.norm(np.ptp(before.means, axis=0)))
     one, other = before.unit_quats().astype(np.float64), after.unit_quats().astype(np.float64)
     chord = np.minimum(np.linalg.norm(one - other, axis=1), np.linalg.norm(one + other, axis=1))
