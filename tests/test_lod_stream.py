@@ -338,13 +338,13 @@ def test_json_report_and_plan(scene, tmp_path):
     path = tmp_path / "levels" / "lod-meta.json"
     plan = json.loads(run("lod", scene, path, "--dry-run", "--json").stdout)
     assert plan["layout"] == "streamed sog"
-    assert [level["count"] for level in plan["levels"]] == [900, 450, 225, 112]
+    assert [level["count"] for level in plan["levels"]] == [900, 450, 225, 113]
     assert list(tmp_path.iterdir()) == []
     result = run("lod", scene, path, "--preset", "fast", "--json")
     assert (result.returncode, result.stderr) == (0, "")
     report = json.loads(result.stdout)
     assert (report["layout"], report["output"]) == ("streamed sog", str(path))
-    assert [level["count"] for level in report["levels"]] == [900, 450, 225, 112]
+    assert [level["count"] for level in report["levels"]] == [900, 450, 225, 113]
     sizes = sum(file.stat().st_size for file in path.parent.rglob("*.*"))
     assert sum(level["bytes"] for level in report["levels"]) == sizes - path.stat().st_size
     assert [level["files"] for level in report["levels"]] == [
