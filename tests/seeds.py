@@ -372,6 +372,14 @@ def _streamed():
     return [{"lod-meta.json": json.dumps(manifest).encode()} | out]
 
 
+def _archived():
+    """The same in one zip."""
+    [files] = _streamed()
+    out = bytes_io.BytesIO()
+    sogfiles.bundle(out, files)
+    return [{"a.ssog": out.getvalue()}]
+
+
 def _usual(name):
     return lambda: [saved(model, name) for model in models((0, 1, 3))]
 
@@ -459,6 +467,7 @@ FORMATS = {
         [plain, whole_json, one_texture, one_missing],
     ),
     "lod-meta.json": (_streamed, [plain, whole_json, whole_json, one_description, one_missing]),
+    ".ssog": (_archived, [plain, inside_zip, inside_zip]),
     "tileset.json": (_tilesets, [plain, whole_json, whole_json, one_description, one_missing]),
     ".pt": (lambda: _checkpoints(".pt", torchfiles.gsplat), [plain, inside_stored_zip]),
     ".ckpt": (lambda: _checkpoints(".ckpt", torchfiles.nerfstudio), [plain, inside_stored_zip]),

@@ -15,6 +15,7 @@ from nanogs.errors import OptionError
 from nanogs.frames import change_frame
 from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
+from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
 from nanogs.lod.layout import Layout, chunks_of
@@ -67,8 +68,8 @@ def write_levels(
         ratios: As `levels` takes them; by default the original and halves of halves, see
             `lod.usual_ratios`.
         source: Name of the model for the manifest; by default that of its files.
-        layout: "files", one a level; "streamed sog" or "3d tiles"; or "spark tree", for which
-            `folder` is the `.rad` file to make.
+        layout: "files", one a level; "streamed sog" or "3d tiles"; or "streamed sog archive" or
+            "spark tree", for which `folder` is the `.ssog` or `.rad` file to make.
         chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
             default.
         plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
@@ -148,7 +149,8 @@ def sink_of(
     if layout == Layout.TREE:
         return LevelsTree(request.output, request.overwrite, name)
     chunks = request.chunks if isinstance(request.chunks, ChunkLayout) else None
-    return LevelsFolder(request.output, request.overwrite, name, chunks, suffix)
+    sink = LevelsArchive if layout == Layout.ARCHIVE else LevelsFolder
+    return sink(request.output, request.overwrite, name, chunks, suffix)
 
 
 def write_levels_of_files(

@@ -306,13 +306,7 @@ class OneFile:
     def move(self, made: Path) -> None:
         """As `Sink` says."""
         self.check()
-        target = Path(os.path.realpath(self.place))
-        if not target.exists() and made.stat().st_dev == target.parent.stat().st_dev:
-            made.replace(target)
-            return
-        with atomic_write(self.place, overwrite=self.overwrite) as out, made.open("rb") as source:
-            shutil.copyfileobj(source, out, 1 << 22)
-        made.unlink()
+        move_file(made, self.place, overwrite=self.overwrite)
 
     def files(self, made: Path) -> Sequence[str]:  # noqa: ARG002 - it is one
         """As `Sink` says."""
@@ -333,6 +327,21 @@ class _File(Filling):
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> None:  # noqa: ARG002
         """A file speaks for itself."""
         self.measure(judge, [(self._making, 0)])
+
+
+def move_file(made: Path, place: Path, *, overwrite: bool) -> None:
+    """Give its name to a file, across file systems if need be.
+
+    Raises:
+        OutputError: There is a file of that name which stays, or it cannot be written.
+    """
+    target = Path(os.path.realpath(place))
+    if not target.exists() and made.stat().st_dev == target.parent.stat().st_dev:
+        made.replace(target)
+        return
+    with atomic_write(place, overwrite=overwrite) as out, made.open("rb") as source:
+        shutil.copyfileobj(source, out, 1 << 22)
+    made.unlink()
 
 
 def refuse_large(

@@ -28,8 +28,8 @@ def lod(
         typer.Argument(
             metavar="IN OUT",
             help="Model to read, and folder to make, for a file a level; or lod-meta.json (streamed"
-            " SOG) or tileset.json (3D Tiles) in it; or a .rad file (a tree, for Spark). With"
-            " --join several models before OUT.",
+            " SOG) or tileset.json (3D Tiles) in it; or a file: .ssog (streamed SOG) or .rad (a"
+            " tree, for Spark). With --join several models before OUT.",
         ),
     ],
     levels: Annotated[
@@ -79,7 +79,8 @@ def lod(
     OUT/level_0.ply, the finest, and so on are the files that `nanogs simplify --ratio` writes, and
     levels.json says what is in the folder. The finest is the original by default, and each of the
     others has half of the splats of the one before. OUT/lod-meta.json makes streamed SOG of the
-    levels, OUT/tileset.json 3D Tiles 1.1, and OUT.rad one file of a tree, as Spark streams it.
+    levels, OUT.ssog the same in one file, OUT/tileset.json 3D Tiles 1.1, and OUT.rad one file of a
+    tree, as Spark streams it.
     """
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():

@@ -52,14 +52,20 @@ class Folder:
 
 
 class Bundle(Folder):
-    """Files by plain name, in one zip.
+    """Files by plain name, in one zip, or in a folder in there.
+
+    Args:
+        path: The zip, for messages.
+        file: The zip, open for reading.
+        inside: The folder, with a slash at its end; empty for the zip's own.
 
     Raises:
         FormatError: The file is no zip or is damaged.
     """
 
-    def __init__(self, path: Path, file: BinaryIO) -> None:
+    def __init__(self, path: Path, file: BinaryIO, inside: str = "") -> None:
         super().__init__(path)
+        self._inside = inside
         try:
             self._zip = zipfile.ZipFile(file)
         except _DAMAGE as error:
@@ -69,17 +75,16 @@ class Bundle(Folder):
 
     def where(self, name: str) -> str:
         """The file's name after that of the zip."""
-        return f"{self._path}: {name}"
+        return f"{self._path}: {self._inside}{name}"
 
     def size(self, name: str) -> int:
         """Bytes of a file as the zip states them; see `Folder`."""
         return self._entry(name).file_size
 
     def bytes_on_disk(self, names: Iterable[str]) -> int:
-        """Bytes of the zip, in which the files must be; see `Folder`."""
-        for name in names:
-            self._entry(name)
-        return input_size(self._path)
+        """Bytes of the zip, in which the files must be; of a folder in there, of them alone."""
+        packed = sum(self._entry(name).compress_size for name in names)
+        return packed if self._inside else input_size(self._path)
 
     def read(self, name: str, limit: int) -> bytes:
         """The beginning of a file, its checksum checked at its end; see `Folder`."""
@@ -95,7 +100,7 @@ class Bundle(Folder):
 
     def _entry(self, name: str) -> zipfile.ZipInfo:
         try:
-            entry = self._zip.getinfo(name)
+            entry = self._zip.getinfo(self._inside + name)
         except KeyError:
             raise self._error(name, "is missing") from None
         if entry.flag_bits & _ENCRYPTED or entry.compress_type not in _METHODS:

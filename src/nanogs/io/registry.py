@@ -13,6 +13,7 @@ from nanogs.splats import Splats
 
 _TOLD_BY = 8  # bytes
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
+ARCHIVE = ".ssog"  # a zip of a folder with `LEVELS`
 
 
 def formats() -> tuple[Format, ...]:
@@ -170,7 +171,7 @@ def writable(path: Path) -> Format:
         OptionError: nanogs does not write the format that the suffix stands for.
     """
     known = find(path)
-    if known is not None and known.suffix in (LEVELS, TILESET):
+    if known is not None and known.suffix in (LEVELS, TILESET, ARCHIVE):
         raise OptionError(f"{path} describes levels of detail; make them with `nanogs lod`.")
     if known is None or not known.writable:
         suffixes = [known.suffix for known in formats() if known.writable]

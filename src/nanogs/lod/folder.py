@@ -85,7 +85,7 @@ class LevelsFolder:
     def _filling(self, making: Path) -> "LevelsFilling":
         if self.chunks is None:
             return _Files(making, self.source, self.suffix)
-        return _Chunks(making, self.source, self.chunks)
+        return ChunksFilling(making, self.source, self.chunks)
 
     def move(self, made: Path) -> None:
         """As `Sink` says."""
@@ -139,22 +139,29 @@ class _Files(LevelsFilling):
         return made
 
 
-class _Chunks(LevelsFilling):
-    """Chunks of all levels, in one of their layouts."""
+class ChunksFilling(LevelsFilling):
+    """Chunks of all levels, in one of their layouts.
+
+    Attributes:
+        names: Of the files of each level, as paths from the folder.
+    """
 
     def __init__(self, folder: Path, source: str, layout: ChunkLayout) -> None:
         super().__init__(folder, source)
         self._layout = layout
         self._cells: list[Mapping[str, Array]] = []  # of each block
         self._levels: list[list[list[Any]]] = []  # chunks of each block of each level
+        self.names: list[list[str]] = []  # of the files of each level
 
     def add(self, model: Splats | Source, tell: Parts = untold) -> None:
+        """As `Filling` says."""
         splats, level = as_splats(model), len(self.written)
         cells = self._cells[0] if level else self._layout.divide(splats.means)
         finer = self._levels[-1][0] if level else None
         self.add_blocks([self._layout.encode(splats, cells, finer, f"{level}_", tell)])
 
     def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
+        """As `Filling` says."""
         names: list[str] = []
         cells, chunks, splats, size, left_out = [], [], 0, 0, []
         for block in blocks:
@@ -168,6 +175,7 @@ class _Chunks(LevelsFilling):
             splats += block.splats
         self._cells = self._cells or cells
         self._levels.append(chunks)
+        self.names.append(names)
         # A model in a folder of its own is named by what describes it.
         named = [n for n in names if "/" not in n or n.endswith(f"/{streamed_sog.META}")]
         self.written.append(Written(splats, named, size, join_findings(left_out)))
@@ -180,6 +188,7 @@ class _Chunks(LevelsFilling):
         path.write_bytes(data)
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
+        """As `LevelsFilling` says."""
         trees = [
             Tree(Cells(**cells), [level[block] for level in self._levels])
             for block, cells in enumerate(self._cells)

@@ -24,10 +24,13 @@ class Layout(StrEnum):
     SOG = "streamed sog"
     TILES = "3d tiles"
     TREE = "spark tree"  # one file
+    ARCHIVE = "streamed sog archive"  # one file
 
 
-_CHUNKED: dict[Layout, type[ChunkLayout]] = {Layout.SOG: StreamedSog, Layout.TILES: Tiles}
-NAMES = {layout: chunked.name for layout, chunked in _CHUNKED.items()}
+_IN_FOLDERS: dict[Layout, type[ChunkLayout]] = {Layout.SOG: StreamedSog, Layout.TILES: Tiles}
+_CHUNKED = _IN_FOLDERS | {Layout.ARCHIVE: StreamedSog}
+NAMES = {layout: chunked.name for layout, chunked in _IN_FOLDERS.items()}
+_FILES = {Layout.TREE: TREE, Layout.ARCHIVE: registry.ARCHIVE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +70,11 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
         OptionError: The format is not written, or the name says another one; or the name is that of
             another `.json` file, or of a single model.
     """
-    if path.suffix.lower() == TREE:
-        if suffix is not None:
-            raise OptionError(f"{path} says how the levels are written; leave the format out.")
-        return Output(path, Layout.TREE, TREE)
+    for layout, ending in _FILES.items():
+        if path.suffix.lower() == ending:
+            if suffix is not None:
+                raise OptionError(f"{path} says how the levels are written; leave the format out.")
+            return Output(path, layout, TREE if layout == Layout.TREE else PLY)
     for layout, name in NAMES.items():
         if path.name == name:
             if suffix is not None:
@@ -123,4 +127,4 @@ def chunks_of(layout: Layout | str, chunk: int | None, *, plain: bool) -> ChunkL
     most = CHUNK if chunk is None else chunk
     if layout == Layout.TILES:
         return Tiles(most, packed=not plain)
-    return StreamedSog(most) if layout == Layout.SOG else None
+    return StreamedSog(most) if layout in (Layout.SOG, Layout.ARCHIVE) else None

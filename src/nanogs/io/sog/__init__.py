@@ -2,7 +2,7 @@
 
 from nanogs.io.format import Format, WriteOption
 from nanogs.io.precision import FEWEST_BITS, MOST_BITS
-from nanogs.io.registry import LEVELS
+from nanogs.io.registry import ARCHIVE, LEVELS
 from nanogs.io.sog import write
 from nanogs.io.sog.levels import open_level
 from nanogs.io.sog.meta import PALETTE_MAX
@@ -33,4 +33,5 @@ FORMATS = (
         ours=write.ours,
     ),
     Format(LEVELS, open_level, open_level=open_level),
+    Format(ARCHIVE, open_level, open_level=open_level, holds=LEVELS),
 )

@@ -16,12 +16,14 @@ from typing import Any
 from nanogs._types import Array
 from nanogs.errors import FormatError
 from nanogs.formatting import counted
-from nanogs.io.files import input_size
+from nanogs.io.container import Bundle
+from nanogs.io.files import input_size, reading
 from nanogs.io.info import FileInfo
-from nanogs.io.json_fields import integer, is_plain, read_json, refused, rows, table
+from nanogs.io.json_fields import integer, is_plain, parse, read_json, refused, rows, table
 from nanogs.io.parts import Column, ColumnReader, Packed, check_level
+from nanogs.io.registry import ARCHIVE, LEVELS
 from nanogs.io.sog.meta import MAX_COUNT
-from nanogs.io.sog.read import SogSource
+from nanogs.io.sog.read import META, SogSource
 from nanogs.splats import RenderMode, Splats, empty_arrays, padded
 
 # Python takes up to 25 times a JSON text's size; a leaf has some 500 bytes for 10 K splats or more.
@@ -35,13 +37,15 @@ class Piece:
 
     Attributes:
         folder: The model's folder.
-        name: Name of its `meta.json`, or of its `.sog`.
+        name: Name of its `meta.json`, or of its `.sog`; or of the zip that it is in.
         spans: (offset, count) of runs of rows, ascending, without overlap.
+        inside: The model's folder in the zip, with a slash at its end.
     """
 
     folder: Path
     name: str
     spans: tuple[tuple[int, int], ...]
+    inside: str = ""
 
     @property
     def path(self) -> Path:
@@ -80,12 +84,12 @@ class Levels:
 
 
 def read_manifest(path: Path) -> Levels:
-    """Read and check a `lod-meta.json`.
+    """Read and check a `lod-meta.json`, or the one in a `.ssog`.
 
     Raises:
         FormatError: It is missing, damaged, or names a file outside its folder.
     """
-    data = read_json(path, MAX_MANIFEST_BYTES)
+    data = _archived(path) if _is_archive(path) else read_json(path, MAX_MANIFEST_BYTES)
     if data.get("version", 1) != 1:
         raise refused(str(path), "is of a newer version than 1, which nanogs does not read")
     depth = integer(data.get("lodLevels"), f"{path}, lodLevels", 1, _MAX_LEVELS)
@@ -101,6 +105,20 @@ def read_manifest(path: Path) -> Levels:
         tuple(_piece(path, names[file], found[file]) for file in sorted(found)) for found in spans
     ]
     return Levels(tuple(levels), _notes(data.get("environment")))
+
+
+def _is_archive(path: Path) -> bool:
+    return path.name.lower().endswith(ARCHIVE)
+
+
+def _archived(path: Path) -> dict[str, Any]:
+    """The `lod-meta.json` of a zip."""
+    with reading(path) as file:
+        bundle = Bundle(path, file)
+        where = bundle.where(LEVELS)
+        if bundle.size(LEVELS) > MAX_MANIFEST_BYTES:
+            raise refused(where, "is too large for a description of levels")
+        return parse(bundle.read(LEVELS, MAX_MANIFEST_BYTES), where)
 
 
 def _notes(environment: object) -> tuple[str, ...]:
@@ -141,12 +159,17 @@ def _piece(path: Path, name: object, spans: list[tuple[int, int]]) -> Piece:
         if offset < end:
             raise refused(f"{path}, tree", f"names rows of {name} twice in a level")
         end = offset + count
-    return Piece(path.parent.joinpath(*parts[:-1]), parts[-1], tuple(ordered))
+    if not _is_archive(path):
+        return Piece(path.parent.joinpath(*parts[:-1]), parts[-1], tuple(ordered))
+    *folders, file = parts
+    if file != META or not folders:
+        raise refused(f"{path}, filenames", f"must name a {META} in a folder of the zip")
+    return Piece(path.parent, path.name, tuple(ordered), "/".join(folders) + "/")
 
 
 def _opened(piece: Piece) -> SogSource:
     """The model of a piece, whose rows must be there."""
-    source = SogSource(piece.path, piece.spans)
+    source = SogSource(piece.path, piece.spans, piece.inside)
     available = source.meta.count
     if any(offset + count > available for offset, count in piece.spans):
         raise FormatError(
@@ -209,14 +232,15 @@ class SogLevel(Packed):
     @cached_property
     def info(self) -> FileInfo:
         """The description, from the manifest and those of the models."""
-        return joined_info(
-            self.path, "streamed sog", [model.info for model in self._models], self.count
-        )
+        models = [model.info for model in self._models]
+        info = joined_info(self.path, "streamed sog", models, self.count)
+        return replace(info, file_bytes=input_size(self.path)) if _is_archive(self.path) else info
 
     @property
     def files(self) -> Sequence[Path]:
         """The manifest and all files of the level; see `FileSource`."""
-        return (self.path, *(file for model in self._models for file in model.files))
+        models = (file for model in self._models for file in model.files)
+        return tuple(dict.fromkeys((self.path, *models)))  # of a zip it is the same for all
 
     @property
     def levels(self) -> tuple[int, ...]:

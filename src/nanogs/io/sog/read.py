@@ -53,16 +53,19 @@ class SogSource(Packed):
     Args:
         path: The file.
         spans: (offset, count) of the runs of rows; all by default.
+        inside: Folder of its files in a zip, which the file is, with a slash at its end.
     """
 
-    def __init__(self, path: Path, spans: Sequence[tuple[int, int]] | None = None) -> None:
+    def __init__(
+        self, path: Path, spans: Sequence[tuple[int, int]] | None = None, inside: str = ""
+    ) -> None:
         super().__init__(path)
-        self._given = spans
+        self._given, self._inside = spans, inside
 
     @cached_property
     def meta(self) -> Meta:
         """The checked `meta.json`."""
-        with _opened(self.path) as (container, name):
+        with _opened(self.path, self._inside) as (container, name):
             where = container.where(name)
             if container.size(name) > MAX_META_BYTES:
                 raise _error(where, "is too large for a description of textures")
@@ -72,7 +75,7 @@ class SogSource(Packed):
     def info(self) -> FileInfo:
         """The description of all rows, the count checked against the sizes of the files."""
         meta = self.meta
-        with _opened(self.path) as (container, name):
+        with _opened(self.path, self._inside) as (container, name):
             degree = _sh_degree(container, meta)
             file_bytes = container.bytes_on_disk({name, *meta.files.values()})
             check_expansion(container.where(name), meta.count * splat_bytes(degree), file_bytes)
@@ -91,7 +94,7 @@ class SogSource(Packed):
     @property
     def files(self) -> Sequence[Path]:
         """The description and its textures; see `FileSource`."""
-        if self.path.name.lower().endswith(".sog"):
+        if self._inside or self.path.name.lower().endswith(".sog"):
             return (self.path,)
         names = dict.fromkeys(self.meta.files.values())
         return (self.path, *(self.path.parent / each for each in names))
@@ -100,7 +103,7 @@ class SogSource(Packed):
     def _sizes(self) -> dict[str, tuple[int, int]]:
         """Width and height that each texture states, none of them decoded."""
         degree = self.info.sh_degree
-        with _opened(self.path) as (container, _):
+        with _opened(self.path, self._inside) as (container, _):
             return _checked_sizes(container, self.meta, degree)
 
     @property
@@ -119,14 +122,14 @@ class SogSource(Packed):
     @cached_property
     def memory(self) -> int:
         """Bytes that decoding the largest texture takes."""
-        with _opened(self.path) as (container, _):
+        with _opened(self.path, self._inside) as (container, _):
             packed = {each: container.size(name) for each, name in self.meta.files.items()}
         texels = {each: width * height for each, (width, height) in self._sizes.items()}
         return max(_TEXEL * texels[each] + 2 * packed[each] for each in texels)
 
     def unpack(self, _notes: list[str]) -> Iterator[Array]:
         """All columns; see `Packed`."""
-        with _opened(self.path) as (container, _):
+        with _opened(self.path, self._inside) as (container, _):
             for each, column in self.stored.items():
                 name = self.meta.files[each]
                 texels = decode(container.read(name, container.size(name)), container.where(name))
@@ -165,7 +168,7 @@ class SogSource(Packed):
         texels = texture("shN_labels")
         labels = _words(texels[:, 0], texels[:, 1])
         if labels.max(initial=0) >= palette:
-            with _opened(self.path) as (container, _):
+            with _opened(self.path, self._inside) as (container, _):
                 where = container.where(self.meta.files["shN_labels"])
             raise _error(where, f"names entries beyond the palette's {palette}")
         entries = texture(_PALETTE).reshape(-1, coefficients, 3)
@@ -178,14 +181,14 @@ class SogSource(Packed):
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Folder, str]]:
+def _opened(path: Path, inside: str) -> Iterator[tuple[Folder, str]]:
     """The files of a model, and the name of its `meta.json` among them."""
     input_size(path)
-    if not path.name.lower().endswith(".sog"):
+    if not inside and not path.name.lower().endswith(".sog"):
         yield Folder(path.parent), path.name
         return
     with reading(path) as file:
-        yield Bundle(path, file), META
+        yield Bundle(path, file, inside), META
 
 
 def _sh_degree(container: Folder, meta: Meta) -> int:

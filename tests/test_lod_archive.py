@@ -1,0 +1,122 @@
+"""Streamed SOG as one file: `.ssog`, a zip of what `lod-meta.json` describes."""
+
+import json
+import zipfile
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from launch import run
+from nanogs import io
+from nanogs.errors import FormatError, OptionError
+from nanogs.io.registry import LEVELS
+
+FAST = ("--preset", "fast", "--chunk", "500")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A model, the folder of its levels and the same levels as one file."""
+    folder = tmp_path_factory.mktemp("archive")
+    nanogs.save(random_splats(3000, degree=1), folder / "a.ply")
+    for out in ("web/lod-meta.json", "a.ssog"):
+        result = run("lod", folder / "a.ply", folder / out, *FAST, "-q")
+        assert result.returncode == 0, result.stderr
+    return folder
+
+
+def test_an_archive_holds_the_files_of_the_folder(made):
+    with zipfile.ZipFile(made / "a.ssog") as archive:
+        names = archive.namelist()
+        assert all(entry.compress_type == zipfile.ZIP_STORED for entry in archive.infolist())
+        files = {name: archive.read(name) for name in names}
+    web = made / "web"
+    beside = {path.relative_to(web).as_posix(): path for path in web.rglob("*") if path.is_file()}
+    assert files == {name: path.read_bytes() for name, path in beside.items()}
+    # What a first picture needs comes first: the description, then the coarsest level.
+    levels = [int(name.split("_")[0]) for name in names[1:]]
+    assert names[0] == LEVELS
+    assert levels == sorted(levels, reverse=True)
+    assert levels[0] == 3
+    assert sorted(path.name for path in made.iterdir()) == ["a.ply", "a.ssog", "web"]
+
+
+@pytest.mark.parametrize("level", [0, 3])
+def test_a_level_is_read_as_from_the_folder(made, level):
+    folder = io.open(made / "web" / LEVELS, level=level)
+    archive = io.open(made / "a.ssog", level=level)
+    assert archive.levels == folder.levels == (3000, 1500, 750, 375)
+    assert archive.files == (made / "a.ssog",)
+    info = archive.info
+    assert (info.format, info.splats) == ("streamed sog", archive.levels[level])
+    assert info.file_bytes == (made / "a.ssog").stat().st_size
+    ours, theirs = archive.load(), folder.load()
+    for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):
+        assert np.array_equal(getattr(ours, name), getattr(theirs, name))
+
+
+def test_commands_take_an_archive(made, tmp_path):
+    shown = json.loads(run("info", made / "a.ssog", "--json").stdout)
+    assert shown["levels"] == [3000, 1500, 750, 375]
+    result = run("convert", made / "a.ssog", tmp_path / "c.ply", "--level", "2", "-q")
+    assert result.returncode == 0, result.stderr
+    assert len(nanogs.load(tmp_path / "c.ply")) == 750
+    data = (made / "a.ssog").read_bytes()
+    result = run("convert", "-", tmp_path / "d.ply", "--from", "ssog", "-q", data=data)
+    assert result.returncode == 0, result.stderr
+    assert len(nanogs.load(tmp_path / "d.ply")) == 3000
+
+
+def test_blocks_give_the_same_bytes_for_any_number_of_threads(made, tmp_path):
+    given = {"preset": "fast", "layout": "streamed sog archive", "chunk": 500, "block": 1000}
+    for number in (1, 2):
+        nanogs.write_levels(made / "a.ply", tmp_path / f"{number}.ssog", **given, threads=number)
+    assert (tmp_path / "1.ssog").read_bytes() == (tmp_path / "2.ssog").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["1.ssog", "2.ssog"]
+    assert io.open(tmp_path / "1.ssog").levels == (3000, 1500, 750, 375)
+
+
+def test_nothing_is_replaced_unasked(made, tmp_path):
+    (tmp_path / "a.ssog").write_bytes(b"mine")
+    refused = run("lod", made / "a.ply", tmp_path / "a.ssog", *FAST)
+    assert (refused.returncode, "exists already" in refused.stderr) == (2, True)
+    assert (tmp_path / "a.ssog").read_bytes() == b"mine"
+    assert run("lod", made / "a.ply", tmp_path / "a.ssog", *FAST, "-w").returncode == 0
+    assert (tmp_path / "a.ssog").read_bytes() == (made / "a.ssog").read_bytes()
+    with pytest.raises(OptionError, match="levels of detail; make them with `nanogs lod`"):
+        nanogs.save(random_splats(3), tmp_path / "b.ssog")
+
+
+def changed(source, target, change):
+    """A copy of an archive with other files in it."""
+    with zipfile.ZipFile(source) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    change(files)
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda files: files.pop(LEVELS), "lod-meta.json is missing"),
+        (lambda files: files.pop("0_0/meta.json"), "0_0/meta.json is missing"),
+        (lambda files: files.update({LEVELS: b"{"}), "is no JSON"),
+        (
+            lambda files: files.update({LEVELS: files[LEVELS].replace(b"0_0/", b"../")}),
+            "must name files below its own folder",
+        ),
+        (
+            lambda files: files.update({LEVELS: files[LEVELS].replace(b"0_0/meta.json", b"a.sog")}),
+            "must name a meta.json in a folder of the zip",
+        ),
+    ],
+    ids=["no description", "no model", "no JSON", "outside", "no folder"],
+)
+def test_a_damaged_archive_is_refused_in_a_sentence(made, tmp_path, change, words):
+    changed(made / "a.ssog", tmp_path / "b.ssog", change)
+    with pytest.raises(FormatError, match=words):
+        io.open(tmp_path / "b.ssog").load()
