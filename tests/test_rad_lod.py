@@ -175,6 +175,17 @@ def test_nothing_is_overwritten_without_w(made):
     assert {path.suffix for path in made.parent.iterdir()} <= {".ply", ".rad"}
 
 
+def test_with_w_it_is_replaced_and_fitting_in_vain_is_said(tmp_path):
+    io.save(random_splats(200, degree=0), tmp_path / "a.ply")
+    said = []
+    for chosen in (["--preset", "fast"], ["-w"]):
+        done = run("lod", tmp_path / "a.ply", tmp_path / "a.rad", "--levels", "1,0.2", *chosen)
+        assert done.returncode == 0, done.stderr
+        said.append("as 'default' fitted them" in " ".join(done.stderr.split()))
+    assert said == [False, True]
+    assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "a.rad"}
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [(["--chunk", "100"], "65,536"), (["--format", "sog"], "leave the format out"),
