@@ -188,3 +188,31 @@ def test_what_is_measured_says_what_it_takes(scene, tmp_path, block):
     share = report.cost.share_of(report.original_cost)
     assert share_of(scene, back) == pytest.approx(share, rel=1e-6)
     assert share > 0.2, "a fifth of the splats takes more than a fifth of the work"
+
+
+@pytest.mark.parametrize("block", [None, 900])
+@pytest.mark.parametrize("place", ["levels", "stream/lod-meta.json"])
+def test_levels_that_are_measured_say_what_they_take(scene, tmp_path, block, place):
+    layout = "files" if place == "levels" else "streamed sog"
+    folder = (tmp_path / place).parent if "." in place else tmp_path / place
+    manifest, _ = nanogs.write_levels(
+        scene, folder, [0.5, 0.1], layout=layout, measured=True, block=block, **QUICK
+    )
+    for number, level in enumerate(manifest.levels):
+        path, which = (folder / level.file, 0) if layout == "files" else (tmp_path / place, number)
+        nanogs.save(nanogs.load(path, level=which), tmp_path / f"{number}.npz")
+        share = share_of(scene, tmp_path / f"{number}.npz")
+        assert level.draws == pytest.approx(share, rel=1e-9)
+        assert level.ratio < level.draws < 1
+    plain, _ = nanogs.write_levels(scene, tmp_path / "plain", [0.1], **QUICK)
+    assert plain.levels[0].draws is None
+
+
+def test_the_command_shows_what_levels_take(scene, tmp_path):
+    given = ["lod", scene, tmp_path / "levels", "--levels", "0.5,0.1", "--preset", "fast"]
+    result = run(*given, "--measure")
+    assert result.returncode == 0, result.stderr
+    assert "draws: splats a pixel" in result.stderr
+    listed = json.loads((tmp_path / "levels" / "levels.json").read_text(encoding="utf-8"))
+    for level in listed["levels"]:
+        assert f"{level['draws']:.1%}" in result.stderr

@@ -195,7 +195,10 @@ def _whole(
     if is_measured(request):
         tracker.begin("measure")
         turn, threads = request.frame, request.threads
-        judge = file_judge(splats, sink.suffix, turn=turn, threads=threads, tell=tracker.part)
+        judge = file_judge(
+            splats, sink.suffix, turn=turn, threads=threads, tell=tracker.part,
+            costs=bool(request.measured),
+        )  # fmt: skip
     with sink.filled() as filling:
         for small, report in made:
             tracker.begin("write")

@@ -168,6 +168,9 @@ class Judge(Protocol):
     def of(self, path: Path, level: int = 0) -> Judged | None:
         """What was measured of a file, or of a level in there; None where nothing can be."""
 
+    def costs(self, path: Path, level: int = 0) -> Sequence[DrawCost]:
+        """What it takes to draw, and the model; nothing where that is not measured."""
+
 
 class Filling(ABC):
     """A sink that has been opened, and is being filled.
@@ -209,7 +212,8 @@ class Filling(ABC):
             found = judge.of(*file)
             if found is not None:
                 judged = found.psnr, found.ssim, found.protocol.views
-                self.written[number] = self.written[number]._replace(judged=judged)
+                costs = [each.numbers for each in judge.costs(*file)] or None
+                self.written[number] = self.written[number]._replace(judged=judged, costs=costs)
         self.written[0] = self.written[0]._replace(notes=judge.notes)
 
 

@@ -12,7 +12,7 @@ from nanogs.cli.many import Run
 from nanogs.cli.method import Method
 from nanogs.cli.plan import carry_out, plan_run, show_plan
 from nanogs.cli.simplify_report import warn_of_input
-from nanogs.formatting import bytes_text, counted, number_text, time_text
+from nanogs.formatting import NONE, bytes_text, counted, number_text, time_text
 from nanogs.io.collect import Pair
 from nanogs.levels_of_detail import sink_of, usual_levels, write_levels_of_files
 from nanogs.lod.layout import Layout, Output
@@ -89,13 +89,16 @@ def print_levels(run: Run, *, verbose: bool) -> None:
     report_filters(files["filters"])
     warn_of_input(manifest.notes, files["dropped_nonfinite"])
     table = Table("level", box=None, pad_edge=False)
-    for heading in ("asked", "splats", "file", "PSNR", "SSIM", "seconds"):
+    drawn = any(level.draws is not None for level in levels)
+    for heading in ("asked", "splats", "file", "PSNR", "SSIM", *["draws"] * drawn, "seconds"):
         table.add_column(heading, justify="right")
     for number, (level, report) in enumerate(zip(levels, reports, strict=True)):
-        table.add_row(*_cells(number, level), f"{report.total_seconds:.2f}")
+        draws = [NONE if level.draws is None else f"{level.draws:.1%}"] * drawn
+        table.add_row(*_cells(number, level), *draws, f"{report.total_seconds:.2f}")
     show(err, table)
     if manifest.protocol:
         text = f"PSNR in dB; means over {manifest.protocol.text}"
+        text += "; draws: splats a pixel, as a share of the original's" * drawn
         err.print(text, markup=False, soft_wrap=True)
     for number, report in enumerate(reports if verbose else []):
         err.print(f"level {number}")

@@ -69,7 +69,7 @@ class Method(options.Telling):
         bool | None,
         typer.Option(
             "--measure/--no-measure",
-            help="Say the PSNR that `nanogs compare` measures.",
+            help="Say the PSNR that `nanogs compare` measures; where asked for, the draw cost.",
             show_default="where the preset renders",
         ),
     ] = None

@@ -31,6 +31,8 @@ class Level:
             every view equals the original's.
         ssim: Over the same views, or None.
         stop: Why its merging stopped.
+        draws: Splats a pixel over the same views, as a share of the original's; None where that was
+            not measured.
     """
 
     file: str
@@ -41,6 +43,7 @@ class Level:
     psnr: float | None
     ssim: float | None
     stop: StopReason
+    draws: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,7 @@ class ChunkedLevel:
         psnr: As in `Level`.
         ssim: As in `Level`.
         stop: Why its merging stopped.
+        draws: As in `Level`.
     """
 
     files: tuple[str, ...]
@@ -64,6 +68,7 @@ class ChunkedLevel:
     psnr: float | None
     ssim: float | None
     stop: StopReason
+    draws: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,14 +135,15 @@ def _entry(report: SimplifyReport, written: Written) -> Level | ChunkedLevel:
     psnr, ssim, _ = written.judged or (None, None, 0)
     if psnr == math.inf:  # of which JSON has none
         psnr = None
+    draws = written.drawn[0].share_of(written.drawn[1]) if written.drawn else None
     if not written.sha256:
         return ChunkedLevel(
             tuple(written.files), ratio, report.achieved_count, written.bytes, psnr, ssim,
-            report.stop,
+            report.stop, draws,
         )  # fmt: skip
     return Level(
         written.files[0], ratio, report.achieved_count, written.bytes, written.sha256, psnr, ssim,
-        report.stop,
+        report.stop, draws,
     )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ class Ending:
         sink: Where they go.
         reports: Makes the report of each result.
         measured: Whether each is held against the model.
-        costed: Whether it is said what the one result takes to draw.
+        costed: Whether it is said what each takes to draw.
         max_memory: Bytes that this process may take for that; by default what is free.
     """
 
@@ -96,7 +96,7 @@ class Ending:
                     filling.add_blocks(blocks_of(work, level, progress.part))
             judge = self._judge(work, progress) if self.measured else None
             filling.finish(self.reports(done, filling.written), judge)
-            if self.costed:
+            if self.costed and judge is None:  # its PSNR is known already
                 filling.written[0] = self._costed(work, filling.written[0], made)
             _seal(made, self.sink.files(made), filling.written, measured=self.measured)
         except OSError as error:
@@ -109,7 +109,7 @@ class Ending:
         with opened(settings, work.unpacked()) as original:
             return file_judge(
                 original, self.sink.suffix, turn=settings.frame, threads=work.threads,
-                tell=progress.part, max_memory=self.max_memory,
+                tell=progress.part, max_memory=self.max_memory, costs=self.costed,
             )  # fmt: skip
 
     def _costed(self, work: Work, written: Written, made: Path) -> Written:

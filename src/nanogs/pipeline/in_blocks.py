@@ -91,7 +91,7 @@ def fill_in_blocks(
 
         search = Search(request.output, request.format_options, folder, max_memory).find
     measured = bool(request.measured) and request.goal.psnr is None
-    costed = bool(request.measured) and not request.ratios and request.goal.draw_cost is None
+    costed = bool(request.measured) and request.goal.draw_cost is None
     ending = Ending(sink, reports, measured, max_memory, costed)
     job = BlockJob(settings, folder, request.scratch, ending, search)
     where = Where(request.threads, request.executor, request.patience)

@@ -16,6 +16,7 @@ from nanogs.source import Source, Turned
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
+    from nanogs.scoring.draw_views import DrawViews
     from nanogs.scoring.held_out import HeldOut
 
 
@@ -30,6 +31,7 @@ class FileJudge:
         turn: Frames from and to which the files' models were turned, or None.
         threads: Threads to use, or None for all.
         notes: Why nothing is measured, one sentence each.
+        drawing: What the model takes to draw; None where that is not measured.
     """
 
     views: "HeldOut | None" = None
@@ -37,6 +39,7 @@ class FileJudge:
     turn: tuple[str, str] | None = None
     threads: int | None = None
     notes: tuple[str, ...] = ()
+    drawing: "DrawViews | None" = None
 
     def of(self, path: Path, level: int = 0) -> Judged | None:
         """What was measured of a file; None where nothing can be, of which a note then tells.
@@ -55,6 +58,21 @@ class FileJudge:
         except (ModelError, FormatError) as error:
             self.notes = (*self.notes, _unmeasured(error))
             return None
+
+    def costs(self, path: Path, level: int = 0) -> tuple[DrawCost, ...]:
+        """What a file takes to draw, and the model; nothing where that is not measured.
+
+        Args:
+            path: The file.
+            level: Of a streamed model, which level of detail.
+        """
+        if self.drawing is None:
+            return ()
+        from nanogs.threads import use_threads
+
+        with use_threads(self.threads), open_model(path, level=level) as file:
+            back: Source = Turned(file, self.turn[1], self.turn[0]) if self.turn else file
+            return self.drawing.cost(back), self.drawing.original
 
     def beside(self, path: Path, result: Splats) -> tuple[Judged | None, PackingLoss | None]:
         """What was measured of a file, and what packing alone cost where its format rounds.
@@ -95,6 +113,7 @@ def file_judge(
     threads: int | None = None,
     tell: Parts = untold,
     max_memory: int | None = None,
+    costs: bool = False,
 ) -> FileJudge:
     """Render the original once, for any number of files.
 
@@ -106,6 +125,7 @@ def file_judge(
         tell: Told of the views rendered.
         max_memory: Bytes that this process may take, where a source is rendered; by default what is
             free.
+        costs: Measure what files take to draw too.
     """
     known = registry.find(Path(f"model{suffix}"))
     if known is not None and not known.readable:
@@ -116,9 +136,16 @@ def file_judge(
     try:
         with use_threads(threads):
             views = held_out(original, tell, max_memory)
+            drawing = _drawing(original) if costs else None
     except (ModelError, FormatError) as error:
         return FileJudge(notes=(_unmeasured(error),))
-    return FileJudge(views, isinstance(original, Splats), turn, threads)
+    return FileJudge(views, isinstance(original, Splats), turn, threads, drawing=drawing)
+
+
+def _drawing(original: Splats | Source) -> "DrawViews":
+    from nanogs.scoring.draw_views import draw_views
+
+    return draw_views(original)
 
 
 def file_costs(
@@ -138,14 +165,12 @@ def file_costs(
     known = registry.find(path)
     if known is not None and not known.readable:
         return ()
-    from nanogs.scoring.draw_views import draw_views
     from nanogs.threads import use_threads
 
     try:
-        with use_threads(threads), open_model(path) as file:
-            views = draw_views(original)
-            source: Source = Turned(file, turn[1], turn[0]) if turn else file
-            return views.cost(source), views.original
+        with use_threads(threads):
+            judge = FileJudge(turn=turn, threads=threads, drawing=_drawing(original))
+        return judge.costs(path)
     except ModelError:  # nothing of it is seen, of which what is measured beside it tells
         return ()
 
