@@ -10,6 +10,7 @@ import nanogs
 from builders import random_splats
 from nanogs import filters
 from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.frames import change_frame
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.request import Request, plan_files
 from nanogs.pipeline.target import Goal
@@ -121,12 +122,30 @@ def test_a_size_is_met_in_memory_and_in_blocks(scene, tmp_path, suffix):
         assert blocks.achieved_count == report.achieved_count
 
 
-def test_a_size_that_is_found_by_writing_is_of_the_frame_that_is_written(scene, tmp_path):
-    given = {"size": 20_000, "frame": ("rdf", "rub")} | QUICK
-    with pytest.raises(OptionError, match="`frame` changes the size"):
-        nanogs.simplify_blocks(scene, tmp_path / "a.sog", **given)
-    nanogs.simplify_blocks(scene, tmp_path / "a.ply", **given)
-    assert 19_000 < (tmp_path / "a.ply").stat().st_size <= 20_000
+@pytest.mark.parametrize("suffix", [".ply", ".sog", ".spz"])
+@pytest.mark.parametrize("block", [None, 500])
+def test_a_size_is_of_the_frame_that_is_written(scene, tmp_path, suffix, block):
+    path = tmp_path / f"a{suffix}"
+    given = {"size": 20_000, "frame": ("rdf", "rub"), "block": block} | QUICK
+    report = nanogs.simplify_blocks(scene, path, **given)
+    assert report.achieved_size == path.stat().st_size <= 20_000
+    assert path.stat().st_size > 19_000
+    if block is None:  # the same splats, turned in memory or on their way to the file
+        given = {"size": 20_000, "format": suffix, "frame": ("rdf", "rub")} | QUICK
+        small, _ = nanogs.simplify(scene, **given)
+        nanogs.save(small, tmp_path / f"b{suffix}", format_options=report.format_options)
+        assert (tmp_path / f"b{suffix}").read_bytes() == path.read_bytes()
+
+
+def test_a_psnr_is_of_the_file_that_is_turned(scene, tmp_path):
+    wish = {"psnr": 24.0, "format": ".spz", "preset": "fast"}
+    plain, found = nanogs.simplify(scene, **wish)
+    turned, same = nanogs.simplify(scene, **wish, frame=("rdf", "rub"))
+    assert same.judged.psnr == pytest.approx(found.judged.psnr, abs=0.1)
+    back = change_frame(turned, "rub", "rdf")
+    assert len(back) == pytest.approx(len(plain), rel=0.05)
+    with pytest.raises(OptionError, match="frame"):
+        nanogs.simplify(scene, **wish, frame=("rdf", "up"))
 
 
 def test_a_size_for_everything_and_one_for_nothing(scene, tmp_path):

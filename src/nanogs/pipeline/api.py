@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
 from nanogs.clock import StageClock
+from nanogs.frames import change_between, change_frame
 from nanogs.io import as_stored, registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
@@ -29,6 +30,7 @@ from nanogs.report import SimplifyReport, StopReason
 from nanogs.splats import Splats, refuse_misaligned_elements
 
 if TYPE_CHECKING:
+    from nanogs.pipeline.held_files import HeldFiles
     from nanogs.raster.camera import Camera
 
 
@@ -44,6 +46,7 @@ def simplify(
     format_options: FormatOptions | None = None,
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
+    frame: tuple[str, str] | None = None,
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     threads: int | None = None,
@@ -75,6 +78,8 @@ def simplify(
         preset: Name of a preset.
         sh_degree: Of the result's harmonics, which are fitted for it; by default the model's, or
             where `size` is searched for and the preset renders, whichever shows most.
+        frame: From and to which the result is turned, such as ("rdf", "rub"); a size and a PSNR are
+            of the file of what is turned.
         cameras: Views that matter, for presets that render; by default automatic.
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise.
@@ -104,11 +109,14 @@ def simplify(
     path = Path(f"model{registry.suffix_of(format)}")
     refuse_searches(goal, preset, path)
     check_degree(sh_degree)
+    if frame:
+        change_between(*frame)  # which refuses other names
     splats = as_splats(model)
     if sh_degree is not None and not renders(chosen):
         splats = splats.with_sh_degree(min(sh_degree, splats.sh_degree))
     # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.pipeline.foreseen import simplify_stages
+    from nanogs.pipeline.held_files import HeldFiles
     from nanogs.threads import use_threads
 
     with use_threads(threads) as threads_used, drawn(progress) as tell:
@@ -127,16 +135,19 @@ def simplify(
                 achieved = registry.sizer(path)(outcome.splats, target)
                 outcome = replace(outcome, achieved_size=achieved)
         elif size is not None:
-            outcome = _fit(job, size, path, given, threads_used, clock, tracker)
+            files = HeldFiles(path, given, job.splats, clock, frame)
+            outcome = _fit(job, size, files, threads_used, tracker)
         elif draw_cost is not None:
             outcome = _lighten(job, draw_cost, path, given, threads_used, clock, tracker)
         else:
-            outcome = _reach(job, goal.psnr or 0.0, path, given, threads_used, clock, tracker)
+            files = HeldFiles(path, given, job.splats, clock, frame)
+            outcome = _reach(job, goal.psnr or 0.0, files, threads_used, tracker)
         target = len(outcome.splats) if target is None else target
         tracker.finish()
     if size is not None:
         outcome = _with_size_notes(outcome, size, len(job.rows), path)
-    return outcome.splats, job.report(goal, target, outcome, threads_used, clock, start)
+    small = change_frame(outcome.splats, *frame) if frame else outcome.splats
+    return small, job.report(goal, target, outcome, threads_used, clock, start)
 
 
 def _with_size_notes(outcome: Outcome, size: int, available: int, path: Path) -> Outcome:
@@ -206,25 +217,16 @@ def target_of(
     return goal.target(available, lambda count: file_bytes(like, count))
 
 
-def _fit(
-    job: Job,
-    size: int,
-    path: Path,
-    given: FormatOptions,
-    threads: int,
-    clock: StageClock,
-    progress: Tracker,
-) -> Outcome:
+def _fit(job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracker) -> Outcome:
     from nanogs.pipeline.fit_size import refuse_hopeless
-    from nanogs.pipeline.held_files import HeldFiles
     from nanogs.pipeline.pack import Packer
     from nanogs.pipeline.results import HeldResults
     from nanogs.pipeline.sized import fill_size
     from nanogs.pipeline.wish import Wish
 
-    files, usable = HeldFiles(path, given, job.splats, clock), job.splats.take(job.rows)
-    known, looks = registry.writable(path), renders(job.parameters)
-    wish = Wish(size, known, given, job.sh_degree, looks=looks)
+    usable, clock = job.splats.take(job.rows), files.clock
+    known, looks = registry.writable(files.path), renders(job.parameters)
+    wish = Wish(size, known, files.given, job.sh_degree, looks=looks)
     smallest = wish.smallest(usable.sh_degree)
     lowest = usable.with_sh_degree(smallest.sh_degree)
     if (file_bytes := known.file_bytes) is not None:
@@ -243,36 +245,27 @@ def _fit(
     )
 
 
-def _reach(
-    job: Job,
-    psnr: float,
-    path: Path,
-    given: FormatOptions,
-    threads: int,
-    clock: StageClock,
-    progress: Tracker,
-) -> Outcome:
-    from nanogs.pipeline.held_files import HeldFiles
+def _reach(job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tracker) -> Outcome:
     from nanogs.pipeline.pack import PackNear
     from nanogs.pipeline.reach import reach_psnr
     from nanogs.pipeline.results import HeldResults
     from nanogs.pipeline.wish import Wish
     from nanogs.scoring.held_out import held_out
 
+    clock = files.clock
     progress.begin("measure")
     with clock.time("measure"):
         views = held_out(job.splats, progress.part)
 
     def stored(outcome: Outcome) -> Splats:
-        return as_stored(outcome.splats, path, {**given, **pack.options(outcome)})
+        return files.stored(outcome.splats, pack.options(outcome))
 
     def psnr_of(outcome: Outcome) -> float:
         with clock.time("measure"):
             return views.psnr(stored(outcome))
 
     results = HeldResults(job.build(threads, clock, progress), clock)
-    files = HeldFiles(path, given, job.splats, clock)
-    wish = Wish(0, registry.writable(path), given, job.sh_degree)
+    wish = Wish(0, registry.writable(files.path), files.given, job.sh_degree)
     pack = PackNear(results, wish, lambda: job.splats.take(job.rows), files, progress)
     outcome, found = reach_psnr(results, psnr, psnr_of, progress, pack)
     if found.stop is StopReason.UNREACHED:  # and so the whole model is written, as it is

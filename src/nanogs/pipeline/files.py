@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from nanogs.bar import drawn
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
-from nanogs.frames import change_frame
 from nanogs.io import bytes_on_disk, check_writable, losses, save
 from nanogs.io import open as open_model
 from nanogs.pipeline.api import simplify
@@ -200,13 +199,11 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
         splats, ratio=goal.ratio, count=goal.count, size=goal.size, psnr=goal.psnr,
         draw_cost=goal.draw_cost,
         format=request.suffix, preset=request.preset, sh_degree=request.sh_degree,
-        nan=request.nan, threads=request.threads,
+        frame=request.frame, nan=request.nan, threads=request.threads,
         cameras=cameras_of(request, splats), max_memory=request.max_memory,
         progress=tracker.passing(), format_options=options, **request.overrides,
     )  # fmt: skip
     options = {**(options or {}), **report.format_options}
-    if request.frame:
-        small = change_frame(small, *request.frame)
     tracker.begin("write")
     with clock.time("write"):
         save(

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from nanogs.clock import StageClock
-from nanogs.io import as_packed, encoded_bytes
+from nanogs.frames import change_frame
+from nanogs.io import as_packed, as_stored, encoded_bytes
 from nanogs.pipeline.outcome import Outcome
 from nanogs.scoring.held_out import HeldOut, held_out
 from nanogs.splats import Splats
@@ -22,12 +23,14 @@ class HeldFiles:
         given: Options of its format that the user has chosen.
         original: The model.
         clock: Gets the seconds.
+        frame: From and to which results are turned before they are written.
     """
 
     path: Path
     given: Mapping[str, Any]
     original: Splats
     clock: StageClock
+    frame: tuple[str, str] | None = None
 
     @cached_property
     def views(self) -> HeldOut:
@@ -41,7 +44,7 @@ class HeldFiles:
     def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
         """As `Files` says."""
         with self.clock.time("encode"):
-            return encoded_bytes(some, self.path, {**self.given, **options})
+            return encoded_bytes(self._turned(some), self.path, {**self.given, **options})
 
     def bytes_of(self, result: Outcome, options: Mapping[str, Any]) -> int:
         """As `Files` says."""
@@ -53,7 +56,18 @@ class HeldFiles:
         """As `Files` says."""
         with self.clock.time("encode"):
             bare = result.splats.with_sh_degree(sh_degree)
-            small, size = as_packed(bare, self.path, {**self.given, **options})
+            small, size = as_packed(self._turned(bare), self.path, {**self.given, **options})
         with self.clock.time("measure"):
-            judged = self.views.judge(small)
+            judged = self.views.judge(self._turned_back(small))
         return size, judged.psnr, judged.ssim
+
+    def stored(self, splats: Splats, options: Mapping[str, Any]) -> Splats:
+        """Splats as their file gives them back, in the frame of the original."""
+        given = {**self.given, **options}
+        return self._turned_back(as_stored(self._turned(splats), self.path, given))
+
+    def _turned(self, splats: Splats) -> Splats:
+        return change_frame(splats, *self.frame) if self.frame else splats
+
+    def _turned_back(self, splats: Splats) -> Splats:
+        return change_frame(splats, self.frame[1], self.frame[0]) if self.frame else splats

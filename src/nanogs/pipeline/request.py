@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.defaults import PATIENCE
-from nanogs.errors import OptionError
 from nanogs.filters import Filter
 from nanogs.io import registry
 from nanogs.io.files import splat_bytes
@@ -133,16 +132,11 @@ class Request:
         """Refuse, before anything is read, what cannot be had together.
 
         Raises:
-            OptionError: A search is asked of a preset that has none, or for the size of a file that
-                is turned once that is found; or there is no such degree or format to write.
+            OptionError: A search is asked of a preset that has none, or there is no such degree or
+                format to write.
         """
         refuse_searches(self.goal, self.preset, self.output)
         check_degree(self.sh_degree)
-        if self.frame and self.goal.size is not None and self.sizer is None:
-            raise OptionError(
-                f"`frame` changes the size of a {self.output.suffix} file that `size` has found;"
-                " turn it with `nanogs convert` before."
-            )
 
     def goes_on(self) -> bool:
         """Whether there is a job to continue, which sees to its output itself.
