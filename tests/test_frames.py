@@ -136,7 +136,6 @@ def test_simplify_turns_the_result(scene, tmp_path):
         ("a.spz", "b.ply", "rdf", "do not say it; state it too, as in --frame rub:rdf"),
         ("a.glb", "b.ply", "rub:rdf", "states its frame"),
         ("a.ply", "b.glb", "rub", "say only what the input is in, as in --frame rub:"),
-        ("a.ply", "b.sog --size 9kB", "rub", "turn it with `nanogs convert` before"),
         ("a.ply", "b.ply --turn", "rub", "both turn the model"),
     ],
 )
