@@ -350,9 +350,12 @@ def test_json_report_and_plan(scene, tmp_path):
     assert [level["files"] for level in report["levels"]] == [
         [f"{n}_0/meta.json"] for n in range(4)
     ]
+    of_each = [len(list((path.parent / f"{n}_0").iterdir())) for n in range(4)]
+    assert [level["requests"] for level in report["levels"]] == of_each
     shown = run("lod", scene, path, "--preset", "fast", "-w")
     assert (shown.returncode, shown.stdout) == (0, "")
     assert "0, 1 file" in shown.stderr
+    assert f"first picture takes {1 + of_each[3]} requests and " in shown.stderr
 
 
 @pytest.mark.parametrize(

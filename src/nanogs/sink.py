@@ -42,6 +42,8 @@ class Written(NamedTuple):
         notes: Why it was not, one sentence each.
         costs: What it takes to draw, and the model it was made of: the numbers of `DrawCost` but
             for the views; None where that was not measured.
+        requests: Files that a viewer asks for, of those in chunks: those named here and those that
+            they name.
     """
 
     splats: int
@@ -52,6 +54,7 @@ class Written(NamedTuple):
     judged: tuple[float, float, int] | None = None
     notes: Sequence[str] = ()
     costs: Sequence[Sequence[float]] | None = None
+    requests: int = 0
 
     @property
     def drawn(self) -> tuple[DrawCost, ...]:

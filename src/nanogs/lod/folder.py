@@ -178,7 +178,8 @@ class ChunksFilling(LevelsFilling):
         self.names.append(names)
         # A model in a folder of its own is named by what describes it.
         named = [n for n in names if "/" not in n or n.endswith(f"/{streamed_sog.META}")]
-        self.written.append(Written(splats, named, size, join_findings(left_out)))
+        lost = join_findings(left_out)
+        self.written.append(Written(splats, named, size, lost, requests=len(names)))
 
     def _write(self, name: str, data: bytes) -> None:
         if not plain_paths([name]):

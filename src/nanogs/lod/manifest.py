@@ -59,6 +59,7 @@ class ChunkedLevel:
         ssim: As in `Level`.
         stop: Why its merging stopped.
         draws: As in `Level`.
+        requests: All these files, each of which a viewer asks for.
     """
 
     files: tuple[str, ...]
@@ -69,6 +70,7 @@ class ChunkedLevel:
     ssim: float | None
     stop: StopReason
     draws: float | None = None
+    requests: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +141,7 @@ def _entry(report: SimplifyReport, written: Written) -> Level | ChunkedLevel:
     if not written.sha256:
         return ChunkedLevel(
             tuple(written.files), ratio, report.achieved_count, written.bytes, psnr, ssim,
-            report.stop, draws,
+            report.stop, draws, written.requests,
         )  # fmt: skip
     return Level(
         written.files[0], ratio, report.achieved_count, written.bytes, written.sha256, psnr, ssim,
