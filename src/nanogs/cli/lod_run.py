@@ -107,7 +107,8 @@ def print_levels(run: Run, *, verbose: bool) -> None:
     made = f"{counted(len(levels), 'level')} in {files['output']}, {size}"
     whole = counted(manifest.source_count, "splat")
     say(f"{whole} {arrow()} {made}, {time_text(files['total_seconds'])}")
-    if isinstance(coarsest := levels[-1], ChunkedLevel) and coarsest.requests:
+    folder = files["layout"] != Layout.ARCHIVE
+    if folder and isinstance(coarsest := levels[-1], ChunkedLevel) and coarsest.requests:
         asked = counted(coarsest.requests + 1, "request")  # what describes the levels is one
         say(f"a viewer's first picture takes {asked} and {bytes_text(coarsest.bytes)}")
     if files["layout"] != Layout.FILES:
