@@ -17,7 +17,7 @@ from nanogs.errors import FormatError, OptionError
 from nanogs.io.rad.header import read_header
 from nanogs.io.rad.levels import heights
 from nanogs.lod import links
-from nanogs.lod.tree import as_rows, layers_of, remade
+from nanogs.lod.tree import as_rows, layers_of
 from nanogs.lod.tree_file import LevelsTree
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
@@ -125,7 +125,9 @@ def test_measured_levels(model, tmp_path):
     assert first.bytes + second.bytes <= (tmp_path / "a.rad").stat().st_size
 
 
-def test_in_blocks(model, tmp_path):
+def test_in_blocks(tmp_path):
+    """The leaves are the model, and the next level looks as one made in memory does."""
+    model = lopsided(3000)
     io.save(model, tmp_path / "a.ply")
     nanogs.write_levels(
         tmp_path / "a.ply",
@@ -139,6 +141,9 @@ def test_in_blocks(model, tmp_path):
     assert source.levels[0] == 3000
     np.testing.assert_array_equal(rows_sorted(source.load().means), rows_sorted(model.means))
     assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "a.rad"}
+    camera = seen_from_the_start(model)
+    whole = render(model, camera).shown()
+    assert psnr(render(nanogs.load(tmp_path / "a.rad", level=1), camera).shown(), whole) > 25
 
 
 def test_a_job_that_ended_while_it_wrote_goes_on(model, tmp_path, monkeypatch):
@@ -222,18 +227,17 @@ def test_every_coarser_splat_stands_for_some(many, few, seed):
 def test_trees_of_any_size(count, seed):
     model = random_splats(count, seed=seed)
     levels = [InMemory(model.take(np.arange(n))) for n in (count, (count + 1) // 2)]
-    layers = remade(layers_of(levels))
-    rows, tree = as_rows(layers)
-    assert rows.count == sum(layer.splats.count for layer in layers) == len(tree.counts)
+    layers = layers_of(levels)
+    rows, tree = as_rows(levels[0], layers)
+    assert rows.count == sum(len(layer.means) for layer in layers) == len(tree.counts)
     assert tree.counts.sum() == rows.count - 1
     leaves = rows.load().take(np.flatnonzero(tree.counts == 0))
     np.testing.assert_array_equal(rows_sorted(leaves.means), rows_sorted(model.means))
-    for every, links_down in ((rows, tree), as_rows(layers_of(levels[:1]))):
-        means, starts, counts = every.load().means, links_down.starts, links_down.counts
-        for row in np.flatnonzero(counts):  # each lies among those that it stands for
-            below = means[starts[row] : starts[row] + counts[row]]
-            assert (means[row] >= below.min(axis=0) - 1e-5).all()
-            assert (means[row] <= below.max(axis=0) + 1e-5).all()
+    means = rows.load().means
+    for row in np.flatnonzero(tree.counts):  # each lies among those that it stands for
+        below = means[tree.starts[row] : tree.starts[row] + tree.counts[row]]
+        assert (means[row] >= below.min(axis=0) - 1e-5).all()
+        assert (means[row] <= below.max(axis=0) + 1e-5).all()
 
 
 @given(st.integers(1, 40), st.integers(0, 40), st.booleans())
@@ -344,7 +348,7 @@ def test_spark_draws_a_tree_as_it_should(tmp_path, paged):
     assert state["splats"] == 3000
     assert psnr(shown, whole) > 30
     levels = [InMemory(each) for each, _ in nanogs.levels(model, RATIOS, preset="fast")]
-    rows, tree = as_rows(remade(layers_of(levels)))
+    rows, tree = as_rows(levels[0], layers_of(levels))
     chosen = frontier(rows.load(), tree.counts, tree.starts, camera, 900)
     expected = render(rows.load().take(chosen), camera).shown()
     few, state = in_spark(path, camera, tmp_path, mesh=mesh, lodSplatCount=900)

@@ -1,5 +1,6 @@
 """The rows of a source in another order, by way of a temporary file if it is not in memory."""
 
+from dataclasses import replace
 from tempfile import TemporaryFile
 from typing import IO, Any
 from weakref import finalize
@@ -7,7 +8,7 @@ from weakref import finalize
 import numpy as np
 
 from nanogs._types import I32, I64, Array
-from nanogs.source import InMemory, Source
+from nanogs.source import InMemory, Layout, Source
 from nanogs.splats import RenderMode, Splats
 
 _COLUMNS = ("means", "log_scales", "quats", "opacity_logits", "sh")
@@ -46,9 +47,7 @@ class _Sorted(Source):
         self._source = source
         self.count, self.columns = source.count, source.columns
         self._rows = max(_LEAST_ROWS, -(-len(order) // _MOST_BUCKETS))
-        first = source.read(0, 1)
-        columns = [(n, getattr(first, n).dtype, getattr(first, n).shape[1:]) for n in _COLUMNS]
-        self._dtype = np.dtype([("place", "<i8"), *columns])
+        self._dtype = np.dtype([("place", "<i8"), *_columns(source.read(0, 1))])
         self._file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed by `close`
         finalize(self, self._file.close)
         self._last: tuple[int, Array] | None = None
@@ -79,9 +78,7 @@ class _Sorted(Source):
             number, skipped = divmod(start, self._rows)
             parts.append(self._bucket(number)[skipped : skipped + stop - start])
             start += len(parts[-1])
-        rows = np.concatenate(parts)
-        columns: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in _COLUMNS}
-        return Splats(**columns, render_mode=RenderMode(self.columns.render_mode))
+        return _splats(np.concatenate(parts), self.columns)
 
     def _bucket(self, number: int) -> Array:
         if self._last is None or self._last[0] != number:
@@ -96,3 +93,50 @@ class _Sorted(Source):
     def close(self) -> None:
         """Remove the temporary file."""
         self._file.close()
+
+
+class Kept(Source):
+    """Rows in a temporary file, without extra columns, in the order in which they are added.
+
+    Args:
+        columns: Of all rows.
+
+    Raises:
+        OSError: The temporary file cannot be written.
+    """
+
+    def __init__(self, columns: Layout) -> None:
+        self.count, self.columns = 0, replace(columns, extras=())
+        self._file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed by `close`
+        finalize(self, self._file.close)
+        self._dtype = np.dtype([])
+
+    def add(self, splats: Splats) -> None:
+        """Add rows; none once some have been read."""
+        self._dtype = self._dtype if self.count else np.dtype(_columns(splats))
+        rows = np.empty(len(splats), self._dtype)
+        for name in _COLUMNS:
+            rows[name] = getattr(splats, name)
+        self._file.write(rows.tobytes())
+        self.count += len(splats)
+
+    def _span(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        self._file.seek(start * self._dtype.itemsize)
+        stored = self._file.read((stop - start) * self._dtype.itemsize)
+        return _splats(np.frombuffer(stored, self._dtype, stop - start), self.columns)
+
+    def close(self) -> None:
+        """Remove the temporary file."""
+        self._file.close()
+
+
+def _columns(splats: Splats) -> list[tuple[str, Any, tuple[int, ...]]]:
+    """Name, type and shape of what is kept of a row."""
+    return [(n, getattr(splats, n).dtype, getattr(splats, n).shape[1:]) for n in _COLUMNS]
+
+
+def _splats(rows: Array, columns: Layout) -> Splats:
+    """Rows as they were kept."""
+    found: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in _COLUMNS}
+    return Splats(**found, render_mode=RenderMode(columns.render_mode))

@@ -15,7 +15,7 @@ from nanogs.io.format import FormatOptions
 from nanogs.io.rad.write import SUFFIX, write
 from nanogs.io.temporary import temporary
 from nanogs.lod.manifest import Manifest, describe_levels
-from nanogs.lod.tree import as_rows, layers_of, remade
+from nanogs.lod.tree import as_rows, layers_of
 from nanogs.progress import Parts, untold
 from nanogs.report import SimplifyReport
 from nanogs.sink import Filling, Judge, OneFile, Written
@@ -118,9 +118,7 @@ class TreeFilling(Filling):
             judge: Measures levels.
         """
         with self._stack:
-            layers = layers_of(self._levels)
-            held = all(isinstance(level, InMemory) for level in self._levels)
-            rows, tree = as_rows(remade(layers) if held else layers)
+            rows, tree = as_rows(self._levels[0], layers_of(self._levels))
             with self._making.open("wb") as file:
                 write(rows, file, tree=tree)
             count = rows.count
@@ -131,7 +129,7 @@ class TreeFilling(Filling):
         ]
         self.measure(judge, [(self._making, level) for level in range(len(self.written))])
         made = describe_levels(self._source, reports, self.written)
-        if not held or not any(report.refit for report in reports):
+        if not any(report.refit for report in reports):
             return made
         note = (
             "Splats that stand for others are made anew, so that they fit each other in a tree, and"
