@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import nanogs
 import radfiles
-from builders import random_splats
+from builders import model_bytes, random_splats
 from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
@@ -248,6 +248,23 @@ def test_many_without_a_child_in_one_place_get_one_each(few, more, apart):
     parents = np.full(few + more, few - 1)
     links._give_to_childless(parents, fine, coarse)
     assert set(parents.tolist()) == set(range(few))
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_rows_are_the_same_however_many_are_merged_at_a_time(monkeypatch, model, held, tmp_path):
+    """In memory and by way of files too."""
+    levels = [InMemory(each) for each, _ in nanogs.levels(model, RATIOS, preset="fast")]
+    layers = layers_of(levels)
+    expected, tree = as_rows(levels[0], layers)
+    leaves = levels[0]
+    if not held:
+        io.save(leaves, tmp_path / "a.npz")
+        leaves = io.open(tmp_path / "a.npz")
+    monkeypatch.setattr("nanogs.lod.tree._ROWS", 70)
+    rows, again = as_rows(leaves, layers)
+    np.testing.assert_array_equal(again.counts, tree.counts)
+    for start, stop in ((0, rows.count), (40, 700), (3000, 3001)):
+        assert model_bytes(rows.read(start, stop)) == model_bytes(expected.read(start, stop))
 
 
 def test_a_splat_belongs_to_the_one_it_came_from():

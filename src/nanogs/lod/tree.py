@@ -23,7 +23,7 @@ from nanogs.io.in_order import Kept, in_order
 from nanogs.io.rad.write import Tree
 from nanogs.lod.links import parents_of, shapes_of
 from nanogs.method.extent import Dilation, dilation
-from nanogs.method.nodes import Nodes, activate_nodes, gather, stored_order, thinnest_axis
+from nanogs.method.nodes import Nodes, activate_nodes, gather, thinnest_axis
 from nanogs.method.order import morton_codes, morton_order
 from nanogs.method.store import store_groups
 from nanogs.source import InMemory, Joined, Source
@@ -175,8 +175,8 @@ def _standing_for(
         nodes = _nodes(splats, moments, rows, frame)
         labels = np.repeat(np.arange(last - first, dtype=np.int32), counts[first:last])
         stored = store_groups(nodes, labels, splats, frame.origin, frame.added, sheets=False)
-        _, order, _ = stored_order(nodes, labels, last - first)
-        own = replace(stored.grown(_GROWTH).take(np.argsort(order)), notes=())
+        # Groups are stored in the order of their heaviest members, which is theirs here.
+        own = replace(stored.grown(_GROWTH), notes=())
         made.append(own) if kept is None else kept.add(own)
         merged = gather(nodes, labels, last - first)
         found.append(replace(merged, features=_NO_FEATURES, rows=_NO_ROWS))
