@@ -133,7 +133,7 @@ def test_simplify_turns_the_result(scene, tmp_path):
         ("a.ply", "b.ply", "up", "where x, y and z point"),
         ("a.ply", "b.ply", ":", "needs a frame"),
         ("a.ply", "b.ply", "rub:", "say which frame it is to be in, as in --frame rub:rdf"),
-        ("a.spz", "b.ply", "rdf", "do not say it; state it too, as in --frame rub:rdf"),
+        ("a.spz", "b.ply", "rdf", "this one does not say it; state it too, as in --frame rub:rdf"),
         ("a.glb", "b.ply", "rub:rdf", "states its frame"),
         ("a.ply", "b.glb", "rub", "say only what the input is in, as in --frame rub:"),
         ("a.ply", "b.ply --turn", "rub", "both turn the model"),
@@ -151,3 +151,26 @@ def test_frames_that_say_too_little_or_too_much_are_refused(tmp_path, source, ta
 
 def test_every_frame_that_a_format_states_is_one():
     assert all(known.axes in {*FRAMES, None} for known in formats())
+
+
+VERSION_4 = ("--spz-version", "4")
+
+
+def test_a_file_that_states_its_frame_need_not_be_told(tmp_path):
+    nanogs.save(random_splats(20, degree=1), tmp_path / "a.ply")
+    turned = ("convert", tmp_path / "a.ply", tmp_path / "a.spz", "--frame", "rub")
+    result = run_command(*turned, *VERSION_4)
+    assert result.returncode == 0, result.stderr
+    told = run_command("info", tmp_path / "a.spz").stdout
+    assert "frame            rub, as the file states" in told
+    result = run_command("convert", tmp_path / "a.spz", tmp_path / "b.ply", "--frame", "rdf")
+    assert result.returncode == 0, result.stderr
+    back = nanogs.load(tmp_path / "b.ply")
+    assert np.allclose(back.means, nanogs.load(tmp_path / "a.ply").means, atol=1e-3)
+    small = ("simplify", tmp_path / "a.spz", tmp_path / "c.spz", "-r", "0.5", "--preset", "fast")
+    result = run_command(*small, "--frame", "rdf", *VERSION_4)
+    assert result.returncode == 0, result.stderr
+    assert nanogs.io.inspect(tmp_path / "c.spz").frame == "rdf"
+    refused = run_command("convert", tmp_path / "a.spz", tmp_path / "d.ply", "--frame", "rdf:rub")
+    assert refused.returncode == 2
+    assert "states its frame, rub, and --frame says rdf" in refused.stderr

@@ -111,11 +111,44 @@ def test_fraction_bits(load, bits):
 def test_extension_records_are_noted(load, version):
     records = struct.pack("<III", 0xADBE0003, 4, 6) + struct.pack("<II3s", 0x12340001, 3, b"abc")
     model = load(encode([row()], version, flags=2, records=records))
-    assert model.notes == (
-        "Extension records of the .spz file were left out: coordinate system, 0x12340001.",
-    )
+    assert model.notes == ("Extension records of the .spz file were left out: 0x12340001.",)
     with pytest.raises(FormatError, match="cut short"):
         load(encode([row()], version, flags=2, records=records[:-1]))
+
+
+@pytest.mark.parametrize("version", [2, 3, 4])
+@pytest.mark.parametrize(("number", "frame"), [(0, "rub"), (4, "rub"), (6, "rdf"), (16, "rbu")])
+def test_a_stated_frame_is_told(load, version, number, frame, tmp_path):
+    records = struct.pack("<II3s", 0x12340001, 3, b"abc") + struct.pack(
+        "<III", 0xADBE0003, 4, number
+    )
+    data = encode([row()] * 3, version, flags=2, records=records)
+    plain = load(encode([row()] * 3, version))
+    assert io.inspect(tmp_path / "a.spz").frame == ""
+    assert np.array_equal(load(data).means, plain.means)  # axes stay as stored
+    assert io.inspect(tmp_path / "a.spz").frame == frame
+
+
+@pytest.mark.parametrize("payload", [b"\x11\0\0\0", b"\x04\0", b""])
+def test_a_frame_that_is_none_is_refused(load, payload):
+    records = struct.pack("<II", 0xADBE0003, len(payload)) + payload
+    with pytest.raises(FormatError, match="names none"):
+        load(encode([row()], 4, flags=2, records=records))
+
+
+def test_a_frame_is_written_where_the_version_can(tmp_path):
+    model, path = random_splats(30, degree=1), tmp_path / "a.spz"
+    for frame in ("rdf", "lub", "rbu"):
+        given = {"spz_version": 4, "frame": frame}
+        io.save(model, path, overwrite=True, format_options=given)
+        assert io.inspect(path).frame == frame
+        io.save(model, tmp_path / "b.spz", overwrite=True, format_options={"spz_version": 4})
+        assert_same(io.load(path), io.load(tmp_path / "b.spz"))
+    with pytest.raises(OptionError, match="version 4"):
+        io.save(model, tmp_path / "c.spz", format_options={"frame": "rub"})
+    with pytest.raises(OptionError, match="frame must be"):
+        io.save(model, tmp_path / "c.spz", format_options={"frame": "fru"})
+    assert not (tmp_path / "c.spz").exists()
 
 
 @pytest.mark.parametrize("version", VERSIONS)

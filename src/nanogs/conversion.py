@@ -106,6 +106,7 @@ def convert(
     """
     start, clock = time.perf_counter(), StageClock()
     path = Path(target)
+    format_options = registry.framed(path, format_options, frame)
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
     check_writable(path, **saving)
     with open_model(source, level=level, render_mode=render_mode) as file, drawn(progress) as tell:

@@ -103,7 +103,7 @@ def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelI
             census.add_again(block)
     return ModelInfo(
         file=file,
-        frame=registry.reader(path).frame,
+        frame=f"{file.frame}, as the file states" if file.frame else registry.reader(path).frame,
         nonfinite=census.seen - census.usable,
         opaque=census.opaque,
         transparent=census.transparent,

@@ -5,7 +5,7 @@ from pathlib import Path
 from nanogs.cli.file_options import Frames
 from nanogs.errors import OptionError
 from nanogs.frames import TRAINED
-from nanogs.io import registry
+from nanogs.io import inspect, registry
 from nanogs.io.collect import Pair
 
 
@@ -29,12 +29,18 @@ def _frame_read(path: Path, before: str, after: str) -> str:
                 f"{path}: {known.suffix} states its frame; give that of the output alone."
             )
         return TRAINED
-    if not before and known.axes is None:
+    stated = inspect(path).frame if known.axes is None else known.axes
+    if not before and not stated:
         raise OptionError(
-            f"{path}: {known.suffix} files differ in their frame and do not say it; state it too,"
-            f" as in --frame rub:{after}."
+            f"{path}: {known.suffix} files differ in their frame and this one does not say it;"
+            f" state it too, as in --frame rub:{after}."
         )
-    return before or known.axes or TRAINED
+    if known.axes is None and before and stated and before.lower() != stated:
+        raise OptionError(
+            f"{path} states its frame, {stated}, and --frame says {before}; leave the latter out,"
+            f" as in --frame {after or TRAINED}."
+        )
+    return before or stated
 
 
 def _frame_written(path: Path, before: str, after: str) -> str:

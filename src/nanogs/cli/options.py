@@ -145,8 +145,8 @@ PhotoBackground = Annotated[
 SpzVersion = Annotated[
     int | None,
     typer.Option(
-        help="Of a .spz file: 3 (gzip); 4 (zstd), which fewer readers know; or 2 (gzip), for old"
-        " ones, with rounder rotations.",
+        help="Of a .spz file: 3 (gzip), which Spark reads; 4 (zstd), smaller, which PlayCanvas"
+        " reads; or 2 (gzip), for old readers, with rounder rotations.",
         show_default="3",
     ),
 ]

@@ -10,7 +10,7 @@ from nanogs.cli.many import Run
 from nanogs.cli.method import Method
 from nanogs.cli.plan import Plan, carry_out, plan_run, show_plan
 from nanogs.formatting import counted
-from nanogs.io import bytes_on_disk, check_writable
+from nanogs.io import bytes_on_disk, check_writable, registry
 from nanogs.io.collect import Pair
 from nanogs.pipeline.files import simplify_files
 from nanogs.pipeline.request import Request
@@ -61,7 +61,8 @@ def _plan(wishes: Wishes, pair: Pair) -> Plan:
     method, target = wishes.method, pair.target
     turn = frames_of(pair, method.edits.frame)
     inputs = wishes.joined or (pair.source,)
-    wish = replace(wishes.wish, inputs=inputs, output=target, frame=turn)
+    options = registry.framed(target, wishes.wish.format_options, turn)
+    wish = replace(wishes.wish, inputs=inputs, output=target, frame=turn, format_options=options)
     wish.check()
     if not wish.goes_on() and not (method.dry_run and wishes.folder_later):
         check_writable(target, overwrite=wish.overwrite, format_options=wish.format_options)

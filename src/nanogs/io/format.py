@@ -72,7 +72,8 @@ class Format:
     smaller for more splats. `frame` says which way is up, and `axes` is the name of the frame of a
     model that was read, or None where files differ; with `turns`, files are in the format's own
     frame, to and from which reading and writing turn. `options` are what `save` takes as
-    `format_options` for it. Of a format whose model is a folder, described by the file of the name
+    `format_options` for it; where `states_frame` says so of some, `frame` is one, which files then
+    state. Of a format whose model is a folder, described by the file of the name
     `suffix` in it, `write_folder` makes that folder and `ours` says what in such a folder nanogs
     made. With `tells`, `write` takes `tell`: it takes long, and tells its parts. With `streams`,
     `write` takes a source too, and holds no more than some rows of it, but for options that say
@@ -92,6 +93,7 @@ class Format:
     axes: str | None = TRAINED
     turns: bool = False
     options: Mapping[str, WriteOption] = field(default_factory=dict)
+    states_frame: Callable[[FormatOptions], bool] = lambda _options: False
     write_folder: FolderWriter | None = None
     tells: bool = False
     streams: bool = False

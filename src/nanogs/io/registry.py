@@ -136,6 +136,23 @@ def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
     return chosen
 
 
+def framed(
+    path: Path, options: FormatOptions | None, frame: tuple[str, str] | None
+) -> FormatOptions | None:
+    """Options with which a file states the frame that it is turned to, if its format can.
+
+    Args:
+        path: What is to be written.
+        options: As they were given.
+        frame: From and to which the model is turned.
+    """
+    known, given = find(path), options or {}
+    if frame is None or known is None or not known.states_frame(given):
+        return options
+    name = frame[1].lower()
+    return {**given, "frame": name} if name in known.options["frame"].values else options
+
+
 def _foreign(name: str, known: Format) -> str:
     suffixes = [other.suffix for other in formats() if name in other.options]
     if not suffixes:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs.bar import drawn
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
-from nanogs.io import bytes_on_disk, check_writable, losses, save
+from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.cameras import requested_cameras
@@ -139,7 +139,8 @@ def simplify_blocks(
         job=None if job is None else Path(job), scratch=scratch, resume=resume,
         overwrite=overwrite, nan=nan, filters=filters, sh_degree=sh_degree, frame=frame,
         render_mode=render_mode, cameras=cameras, up=up, threads=threads, executor=executor,
-        patience=patience, format_options=format_options,
+        patience=patience,
+        format_options=registry.framed(Path(output), format_options, frame),
     )  # fmt: skip
     with drawn(progress) as tell:
         return simplify_files(request, tell)

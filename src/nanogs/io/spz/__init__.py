@@ -3,7 +3,7 @@
 from nanogs.io.format import Format, WriteOption
 from nanogs.io.precision import FEWEST_BITS, MOST_BITS
 from nanogs.io.spz import write
-from nanogs.io.spz.header import GZIP, MAGIC
+from nanogs.io.spz.header import GZIP, MAGIC, RECORDED_FRAMES
 from nanogs.io.spz.read import open_spz
 
 _FRAME = (
@@ -22,7 +22,9 @@ FORMATS = (
             "palette": WriteOption("palette_size", range(1, write.MOST_ENTRIES + 1), whole=True),
             "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1), MOST_BITS),
             "sh_bits": WriteOption("sh_bits", range(2, 9), write.SH_BITS),
+            "frame": WriteOption("frame", RECORDED_FRAMES),
         },
+        states_frame=lambda options: options.get("spz_version") == write.STATING,
         tells=True,
         streams=True,
         starts=(MAGIC, GZIP),

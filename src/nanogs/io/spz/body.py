@@ -3,17 +3,21 @@
 The layout is in `header`. No more is ever inflated than the header's count allows.
 """
 
-import struct
 from collections.abc import Callable, Iterator
 from itertools import accumulate
 from typing import TYPE_CHECKING, BinaryIO
 
 from nanogs.formatting import counted
+from nanogs.frames import Y_UP
 from nanogs.io.spz.header import (
+    CAMERA_RECORD,
     EXTENSIONS,
+    FRAME_RECORD,
     HEADER,
     LAST_GZIP,
     LEGACY_HEADER,
+    RECORD,
+    RECORDED_FRAMES,
     TOC_ENTRY,
     Header,
     Inflater,
@@ -27,8 +31,9 @@ if TYPE_CHECKING:
 _CHUNK = 1 << 20
 _MAX_EXTENSIONS = 1 << 20
 _MAX_WINDOW = 1 << 27
+_NUMBER = 4  # bytes of a frame's number
 _FRAME_HEADER = 18  # bytes of the largest of zstd
-_KNOWN_RECORDS = {0xADBE0002: "limits of the camera", 0xADBE0003: "coordinate system"}
+_KNOWN_RECORDS = {CAMERA_RECORD: "limits of the camera"}
 
 
 def body_pieces(header: Header, notes: list[str]) -> Iterator[bytes]:
@@ -147,15 +152,65 @@ def _expander(packed: BinaryIO) -> "ZstdDecompressionReader":
     return decompressor.stream_reader(packed, read_across_frames=True)
 
 
-def _extension_notes(header: Header, records: bytes) -> list[str]:
-    """A note that names the extension records, whose payload is not carried."""
-    names, at = [], 0
-    while at + 8 <= len(records):
-        kind, length = struct.unpack_from("<II", records, at)
-        names.append(_KNOWN_RECORDS.get(kind, f"0x{kind:08X}"))
-        at += 8 + length
+def stated_frame(header: Header) -> str:
+    """The frame that a record states, such as "rub"; empty where none does.
+
+    Of versions 1 to 3 all columns are unpacked on the way, a piece at a time.
+
+    Raises:
+        FormatError: The file cannot be read, a record is cut short, or there is no such frame.
+    """
+    if not header.flags & EXTENSIONS:
+        return ""
+    with opened(header.section) as file:
+        if header.version > LAST_GZIP:
+            file.seek(HEADER.size)
+            records = file.read(max(header.toc - HEADER.size, 0))
+        else:
+            records = _tail(header, file)
+    payload = _records(header, records).get(FRAME_RECORD)
+    if payload is None:
+        return ""
+    number = int.from_bytes(payload, "little")
+    if len(payload) != _NUMBER or number > len(RECORDED_FRAMES):
+        raise damaged(header, "its record of the coordinate system names none")
+    return RECORDED_FRAMES[number - 1] if number else Y_UP
+
+
+def _tail(header: Header, file: BinaryIO) -> bytes:
+    """The extension records of versions 1 to 3, which follow the columns."""
+    inflater = Inflater(header.path, file) if header.gzip else None
+    plain = inflater or file
+    plain.read(LEGACY_HEADER.size)
+    for width in header.columns().values():
+        for size in _pieces(header, width):
+            plain.read(size)
+    return plain.read(_MAX_EXTENSIONS + 1)
+
+
+def frame_record(frame: str) -> bytes:
+    """The record that states a frame, one of `RECORDED_FRAMES`."""
+    number = RECORDED_FRAMES.index(frame) + 1
+    return RECORD.pack(FRAME_RECORD, _NUMBER) + number.to_bytes(_NUMBER, "little")
+
+
+def _records(header: Header, records: bytes) -> dict[int, bytes]:
+    """The payload of each extension record by its type; of twins the last one counts."""
+    found, at = {}, 0
+    while at + RECORD.size <= len(records):
+        kind, length = RECORD.unpack_from(records, at)
+        at += RECORD.size
+        found[kind] = records[at : at + length]
+        at += length
     if at != len(records):
         raise damaged(header, "an extension record is cut short")
-    if not names:
+    return found
+
+
+def _extension_notes(header: Header, records: bytes) -> list[str]:
+    """A note that names the extension records whose payload is not carried."""
+    kinds = [kind for kind in _records(header, records) if kind != FRAME_RECORD]
+    if not kinds:
         return []
-    return [f"Extension records of the .spz file were left out: {', '.join(names)}."]
+    names = ", ".join(_KNOWN_RECORDS.get(kind, f"0x{kind:08X}") for kind in kinds)
+    return [f"Extension records of the .spz file were left out: {names}."]

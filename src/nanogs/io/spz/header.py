@@ -13,9 +13,11 @@ extensions/README.md), little-endian throughout:
 - Columns, each for all splats: positions (3 x float16 in version 1, else 3 x signed 24-bit fixed
   point with the header's fraction bits), alphas u8, colours 3 x u8, log-scales 3 x u8, rotations
   (3 x u8 up to version 2, else u32), SH of degree 1 and up, u8 each, coefficient-major, RGB last.
-- Flags: 0x1 antialiased, 0x2 extension records (u32 type, u32 length, payload). Spark, a viewer,
-  sets 0x80 for a tree of levels of detail, whose rows overlap and whose opacities mean another
-  thing (https://github.com/sparkjsdev/spark).
+- Flags: 0x1 antialiased, 0x2 extension records (u32 type, u32 length, payload). The record
+  0xADBE0003 has a u32, the frame of all that is stored: 0 for the usual one, y up and z backwards,
+  and 1 to 16 for those of `RECORDED_FRAMES` (extensions/cc/coordinate-system-adobe.cc). Spark, a
+  viewer, sets 0x80 for a tree of levels of detail, whose rows overlap and whose opacities mean
+  another thing (https://github.com/sparkjsdev/spark).
 """
 
 import struct
@@ -35,6 +37,13 @@ MAGIC = b"NGSP"
 LEGACY_HEADER = struct.Struct("<4sIIBBBB")
 HEADER = struct.Struct("<4sIIBBBBI12x")
 TOC_ENTRY = struct.Struct("<QQ")
+FRAME_RECORD, CAMERA_RECORD = 0xADBE0003, 0xADBE0002
+RECORD = struct.Struct("<II")
+# Their numbers are 1 and up; here forwards is away from who looks.
+RECORDED_FRAMES = (
+    "ldb", "rdb", "lub", "rub", "ldf", "rdf", "luf", "ruf",
+    "lfd", "rfd", "lfu", "rfu", "lbd", "rbd", "lbu", "rbu",
+)  # fmt: skip
 ANTIALIASED, EXTENSIONS, LOD_TREE = 0x1, 0x2, 0x80
 MAX_FRACTION_BITS = 24
 LAST_GZIP = 3  # the last version that is one stream

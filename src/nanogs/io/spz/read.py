@@ -6,8 +6,9 @@ coefficient (byte - 128) / 128. A rotation is xyz as byte / 127.5 - 1 with w the
 to version 2; from version 3 on, the two top bits of the u32 tell the largest part of xyzw, and the
 others follow in order from the top, a sign bit and 9 bits of magnitude over [0, sqrt(1/2)] each.
 
-The specification has y up and z backwards, but files do not say so and most converters copy as we
-do, axes as they are. Alpha 0 and 255 become -inf and +inf, as in every 8-bit format here.
+The specification has y up and z backwards, but few files say so and most converters copy as we do,
+axes as they are. A frame that a file does state is told (`FileInfo.frame`). Alpha 0 and 255 become
+-inf and +inf, as in every 8-bit format here.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,7 +23,7 @@ from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.rotations import whole_quats
 from nanogs.io.section import whole_file
-from nanogs.io.spz.body import body_pieces, window_bytes
+from nanogs.io.spz.body import body_pieces, stated_frame, window_bytes
 from nanogs.io.spz.header import ANTIALIASED, LAST_GZIP, Header, read_header
 from nanogs.splats import RenderMode, Splats, empty_arrays
 from nanogs.stored import logit
@@ -72,6 +73,7 @@ class SpzSource(Packed):
             properties=_properties(header),
             render_mode=_render_mode(header),
             render_tag=f"the antialiased flag of its header, {header.flags & ANTIALIASED}",
+            frame=stated_frame(header),
         )
 
     @cached_property

@@ -21,15 +21,17 @@ from typing import BinaryIO
 import numpy as np
 
 from nanogs._types import F32, F64, U8
-from nanogs.errors import OutputError, UnstorableError
+from nanogs.errors import OptionError, OutputError, UnstorableError
 from nanogs.findings import Finding
 from nanogs.io import limits
 from nanogs.io.by_column import Encoder, encoded_columns
 from nanogs.io.palette import palette
 from nanogs.io.precision import FINEST, MOST_BITS, Precision, visibility
 from nanogs.io.rotations import least_turned, split_quats
+from nanogs.io.spz.body import frame_record
 from nanogs.io.spz.header import (
     ANTIALIASED,
+    EXTENSIONS,
     HEADER,
     LEGACY_HEADER,
     MAGIC,
@@ -44,6 +46,7 @@ from nanogs.stored import rounded_bytes
 
 SUFFIX = ".spz"
 SH_BITS = 5  # kept of a coefficient of degree 1; of a higher one, one less
+STATING = 4  # the version that can state a frame
 MOST_ENTRIES = 1 << 20  # of a palette
 USUAL_FRACTION_BITS = 12
 _FIXED_MAX = (1 << 23) - 1
@@ -62,6 +65,7 @@ def write(
     palette_size: int | None = None,
     bits: int = MOST_BITS,
     sh_bits: int = SH_BITS,
+    frame: str | None = None,
 ) -> None:
     """Write a model, axes as they are; `losses` says what does not go in.
 
@@ -70,25 +74,33 @@ def write(
             unless there is a palette.
         file: Open for binary writing.
         tell: Told of the rounds in which a palette is looked for.
-        version: 3 (gzip); 4 (zstd), which fewer readers know; or 2 (gzip), which more know, with
-            rotations of less precision.
+        version: 3 (gzip), which Spark reads; 4 (zstd), as today's reference writer has it; or 2
+            (gzip), which older readers know, with rotations of less precision.
         palette_size: Most sets of higher coefficients that splats may have; by default each splat
             has its own. Splats of one set then follow each other.
         bits: Of a part of a rotation, a colour and an alpha, 4 to 8; centres follow, see
             `Precision.spare_bits`.
         sh_bits: Of a coefficient of degree 1, 2 to 8; higher ones have one less.
+        frame: The frame of the axes, which the file then states; of version 4 alone, since readers
+            of older ones expect nothing after the columns.
 
     Raises:
+        OptionError: A frame is to be stated by another version.
         OutputError: A value is NaN or infinite, or a centre is too far out; nothing has been
             written then.
         OSError: The system refuses to write.
     """
+    if frame is not None and version != STATING:
+        raise OptionError(
+            f"Only .spz of version {STATING} states its frame; give spz_version={STATING}."
+        )
     source = source_of(model)
     precision, (degree, count) = Precision(bits), (source.columns.sh_degree, source.count)
     fraction = fraction_bits(source, precision)
     if palette_size is not None and degree and count:
         source = InMemory(_sharing(source.load(), palette_size, tell))
     flags = ANTIALIASED if source.columns.render_mode == RenderMode.MIP else 0
+    flags |= EXTENSIONS if frame else 0
     start = (MAGIC, version, count, degree, fraction, flags)
     buckets = _buckets(degree, sh_bits)[:, None]
     columns = encoded_columns(source, _encoders(fraction, version, precision, buckets))
@@ -98,10 +110,11 @@ def write(
             for column in columns:
                 for block in column:
                     stream.write(block)
-    elif version == 4:
+    elif version == STATING:
         widths = list(column_widths(version, degree).values())
         packed = [_compressed(column) for column in columns]
-        file.write(HEADER.pack(*start, len(packed), HEADER.size))
+        records = frame_record(frame) if frame else b""
+        file.write(HEADER.pack(*start, len(packed), HEADER.size + len(records)) + records)
         sizes = zip(packed, widths, strict=True)
         file.writelines(TOC_ENTRY.pack(len(column), w * count) for column, w in sizes)
         file.writelines(packed)
