@@ -1,5 +1,5 @@
 # Everything a newcomer needs: `make demo` shows the program at work, `make test` proves it.
-# Both make .venv and install what they need; PYTHON chooses the interpreter (3.11 to 3.14).
+# Both make .venv and install what they need; PYTHON chooses the interpreter (3.11 to 3.15).
 PYTHON ?= python3
 VENV := .venv
 # Where programs are in a virtual environment.
