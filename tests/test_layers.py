@@ -16,8 +16,8 @@ ROOT = Path(nanogs.__file__).parent
 # From the bottom up, and in a line from left to right: each may import what is before it. A folder
 # stands for all modules in it.
 ORDER = """
-_version _types errors ranges formatting findings quantities defaults stored protocol sh charts
-costs progress clock cleanup threads spread morton
+_version _types errors ranges formatting findings quantities defaults stored place protocol sh
+charts costs progress clock cleanup threads spread morton
 kernels
 bar neighbours percentiles
 _arrays splats frames gsplat_arrays metrics

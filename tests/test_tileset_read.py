@@ -126,8 +126,28 @@ def test_transforms_are_applied_but_for_the_place_on_earth(tileset, tmp_path):
     # The model's x is the tileset's -x, its y the tileset's -z, its z the tileset's -y.
     x, y, z = before.means.T
     assert again.means == pytest.approx(np.column_stack([-z, y - 5, x]), abs=1e-5)
-    assert any("place of the scene on Earth" in note for note in again.notes)
+    assert any("place of the scene on Earth was left out" in note for note in again.notes)
     assert not any("Earth" in note for note in io.load(tileset(tile(uri="1.glb"))).notes)
+
+
+def test_a_place_below_the_root_is_left_out_as_well(tileset, tmp_path):
+    """As in a tileset that only names others, each with a place of its own."""
+    before = io.load(tmp_path / "2.glb").means
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "2.glb").write_bytes((tmp_path / "2.glb").read_bytes())
+    tileset(tile(uri="2.glb", transform=matrix(np.eye(3), [6e6, 0, 0])), "sub/inner.json")
+    away = tile(uri="2.glb", transform=matrix(np.eye(3), [6e6, 0, 3]))
+    again = io.load(tileset(tile(tile(uri="sub/inner.json"), away)))
+    assert np.array_equal(again.means[:2], before)
+    assert again.means[2:] == pytest.approx(before - [0, 3, 0], abs=1e-5)
+    assert any("place of the scene on Earth was left out" in note for note in again.notes)
+
+
+def test_a_root_near_by_is_applied(tileset, tmp_path):
+    before = io.load(tmp_path / "2.glb").means
+    again = io.load(tileset(tile(uri="2.glb", transform=matrix(2 * np.eye(3), [0, 0, 5]))))
+    assert again.means == pytest.approx(2 * before - [0, 5, 0], abs=1e-5)
+    assert not any("Earth" in note for note in again.notes)
 
 
 REFUSED = {
@@ -142,6 +162,14 @@ REFUSED = {
     "implicit": (tile(implicitTiling={}), "tiled implicitly"),
     "refine": (tile(refine="BOTH"), "must be ADD or REPLACE"),
     "transform": (tile(tile(uri="1.glb", transform=[1, 2])), "a list of 16"),
+    "flat": (
+        tile(
+            tile(uri="1.glb"),
+            tile(uri="2.glb", transform=matrix(np.eye(3), [1, 0, 0])),
+            transform=matrix(np.zeros((3, 3)), [6e6, 0, 0]),
+        ),
+        "flattens",
+    ),
     "mirror": (
         tile(tile(uri="1.glb", transform=matrix(np.diag([-1, 1, 1]), [0, 0, 0]))),
         "mirrors or flattens",

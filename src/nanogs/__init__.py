@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from nanogs.pipeline.files import simplify_blocks
     from nanogs.pipeline.levels import levels
     from nanogs.pipeline.presets import PRESETS as presets  # noqa: N811 - read like a module
+    from nanogs.place import Place
     from nanogs.raster.camera import Camera
     from nanogs.report import SimplifyReport
     from nanogs.scoring.api import compare
@@ -36,6 +37,7 @@ __all__ = [
     "DrawCost",
     "ModeEvidence",
     "NanogsError",
+    "Place",
     "RefitParameters",
     "RefitReport",
     "RenderMode",
@@ -70,6 +72,7 @@ _HOMES = {
     "DrawCost": "costs",
     "ModeEvidence": "scoring.modes",
     "NanogsError": "errors",
+    "Place": "place",
     "RefitParameters": "fit.parameters",
     "RefitReport": "fit.report",
     "RenderMode": "splats",

@@ -9,6 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from nanogs._types import F64
 from nanogs.bar import drawn
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
@@ -31,6 +32,7 @@ from nanogs.pipeline.reading import Prepared, prepare, read_changed, reading_sta
 from nanogs.pipeline.request import Request, is_measured, plan_files
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import measure_stage, write_weight
+from nanogs.place import Place
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
@@ -50,6 +52,7 @@ def write_levels(
     layout: Layout | str = Layout.FILES,
     chunk: int | None = None,
     plain: bool = False,
+    place: Place | Sequence[Sequence[float]] | F64 | None = None,
     suffix: str = PLY,
     frame: tuple[str, str] | None = None,
     overwrite: bool = False,
@@ -74,6 +77,9 @@ def write_levels(
             default.
         plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
             them.
+        place: Where on Earth 3D Tiles are: a `nanogs.Place`, or a (4, 4) transform from their
+            frame, z up, to Earth-centred, Earth-fixed coordinates, with the shift in its last
+            column; scene units are metres there. By default the scene is nowhere.
         suffix: Format of levels in files of their own.
         frame: From and to which the levels are turned before they are written.
         overwrite: Replace the folder if it holds nothing but earlier levels.
@@ -87,8 +93,8 @@ def write_levels(
         What the manifest says, and the report of each level.
 
     Raises:
-        OptionError: As for `levels`, there is no such layout, it has no such chunks or contents, or
-            the format of the files is not written.
+        OptionError: As for `levels`, there is no such layout, it has no such chunks, contents or
+            place, the place is none, or the format of the files is not written.
         ModelError: As for `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
@@ -101,7 +107,7 @@ def write_levels(
     overrides = {key: given.pop(key) for key in given.keys() - _FIELDS}
     request = Request(
         inputs=files, output=Path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
-        chunks=chunks_of(layout, chunk, plain=plain), frame=frame, overwrite=overwrite,
+        chunks=chunks_of(layout, chunk, plain=plain, place=place), frame=frame, overwrite=overwrite,
         measured=measured, overrides=overrides, **given,
     )  # fmt: skip
     sink = sink_of(request, suffix=suffix, source=source, layout=layout)

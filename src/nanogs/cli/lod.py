@@ -11,6 +11,7 @@ from nanogs.cli import file_options, options
 from nanogs.cli.groups import with_options
 from nanogs.cli.importing import uncollected
 from nanogs.cli.method import Method
+from nanogs.cli.placing import Placing
 from nanogs.defaults import CHUNK
 from nanogs.errors import OptionError
 
@@ -69,6 +70,7 @@ def lod(
             " draw these.",
         ),
     ] = False,
+    placing: Placing,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show how each level was made.")
     ] = False,
@@ -102,7 +104,7 @@ def lod(
         wish=plan.wish_of(
             method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder, frame=turn,
             overwrite=overwrite, ratios=ratios,
-            chunks=chunks_of(output.layout, chunk, plain=plain),
+            chunks=chunks_of(output.layout, chunk, plain=plain, place=placing.place),
         ),
         method=method, output=output, usual=levels is None,
     )  # fmt: skip

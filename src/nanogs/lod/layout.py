@@ -3,10 +3,12 @@
 The output's name says which: `out/lod-meta.json`, `out/tileset.json`, `out.rad`, or a folder.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from nanogs._types import F64
 from nanogs.defaults import CHUNK
 from nanogs.errors import OptionError
 from nanogs.io import registry
@@ -15,6 +17,7 @@ from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, level_name
 from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.tiles import Tiles
+from nanogs.place import Place, columns, transform_of
 
 
 class Layout(StrEnum):
@@ -100,17 +103,25 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
     return Output(path, Layout.FILES, ending)
 
 
-def chunks_of(layout: Layout | str, chunk: int | None, *, plain: bool) -> ChunkLayout | None:
+def chunks_of(
+    layout: Layout | str,
+    chunk: int | None,
+    *,
+    plain: bool,
+    place: Place | Sequence[Sequence[float]] | F64 | None = None,
+) -> ChunkLayout | None:
     """How levels are divided in a layout; None where each is a file.
 
     Args:
         layout: How they are to lie.
         chunk: Most splats of a chunk of the finest level; `CHUNK` by default.
         plain: Whether the contents of 3D Tiles are not packed.
+        place: The place on Earth of 3D Tiles, as `transform_of` takes it; None for none.
 
     Raises:
         OptionError: There is no such layout, the size of chunks is below 1 or given for a layout
-            without chunks, or plain contents are asked for outside of 3D Tiles.
+            without chunks, or plain contents or a place are asked for outside of 3D Tiles; or the
+            place is none.
     """
     if layout not in list(Layout):
         known = ", ".join(f'"{each}"' for each in Layout)
@@ -124,7 +135,10 @@ def chunks_of(layout: Layout | str, chunk: int | None, *, plain: bool) -> ChunkL
         raise OptionError("Chunks of a .rad file have 65,536 splats, as viewers want them.")
     if plain and layout != Layout.TILES:
         raise OptionError("Contents are plain or packed in 3D Tiles only; write a tileset.json.")
+    if place is not None and layout != Layout.TILES:
+        raise OptionError("Only 3D Tiles have a place on Earth; write a tileset.json.")
     most = CHUNK if chunk is None else chunk
     if layout == Layout.TILES:
-        return Tiles(most, packed=not plain)
+        put = None if place is None else columns(transform_of(place))
+        return Tiles(most, packed=not plain, place=put)
     return StreamedSog(most) if layout in (Layout.SOG, Layout.ARCHIVE) else None

@@ -3,8 +3,9 @@
 Specification: https://docs.ogc.org/cs/22-025r4/22-025r4.html. Tiles of the coarsest level come
 first; each is replaced by its children, which are of the next finer level and fill its cell. The
 tileset's frame is that of 3D Tiles, z up; a viewer turns glTF's y there, and `io.gltf` turns the y
-of the model, which points down, to glTF's. Nothing is known of the scene's place on Earth, so the
-root's transform is the identity; whoever knows the place writes it there.
+of the model, which points down, to glTF's. The root's transform puts the scene into its place on
+Earth (`nanogs.place`); it is the identity where nobody says which. All else is in the scene's own
+frame, near its origin, where single precision is finer than a splat.
 
 Contents are packed as SPZ, which is all that CesiumJS 1.145 draws (see `packed_write` there), or
 plain.
@@ -30,6 +31,7 @@ from nanogs.lod.chunks import (
     read_own,
 )
 from nanogs.lod.tileset import describe
+from nanogs.place import from_columns
 from nanogs.progress import Parts
 from nanogs.splats import Splats
 
@@ -80,9 +82,12 @@ class Tiles(ChunkLayout):
 
     Attributes:
         packed: Whether contents are packed as SPZ.
+        place: The root's transform, 16 numbers column after column; None for the identity. Plain
+            data, as a job keeps them.
     """
 
     packed: bool = True
+    place: tuple[float, ...] | None = None
     name: ClassVar[str] = TILESET
     suffix: ClassVar[str] = ".glb"
 
@@ -115,7 +120,8 @@ class Tiles(ChunkLayout):
 
     def describe(self, trees: Sequence[Tree], counts: Sequence[int]) -> str:
         """As `ChunkLayout` says."""
-        return describe(trees, len(counts), form_of(packed=self.packed).extensions)
+        place = None if self.place is None else from_columns(self.place)
+        return describe(trees, len(counts), form_of(packed=self.packed).extensions, place)
 
 
 def made_files(folder: Path) -> frozenset[str] | None:

@@ -1,6 +1,7 @@
 """Describing 3D Tiles: the `tileset.json` over tiles that are cells of one tree or of several."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -10,6 +11,7 @@ from nanogs._types import F64
 from nanogs.lod.boxes import union
 from nanogs.lod.cells import Cells
 from nanogs.lod.chunks import Tree, generator
+from nanogs.place import columns
 
 # Runtimes learn from it which extensions the contents use; that glTF is a content is core in 1.1.
 _CONTENT = "3DTILES_content_gltf"
@@ -26,7 +28,12 @@ class Tile(NamedTuple):
     width: float
 
 
-def describe(trees: Sequence[Tree], levels: int, extensions: Mapping[str, Sequence[str]]) -> str:
+def describe(
+    trees: Sequence[Tree],
+    levels: int,
+    extensions: Mapping[str, Sequence[str]],
+    place: F64 | None = None,
+) -> str:
     """The contents of `tileset.json`.
 
     Tiles of the coarsest level come first; each is replaced by those below it.
@@ -35,6 +42,7 @@ def describe(trees: Sequence[Tree], levels: int, extensions: Mapping[str, Sequen
         trees: One or more, whose chunks are as `Tiles` describes them.
         levels: Their number.
         extensions: Those of glTF that the contents use and require.
+        place: (4, 4): the transform of the root; by default the identity.
     """
     found = [_of_level([tree.levels[level] for tree in trees]) for level in range(levels)]
     tops = [
@@ -49,12 +57,14 @@ def describe(trees: Sequence[Tree], levels: int, extensions: Mapping[str, Sequen
         # Without a content, and so wrong by as much as there is to see.
         children = [tile for tile, _ in tops]
         root = _described(box, max(diagonal, _error(children))) | {"children": children}
+    transform = np.eye(4) if place is None else place
     data = {
         "asset": {"version": "1.1", "extras": {"generator": generator()}},
         "extensionsUsed": [_CONTENT],
         "extensions": {_CONTENT: extensions},
-        "geometricError": max(diagonal, root["geometricError"]),
-        "root": {"transform": np.eye(4).ravel().tolist(), "refine": "REPLACE"} | root,
+        # Viewers enlarge errors as the transforms above do, but not this one.
+        "geometricError": max(diagonal, root["geometricError"]) * _enlargement(transform),
+        "root": {"transform": columns(transform), "refine": "REPLACE"} | root,
     }
     return json.dumps(data, separators=(",", ":"), allow_nan=False)
 
@@ -86,6 +96,12 @@ def _tile(
     if own.content:
         tile["content"] = {"uri": own.content}
     return tile | ({"children": children} if children else {}), box
+
+
+def _enlargement(transform: F64) -> float:
+    """How many times as long a transform makes what it makes longest; 1 for a turn."""
+    longest = float(np.linalg.norm(transform[:3, :3], axis=0).max())
+    return 1.0 if math.isclose(longest, 1.0, rel_tol=1e-12) else longest
 
 
 def _described(box: F64, error: float) -> dict[str, Any]:

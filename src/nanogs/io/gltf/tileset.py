@@ -6,8 +6,9 @@ scene as a viewer would draw it that goes no deeper than some depth: level 0 goe
 level 1 one step less, and so on up to the first tiles with contents. Where a tile has no content,
 those below it stand for it.
 
-The tileset's frame is z up. Transforms of tiles are applied but for the root's, which says where on
-Earth the scene is: far from the origin, where single precision is coarser than a splat.
+The tileset's frame is z up. Transforms of tiles are applied, but for one that leads far away: it
+says where on Earth the scene is, where single precision is coarser than a splat. What is read is in
+the frame that the scene has there, and a note says where that is.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,13 +26,15 @@ from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import local_path, numbers, read_json, refused, rows, table
 from nanogs.io.parts import Whole, check_level
 from nanogs.io.sog.levels import common_mode, joined_info, joined_notes
+from nanogs.place import text_of
 from nanogs.splats import Splats, concatenate
 
 MAX_BYTES = 8 << 20  # of a tileset.json; a tile has some 300 bytes for 10 K splats or more
 _MAX_TILESETS = 1000
 _IDENTITY = np.eye(4)
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from glTF's y up
-_PLACE = "The place of the scene on Earth, the transform of its root, was left out."
+# Scene units from the origin, where single precision has steps of a hundredth of one.
+_FAR = 1e5
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,14 +228,32 @@ class _Place:
 def _read(path: Path) -> _Tileset:
     """Read and check a `tileset.json`."""
     reader = _Reader()
-    root = dict(reader.root(path))
-    placed = not np.array_equal(_transform(root, f"{path}, tile"), _IDENTITY)
-    root.pop("transform", None)
     try:
-        tree = reader.tile(root, _Place(path, 0, _IDENTITY, adds=False))
+        tree = reader.tile(reader.root(path), _Place(path, 0, _IDENTITY, adds=False))
+        place = _place_of(tree)
+        if place is None:
+            return _Tileset(path, tree, ())
+        near = _seen_from(tree, place, np.linalg.inv(place).astype(np.float64))
     except RecursionError:
         raise refused(str(path), "has tiles in each other without end") from None
-    return _Tileset(path, tree, (_PLACE,) if placed else ())
+    except np.linalg.LinAlgError:
+        raise refused(f"{path}, tile", "flattens the splats with its transform") from None
+    note = f"The place of the scene on Earth was left out: {text_of(_Z_UP @ place @ _Z_UP.T)}."
+    return _Tileset(path, near, (note,))
+
+
+def _place_of(root: _Tile) -> F64 | None:
+    """The first transform, from the root on, that leads far away, both frames y up; or None."""
+    far = (tile.above for tile in _all(root) if np.abs(tile.above[:3, 3]).max() > _FAR)
+    return next(far, None)
+
+
+def _seen_from(root: _Tile, place: F64, back: F64) -> _Tile:
+    """The same tree in the frame that a place has; `back` is the inverse of its transform."""
+    children = tuple(_seen_from(tile, place, back) for tile in root.children)
+    # Nothing is rounded where there is nothing but the place.
+    same = np.array_equal(root.above, place)
+    return replace(root, above=_IDENTITY if same else back @ root.above, children=children)
 
 
 def _transform(data: dict[str, Any], where: str) -> F64:

@@ -1,0 +1,332 @@
+"""3D Tiles on Earth: the transform of a place, by other programs too, and what lod makes of it."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import nanogs
+from builders import random_splats
+from launch import run
+from nanogs import io
+from nanogs.errors import OptionError, OutputError
+from nanogs.levels_of_detail import write_levels
+from nanogs.lod.layout import Layout
+from nanogs.place import Place, columns, from_columns, text_of, transform_of
+from test_cli import assert_refused
+
+PLACES = {
+    "Zurich": (8.5417, 47.3769, 408.0),
+    "Null Island": (0.0, 0.0, 0.0),
+    "north pole": (0.0, 90.0, 10.0),
+    "north pole, from the east": (90.0, 90.0, 10.0),
+    "south pole": (-60.0, -90.0, 2835.0),
+    "date line from the west": (180.0, -16.5, 1.0),
+    "date line from the east": (-180.0, -16.5, 1.0),
+    "Quito": (-78.4678, -0.1807, 2850.0),
+    "Sydney, below the ellipsoid": (151.2153, -33.8568, -35.0),
+}
+angles = st.floats(-720, 720, width=32)
+places = st.builds(
+    Place,
+    st.floats(-180, 180),
+    st.floats(-90, 90),
+    st.floats(-11_000, 90_000),
+    angles,
+    angles,
+    angles,
+)
+
+
+@pytest.fixture(scope="module")
+def pyproj():
+    return pytest.importorskip("pyproj", reason="pyproj is not installed: see the extra dev")
+
+
+# The transform
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_the_origin_is_where_pyproj_has_it(pyproj, name):
+    """EPSG:4979, longitude, latitude and height of WGS84, to EPSG:4978, Earth-centred."""
+    turned = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    expected = turned.transform(*PLACES[name])
+    assert Place(*PLACES[name]).matrix()[:3, 3] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_the_axes_are_east_north_and_up_of_pyproj(pyproj, name):
+    """What is 100 m along each axis, by the topocentric frame of PROJ."""
+    longitude, latitude, height = PLACES[name]
+    tangent = pyproj.Transformer.from_pipeline(
+        "+proj=pipeline +step +proj=topocentric +ellps=WGS84"
+        f" +lon_0={longitude} +lat_0={latitude} +h_0={height}"
+    )
+    matrix = Place(longitude, latitude, height).matrix()
+    for point in 100 * np.eye(3):
+        expected = tangent.transform(*point, direction="INVERSE")
+        assert (matrix @ [*point, 1])[:3] == pytest.approx(expected, abs=1e-6)
+
+
+def test_what_lies_north_has_a_greater_latitude(pyproj):
+    """A scene's y, turned by the heading, seen on a map."""
+    turned = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
+
+    def moved(axis, **angles):
+        place = Place(8.5417, 47.3769, 408.0, **angles)
+        there = turned.transform(*(place.matrix() @ [*(10 * np.eye(3)[axis]), 1])[:3])
+        metres = 111_195 * np.cos(np.deg2rad(47.4)), 111_195, 1
+        return (np.subtract(there, (8.5417, 47.3769, 408.0)) * metres).round(0).tolist()
+
+    assert [moved(axis) for axis in range(3)] == [[10, 0, 0], [0, 10, 0], [0, 0, 10]]
+    # By a heading of 90, clockwise, north becomes east, and east south.
+    assert [moved(axis, heading=90) for axis in range(2)] == [[0, -10, 0], [10, 0, 0]]
+    # By a pitch the east side is up, by a roll the north side.
+    assert moved(0, pitch=90) == moved(1, roll=90) == [0, 0, 10]
+    # The roll first: then east, which it leaves, is lifted, and last turned to the south.
+    assert moved(1, heading=90, pitch=90, roll=90) == [0, 10, 0]
+
+
+@given(places)
+@example(Place(0, 90, 0, 10, 90, 20))
+def test_a_place_only_turns_and_moves(place):
+    matrix = place.matrix()
+    turn = matrix[:3, :3]
+    assert turn.T @ turn == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(turn) == pytest.approx(1, abs=1e-12)
+    assert (matrix[3] == [0, 0, 0, 1]).all()
+
+
+@given(places)
+def test_angles_are_those_of_another_implementation(place):
+    """SciPy's turns about axes that turn along: about z, y and then x."""
+    angles = [-place.heading, -place.pitch, place.roll]
+    level = replace(place, heading=0, pitch=0, roll=0).matrix()[:3, :3]
+    expected = level @ Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
+    assert place.matrix()[:3, :3] == pytest.approx(expected, abs=1e-12)
+
+
+@given(places)
+@example(Place(10, 50, 0, 30, 90, 40))
+@example(Place(10, 50, 0, 30, -90, 40))
+@example(Place(123, 90, 0, 30, 5, 0))
+@example(Place(-180, -90, 0))
+def test_the_place_of_a_transform_is_the_place(place):
+    """The same transform, though angles may be said in other ways."""
+    matrix = place.matrix()
+    assert np.abs(Place.of(matrix).matrix() - matrix).max() < 1e-6
+    named = dict(field.split() for field in text_of(matrix).split(", "))
+    again = Place(**{name: float(value) for name, value in named.items()}).matrix()
+    assert np.abs(again - matrix)[:3, 3].max() < 2e-4
+    assert np.abs(again - matrix)[:3, :3].max() < 1e-8
+
+
+def test_what_is_no_place_is_named_by_its_numbers():
+    away = np.diag([2.0, 2, 2, 1])
+    away[:3, 3] = 6.4e6, 0.1, 0
+    assert text_of(away) == "transform 2,0,0,0,0,2,0,0,0,0,2,0,6400000,0.1,0,1"
+    assert Place.of(away) is None
+    far = Place(0, 0, 2e5).matrix()
+    assert Place.of(far) is None
+
+
+REFUSED = {
+    "longitude": ({"longitude": 180.1, "latitude": 0}, "-180 to 180 degrees, not 180.1"),
+    "latitude": ({"longitude": 0, "latitude": -91}, "-90 to 90 degrees, not -91"),
+    "NaN": ({"longitude": math.nan, "latitude": 0}, "not nan"),
+    "height": ({"longitude": 0, "latitude": 0, "height": math.inf}, "metres, not inf"),
+    "heading": ({"longitude": 0, "latitude": 0, "heading": math.inf}, "finite number of degrees"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_nowhere_is_refused(name):
+    values, words = REFUSED[name]
+    with pytest.raises(OptionError, match=words):
+        Place(**values)
+
+
+def changed(row, column, value):
+    matrix = np.eye(4)
+    matrix[row, column] = value
+    return matrix
+
+
+@pytest.mark.parametrize(
+    ("transform", "words"),
+    [
+        (np.eye(3), "four rows of four"),
+        ("here", "four rows of four"),
+        ([[1, 2], [3]], "four rows of four"),
+        (changed(0, 3, np.nan), "finite"),
+        (changed(3, 0, 1), "affine"),
+        (changed(3, 3, 2), "affine"),
+        (changed(0, 0, -1), "mirrors or flattens"),
+        (changed(0, 0, 0), "mirrors or flattens"),
+        (changed(0, 0, 1e13), "at most"),
+    ],
+)
+def test_what_is_no_transform_is_refused(transform, words):
+    with pytest.raises(OptionError, match=words):
+        transform_of(transform)
+
+
+# Tiles
+
+
+ZURICH = Place(8.5417, 47.3769, 408.0, 30.0, 2.0, -1.0)
+OPTIONS = "--longitude 8.5417 --latitude 47.3769 --height 408 --heading 30 --pitch 2 --roll -1"
+TILES = ("--levels", "0.5,0.1", "--preset", "fast", "--chunk", 60, "--plain")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(random_splats(600, degree=2), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def nowhere(scene):
+    path = scene.parent / "nowhere" / "tileset.json"
+    assert run("lod", scene, path, *TILES, "-q").returncode == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def placed(scene):
+    path = scene.parent / "placed" / "tileset.json"
+    result = run("lod", scene, path, *TILES, *OPTIONS.split(), "-q")
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    return path
+
+
+def root_transform(path):
+    return from_columns(json.loads(path.read_text())["root"]["transform"])
+
+
+def test_only_the_root_says_the_place(placed, nowhere):
+    """Whatever else is in the folder is the same to the last byte."""
+    assert np.array_equal(root_transform(placed), ZURICH.matrix())
+    data, other = (json.loads(path.read_text()) for path in (placed, nowhere))
+    data["root"]["transform"] = other["root"]["transform"]
+    assert data == other
+    names = {path.name for path in placed.parent.iterdir()}
+    assert names == {path.name for path in nowhere.parent.iterdir()}
+    for name in names - {"tileset.json"}:
+        assert (placed.parent / name).read_bytes() == (nowhere.parent / name).read_bytes()
+
+
+def test_west_and_south_are_negative(scene):
+    path = scene.parent / "southwest" / "tileset.json"
+    result = run("lod", scene, path, *TILES, "--longitude", "-70.5", "--latitude", "-33", "-q")
+    assert result.returncode == 0, result.stderr
+    assert np.array_equal(root_transform(path), Place(-70.5, -33).matrix())
+
+
+def test_the_local_scene_comes_back_with_the_place_in_a_note(placed, nowhere, tmp_path):
+    """In Earth-centred single precision a splat would be half a metre off."""
+    result = run("convert", placed, tmp_path / "a.ply", "--level", "1")
+    assert result.returncode == 0, result.stderr
+    named = OPTIONS.removeprefix("--").replace(" --", ", ")
+    assert f"The place of the scene on Earth was left out: {named}." in result.stderr
+    again, expected = io.load(tmp_path / "a.ply"), io.load(nowhere, level=1)
+    for name in ("means", "quats", "log_scales", "sh"):
+        assert np.array_equal(getattr(again, name), getattr(expected, name))
+
+
+def test_a_transform_in_16_numbers(scene, tmp_path):
+    """It may scale, as of a scene whose units are no metres; errors of tiles are scaled by it."""
+    matrix = ZURICH.matrix() @ np.diag([3.0, 3, 3, 1])
+    numbers = ",".join(map(repr, columns(matrix)))
+    for name, text in (("commas", numbers), ("spaces", numbers.replace(",", " "))):
+        path = tmp_path / name / "tileset.json"
+        result = run("lod", scene, path, *TILES, "--transform", text, "-q")
+        assert result.returncode == 0, result.stderr
+        assert np.array_equal(root_transform(path), matrix)
+    data = json.loads(path.read_text())
+    assert data["geometricError"] >= 3 * data["root"]["geometricError"] * (1 - 1e-9)
+    result = run("convert", path, tmp_path / "a.ply", "--level", "1")
+    assert f"left out: transform {numbers.split(',')[0]}," in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "words"),
+    [
+        ("levels", OPTIONS, ["Only 3D Tiles", "tileset.json"]),
+        ("lod-meta.json", OPTIONS, ["Only 3D Tiles"]),
+        ("a.rad", OPTIONS, ["Only 3D Tiles"]),
+        ("tileset.json", "--longitude 8", ["--latitude"]),
+        ("tileset.json", "--latitude 8 --roll 3", ["--longitude"]),
+        ("tileset.json", "--height 8", ["--longitude and --latitude"]),
+        ("tileset.json", "--longitude 8 --latitude 91", ["-90 to 90"]),
+        ("tileset.json", "--longitude nan --latitude 9", ["not nan"]),
+        ("tileset.json", "--transform 1,2,3", ["16 numbers"]),
+        ("tileset.json", "--transform 1,0,0,0,0,1,0,0,0,0,1,1,0,0,0,1", ["affine"]),
+        ("tileset.json", "--roll 1 --transform 1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1", ["--roll"]),
+    ],
+)
+def test_places_that_are_refused(scene, tmp_path, output, options, words):
+    result = run("lod", scene, tmp_path / "out" / output, *options.split())
+    assert_refused(result, *words)
+    assert not (tmp_path / "out").exists()
+
+
+class CrashError(Exception):
+    """As if the machine had been switched off."""
+
+
+def test_blocks_and_a_job_that_is_resumed_keep_the_place(scene, tmp_path):
+    def write(folder, place, **options):
+        return write_levels(
+            scene, folder, (0.5, 0.1), layout=Layout.TILES, chunk=60, block=300, preset="fast",
+            place=place, threads=1, **options,
+        )  # fmt: skip
+
+    def crash(step):
+        if step.stage == "chunk":
+            raise CrashError
+
+    with pytest.raises(CrashError):
+        write(tmp_path / "a", ZURICH, progress=crash)
+    for other in (None, replace(ZURICH, roll=1.0)):
+        with pytest.raises(OutputError, match="its chunks differ"):
+            write(tmp_path / "a", other, resume=True)
+    write(tmp_path / "a", ZURICH.matrix(), resume=True)  # the same, said in another way
+    write(tmp_path / "b", ZURICH)
+    assert np.array_equal(root_transform(tmp_path / "a" / "tileset.json"), ZURICH.matrix())
+    found = [
+        {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in "ab"
+    ]
+    assert found[0] == found[1]
+
+
+def test_degree_and_least_opacity_are_options_of_tiles(scene, tmp_path):
+    """Nothing below them is in any level, packed or not."""
+    for form in ([], ["--plain"]):
+        path = tmp_path / f"tiles{len(form)}" / "tileset.json"
+        options = ["--levels", "1,0.3", "--preset", "fast", "--chunk", 60, *form]
+        result = run(
+            "lod",
+            scene,
+            path,
+            *options,
+            "--sh-degree",
+            "1",
+            "--min-opacity",
+            "0.4",
+            *OPTIONS.split(),
+        )
+        assert result.returncode == 0, result.stderr
+        kept = int((io.load(scene).opacities() >= 0.4).sum())
+        assert 0 < kept < 600
+        assert io.inspect(path).splats == kept
+        contents = [io.load(file) for file in path.parent.glob("*.glb")]
+        assert {part.sh_degree for part in contents} == {1}
+        # SPZ has alpha in 255 steps.
+        assert min(part.opacities().min() for part in contents) >= 0.4 - 1 / 255
