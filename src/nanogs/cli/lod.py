@@ -37,7 +37,7 @@ def lod(
         str | None,
         typer.Option(
             help="Ratios from the finest level to the coarsest, commas between; 1 is the original"
-            " itself, which the default leaves out.",
+            " itself.",
             metavar="RATIOS",
             show_default=_LEVELS,
         ),
