@@ -15,6 +15,8 @@ from nanogs.findings import join_findings
 from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.parts import FileSource
+from nanogs.io.stand_ins import at_hand
+from nanogs.io.urls import place
 from nanogs.pipeline.weights import read_weight, write_weight
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
@@ -83,8 +85,8 @@ def convert(
     """Write a model in another format, which the suffix says.
 
     Args:
-        source: The file to read.
-        target: The file to write.
+        source: The file to read, or its URL.
+        target: The file to write, or a URL to send it to; see `nanogs.save`.
         level: Of a streamed model, which level of detail; 0 is the finest.
         filters: What leaves out splats, such as `nanogs.filters.box(low, high)`.
         sh_degree: The highest degree of spherical harmonics that stays, 0 to 4; all by default.
@@ -105,11 +107,16 @@ def convert(
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
     start, clock = time.perf_counter(), StageClock()
-    path = Path(target)
-    format_options = registry.framed(path, format_options, frame)
+    given, wanted = place(source), place(target)
+    format_options = registry.framed(wanted, format_options, frame)
     saving: dict[str, Any] = {"overwrite": overwrite, "format_options": format_options}
-    check_writable(path, **saving)
-    with open_model(source, level=level, render_mode=render_mode) as file, drawn(progress) as tell:
+    check_writable(wanted, **saving)
+    with (
+        drawn(progress) as tell,
+        at_hand([given], wanted, overwrite=overwrite) as ([here], there),
+        open_model(here, level=level, render_mode=render_mode) as file,
+    ):
+        path = there or wanted
         allowed = None if max_memory is None else as_bytes(max_memory)
         _refuse_too_large(file, path, filters, format_options, allowed)
         typical = 1_000_000  # only how the two compare counts
@@ -125,10 +132,10 @@ def convert(
         with clock.time("write"):
             save(model, path, progress=tracker.passing(), **saving)
         tracker.finish()
+        made = _written(path, count, degree) | {"output_bytes": bytes_on_disk(path)}
     return ConvertReport(
-        input=str(source), output=str(target), filters=took, frames=frame,
-        input_bytes=read_bytes, output_bytes=bytes_on_disk(path),
-        **_written(path, count, degree), notes=notes, losses=lost,
+        input=str(given), output=str(wanted), filters=took, frames=frame,
+        input_bytes=read_bytes, **made, notes=notes, losses=lost,
         seconds=clock.seconds, total_seconds=time.perf_counter() - start,
     )  # fmt: skip
 

@@ -12,6 +12,8 @@ from nanogs.findings import join_findings
 from nanogs.io import FileInfo, registry
 from nanogs.io import open as open_model
 from nanogs.io.collect import model_in
+from nanogs.io.stand_ins import at_hand
+from nanogs.io.urls import place
 from nanogs.lod import manifest
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import info_bytes
@@ -78,14 +80,20 @@ def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelI
     """Read a model block by block, and describe it: a large one twice, for exact percentiles.
 
     Args:
-        path: The file, or the folder of a model.
+        path: The file, its URL, or the folder of a model.
         render_mode: "default" or "mip" in place of the render mode that the file names; see `open`.
 
     Raises:
         NanogsError: The file is missing, damaged or of no known format, it cannot have that render
             mode, or it takes more memory than is free.
     """
-    path, given = model_in(Path(path)), Path(path)
+    given = place(path)
+    with at_hand([given]) as ([file], _):
+        return _described(model_in(file), given, render_mode)
+
+
+def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
+    """As `info`, of a file; `given` is that or its folder."""
     with open_model(path, render_mode=render_mode) as source:
         file, levels = source.info, source.levels
         refuse_too_large(

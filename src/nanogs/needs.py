@@ -8,11 +8,11 @@ from os import PathLike
 from pathlib import Path
 
 from nanogs.io import FileInfo, inspect, registry
+from nanogs.io.around import file_of
 from nanogs.io.files import splat_bytes
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model
 from nanogs.io.parts import FileSource, Packed, Whole
-from nanogs.io.retag import file_of
 from nanogs.source import Source
 from nanogs.splats import Splats
 

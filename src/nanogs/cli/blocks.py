@@ -64,8 +64,16 @@ class Blocks:
             raise OptionError(
                 "With --max-memory or --join models are files; name them in place of -."
             )
+        _refuse_addresses(paths, self._needing_files)
         if self.join and len(paths) < 2:
             raise OptionError("--join takes the parts of a scene and OUT; this is one path.")
+
+    @property
+    def _needing_files(self) -> list[str]:
+        """Options with which models are found again, later or elsewhere."""
+        named: dict[str, object] = {"--join": self.join, "--job": self.job, "--resume": self.resume}
+        named["--scheduler"] = self.scheduler
+        return [option for option, given in named.items() if given]
 
     def unused(self) -> list[str]:
         """Say that options for blocks had no effect on a model that is held whole."""
@@ -80,3 +88,15 @@ class Blocks:
             f" {found} had no effect; --max-memory makes blocks."
         )
         return [note]
+
+
+def _refuse_addresses(paths: Sequence[Path], options: Sequence[str]) -> None:
+    """Refuse URLs with options that need files.
+
+    Raises:
+        OptionError: There is one.
+    """
+    from nanogs.io.stand_ins import refuse_address  # `--help` does without
+
+    for path in paths if options else ():
+        refuse_address(path, f"with {options[0]} models are files: download it first")

@@ -22,13 +22,15 @@ if TYPE_CHECKING:
 @with_options
 def compare(
     *,
-    reference: Annotated[str, typer.Argument(metavar="REF", help="The original model.")],
+    reference: Annotated[
+        str, typer.Argument(metavar="REF", help="The original model: a file or its URL.")
+    ],
     tests: Annotated[
         list[str],
         typer.Argument(
             metavar="TEST...",
-            help="Models to score; name=path calls one by a name, one name on several sizes "
-            "makes a line in the plot.",
+            help="Models to score, files or URLs; name=path calls one by a name, one name on"
+            " several sizes makes a line in the plot.",
         ),
     ],
     report: Annotated[
@@ -71,6 +73,7 @@ def compare(
     """Score models against the original, on views that no method has used."""
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli.console import warn
+    from nanogs.cli.fetching import fetched
     from nanogs.cli.progress import shown
     from nanogs.io.atomic import check_writable
 
@@ -87,10 +90,15 @@ def compare(
     from nanogs.scoring.run import compare_files
     from nanogs.threads import use_threads
 
-    with shown(quiet=run.hushed) as progress, use_threads(run.threads):
+    named = [options.parse_named(text) for text in (reference, *tests)]
+    with (
+        fetched([path for _, path in named], quiet=run.hushed) as files,
+        shown(quiet=run.hushed) as progress,
+        use_threads(run.threads),
+    ):
+        first, *others = ((name, file) for (name, _), file in zip(named, files, strict=True))
         comparison = compare_files(
-            options.parse_named(reference),
-            [options.parse_named(test) for test in tests],
+            first, others,
             cameras=cameras, views=views, sizes=pixels, up=up,
             background=color, extras=extras, photos=photos, images=images, split=split,
             report=report, interactive=interactive, overwrite=run.overwrite, progress=progress,

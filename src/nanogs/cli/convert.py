@@ -57,7 +57,8 @@ def convert(
         )  # fmt: skip
         return many.Run(report, {"input": report.input, "output": report.output})
 
-    many.run_all(many.plan_pairs(paths, files), run_one, _print_report, telling, files)
+    pairs = many.plan_pairs(paths, files)
+    many.run_all(pairs, run_one, _print_report, telling, files, overwrite=overwrite)
 
 
 def _print_report(run: "Run") -> None:

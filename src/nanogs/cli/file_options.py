@@ -13,7 +13,7 @@ from nanogs.cli import options
 from nanogs.errors import OptionError
 
 _several = options.in_panel("Several files")
-_pipe = options.in_panel("Pipes (- in place of a file)")
+_pipe = options.in_panel("Pipes (- in place of a file) and URLs")
 _filter = options.in_panel("Filters (before anything else, in this order)")
 
 
@@ -44,14 +44,15 @@ Paths = Annotated[
     list[Path],
     typer.Argument(
         metavar="IN... OUT",
-        help="Model to read and file to write, - for stdin and stdout; with --out-dir all are"
-        " models, folders of them or patterns.",
+        parser=options.parse_place,
+        help="Model to read and file to write, - for stdin and stdout, or URLs (https://, s3://);"
+        " with --out-dir all are models, folders of them or patterns.",
     ),
 ]
 From = Annotated[
     str | None,
     _pipe(
-        "Format of stdin, e.g. splat.",
+        "Format of stdin, or of a URL whose name does not say it, e.g. splat.",
         "--from",
         show_default="by its first bytes",
         metavar="FORMAT",

@@ -30,7 +30,11 @@ def info(
     *,
     source: Annotated[
         Path,
-        typer.Argument(metavar="IN", help="Model to read: a file, its folder, or - for stdin."),
+        typer.Argument(
+            metavar="IN",
+            parser=options.parse_place,
+            help="Model to read: a file, its folder, its URL (https://, s3://), or - for stdin.",
+        ),
     ],
     read_as: file_options.From = None,
     render_mode: options.AsMode = None,
@@ -50,7 +54,7 @@ def info(
     from nanogs.io.collect import model_in
 
     formats, looks = options.parse_packed(packed, of_format), looking.asked(packed=bool(packed))
-    with Streams(read_as).received(source) as path:
+    with Streams(read_as).received(source, quiet=json) as path:
         cost, looked = None, None
         if formats or looks:
             with open_model(model_in(path), render_mode=render_mode) as opened:

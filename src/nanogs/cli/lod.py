@@ -28,9 +28,10 @@ def lod(
         list[Path],
         typer.Argument(
             metavar="IN OUT",
-            help="Model to read, and folder to make, for a file a level; or lod-meta.json (streamed"
-            " SOG) or tileset.json (3D Tiles) in it; or a file: .ssog (streamed SOG) or .rad (a"
-            " tree, for Spark). With --join several models before OUT.",
+            parser=options.parse_place,
+            help="Model to read, a file or its URL, and folder to make, for a file a level; or"
+            " lod-meta.json (streamed SOG) or tileset.json (3D Tiles) in it; or a file: .ssog"
+            " (streamed SOG) or .rad (a tree, for Spark). With --join several models before OUT.",
         ),
     ],
     levels: Annotated[
@@ -88,6 +89,7 @@ def lod(
     with uncollected():
         from nanogs.cli import framing, lod_run, many, plan
         from nanogs.io.collect import Pair
+        from nanogs.io.stand_ins import refuse_address
         from nanogs.lod.layout import chunks_of, output_of
         from nanogs.pipeline.levels import check_ratios
         from nanogs.pipeline.target import Goal
@@ -95,6 +97,7 @@ def lod(
     # Whatever can be refused is refused before minutes of computing.
     method.check(paths)
     parts, target = _parts(paths, join=method.blocks.join)
+    refuse_address(target, "levels are written to a folder or file: name one")
     output = output_of(target, level_format)
     # The usual ones follow from the model's count, which of a stream is known once it is read.
     ratios = (1.0,) if levels is None else options.parse_ratios(levels)

@@ -14,6 +14,7 @@ from nanogs.cleanup import cleaned_up
 from nanogs.cli.blocks import DASH
 from nanogs.cli.console import fail, notes_about, print_json
 from nanogs.cli.failures import sentence_of
+from nanogs.cli.fetching import a_bar, within
 from nanogs.cli.file_options import Files
 from nanogs.cli.options import Telling
 from nanogs.cli.progress import Watch, shown
@@ -97,6 +98,7 @@ def run_all(
     files: Files,
     *,
     writes: bool = True,
+    overwrite: bool = False,
 ) -> list[Run]:
     """Do one file after the other; of several, the failure of one leaves the others alone.
 
@@ -107,6 +109,7 @@ def run_all(
         telling: What is said; with a model on stdout, JSON goes to stderr.
         files: The folder for several, and the formats of stdin and stdout.
         writes: Whether anything is written, and the folder made for it.
+        overwrite: Whether what is at a URL may be replaced; of files `run_one` knows.
 
     Raises:
         NanogsError: The only file failed, or the folder cannot be made.
@@ -115,14 +118,20 @@ def run_all(
     out_dir, streams = files.out_dir, Streams(files.read_as, files.write_as)
     failed: list[dict[str, str]] = []
     if out_dir is None:
-        with shown(quiet=telling.hushed) as watch, streams.opened(pairs[0]) as real:
+        bar = a_bar(quiet=telling.hushed)
+        with (
+            streams.at_hand(pairs[0], bar, overwrite=overwrite) as near,
+            shown(quiet=telling.hushed) as watch,
+            streams.opened(near) as real,
+        ):
             runs = [run_one(real, watch).named(pairs[0])]
     else:
         for pair in pairs:
             streams.check(pair)
         made = _make(out_dir) if writes else []
         with cleaned_up(partial(_remove_empty, made)), shown(quiet=telling.hushed) as watch:
-            runs, failed = _run_several(pairs, run_one, None if telling.hushed else show, watch)
+            told = None if telling.hushed else show
+            runs, failed = _run_several(pairs, run_one, told, watch, streams)
     if telling.json:
         each = [run.to_dict() for run in runs]
         data = each[0] if out_dir is None else {"files": each, "failed": failed}
@@ -141,6 +150,7 @@ def _run_several(
     run_one: Callable[[Pair, Progress], Run],
     show: Callable[[Run], None] | None,
     watch: Watch,
+    streams: Streams,
 ) -> tuple[list[Run], list[dict[str, str]]]:
     """The runs, and of each file that failed its name and why."""
     runs: list[Run] = []
@@ -148,8 +158,9 @@ def _run_several(
     for number, pair in enumerate(pairs, 1):
         name = str(pair.source)
         try:
-            with notes_about(name):
-                runs.append(run_one(pair, watch.of_file(number, len(pairs))))
+            told = watch.of_file(number, len(pairs))
+            with notes_about(name), streams.at_hand(pair, within(told)) as near:
+                runs.append(run_one(near, told))
                 if show:
                     show(runs[-1])
         except Exception as error:

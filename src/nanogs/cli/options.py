@@ -363,9 +363,19 @@ def parse_background(text: str) -> tuple[float, float, float]:
     return red, green, blue
 
 
+def parse_place(text: str | Path) -> Path:
+    """A path, or the address of a URL, of which a path would have one slash less."""
+    from nanogs.io.urls import place
+
+    return place(text)
+
+
 def parse_named(text: str) -> tuple[str, Path]:
-    """A name and a path from `name=path`; the file's own name where none is given."""
+    """A name and a path or URL from `name=path`; the file's own name where none is given."""
+    from nanogs.io.urls import is_url
+
     name, separator, path = text.partition("=")
-    if separator and name and not Path(text).exists():
-        return name, Path(path)
-    return Path(text).name, Path(text)
+    if separator and name and not is_url(text) and not Path(text).exists():
+        return name, parse_place(path)
+    given = parse_place(text)
+    return given.name, given

@@ -28,11 +28,23 @@ _PARAMETERS: Fields = {
 @with_options
 def refit(
     *,
-    original: Annotated[Path, typer.Argument(metavar="ORIGINAL", help="The model to look like.")],
-    small: Annotated[
-        Path, typer.Argument(metavar="SMALL", help="The model to fit, from any tool.")
+    original: Annotated[
+        Path,
+        typer.Argument(
+            metavar="ORIGINAL",
+            parser=options.parse_place,
+            help="The model to look like; each of the three is a file or its URL.",
+        ),
     ],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")],
+    small: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SMALL", parser=options.parse_place, help="The model to fit, from any tool."
+        ),
+    ],
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", parser=options.parse_place, help="File to write.")
+    ],
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     given: Annotated[dict[str, Any], _PARAMETERS],
@@ -47,17 +59,24 @@ def refit(
 ) -> None:
     """Fit a small model to renders of the original: no photographs, no training data."""
     # What only a run needs is imported here, and not for `--help`.
+    from nanogs.cli.fetching import DOWNLOAD, a_bar
     from nanogs.io import check_writable, inspect
+    from nanogs.io.stand_ins import at_hand
     from nanogs.needs import refit_bytes
 
     chosen = RefitParameters(**given)
     check_writable(target, overwrite=run.overwrite)
-    run.refuse_too_large(
-        f"Fitting {small}",
-        refit_bytes(inspect(original), inspect(small), chosen.size**2, chosen.kept + chosen.held),
-        "free some, or take fewer or smaller views (--views, --pixels)",
-    )
-    report = _refit_files(original, small, target, cameras, up, chosen, render_mode, run)
+    bar = a_bar(quiet=run.hushed)
+    with at_hand(
+        [original, small], target, overwrite=run.overwrite, telling=bar, remedy=DOWNLOAD
+    ) as near:
+        (first, second), made = near
+        run.refuse_too_large(
+            f"Fitting {small}",
+            refit_bytes(inspect(first), inspect(second), chosen.size**2, chosen.kept + chosen.held),
+            "free some, or take fewer or smaller views (--views, --pixels)",
+        )
+        report = _refit_files(first, second, made or target, cameras, up, chosen, render_mode, run)
     files = {"original": str(original), "input": str(small), "output": str(target)}
     show = partial(_print_report, report, target, verbose=verbose)
     run.tell(report.to_dict() | files, show, report.notes)

@@ -17,11 +17,18 @@ _OTHERS = (".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".exr")
 @with_options
 def render(
     *,
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Model to read.")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="IN", parser=options.parse_place, help="Model to read: a file or its URL."
+        ),
+    ],
     target: Annotated[
         Path,
         typer.Argument(
-            metavar="OUT", help="Folder for the PNG files; or one .png file, for one view."
+            metavar="OUT",
+            parser=options.parse_place,
+            help="Folder for the PNG files; or one .png file, for one view.",
         ),
     ],
     views: Annotated[
@@ -50,8 +57,10 @@ def render(
     """Render a model to PNG files."""
     # What only a run needs is imported here, and not for `--help`.
     from nanogs.cli.console import say
+    from nanogs.cli.fetching import fetched
     from nanogs.cli.progress import shown
     from nanogs.io import open as open_model
+    from nanogs.io.stand_ins import refuse_address
 
     count = views or (1 if _is_picture(target) else 8)
     width, height = options.parse_pixels(pixels)
@@ -64,8 +73,12 @@ def render(
     from nanogs.views.png import render_images
 
     stages = [Stage("read", 1.0), Stage("cameras", 0.5), Stage("render", 0.3 * count)]
-    with open_model(source, render_mode=render_mode) as opened:
-        room = room_for_pictures(source, opened, width * height, 0, run.max_memory)
+    refuse_address(target, "pictures are written to a folder or file: name one")
+    with (
+        fetched([source], quiet=run.hushed) as [file],
+        open_model(file, render_mode=render_mode) as opened,
+    ):
+        room = room_for_pictures(file, opened, width * height, 0, run.max_memory)
         with shown(quiet=run.hushed) as watch, use_threads(run.threads):
             progress = Tracker(watch, stages)
             progress.begin("read")

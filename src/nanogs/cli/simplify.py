@@ -92,7 +92,7 @@ def simplify(
     runs = many.run_all(
         pairs, partial(simplify_run.run_one, wishes),
         simplify_run.print_plan if method.dry_run else show,
-        method, files, writes=not method.dry_run,
+        method, files, writes=not method.dry_run, overwrite=overwrite,
     )  # fmt: skip
     _exit_if_short([] if method.dry_run else runs)
 

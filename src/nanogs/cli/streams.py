@@ -13,11 +13,14 @@ from pathlib import Path
 
 from nanogs.cleanup import temporary_folder
 from nanogs.cli.blocks import DASH
+from nanogs.cli.fetching import a_bar
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.collect import Pair
-from nanogs.io.files import TOLD_BY, refuse_stand_in
-from nanogs.io.registry import sniff
+from nanogs.io.stand_ins import Telling, at_hand, suffix_told
+from nanogs.io.urls import Address, StandIn
+
+_REMEDY = "name it, as in --from splat"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +45,8 @@ class Streams:
             ("--from", self.read_as, pair.source, "IN"),
             ("--to", self.write_as, pair.target, "OUT"),
         ):
-            if given is not None and path != DASH:
+            by_url = place == "IN" and isinstance(path, Address | StandIn)
+            if given is not None and path != DASH and not by_url:
                 raise OptionError(f"{option} is for {place} - alone; the name of {path} says it.")
         if pair.source == DASH and sys.stdin.isatty():
             raise OptionError("IN is - and stdin is a terminal; pipe a model into it.")
@@ -74,14 +78,43 @@ class Streams:
                 sys.stdout.buffer.flush()
 
     @contextmanager
-    def received(self, source: Path) -> Iterator[Path]:
-        """A file in place of stdin; other paths as they are.
+    def received(self, source: Path, *, quiet: bool) -> Iterator[Path]:
+        """A file in place of stdin or a URL; other paths as they are.
+
+        Args:
+            source: What is read.
+            quiet: Show nothing of what is fetched.
 
         Raises:
             NanogsError: As for `opened`.
         """
-        with self.opened(Pair(source, Path("none"))) as pair:
-            yield pair.source
+        pair = Pair(source, Path("none"))
+        with self.at_hand(pair, a_bar(quiet=quiet)) as near, self.opened(near) as real:
+            yield real.source
+
+    @contextmanager
+    def at_hand(self, pair: Pair, telling: Telling, *, overwrite: bool = False) -> Iterator[Pair]:
+        """Files in place of URLs; what was written for one is sent there at the end.
+
+        Args:
+            pair: What is read and written.
+            telling: Shows what is fetched and sent.
+            overwrite: Replace what is there.
+
+        Raises:
+            NanogsError: As for `nanogs.io.stand_ins`, and options for streams that are not used.
+        """
+        self.check(pair)
+        read_as = self.read_as if isinstance(pair.source, Address) else None
+        with at_hand(
+            [pair.source],
+            pair.target,
+            overwrite=overwrite,
+            format=read_as,
+            telling=telling,
+            remedy=_REMEDY,
+        ) as ([source], target):
+            yield Pair(source, target or pair.target)
 
     def _stand_ins(self, pair: Pair, folder: Path) -> Pair:
         source, target = pair.source, pair.target
@@ -104,14 +137,7 @@ class Streams:
             raise OutputError(f"stdin cannot be put into {place} ({reason}).") from error
         if not raw.stat().st_size:
             raise OptionError("stdin is empty; pipe a model into it.")
-        suffix = registry.suffix_of(self.read_as) if self.read_as else sniff(raw)
-        if suffix is None:
-            with raw.open("rb") as file:
-                refuse_stand_in(Path("stdin"), file.read(TOLD_BY))
-            raise OptionError(
-                "The first bytes of stdin are of no format that says so; name it, as in"
-                " --from splat."
-            )
+        suffix = suffix_told(raw, "stdin", self.read_as, _REMEDY)
         named = raw.with_name(f"stdin{suffix}")
         registry.reader(named)
         return raw.rename(named)

@@ -26,7 +26,7 @@ def view(
         typer.Argument(
             metavar="A [B]",
             help="Model to look at, and a second one to see it against: one camera, and a line to"
-            " drag between. name=path calls a model by a name.",
+            " drag between. name=path calls a model by a name. Each is a file or its URL.",
         ),
     ],
     output: Annotated[
@@ -63,6 +63,7 @@ def view(
     import webbrowser
 
     from nanogs.cli.console import say, warn
+    from nanogs.cli.fetching import fetched
     from nanogs.cli.progress import shown
     from nanogs.cli.wording import with_options
     from nanogs.io.atomic import check_writable
@@ -77,9 +78,14 @@ def view(
     check_built()
     page = output or page_path([path for _, path in inputs])
     check_writable(page, overwrite=run.overwrite)
-    with shown(quiet=run.hushed) as progress, _threads(run.threads, len(inputs) > 1 and psnr):
+    with (
+        fetched([path for _, path in inputs], quiet=run.hushed) as files,
+        shown(quiet=run.hushed) as progress,
+        _threads(run.threads, len(inputs) > 1 and psnr),
+    ):
+        named = [(name, file) for (name, _), file in zip(inputs, files, strict=True)]
         report = view_files(
-            inputs, page, cameras=cameras, views=views, width=width, height=height, up=up,
+            named, page, cameras=cameras, views=views, width=width, height=height, up=up,
             background=color, psnr=psnr, level=level, render_mode=render_mode,
             overwrite=run.overwrite, progress=progress, max_memory=run.max_memory,
         )  # fmt: skip

@@ -1,20 +1,24 @@
 """Reading and writing scene files; the format follows from the suffix of the name."""
 
+from contextlib import ExitStack
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError
 from nanogs.findings import join_findings
 from nanogs.io import atomic, registry
+from nanogs.io.around import Fetched
 from nanogs.io.file_objects import as_named, read_file, write_file
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format, FormatOptions, nothing_lost
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource
 from nanogs.io.retag import checked_mode, retagged
+from nanogs.io.stand_ins import at_hand, check_sendable
+from nanogs.io.urls import Address, place
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats, refuse_other
@@ -44,8 +48,8 @@ def load(
     """Read a model from a file of any format that nanogs knows.
 
     Args:
-        path: The file, or one that is open for reading bytes, such as `io.BytesIO`, which is read
-            from where it stands to its end.
+        path: The file, its URL, or one that is open for reading bytes, such as `io.BytesIO`, which
+            is read from where it stands to its end.
         level: Of a streamed model, which level of detail; 0 is the finest.
         format: Suffix of the format; by default that of the name, or, of an open file without
             one, by its first bytes.
@@ -81,10 +85,13 @@ def open(  # noqa: A001 - what it is called everywhere
     file when rows are first asked for; close the source, or use `with`, to remove it. Other formats
     are read whole then.
 
+    A URL, as text, is fetched into a temporary file, which closing the source removes.
+
     Args:
-        path: The file.
+        path: The file, or its URL: https, or what fsspec knows, such as "s3://bucket/scene.ply".
         level: Of a streamed model, which level of detail; 0 is the finest.
-        format: Suffix of the format; by default that of the name.
+        format: Suffix of the format; by default that of the name, or, of a URL without one, by its
+            first bytes.
         render_mode: "default" or "mip" in place of the render mode that the file names: it is drawn
             so, and files made of it say so. A note tells of it. By default the file's own.
 
@@ -96,8 +103,23 @@ def open(  # noqa: A001 - what it is called everywhere
             only shows when rows are read.
         OptionError: There is no such level, or the model cannot have that render mode.
     """
-    path = Path(path)
     checked_mode(render_mode)
+    path = place(path)
+    if not isinstance(path, Address):
+        return _opened(path, level, format, render_mode)
+    with ExitStack() as stack:
+        [file], _ = stack.enter_context(at_hand([path], format=format))
+        opened = _opened(file, level, format, render_mode)
+        return Fetched(opened, stack.pop_all().close)
+
+
+def _opened(
+    path: Path,
+    level: int,
+    format: str | None,  # noqa: A002 - as `load` has it
+    render_mode: str | None,
+) -> FileSource:
+    """As `open`, of a file."""
     known = registry.reader(as_named(path, format))
     if known.open_level is not None:
         return retagged(known.open_level(path, level), render_mode)
@@ -128,8 +150,9 @@ def save(
 
     Args:
         splats: The model, or a source of one.
-        path: The file, or one that is open for writing bytes, such as `io.BytesIO`, into which it
-            is written where that stands.
+        path: The file; a URL that fsspec writes to, such as "s3://bucket/scene.sog", which the
+            whole file is sent to at the end; or a file that is open for writing bytes, such as
+            `io.BytesIO`, into which it is written where that stands.
         overwrite: Replace a file that exists.
         format: Suffix of the format; by default that of the name. An open file without a name
             needs it.
@@ -152,9 +175,14 @@ def save(
     if not isinstance(path, str | PathLike):
         write_file(splats, path, format, format_options or {})
         return
-    path = Path(path)
+    path = place(path)
     named = as_named(path, format)
     known = registry.writable(named)
+    if isinstance(path, Address):
+        options: dict[str, Any] = {"format_options": format_options, "progress": progress}
+        with at_hand([], path, overwrite=overwrite, format=format) as (_, file):
+            save(splats, file or path, format=format, **options)
+        return
     if known.write_folder:
         folder, chosen = _folder_of(path, known), registry.keywords(known, format_options or {})
         known.write_folder(source_of(splats).load(), folder, overwrite=overwrite, **chosen)
@@ -178,7 +206,7 @@ def encoded_bytes(
         NanogsError: As for `save`.
     """
     buffer = BytesIO()
-    registry.writer(Path(path), format_options)(splats, buffer)
+    registry.writer(place(path), format_options)(splats, buffer)
     return buffer.getbuffer().nbytes
 
 
@@ -194,7 +222,7 @@ def as_stored(
     Raises:
         NanogsError: As for `save`.
     """
-    known = registry.writable(Path(path))
+    known = registry.writable(place(path))
     if known.suffix == ".ply" or not known.readable:
         return splats
     return as_packed(splats, path, format_options)[0]
@@ -208,7 +236,7 @@ def as_packed(
     Raises:
         NanogsError: As for `save`.
     """
-    known = registry.writable(Path(path))
+    known = registry.writable(place(path))
     if known.suffix == ".ply" and known.file_bytes is not None:
         return splats, known.file_bytes(splats, len(splats))  # which changes nothing
     with temporary_folder("nanogs-") as folder:
@@ -229,7 +257,7 @@ def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...
     Raises:
         OptionError: As for `save`.
     """
-    name = registry.writable(Path(path)).losses
+    name = registry.writable(place(path)).losses
     if name is nothing_lost:
         return ()
     if isinstance(splats, Splats):
@@ -258,7 +286,7 @@ def bytes_on_disk(path: str | PathLike[str]) -> int:
     Raises:
         FormatError: As for `inspect`.
     """
-    path = Path(path)
+    path = place(path)
     known = registry.find(path)
     if known is not None and known.ours:
         return known.open(path).info.file_bytes
@@ -277,11 +305,13 @@ def check_writable(
         OptionError: As for `save`.
         OutputError: As for `save`, except for a full disk.
     """
-    path = Path(path)
+    path = place(path)
     known = registry.writable(path)
     registry.keywords(known, format_options or {})
     known.check()
-    if known.ours:
+    if isinstance(path, Address):
+        check_sendable(path, overwrite=overwrite)
+    elif known.ours:
         check_folder_writable(_folder_of(path, known), known.ours, overwrite=overwrite)
     else:
         atomic.check_writable(path, overwrite=overwrite)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import registry
+from nanogs.io.urls import Address
 
 FILES = "levels.json"
 # A folder with one of these is a model itself.
@@ -52,7 +53,7 @@ def model_in(path: Path) -> Path:
 
 
 def _matches(path: Path) -> list[Path]:
-    if path.exists() or not glob.has_magic(str(path)):
+    if isinstance(path, Address) or path.exists() or not glob.has_magic(str(path)):
         return [path]
     matches = [Path(name) for name in sorted(glob.glob(str(path), recursive=True))]  # noqa: PTH207
     if not matches:

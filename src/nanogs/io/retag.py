@@ -1,17 +1,15 @@
 """`render_mode=`: a file that names the wrong rasteriser, read as if it named another."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 
-from nanogs._types import I64
 from nanogs.errors import OptionError
+from nanogs.io.around import Around
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource
 from nanogs.io.render_tag import agreeing
-from nanogs.source import Layout, Source
-from nanogs.splats import ExtraElement, RenderMode, Splats
+from nanogs.source import Layout
+from nanogs.splats import RenderMode, Splats
 
 ASKED = RenderMode.DEFAULT, RenderMode.MIP
 """The render modes that can stand in place of a file's own."""
@@ -72,7 +70,7 @@ def override_note(info: FileInfo, mode: RenderMode) -> str:
     return f"The render mode is {mode}, as asked for; the file has {info.render_mode}{where}."
 
 
-class Retagged(FileSource):
+class Retagged(Around):
     """A file with another render mode than its own; all else, and every row, is the file's.
 
     Args:
@@ -81,9 +79,8 @@ class Retagged(FileSource):
     """
 
     def __init__(self, file: FileSource, mode: RenderMode) -> None:
-        super().__init__(file.path)
-        self.file, self._mode = file, mode
-        self.elements = file.elements
+        super().__init__(file)
+        self._mode = mode
 
     @cached_property
     def info(self) -> FileInfo:
@@ -98,16 +95,6 @@ class Retagged(FileSource):
         return replace(known, render_mode=self._mode.value, comments=comments)
 
     @property
-    def files(self) -> Sequence[Path]:
-        """All files of the model; see `FileSource`."""
-        return self.file.files
-
-    @property
-    def levels(self) -> tuple[int, ...]:
-        """Splats of each level of detail; see `FileSource`."""
-        return self.file.levels
-
-    @property
     def remarks(self) -> tuple[str, ...]:
         """That the tag was not followed; see `FileSource`."""
         return (override_note(self.file.info, self._mode),)
@@ -115,28 +102,3 @@ class Retagged(FileSource):
     def _changed(self, splats: Splats) -> Splats:
         comments, notes = agreeing(splats.comments, self._mode), [*splats.notes, *self.remarks]
         return replace(splats, render_mode=self._mode, comments=comments, notes=notes)
-
-    def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
-        return self._changed(self.file.read(start, stop))
-
-    def _take(self, rows: I64) -> Splats:
-        """Rows by number; see `Source`."""
-        return self._changed(self.file.take(rows))
-
-    def read_elements(self) -> tuple[ExtraElement, ...]:
-        """The further elements of the file; see `Source`."""
-        return self.file.read_elements()
-
-    def load(self) -> Splats:
-        """The whole model."""
-        return self._changed(self.file.load())
-
-    def close(self) -> None:
-        """Close the file."""
-        self.file.close()
-
-
-def file_of(source: Source) -> Source:
-    """The file as it is where something else is said of it; other sources as they are."""
-    return source.file if isinstance(source, Retagged) else source

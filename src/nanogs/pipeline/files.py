@@ -13,6 +13,8 @@ from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
+from nanogs.io.stand_ins import at_hand
+from nanogs.io.urls import place
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -80,9 +82,11 @@ def simplify_blocks(
     on the size of the blocks.
 
     Args:
-        inputs: A file, or several that are parts of one scene.
-        output: The file to write; .ply, .compressed.ply, .splat, .npz and .spz files are written
-            block by block, others are held whole.
+        inputs: A file, or several that are parts of one scene; or their URLs, which are fetched
+            first, so that such a job is not for `resume`.
+        output: The file to write, or a URL to send it to; see `nanogs.save`. Files of .ply,
+            .compressed.ply, .splat, .npz and .spz are written block by block, others are held
+            whole.
         ratio: Compaction ratio in (0, 1]; exactly one of the five is given.
         count: Splats to deliver.
         size: As `simplify` takes it.
@@ -132,7 +136,7 @@ def simplify_blocks(
     """
     paths = [inputs] if isinstance(inputs, str | PathLike) else inputs
     request = Request(
-        inputs=tuple(map(Path, paths)), output=Path(output),
+        inputs=tuple(map(place, paths)), output=place(output),
         goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr, draw_cost),
         preset=preset, overrides=overrides, measured=measured,
         max_memory=None if max_memory is None else as_bytes(max_memory), block=block,
@@ -142,8 +146,11 @@ def simplify_blocks(
         patience=patience,
         format_options=registry.framed(Path(output), format_options, frame),
     )  # fmt: skip
-    with drawn(progress) as tell:
-        return simplify_files(request, tell)
+    request.check_addresses()
+    inputs, target = request.inputs, request.output
+    with drawn(progress) as tell, at_hand(inputs, target, overwrite=overwrite) as (here, there):
+        real = replace(request, inputs=tuple(here), output=there or target)
+        return simplify_files(real, tell)
 
 
 def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:

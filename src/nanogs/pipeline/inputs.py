@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
+from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -23,7 +24,7 @@ def input_file(source: FileSource) -> InputFile:
         FormatError: It cannot be read.
     """
     where = source.path.absolute()  # and no link followed, whose target may have another suffix
-    return InputFile(str(where), *_identity(source), source.count, access_of(source))
+    return InputFile(fspath(where), *_identity(source), source.count, access_of(source))
 
 
 def access_of(source: FileSource) -> Access:

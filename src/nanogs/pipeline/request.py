@@ -11,6 +11,7 @@ from nanogs.io import registry
 from nanogs.io.files import splat_bytes
 from nanogs.io.format import Sizer
 from nanogs.io.retag import checked_mode
+from nanogs.io.stand_ins import refuse_address
 from nanogs.memory import Memory, allowed_memory
 from nanogs.pipeline.api import refuse_searches
 from nanogs.pipeline.asked import asked_views
@@ -137,6 +138,17 @@ class Request:
         """
         refuse_searches(self.goal, self.preset, self.output)
         check_degree(self.sh_degree)
+
+    def check_addresses(self) -> None:
+        """Refuse URLs of models in jobs that have to find them again, later or elsewhere.
+
+        Raises:
+            OptionError: There is one.
+        """
+        asked = {"resume": self.resume, "job": self.job, "executor": self.executor}
+        for name in (name for name, given in asked.items() if given):
+            for path in (*self.inputs, self.output):
+                refuse_address(path, f"leave `{name}` out, or name a file that stays in its place")
 
     def goes_on(self) -> bool:
         """Whether there is a job to continue, which sees to its output itself.

@@ -1,0 +1,180 @@
+"""Whole files from and to URLs: http and https by the standard library, all others by fsspec."""
+
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from nanogs.errors import ExistsError, FormatError, NanogsError, OptionError, OutputError
+from nanogs.formatting import bytes_text
+from nanogs.io import web
+from nanogs.io.urls import Address
+from nanogs.progress import Parts
+
+_PIECE = 1 << 20  # bytes
+_LONGEST = 300  # characters of what a store says
+
+
+def fetch(address: Address, target: Path, tell: Parts) -> None:
+    """Copy the file of a URL into a new one.
+
+    Args:
+        address: The URL.
+        target: The file to make.
+        tell: Told the bytes that have come, and of how many, where that is known.
+
+    Raises:
+        FormatError: It cannot be read.
+        OptionError: A package is missing, or there is no such kind of URL.
+        OutputError: The disk has no room for it.
+    """
+    with _readable(address) as (file, size):
+        free = shutil.disk_usage(target.parent).free
+        if size is not None and size > free:
+            raise OutputError(
+                f"{address} has {bytes_text(size)}, and the folder for temporary files"
+                f" {bytes_text(free)} free; free some, or name another in TMPDIR."
+            )
+        done = 0
+        tell(0, 1)
+        with target.open("xb") as out:
+            while data := file.read(_PIECE):
+                _put(out, data, address)
+                done += len(data)
+                tell(done, size or 2 * done)
+
+
+def check_absent(address: Address, *, overwrite: bool) -> None:
+    """Refuse a URL that cannot be written to, or where something is that may not be replaced.
+
+    Raises:
+        OptionError: It is of the web or has a query, which stores would take for a part of the
+            name; a package is missing, or there is no such kind of URL.
+        OutputError: Something is there and `overwrite` is off, or the store refuses.
+    """
+    if address.on_web:
+        raise OptionError(
+            f"{address}: nanogs reads from web servers and does not write to them; name a file, or"
+            " a place such as s3://bucket/scene.sog."
+        )
+    if re.search(r"[?#]", address.url):
+        raise OptionError(f"{address} is written to: leave out the ? or # and what follows it.")
+    files, path = _store(address)
+    with _reached(address, "cannot be written", OutputError):
+        files.invalidate_cache()
+        there = bool(files.exists(path))
+        folder = there and bool(files.isdir(path)) and not files.isfile(path)
+    if folder:
+        raise OutputError(f"{address} is a folder; name a file in it as the output.")
+    if there and not overwrite:
+        raise ExistsError(f"{address} exists already")
+
+
+def upload(made: Path, address: Address, tell: Parts, *, overwrite: bool) -> None:
+    """Copy a file to a URL, where it appears whole or not at all.
+
+    Args:
+        made: The file.
+        address: The URL.
+        tell: Told the bytes that are there, and of how many.
+        overwrite: Replace what is there.
+
+    Raises:
+        OptionError: As for `check_absent`.
+        OutputError: As for `check_absent`.
+    """
+    check_absent(address, overwrite=overwrite)  # again, as minutes may have passed
+    files, path = _store(address)
+    size, done = made.stat().st_size, 0
+    # What a transaction has written appears when it ends, and is gone where it fails.
+    with (
+        _reached(address, "cannot be written", OutputError),
+        files.transaction,
+        made.open("rb") as source,
+        files.open(path, "wb") as target,
+    ):
+        tell(0, 1)
+        while data := source.read(_PIECE):
+            target.write(data)
+            done += len(data)
+            tell(done, size)
+
+
+@contextmanager
+def _readable(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
+    if address.on_web:
+        with web.opened(address) as opened:
+            yield opened
+        return
+    files, path = _store(address)
+    with _reached(address, "cannot be read", FormatError):
+        files.invalidate_cache()
+        if files.isdir(path) and not files.isfile(path):
+            raise FormatError(f"{address} is a folder; name the model file inside it.")
+        size = files.size(path)
+        with files.open(path, "rb") as file:
+            yield file, size
+
+
+def _store(address: Address) -> tuple[Any, str]:
+    """The file system of fsspec, and the path there.
+
+    Raises:
+        OptionError: A package is missing, or there is no such kind of URL.
+    """
+    try:
+        import fsspec
+    except ImportError:
+        extra = "s3" if address.kind in ("s3", "s3a") else "urls"
+        raise OptionError(
+            f"{address}: {address.kind}:// needs fsspec; install nanogs[{extra}]."
+        ) from None
+    try:
+        files, path = fsspec.core.url_to_fs(address.url)
+    except ImportError as error:
+        if address.kind in ("s3", "s3a"):
+            raise OptionError(f"{address} needs s3fs; install nanogs[s3].") from None
+        reason = address.said(str(error)).rstrip(".")
+        raise OptionError(f"{address} needs a package of its own: {reason}.") from None
+    except Exception as error:
+        reason = address.said(_in_a_line(error))
+        raise OptionError(f"{address} cannot be reached ({reason}); check the address.") from None
+    return files, str(path)
+
+
+@contextmanager
+def _reached(address: Address, fact: str, kind: type[NanogsError]) -> Iterator[None]:
+    """Say in a sentence what a store answers, which raises errors of its own.
+
+    The error itself is not kept, as its text may have what is secret in the URL.
+    """
+    try:
+        yield
+    except (NanogsError, MemoryError):
+        raise
+    except FileNotFoundError:
+        what = "there is no such file" if kind is FormatError else "there is no such place"
+        raise kind(f"{address}: {what}; check the address.") from None
+    except Exception as error:
+        reason = address.said(_in_a_line(error))
+        remedy = "check the address and what you may do there"
+        raise kind(f"{address} {fact} ({reason}); {remedy}.") from None
+
+
+def _put(out: IO[bytes], data: bytes, address: Address) -> None:
+    try:
+        out.write(data)
+        out.flush()  # or what is held back would fail when the file is closed
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(
+            f"{address} cannot be put into a temporary file ({reason}); free some space, or name"
+            " another place in TMPDIR."
+        ) from None
+
+
+def _in_a_line(error: Exception) -> str:
+    text = " ".join(str(error).split())[:_LONGEST]
+    return text.rstrip(".") or type(error).__name__

@@ -1,0 +1,112 @@
+"""Files by http and https, with the standard library alone."""
+
+import base64
+import gzip
+import http.client
+import io
+import socket
+import ssl
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import IO, Any, cast
+from urllib.error import HTTPError, URLError
+from urllib.parse import quote, unquote, urlsplit, urlunsplit
+from urllib.request import Request, urlopen
+
+from nanogs._version import __version__
+from nanogs.errors import FormatError
+from nanogs.io.urls import Address
+
+_PATIENCE = 60.0  # seconds without a byte
+_KEPT = "%/:=&?~#+!$,;'@()*[]"  # what `quote` leaves: a URL may have its escapes already
+
+
+@contextmanager
+def opened(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
+    """A file to read from its start to its end, and its bytes where the server tells them.
+
+    User and password go to the host that they were given for, and not where that sends us on to.
+
+    Raises:
+        FormatError: There is no such host or file, it is not given out, or less of it came than was
+            announced.
+    """
+    try:
+        with urlopen(_request(address), timeout=_PATIENCE) as answer:  # noqa: S310 - http alone
+            whole = _Counted(answer, _length(answer))
+            packed = (answer.headers.get("Content-Encoding") or "").lower() in ("gzip", "x-gzip")
+            size = None if packed else whole.size
+            file = gzip.GzipFile(fileobj=whole, mode="rb") if packed else whole
+            yield cast("IO[bytes]", file), size
+            if whole.size is not None and whole.read_bytes < whole.size:
+                raise FormatError(
+                    f"{address}: the connection broke after {whole.read_bytes:,} of"
+                    f" {whole.size:,} bytes; run again."
+                )
+    except HTTPError as error:
+        error.close()
+        raise FormatError(f"{address}: {_refusal(error)}.") from None
+    except URLError as error:
+        raise FormatError(f"{address}: {_unreached(address, error.reason)}.") from None
+    except (http.client.HTTPException, ssl.SSLError, ConnectionError, TimeoutError) as error:
+        raise FormatError(f"{address}: {_unreached(address, error)}.") from None
+    except (EOFError, gzip.BadGzipFile):
+        raise FormatError(f"{address}: it was cut short on the way; run again.") from None
+    except ValueError as error:  # of a port or host that is none
+        reason = address.said(str(error))
+        raise FormatError(f"{address} is no address ({reason}); check it.") from None
+
+
+class _Counted(io.RawIOBase):
+    """What is read of an answer, counted."""
+
+    def __init__(self, answer: http.client.HTTPResponse, size: int | None) -> None:
+        self._answer, self.size, self.read_bytes = answer, size, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def read(self, size: int = -1, /) -> bytes:
+        data = self._answer.read(size if size >= 0 else None)
+        self.read_bytes += len(data)
+        return data
+
+
+def _request(address: Address) -> Request:
+    parts = urlsplit(address.url)
+    who, _, host = parts.netloc.rpartition("@")
+    host = host.encode("idna").decode() if not host.isascii() else host
+    url = quote(urlunsplit((*parts._replace(netloc=host)[:4], "")), safe=_KEPT)
+    request = Request(url, headers={"User-Agent": f"nanogs/{__version__}"})  # noqa: S310
+    request.add_header("Accept-Encoding", "identity")
+    if who:
+        key = base64.b64encode(unquote(who).encode()).decode()
+        request.add_unredirected_header("Authorization", f"Basic {key}")
+    return request
+
+
+def _length(answer: http.client.HTTPResponse) -> int | None:
+    with suppress(TypeError, ValueError):
+        return int(answer.headers["Content-Length"])
+    return None
+
+
+def _refusal(error: HTTPError) -> str:
+    if error.code in (404, 410):
+        return f"there is no such file ({error.code}); check the address"
+    if error.code in (401, 403, 407):
+        return (
+            f"the server does not give it out ({error.code}); check the address, its password, or"
+            " whether its signature has expired"
+        )
+    return f"the server answers {error.code} in place of the file; try again later"
+
+
+def _unreached(address: Address, reason: Any) -> str:  # noqa: ANN401 - an error or a text
+    host = urlsplit(str(address)).netloc
+    if isinstance(reason, socket.gaierror):
+        return f"there is no host {host}, or no network; check the address"
+    if isinstance(reason, TimeoutError):
+        return f"{host} does not answer; try again later"
+    said = getattr(reason, "strerror", None) or str(reason) or type(reason).__name__
+    return f"{host} cannot be reached ({address.said(said).rstrip('.')}); check the address"

@@ -1,0 +1,448 @@
+"""URLs in place of files: fetched first, sent at the end, and no secret of theirs told anywhere."""
+
+import gzip
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import contextmanager
+from functools import partial
+from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import launch
+import nanogs
+from builders import random_splats
+from nanogs.errors import FormatError, OptionError, OutputError
+from nanogs.io.urls import Address, StandIn, is_url, place, said_of
+
+SECRETS = ("PASSWORD", "SIGNATURE")
+QUERY = "?X-Amz-Signature=SIGNATURE#part"
+
+
+@contextmanager
+def serving(handler):
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+class Files(SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("hosted")
+    splats = random_splats(300, degree=1)
+    nanogs.save(splats, path / "scene.ply")
+    nanogs.save(splats, path / "my scene.spz")
+    nanogs.save(splats, path / "bare.splat")
+    nanogs.save(splats, path / "sog" / "meta.json")
+    (path / "download").write_bytes((path / "scene.ply").read_bytes())
+    (path / "blob").write_bytes((path / "bare.splat").read_bytes())
+    (path / "cut.ply").write_bytes((path / "scene.ply").read_bytes()[:-5])
+    (path / "page").write_text("<!doctype html><title>no model</title>")
+    return path
+
+
+@pytest.fixture(scope="module")
+def host(folder):
+    with serving(partial(Files, directory=folder)) as url:
+        yield url
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """The folder for temporary files, which is empty again at the end."""
+    path = tmp_path / "temporary"
+    path.mkdir()
+    monkeypatch.setenv("TMPDIR", str(path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    yield path
+    assert list(path.iterdir()) == []
+
+
+@pytest.fixture
+def memory():
+    """The store of fsspec that is in memory, with nothing in it."""
+    fsspec = pytest.importorskip("fsspec")
+    files = fsspec.filesystem("memory")
+    files.store.clear()
+    yield files
+    files.store.clear()
+
+
+def ran(*arguments, **kwargs):
+    result = launch.run(*arguments, **kwargs)
+    assert result.returncode == 0, result.stderr
+    return result
+
+
+def refused(result, *words):
+    """Exit code 2, one sentence, no secret, no temporary file."""
+    text = result.stderr
+    assert (result.returncode, result.stdout) == (2, ""), text
+    assert text.startswith("error: ")
+    assert text.count("\n") == 1, text
+    assert text.endswith(".\n")
+    for word in words:
+        assert word in text, text
+    for word in (*SECRETS, "nanogs-"):
+        assert word not in text, text
+
+
+def test_info_of_a_url_is_that_of_its_file(folder, host, temporary):
+    by_url = json.loads(ran("info", f"{host}/scene.ply{QUERY}", "--json").stdout)
+    by_path = json.loads(ran("info", folder / "scene.ply", "--json").stdout)
+    assert by_url.pop("path") == f"{host}/scene.ply"
+    assert by_path.pop("path") == str(folder / "scene.ply")
+    assert by_url == by_path
+    text = ran("info", f"{host}/scene.ply").stdout
+    assert f"{host}/scene.ply (ply" in text
+
+
+def test_a_name_that_says_nothing(host, temporary):
+    """The first bytes say the format, or --from does."""
+    assert "(ply" in ran("info", f"{host}/download?id=7").stdout
+    refused(launch.run("info", f"{host}/blob{QUERY}"), f"{host}/blob", "--from splat")
+    assert "(splat" in ran("info", f"{host}/blob", "--from", "splat").stdout
+    refused(launch.run("render", f"{host}/blob", "a.png"), f"{host}/blob", "download it")
+    refused(launch.run("info", f"{host}/page"), f"{host}/page is a web page")
+
+
+def test_names_are_unquoted(host, temporary, tmp_path):
+    result = ran(
+        "convert", f"{host}/my%20scene.spz", "--out-dir", tmp_path / "o", "--format", "ply"
+    )
+    assert f"{host}/my%20scene.spz" in result.stderr
+    assert (tmp_path / "o" / "my scene.ply").exists()
+
+
+def test_a_folder_of_textures_is_fetched(folder, host, temporary):
+    told = json.loads(ran("info", f"{host}/sog/meta.json{QUERY}", "--json").stdout)
+    assert told["file_bytes"] == sum(each.stat().st_size for each in (folder / "sog").iterdir())
+    for name in ("lod-meta.json", "tileset.json", "levels.json"):
+        refused(launch.run("info", f"{host}/{name}"), f"{host}/{name}", "download the whole folder")
+
+
+def test_simplify_convert_and_lod_make_the_bytes_of_files(folder, host, temporary, tmp_path):
+    url, options = f"{host}/scene.ply{QUERY}", ("--ratio", "0.1", "--preset", "fast")
+    first = ran("simplify", url, tmp_path / "a.ply", *options, "-v", "--json")
+    ran("simplify", folder / "scene.ply", tmp_path / "b.ply", *options)
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    report = json.loads(first.stdout)
+    assert (report["input"], report["output"]) == (f"{host}/scene.ply", str(tmp_path / "a.ply"))
+    blocks = ("--max-memory", "250MB")
+    ran("simplify", url, tmp_path / "c.ply", *options, *blocks)
+    ran("convert", url, tmp_path / "a.spz")
+    ran("convert", folder / "scene.ply", tmp_path / "b.spz")
+    assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
+    ran("lod", url, tmp_path / "lod", "--levels", "1,0.5", "--preset", "fast", "--no-measure")
+    for path in tmp_path.rglob("*"):
+        if path.is_file():
+            assert not any(secret.encode() in path.read_bytes() for secret in SECRETS), path
+
+
+def test_commands_that_look(folder, host, temporary, tmp_path):
+    url, views = f"{host}/scene.ply{QUERY}", ("--views", "1", "--pixels", "32")
+    result = ran("compare", url, f"half={url}", *views, "--report", tmp_path / "r.html", "--json")
+    assert [model["name"] for model in json.loads(result.stdout)["models"]] == ["half"]
+    ran("render", url, tmp_path / "a.png", *views)
+    ran("render", folder / "scene.ply", tmp_path / "b.png", *views)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    ran("refit", url, f"{host}/my%20scene.spz", tmp_path / "fit.ply", *views)
+    assert not any(word in (tmp_path / "r.html").read_text() for word in SECRETS)
+    refused(launch.run("render", url, f"{host}/pictures"), "is a URL")
+    refused(launch.run("lod", url, "s3://bucket/lod"), "is a URL")
+
+
+def test_view(host, temporary, tmp_path):
+    from nanogs.view.bundle import is_built
+
+    if not is_built():
+        pytest.skip("the viewer was not built")
+    ran("view", f"{host}/scene.ply{QUERY}", "--no-open", cwd=tmp_path)
+    assert not any(word in (tmp_path / "scene.html").read_text() for word in SECRETS)
+
+
+def test_what_cannot_be_read(host, temporary, tmp_path):
+    refused(launch.run("info", f"{host}/none.ply{QUERY}"), f"{host}/none.ply", "404")
+    refused(launch.run("info", "http://host.invalid/a.ply"), "there is no host host.invalid")
+    refused(launch.run("info", "http://127.0.0.1:1/a.ply"), "127.0.0.1:1 cannot be reached")
+    refused(launch.run("info", "http://[bad/a.ply"), "http://[bad/a.ply")
+    refused(launch.run("info", "http://127.0.0.1:port/a.ply"), "http://127.0.0.1:port/a.ply")
+    refused(launch.run("info", f"{host}/cut.ply{QUERY}"), f"{host}/cut.ply", "cut short")
+    refused(launch.run("convert", f"{host}/scene.ply", f"gs://b/b.ply{QUERY}"), "leave out the ?")
+    refused(launch.run("info", "file://elsewhere/a.ply"), "machine elsewhere")
+    refused(launch.run("convert", f"{host}/scene.ply", f"{host}/b.ply"), "does not write to them")
+    refused(
+        launch.run("convert", f"{host}/scene.ply", "s3://b/b.obj"), "does not write this format"
+    )
+    url = f"{host}/scene.ply{QUERY}"
+    for option in (("--resume",), ("--job", tmp_path / "job"), ("--join",)):
+        result = launch.run("simplify", url, tmp_path / "b.ply", "-r", "0.5", *option)
+        refused(result, f"{host}/scene.ply is a URL", option[0])
+    refused(launch.run("convert", url, tmp_path / "b.ply", "--to", "ply"), "--to is for OUT -")
+    assert not (tmp_path / "b.ply").exists()
+
+
+def test_several_of_which_one_fails(host, temporary, tmp_path):
+    out = tmp_path / "out"
+    result = launch.run("convert", f"{host}/scene.ply{QUERY}", f"{host}/none.ply{QUERY}",
+                        "--out-dir", out, "--format", "spz")  # fmt: skip
+    assert result.returncode == 2
+    assert f"{host}/none.ply: there is no such file" in result.stderr
+    assert not any(word in result.stderr for word in SECRETS)
+    assert [each.name for each in out.iterdir()] == ["scene.spz"]
+
+
+class Odd(BaseHTTPRequestHandler):
+    """Answers that servers give, by the path that is asked for."""
+
+    data = b""
+    seen: list[tuple[str, str | None]] = []  # noqa: RUF012
+
+    def log_message(self, *_):
+        pass
+
+    def do_GET(self):
+        self.seen.append((self.path, self.headers["Authorization"]))
+        do = getattr(self, self.path.split("?")[0].strip("/").replace(".ply", ""))
+        do()
+
+    def answer(self, body, *, length=None, **headers):
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body) if length is None else length))
+        for name, value in headers.items():
+            self.send_header(name.replace("_", "-"), value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    def broken(self):
+        self.answer(self.data[:100], length=len(self.data))
+
+    def huge(self):
+        self.answer(b"ply", length=10**18)
+
+    def packed(self):
+        self.answer(gzip.compress(self.data), Content_Encoding="gzip")
+
+    def halved(self):
+        self.answer(gzip.compress(self.data)[:-20], Content_Encoding="gzip")
+
+    def unmeasured(self):
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(self.data)
+
+    def locked(self):
+        if self.headers["Authorization"] is None:
+            self.send_error(401)
+        else:
+            self.answer(self.data)
+
+    def gone_on(self):
+        self.send_response(302)
+        self.send_header("Location", "/unmeasured.ply")
+        self.end_headers()
+
+    def busy(self):
+        self.send_error(503)
+
+    def endless(self):
+        self.send_response(200)
+        self.end_headers()
+        while True:
+            self.wfile.write(bytes(1 << 16))
+            time.sleep(0.01)
+
+
+@pytest.fixture
+def odd(folder):
+    Odd.data, Odd.seen = (folder / "scene.ply").read_bytes(), []
+    with serving(Odd) as url:
+        yield url
+
+
+def test_what_servers_answer(odd, temporary):
+    refused(launch.run("info", f"{odd}/broken.ply{QUERY}"), "connection broke after 100 of")
+    refused(launch.run("info", f"{odd}/huge.ply{QUERY}"), "TMPDIR", "free")
+    refused(launch.run("info", f"{odd}/halved.ply"), "cut short on the way")
+    refused(launch.run("info", f"{odd}/busy.ply{QUERY}"), "answers 503")
+    refused(launch.run("info", f"{odd}/locked.ply{QUERY}"), "does not give it out (401)")
+    for name in ("packed", "unmeasured", "gone_on"):
+        assert len(nanogs.load(f"{odd}/{name}.ply")) == 300
+
+
+def test_a_password_is_for_its_host_and_told_to_nobody_else(odd, temporary):
+    url = odd.replace("http://", "http://me:PASSWORD@")
+    result = ran("info", f"{url}/locked.ply", "--json")
+    assert json.loads(result.stdout)["path"] == f"{odd}/locked.ply"
+    ran("info", f"{url}/gone_on.ply")
+    keys = [key for _path, key in Odd.seen]
+    assert keys == ["Basic bWU6UEFTU1dPUkQ=", "Basic bWU6UEFTU1dPUkQ=", None]
+    refused(launch.run("info", f"{url}/busy.ply"), f"{odd}/busy.ply")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are otherwise there")
+def test_nothing_is_left_of_what_is_cancelled(odd, temporary):
+    command = [sys.executable, "-m", "nanogs", "info", f"{odd}/endless.ply{QUERY}"]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
+    deadline = time.monotonic() + 60
+    while not list(temporary.rglob("endless.ply")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    time.sleep(2.5)  # until something is shown
+    run.send_signal(signal.SIGINT)
+    said = run.communicate(timeout=30)[1]
+    assert run.returncode == 130
+    assert "1/1 fetch" in said
+    assert "cancelled" in said
+    assert not any(word in said for word in SECRETS)
+
+
+def test_open_keeps_the_file_until_it_is_closed(folder, host, temporary):
+    whole = nanogs.load(folder / "my scene.spz")
+    source = nanogs.open(f"{host}/my%20scene.spz{QUERY}")
+    assert len(list(temporary.iterdir())) == 1
+    assert source.name == f"{host}/my%20scene.spz"
+    assert np.array_equal(source.read(5, 9).means, whole.means[5:9])
+    source.close()
+    assert list(temporary.iterdir()) == []
+    with nanogs.open(f"{host}/scene.ply", render_mode="mip") as source:
+        assert source.load().render_mode == "mip"
+    forgotten = nanogs.open(f"{host}/scene.ply")
+    del forgotten
+    assert list(temporary.iterdir()) == []
+    with pytest.raises(FormatError, match="404"):
+        nanogs.open(f"{host}/none.ply")
+
+
+def test_python(folder, host, temporary, memory, tmp_path):
+    url = f"{host}/scene.ply{QUERY}"
+    report = nanogs.convert(url, "memory://x/out.spz")
+    assert (report.input, report.output) == (f"{host}/scene.ply", "memory://x/out.spz")
+    nanogs.convert(folder / "scene.ply", tmp_path / "out.spz")
+    assert memory.cat_file("/x/out.spz") == (tmp_path / "out.spz").read_bytes()
+    assert str(nanogs.info(url).file.path) == f"{host}/scene.ply"
+    given = {"ratio": 0.1, "preset": "fast"}
+    nanogs.simplify_blocks(url, "memory://x/small.ply", **given)
+    nanogs.simplify_blocks(folder / "scene.ply", tmp_path / "small.ply", **given)
+    assert memory.cat_file("/x/small.ply") == (tmp_path / "small.ply").read_bytes()
+    with pytest.raises(OptionError, match="`resume`"):
+        nanogs.simplify_blocks(url, tmp_path / "b.ply", resume=True, **given)
+    splats = nanogs.load("memory://x/small.ply")
+    with pytest.raises(OutputError, match="exists already; pass overwrite=True"):
+        nanogs.save(splats, "memory://x/small.ply")
+    nanogs.save(splats, "memory://x/small.ply", overwrite=True)
+    nanogs.save(splats, "memory://x/small", format=".spz")
+    assert len(nanogs.load("memory://x/small", format="spz")) == 30
+    nanogs.save(splats, f"file://{tmp_path}/a%20b.ply")
+    assert len(nanogs.load(tmp_path / "a b.ply")) == 30
+
+
+def test_outputs_of_commands(folder, host, temporary, memory, capfd, tmp_path):
+    scene, out = folder / "scene.ply", "memory://x/out.ply"
+    assert launch.run_here("convert", scene, out, "--json") == 0
+    assert json.loads(capfd.readouterr().out)["output"] == out
+    assert memory.cat_file("/x/out.ply") == scene.read_bytes()
+    small = ("-r", "0.1", "--preset", "fast")
+    assert launch.run_here("simplify", scene, out, *small) == 2
+    assert f"{out} exists already; add -w to replace it." in capfd.readouterr().err
+    assert launch.run_here("simplify", scene, out, *small, "--dry-run", "-w") == 0
+    assert len(memory.cat_file("/x/out.ply")) == scene.stat().st_size
+    capfd.readouterr()
+    assert launch.run_here("simplify", scene, out, *small, "-w") == 0
+    assert f"30 splats in {out}" in capfd.readouterr().err
+    views = ("--views", "1", "--pixels", "32")
+    assert launch.run_here("refit", scene, out, "memory://x/fit.spz", *views) == 0
+    assert len(nanogs.load("memory://x/fit.spz")) == 30
+    assert launch.run_here("convert", scene, "memory://x/meta.json") == 2
+    assert "name one file" in capfd.readouterr().err
+
+
+def test_nothing_is_left_where_sending_fails(folder, temporary, memory, monkeypatch, capfd):
+    from fsspec.implementations.memory import MemoryFile
+
+    def fail(self, data):
+        super(MemoryFile, self).write(data[:10])
+        raise RuntimeError("the store is full")
+
+    monkeypatch.setattr(MemoryFile, "write", fail)
+    assert launch.run_here("convert", folder / "scene.ply", "memory://x/a.ply") == 2
+    assert "memory://x/a.ply cannot be written (the store is full)" in capfd.readouterr().err
+    assert memory.find("/") == []
+
+
+def test_missing_packages_are_named(temporary, monkeypatch, capfd):
+    monkeypatch.setitem(sys.modules, "s3fs", None)
+    assert launch.run_here("info", "s3://bucket/a.ply") == 2
+    assert "install nanogs[s3]" in capfd.readouterr().err
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    assert launch.run_here("info", "s3://bucket/a.ply") == 2
+    assert "install nanogs[s3]" in capfd.readouterr().err
+    assert launch.run_here("info", "gs://bucket/a.ply") == 2
+    assert "install nanogs[urls]" in capfd.readouterr().err
+
+
+WORDS = st.text("abcXYZ019_-.", min_size=1, max_size=8)
+
+
+@settings(max_examples=50)
+@given(
+    WORDS, WORDS, st.lists(WORDS, min_size=1, max_size=3), WORDS, st.sampled_from(["https", "s3"])
+)
+def test_addresses(user, word, path, query, kind):
+    plain = f"{kind}://host.org/{'/'.join(path)}.ply"
+    url = f"{plain.replace('://', f'://{user}:<pass{word}>@')}?key=<key{query}>"
+    address = place(url)
+    assert is_url(url)
+    assert (str(address), said_of(url)) == (plain, plain)
+    assert address.url == url
+    assert address.name.endswith("ply")
+    assert Path(address.name).name == address.name
+    assert pickle.loads(pickle.dumps(address)) == address
+    assert "<" not in repr(address)
+    assert "<" not in address.said(f"{url} was not found; of <key{query}>, <pass{word}>")
+    assert address.beside("a b.webp").url.endswith(f"/a b.webp?key=<key{query}>") or kind == "https"
+
+
+def test_paths_stay_paths(tmp_path):
+    for text in ("scene.ply", "C:/scene.ply", "a=b/c.ply", "s3:/bucket/a.ply", str(tmp_path)):
+        assert not is_url(text)
+        assert type(place(text)) is type(Path(text))
+    assert place("file:///a/b%20c.ply") == Path("/a/b c.ply") or os.name == "nt"
+    assert place("https://h/..").name == "model"
+    assert place("zip://a/b.ply::s3://bucket/all.zip?key").name == "b.ply"
+    assert (
+        str(place("zip://b.ply::s3://k:s@bucket/all.zip?key")) == "zip://b.ply::s3://bucket/all.zip"
+    )
+
+
+def test_a_stand_in_is_a_file_of_another_name(tmp_path):
+    (tmp_path / "a.ply").write_bytes(b"x")
+    file = StandIn(tmp_path / "a.ply", "https://h/b.ply")
+    assert (str(file), os.fspath(file)) == ("https://h/b.ply", str(tmp_path / "a.ply"))
+    assert file.read_bytes() == b"x"
+    assert (file.parent, file.with_name("c")) == (tmp_path, tmp_path / "c")
+    assert str(file.with_name("c")) == str(tmp_path / "c")
+    again = pickle.loads(pickle.dumps(file))
+    assert (again, str(again)) == (file, str(file))
+    assert file != Address("https://h/b.ply")
