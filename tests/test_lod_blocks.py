@@ -61,7 +61,8 @@ def made(scene, tmp_path_factory):
     return {
         layout: (folder / layout.name, *write(scene, folder / layout.name, layout))
         for layout in Layout
-        if layout is not Layout.TREE  # which is one file: test_rad_lod.py
+        # Those of one file have tests of their own: test_rad_lod.py, test_lod_archive.py.
+        if layout not in (Layout.TREE, Layout.ARCHIVE)
     }
 
 
@@ -303,7 +304,7 @@ def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
             raise CrashError  # the folder has its name, and the job is not taken away
 
     monkeypatch.setattr(scale_run, "do", crash_at(stages.do, 1, 5, 20, 31, 46, 57))
-    filling = levels_folder._Chunks
+    filling = levels_folder.ChunksFilling
     monkeypatch.setattr(filling, "_write", crash_at(filling._write, 1, 5))
     monkeypatch.setattr(levels_folder, "move_folder", named)
     for _ in range(20):
