@@ -19,6 +19,7 @@ from pathlib import Path
 
 import pytest
 
+import launch
 import nanogs
 from builders import random_splats
 from nanogs.clock import StageClock
@@ -422,3 +423,36 @@ def test_a_relative_scratch_is_found_from_elsewhere(scene, tmp_path, expected, m
     nanogs.simplify_blocks(scene, out, scratch="here/shared", resume=True, **GIVEN)
     assert out.read_bytes() == expected
     assert list((tmp_path / "here").iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_models_in_a_store(tmp_path, keyed):
+    """What is sent is there whole or not at all; nothing is replaced unasked."""
+    source, url = tmp_path / "in.ply", "s3://bucket/models/a b.spz"
+    nanogs.save(random_splats(1200), source)
+    nanogs.convert(source, tmp_path / "a.spz")
+    said = launch.run("convert", source, url, "--json")
+    assert json.loads(said.stdout)["output"] == url
+    with nanogs.open(url) as model:
+        assert model.name == url
+        assert model.path.read_bytes() == (tmp_path / "a.spz").read_bytes()
+    again = launch.run("simplify", source, url, "-r", "0.5", "--preset", "fast")
+    assert (again.returncode, again.stderr) == (
+        2, f"error: {url} exists already; add -w to replace it.\n"
+    )  # fmt: skip
+    for place, word in (("s3://typo/a.spz", "typo"), ("s3://bucket/none.spz", "no such file")):
+        result = launch.run("info", place)
+        assert result.returncode == 2
+        assert result.stderr.startswith(f"error: {place}")
+        assert (result.stderr.count("\n"), word in result.stderr) == (1, True)
+    result = launch.run("simplify", source, "s3://typo/a.ply", "-r", "0.5", "--dry-run")
+    assert (result.returncode, "s3://typo/a.ply" in result.stderr) == (2, True)
+    large = tmp_path / "large.ply"  # in more than one part
+    nanogs.save(random_splats(250_000, degree=3), large)
+    nanogs.convert(large, "s3://bucket/models/large.ply")
+    assert ask(f"{keyed}/bucket/models/large.ply") == large.read_bytes()
+    sent = ["models/a b.spz", "models/large.ply"]
+    assert sorted(keys(keyed)) == [*sent, "prefix/mine.json"]
+    for key in sent:
+        ask(f"{keyed}/bucket/{key.replace(' ', '%20')}", "DELETE")

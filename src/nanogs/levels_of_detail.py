@@ -16,6 +16,8 @@ from nanogs.errors import OptionError
 from nanogs.frames import change_frame
 from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
+from nanogs.io.stand_ins import refuse_address
+from nanogs.io.urls import place as place_of
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
@@ -99,9 +101,11 @@ def write_levels(
         OutputError: The folder may not be replaced, or it cannot be written.
     """
     paths = [model] if isinstance(model, str | PathLike) else model
+    files = () if isinstance(paths, Splats | Source) else tuple(map(place_of, paths))
+    for path in files:
+        refuse_address(path, "give the source that nanogs.open makes of it")
     ratios = usual_levels(paths, layout) if ratios is None else ratios
     check_ratios(ratios)
-    files = () if isinstance(paths, Splats | Source) else tuple(map(Path, paths))
     read: dict[str, Callable[[Any], Any]] = {"max_memory": as_bytes, "job": Path}
     given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
     overrides = {key: given.pop(key) for key in given.keys() - _FIELDS}

@@ -3,7 +3,7 @@
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -13,6 +13,7 @@ from nanogs.io import web
 from nanogs.io.urls import Address
 from nanogs.progress import Parts
 
+_BUCKETS = ("s3", "s3a")
 _PIECE = 1 << 20  # bytes
 _LONGEST = 300  # characters of what a store says
 
@@ -70,6 +71,24 @@ def check_absent(address: Address, *, overwrite: bool) -> None:
         raise OutputError(f"{address} is a folder; name a file in it as the output.")
     if there and not overwrite:
         raise ExistsError(f"{address} exists already")
+    if address.kind in _BUCKETS:
+        with _reached(address, "cannot be written", OutputError):
+            _try_to_write(files, path)
+
+
+def _try_to_write(files: Any, path: str) -> None:  # noqa: ANN401 - has no types
+    """Begin to send a byte and give it up, which shows whether a bucket takes it.
+
+    Nothing ever appears there, and what is there stays.
+    """
+    with suppress(_GivenUp), files.transaction:
+        with files.open(path, "wb") as file:
+            file.write(bytes(1))
+        raise _GivenUp
+
+
+class _GivenUp(Exception):  # noqa: N818 - is none
+    """Ends a transaction without its files."""
 
 
 def upload(made: Path, address: Address, tell: Parts, *, overwrite: bool) -> None:
@@ -93,13 +112,28 @@ def upload(made: Path, address: Address, tell: Parts, *, overwrite: bool) -> Non
         _reached(address, "cannot be written", OutputError),
         files.transaction,
         made.open("rb") as source,
-        files.open(path, "wb") as target,
+        _sent(files, path) as target,
     ):
         tell(0, 1)
         while data := source.read(_PIECE):
             target.write(data)
             done += len(data)
             tell(done, size)
+
+
+@contextmanager
+def _sent(files: Any, path: str) -> Iterator[Any]:  # noqa: ANN401 - has no types
+    """A file of a store to write; where that fails it is not closed, which would show a part."""
+    target = files.open(path, "wb")
+    try:
+        yield target
+    except BaseException:
+        with suppress(Exception):
+            target.discard()
+        with suppress(Exception):
+            target.closed = True  # or Python would close it as it forgets it
+        raise
+    target.close()
 
 
 @contextmanager
@@ -127,14 +161,14 @@ def _store(address: Address) -> tuple[Any, str]:
     try:
         import fsspec
     except ImportError:
-        extra = "s3" if address.kind in ("s3", "s3a") else "urls"
+        extra = "s3" if address.kind in _BUCKETS else "urls"
         raise OptionError(
             f"{address}: {address.kind}:// needs fsspec; install nanogs[{extra}]."
         ) from None
     try:
         files, path = fsspec.core.url_to_fs(address.url)
     except ImportError as error:
-        if address.kind in ("s3", "s3a"):
+        if address.kind in _BUCKETS:
             raise OptionError(f"{address} needs s3fs; install nanogs[s3].") from None
         reason = address.said(str(error)).rstrip(".")
         raise OptionError(f"{address} needs a package of its own: {reason}.") from None

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from nanogs.bar import drawn
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, opened
+from nanogs.io.urls import place
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background
 from nanogs.quantities import as_bytes
@@ -179,7 +179,7 @@ def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:
 
 
 def _file_name(model: Model) -> str | None:
-    return Path(model).name if isinstance(model, str | PathLike) else None
+    return place(model).name if isinstance(model, str | PathLike) else None
 
 
 def _stages(models: int, files: int, sets: int) -> list[Stage]:
