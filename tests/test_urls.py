@@ -346,6 +346,14 @@ def test_python(folder, host, temporary, memory, tmp_path):
     nanogs.simplify_blocks(url, "memory://x/small.ply", **given)
     nanogs.simplify_blocks(folder / "scene.ply", tmp_path / "small.ply", **given)
     assert memory.cat_file("/x/small.ply") == (tmp_path / "small.ply").read_bytes()
+    for source, name in ((url, "a.ply"), (folder / "scene.ply", "b.ply")):
+        report = nanogs.simplify_blocks(source, tmp_path / name, block=150, threads=1, **given)
+        assert report.blocks.blocks > 1
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    with pytest.raises(OptionError, match="is a URL; give the source"):
+        nanogs.write_levels(url, tmp_path / "levels")
+    compared = nanogs.compare(url, url, views=1, pixels=32)
+    assert [model.name for model in compared.models] == ["scene.ply"]
     with pytest.raises(OptionError, match="`resume`"):
         nanogs.simplify_blocks(url, tmp_path / "b.ply", resume=True, **given)
     splats = nanogs.load("memory://x/small.ply")
