@@ -9,7 +9,6 @@ from typing import IO, Any
 
 from nanogs.errors import ExistsError, FormatError, NanogsError, OptionError, OutputError
 from nanogs.formatting import bytes_text
-from nanogs.io import web
 from nanogs.io.urls import Address
 from nanogs.progress import Parts
 
@@ -139,6 +138,8 @@ def _sent(files: Any, path: str) -> Iterator[Any]:  # noqa: ANN401 - has no type
 @contextmanager
 def _readable(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
     if address.on_web:
+        from nanogs.io import web  # which takes long to import, and most runs need not
+
         with web.opened(address) as opened:
             yield opened
         return
