@@ -95,3 +95,9 @@ def temporary(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", None)
     yield folder
     assert list(folder.iterdir()) == []
+
+
+@pytest.fixture(autouse=True)
+def no_width_of_a_terminal(monkeypatch):
+    """Tables are as wide as they need: something in a whole run sets the width of a terminal."""
+    monkeypatch.delenv("COLUMNS", raising=False)

@@ -113,6 +113,7 @@ def _is_archive(path: Path) -> bool:
 
 def _archived(path: Path) -> dict[str, Any]:
     """The `lod-meta.json` of a zip."""
+    input_size(path)  # which refuses what downloads leave in its place
     with reading(path) as file:
         bundle = Bundle(path, file)
         where = bundle.where(LEVELS)
