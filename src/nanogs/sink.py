@@ -8,7 +8,8 @@ its name is given to what it made when that is complete.
 import os
 import shutil
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -17,8 +18,9 @@ from nanogs._types import Array, F
 from nanogs.costs import DrawCost
 from nanogs.errors import OptionError
 from nanogs.io import check_writable, losses, registry, save
-from nanogs.io.atomic import atomic_write
+from nanogs.io.atomic import atomic_write, writing
 from nanogs.io.format import FormatOptions
+from nanogs.io.temporary import temporary
 from nanogs.progress import Parts, untold
 from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
@@ -334,6 +336,21 @@ class _File(Filling):
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> None:  # noqa: ARG002
         """A file speaks for itself."""
         self.measure(judge, [(self._making, 0)])
+
+
+@contextmanager
+def made_beside(sink: Sink, suffix: str) -> Iterator[Path]:
+    """A name for making a sink's file beside its place, which it takes at the end without an error.
+
+    Raises:
+        OutputError: The file may not be replaced, or it cannot be written.
+    """
+    sink.check()
+    target = Path(os.path.realpath(sink.place))
+    with writing(sink.place), temporary(target, Path.mkdir) as folder:
+        made = folder / f"levels{suffix}"
+        yield made
+        sink.move(made)
 
 
 def move_file(made: Path, place: Path, *, overwrite: bool) -> None:

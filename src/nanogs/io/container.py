@@ -11,6 +11,7 @@ from nanogs.io.files import input_size, reading
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can state
 _DAMAGE = (OSError, EOFError, ValueError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
@@ -109,3 +110,11 @@ class Bundle(Folder):
 
     def _error(self, name: str, what: str) -> FormatError:
         return FormatError(f"{self.where(name)} {what}; export or download the model again.")
+
+
+def plain_entry(name: str) -> zipfile.ZipInfo:
+    """The entry of a file that is put into a zip as it is: the same at any time and anywhere."""
+    entry = zipfile.ZipInfo(name, _EPOCH)
+    entry.create_system = 3  # the same bytes on every system
+    entry.external_attr = 0o644 << 16
+    return entry

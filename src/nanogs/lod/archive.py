@@ -1,6 +1,5 @@
 """The sink of levels that become one file: `.ssog`, the folder of a streamed SOG as a zip."""
 
-import os
 import shutil
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -9,16 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nanogs.io import atomic
+from nanogs.io.container import plain_entry
 from nanogs.io.format import FormatOptions
 from nanogs.io.registry import ARCHIVE, LEVELS
-from nanogs.io.temporary import temporary
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import ChunksFilling, LevelsFolder
 from nanogs.lod.manifest import Manifest
 from nanogs.report import SimplifyReport
-from nanogs.sink import Judge, move_file
+from nanogs.sink import Judge, made_beside, move_file
 
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can state
 _PIECE = 1 << 22  # bytes
 
 
@@ -46,12 +44,8 @@ class LevelsArchive(LevelsFolder):
         Raises:
             OutputError: The file may not be replaced, or it cannot be written.
         """
-        self.check()
-        target = Path(os.path.realpath(self.place))
-        with atomic.writing(self.place), temporary(target, Path.mkdir) as folder:
-            made = folder / f"levels{ARCHIVE}"
+        with made_beside(self, ARCHIVE) as made:
             yield self.open(made, {})
-            self.move(made)
 
     def move(self, made: Path) -> None:
         """As `Sink` says."""
@@ -92,9 +86,7 @@ def write_archive(folder: Path, names: Sequence[str], path: Path) -> None:
     """
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
         for name in names:
-            entry = zipfile.ZipInfo(name, _EPOCH)
-            entry.create_system = 3  # the same bytes on every system
-            entry.external_attr = 0o644 << 16
+            entry = plain_entry(name)
             entry.file_size = (folder / name).stat().st_size
             with (folder / name).open("rb") as source, archive.open(entry, "w") as out:
                 shutil.copyfileobj(source, out, _PIECE)

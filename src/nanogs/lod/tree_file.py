@@ -1,6 +1,5 @@
 """The sink of levels that become one tree: Spark's `.rad`, a single file."""
 
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -10,15 +9,13 @@ from tempfile import TemporaryDirectory
 from nanogs.errors import OptionError
 from nanogs.io import losses, save
 from nanogs.io import open as open_model
-from nanogs.io.atomic import writing
 from nanogs.io.format import FormatOptions
 from nanogs.io.rad.write import SUFFIX, write
-from nanogs.io.temporary import temporary
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree import as_rows, layers_of
 from nanogs.progress import Parts, untold
 from nanogs.report import SimplifyReport
-from nanogs.sink import Filling, Judge, OneFile, Written
+from nanogs.sink import Filling, Judge, OneFile, Written, made_beside
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import Splats
 
@@ -70,12 +67,8 @@ class LevelsTree:
         Raises:
             OutputError: The file may not be replaced, or it cannot be written.
         """
-        self.check()
-        target = Path(os.path.realpath(self.place))
-        with writing(self.place), temporary(target, Path.mkdir) as folder:
-            made = folder / f"tree{SUFFIX}"
-            yield TreeFilling(made, self.source)
-            self.move(made)
+        with made_beside(self, SUFFIX) as made:
+            yield self.open(made, {})
 
     def move(self, made: Path) -> None:
         """As `Sink` says."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs.bar import drawn
 from nanogs.clock import StageClock
 from nanogs.frames import change_between, change_frame
-from nanogs.io import as_stored, registry
+from nanogs.io import registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.job import Job, NanPolicy, prepare_job
@@ -129,18 +129,17 @@ def simplify(
             tell,
             simplify_stages(job.parameters, goal, len(job.rows), target, path.suffix),
         )
+        files = HeldFiles(path, given, job.splats, clock, frame)
         if target is not None:
             outcome = job.deliverer(target, threads_used, clock, tracker)(target, clock, tracker)
             if size is not None:
                 achieved = registry.sizer(path)(outcome.splats, target)
                 outcome = replace(outcome, achieved_size=achieved)
         elif size is not None:
-            files = HeldFiles(path, given, job.splats, clock, frame)
             outcome = _fit(job, size, files, threads_used, tracker)
         elif draw_cost is not None:
-            outcome = _lighten(job, draw_cost, path, given, threads_used, clock, tracker)
+            outcome = _lighten(job, draw_cost, files, threads_used, tracker)
         else:
-            files = HeldFiles(path, given, job.splats, clock, frame)
             outcome = _reach(job, goal.psnr or 0.0, files, threads_used, tracker)
         target = len(outcome.splats) if target is None else target
         tracker.finish()
@@ -280,32 +279,27 @@ def _reach(job: Job, psnr: float, files: "HeldFiles", threads: int, progress: Tr
 
 
 def _lighten(
-    job: Job,
-    asked: float,
-    path: Path,
-    given: FormatOptions,
-    threads: int,
-    clock: StageClock,
-    progress: Tracker,
+    job: Job, asked: float, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
     from nanogs.pipeline.draw import meet_cost
     from nanogs.pipeline.results import HeldResults
     from nanogs.scoring.draw_views import draw_views
 
+    clock = files.clock
     progress.begin("measure")
     with clock.time("measure"):
         views = draw_views(job.splats, progress.part)
 
     def share_of(outcome: Outcome, *, stored: bool = True) -> float:
         with clock.time("measure"):
-            small = as_stored(outcome.splats, path, given) if stored else outcome.splats
+            small = files.stored(outcome.splats, {}) if stored else outcome.splats
             return views.share(small)
 
     results = HeldResults(job.build(threads, clock, progress), clock)
     quick = partial(share_of, stored=False)
     outcome, found = meet_cost(results, asked, share_of, quick, progress)
     with clock.time("measure"):
-        cost = views.cost(as_stored(outcome.splats, path, given))
+        cost = views.cost(files.stored(outcome.splats, {}))
     return replace(
         outcome, draw_probes=found.probes, stop=found.stop, cost=cost, original_cost=views.original
     )

@@ -21,6 +21,7 @@ from nanogs._version import __version__
 from nanogs.errors import UnstorableError
 from nanogs.formatting import counted
 from nanogs.io import limits
+from nanogs.io.container import plain_entry
 from nanogs.io.folder import atomic_folder
 from nanogs.io.json_fields import is_plain
 from nanogs.io.palette import palette
@@ -44,7 +45,6 @@ _CODES = 256  # of a codebook
 _EXACT, _ROUNDED = 64, 32
 _SMALL_PALETTE = 1024  # models of so few splats keep a value each
 _FARTHEST = 1e18  # squares of colours that far apart are still float32
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can state
 
 Submit = Callable[[str, U8], None]
 """Starts the encoding of a texture, by name."""
@@ -95,10 +95,7 @@ def write(
     files = contents(splats, None, tell, Packing(palette_size, Precision(bits)))
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in files.items():
-            entry = zipfile.ZipInfo(name, _EPOCH)
-            entry.create_system = 3  # the same bytes on every system
-            entry.external_attr = 0o644 << 16
-            bundle.writestr(entry, data)
+            bundle.writestr(plain_entry(name), data)
 
 
 def write_folder(
