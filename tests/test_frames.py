@@ -170,7 +170,7 @@ def test_a_file_that_states_its_frame_need_not_be_told(tmp_path):
     small = ("simplify", tmp_path / "a.spz", tmp_path / "c.spz", "-r", "0.5", "--preset", "fast")
     result = run_command(*small, "--frame", "rdf", *VERSION_4)
     assert result.returncode == 0, result.stderr
-    assert nanogs.io.inspect(tmp_path / "c.spz").frame == "rdf"
+    assert nanogs.open(tmp_path / "c.spz").frame == "rdf"
     refused = run_command("convert", tmp_path / "a.spz", tmp_path / "d.ply", "--frame", "rdf:rub")
     assert refused.returncode == 2
     assert "states its frame, rub, and --frame says rdf" in refused.stderr

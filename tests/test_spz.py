@@ -19,6 +19,7 @@ from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.rotations import least_turned
+from nanogs.io.spz import header as spz_header
 from nanogs.io.spz import write as spz_write
 from nanogs.splats import ExtraElement, RenderMode, Splats
 from spzfiles import encode, row
@@ -116,6 +117,12 @@ def test_extension_records_are_noted(load, version):
         load(encode([row()], version, flags=2, records=records[:-1]))
 
 
+def stated(path):
+    """The frame that a file states."""
+    with io.open(path) as source:
+        return source.frame
+
+
 @pytest.mark.parametrize("version", [2, 3, 4])
 @pytest.mark.parametrize(("number", "frame"), [(0, "rub"), (4, "rub"), (6, "rdf"), (16, "rbu")])
 def test_a_stated_frame_is_told(load, version, number, frame, tmp_path):
@@ -124,9 +131,25 @@ def test_a_stated_frame_is_told(load, version, number, frame, tmp_path):
     )
     data = encode([row()] * 3, version, flags=2, records=records)
     plain = load(encode([row()] * 3, version))
-    assert io.inspect(tmp_path / "a.spz").frame == ""
+    assert stated(tmp_path / "a.spz") == ""
     assert np.array_equal(load(data).means, plain.means)  # axes stay as stored
-    assert io.inspect(tmp_path / "a.spz").frame == frame
+    assert stated(tmp_path / "a.spz") == frame
+
+
+def test_opening_does_not_inflate_the_body_for_the_frame(tmp_path, monkeypatch):
+    """Records follow the columns there, and every block of a job opens the file anew."""
+    records = struct.pack("<III", 0xADBE0003, 4, 6)
+    rows = [row(mean=(i / 8, i / 3, 0)) for i in range(3000)]
+    (tmp_path / "a.spz").write_bytes(encode(rows, 3, flags=2, records=records))
+    read, asked = spz_header.Inflater.read, []
+    monkeypatch.setattr(
+        spz_header.Inflater, "read", lambda self, size: asked.append(size) or read(self, size)
+    )
+    with io.open(tmp_path / "a.spz") as source:
+        assert (source.count, source.columns.sh_degree, source.info.splats) == (3000, 0, 3000)
+        assert sum(asked) == spz_header.LEGACY_HEADER.size
+        assert source.frame == "rdf"
+        assert sum(asked) > 3000 * 20
 
 
 @pytest.mark.parametrize("payload", [b"\x11\0\0\0", b"\x04\0", b""])
@@ -141,7 +164,7 @@ def test_a_frame_is_written_where_the_version_can(tmp_path):
     for frame in ("rdf", "lub", "rbu"):
         given = {"spz_version": 4, "frame": frame}
         io.save(model, path, overwrite=True, format_options=given)
-        assert io.inspect(path).frame == frame
+        assert stated(path) == frame
         io.save(model, tmp_path / "b.spz", overwrite=True, format_options={"spz_version": 4})
         assert_same(io.load(path), io.load(tmp_path / "b.spz"))
     with pytest.raises(OptionError, match="version 4"):

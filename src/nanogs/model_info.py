@@ -95,7 +95,7 @@ def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelI
 def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
     """As `info`, of a file; `given` is that or its folder."""
     with open_model(path, render_mode=render_mode) as source:
-        file, levels = source.info, source.levels
+        file, levels, frame = source.info, source.levels, source.frame
         refuse_too_large(
             f"Describing {path}",
             info_bytes(source),
@@ -111,7 +111,7 @@ def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
             census.add_again(block)
     return ModelInfo(
         file=file,
-        frame=f"{file.frame}, as the file states" if file.frame else registry.reader(path).frame,
+        frame=f"{frame}, as the file states" if frame else registry.reader(path).frame,
         nonfinite=census.seen - census.usable,
         opaque=census.opaque,
         transparent=census.transparent,

@@ -5,7 +5,8 @@ from pathlib import Path
 from nanogs.cli.file_options import Frames
 from nanogs.errors import OptionError
 from nanogs.frames import TRAINED
-from nanogs.io import inspect, registry
+from nanogs.io import open as open_model
+from nanogs.io import registry
 from nanogs.io.collect import Pair
 
 
@@ -29,7 +30,7 @@ def _frame_read(path: Path, before: str, after: str) -> str:
                 f"{path}: {known.suffix} states its frame; give that of the output alone."
             )
         return TRAINED
-    stated = inspect(path).frame if known.axes is None else known.axes
+    stated = known.axes or _stated(path)
     if not before and not stated:
         raise OptionError(
             f"{path}: {known.suffix} files differ in their frame and this one does not say it;"
@@ -41,6 +42,11 @@ def _frame_read(path: Path, before: str, after: str) -> str:
             f" as in --frame {after or TRAINED}."
         )
     return before or stated
+
+
+def _stated(path: Path) -> str:
+    with open_model(path) as source:
+        return source.frame
 
 
 def _frame_written(path: Path, before: str, after: str) -> str:

@@ -45,6 +45,11 @@ class Around(FileSource):
         return self.file.levels
 
     @property
+    def frame(self) -> str:
+        """The frame that the file states; see `FileSource`."""
+        return self.file.frame
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What is taken otherwise than the file says; see `FileSource`."""
         return self.file.remarks

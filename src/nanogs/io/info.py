@@ -35,7 +35,6 @@ class FileInfo:
         render_mode: The rasteriser the model was trained for.
         render_tag: What in the file says so, such as `the comment "antialiased 1"`; empty where
             nothing does, and the usual one is taken.
-        frame: The frame of its axes that the file states itself, such as "rub"; mostly empty.
         comments: Comment lines, printable; bytes that are not UTF-8 are shown as Latin-1.
     """
 
@@ -51,7 +50,6 @@ class FileInfo:
     elements: tuple[tuple[str, int], ...] = ()
     render_mode: RenderMode = RenderMode.DEFAULT
     render_tag: str = ""
-    frame: str = ""
     comments: tuple[str, ...] = ()
 
     @property

@@ -73,6 +73,15 @@ class FileSource(Source):
         return ()
 
     @property
+    def frame(self) -> str:
+        """The frame of its axes that the file states itself, such as "rub"; mostly empty.
+
+        Raises:
+            FormatError: What states it cannot be read, or names no frame.
+        """
+        return ""
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What is taken otherwise than the file says, as the caller asked; one sentence each."""
         return ()

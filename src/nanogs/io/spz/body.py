@@ -168,7 +168,12 @@ def stated_frame(header: Header) -> str:
             records = file.read(max(header.toc - HEADER.size, 0))
         else:
             records = _tail(header, file)
-    payload = _records(header, records).get(FRAME_RECORD)
+    return _frame_in(header, _records(header, records))
+
+
+def _frame_in(header: Header, records: dict[int, bytes]) -> str:
+    """The frame that one of the records states; empty where none does."""
+    payload = records.get(FRAME_RECORD)
     if payload is None:
         return ""
     number = int.from_bytes(payload, "little")
@@ -209,7 +214,9 @@ def _records(header: Header, records: bytes) -> dict[int, bytes]:
 
 def _extension_notes(header: Header, records: bytes) -> list[str]:
     """A note that names the extension records whose payload is not carried."""
-    kinds = [kind for kind in _records(header, records) if kind != FRAME_RECORD]
+    found = _records(header, records)
+    _frame_in(header, found)  # which refuses a record that names none
+    kinds = [kind for kind in found if kind != FRAME_RECORD]
     if not kinds:
         return []
     names = ", ".join(_KNOWN_RECORDS.get(kind, f"0x{kind:08X}") for kind in kinds)

@@ -73,8 +73,12 @@ class SpzSource(Packed):
             properties=_properties(header),
             render_mode=_render_mode(header),
             render_tag=f"the antialiased flag of its header, {header.flags & ANTIALIASED}",
-            frame=stated_frame(header),
         )
+
+    @cached_property
+    def frame(self) -> str:
+        """The frame that a record states; of a gzip stream, all of it is inflated for that."""
+        return stated_frame(self._header)
 
     @cached_property
     def memory(self) -> int:
