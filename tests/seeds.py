@@ -369,15 +369,22 @@ def _streamed():
             ],
         },
     }
-    return [{"lod-meta.json": json.dumps(manifest).encode()} | out]
+    sky = manifest | {"environment": "env/meta.json"}
+    own = {f"env/{name}": data for name, data in sogfiles.files().items()}
+    return [
+        {"lod-meta.json": json.dumps(manifest).encode()} | out,
+        {"lod-meta.json": json.dumps(sky).encode()} | out | own,
+    ]
 
 
 def _archived():
-    """The same in one zip."""
-    [files] = _streamed()
-    out = bytes_io.BytesIO()
-    sogfiles.bundle(out, files)
-    return [{"a.ssog": out.getvalue()}]
+    """The same, each in one zip."""
+    found = []
+    for files in _streamed():
+        out = bytes_io.BytesIO()
+        sogfiles.bundle(out, files)
+        found.append({"a.ssog": out.getvalue()})
+    return found
 
 
 def _usual(name):

@@ -12,6 +12,7 @@ import sogfiles
 from builders import random_splats
 from conftest import scene_path
 from damage import outcome
+from launch import run as cli
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.splats import RenderMode
@@ -242,13 +243,12 @@ def leaf(**lods):
 
 @pytest.fixture
 def streamed(tmp_path):
-    """A scene whose levels 0 and 1 lie in two models and one."""
-    for name, colour in (("0_0", 1), ("0_1", 2), ("1_0", 3)):
+    """A scene whose levels 0 and 1 lie in two models and one, and its environment in one more."""
+    for name, colour in (("0_0", 1), ("0_1", 2), ("1_0", 3), ("env", 4)):
         own = {"sh0.webp": sogfiles.webp([[colour, row, 0, 255] for row in range(3)])}
         sogfiles.folder(tmp_path / name, sogfiles.files(**own))
     manifest = {
         "lodLevels": 2,
-        "environment": "env/meta.json",
         "filenames": ["1_0/meta.json", "0_0/meta.json", "0_1/meta.json"],
         "tree": {
             "children": [
@@ -275,7 +275,7 @@ def test_levels_are_read_one_at_a_time(streamed):
     path = streamed()
     finest = io.load(path)
     assert colours(finest) == [(1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2)]
-    assert "'env/meta.json', is a model of its own" in finest.notes[0]
+    assert finest.notes == ()
     assert colours(io.load(path, level=1)) == [(3, 0), (3, 1)]
     info = io.inspect(path)
     assert (info.splats, info.format, info.sh_degree) == (6, "streamed sog", 0)
@@ -284,6 +284,25 @@ def test_levels_are_read_one_at_a_time(streamed):
     result = run(path, path.parent / "coarse.ply", "--level", "1")
     assert result.returncode == 0, result.stderr
     assert colours(io.load(path.parent / "coarse.ply")) == [(3, 0), (3, 1)]
+
+
+@pytest.mark.parametrize("bundled", [False, True], ids=["folder", ".sog"])
+def test_the_environment_belongs_to_every_level(streamed, tmp_path, bundled):
+    if bundled:
+        sogfiles.bundle(tmp_path / "sky.sog", sogfiles.files())
+    path = streamed(environment="sky.sog" if bundled else "env/meta.json")
+    sky = [(10, 20), (40, 50), (0, 128)] if bundled else [(4, 0), (4, 1), (4, 2)]
+    assert colours(io.load(path, level=1)) == [(3, 0), (3, 1), *sky]
+    with io.open(path) as source:
+        assert (source.count, source.levels, source.environment) == (9, (9, 5), 3)
+        assert colours(source.read(5, 8)) == [(2, 2), *sky[:2]]
+        named = {str(file.relative_to(tmp_path)) for file in source.files}
+    assert ("sky.sog" if bundled else "env/sh0.webp") in named
+    shown = json.loads(cli("info", path, "--json").stdout)
+    assert (shown["splats"], shown["levels"], shown["environment"]) == (9, [9, 5], 3)
+    assert "3 of the splats of every level" in cli("info", path).stdout
+    assert run(path, tmp_path / "all.ply").returncode == 0
+    assert colours(io.load(tmp_path / "all.ply"))[-3:] == sky
 
 
 def test_a_model_without_levels_has_none_to_choose_from(tmp_path):
@@ -313,6 +332,11 @@ def test_a_model_without_levels_has_none_to_choose_from(tmp_path):
         ({"tree": leaf(_x=(0, 0, 1))}, "lods must be an integer"),
         ({"tree": leaf(_0=(0, 0, 9))}, "fewer than its lod-meta.json says"),
         ({"tree": {"children": [leaf(_0=(0, 0, 2)), leaf(_0=(0, 1, 2))]}}, "twice in a level"),
+        ({"environment": "../env/meta.json"}, "environment must name files below its own"),
+        ({"environment": "https://a.b/meta.json"}, "environment must name files below its own"),
+        ({"environment": 5}, "environment must name files below its own"),
+        ({"environment": "1_0/meta.json"}, "is one of the models of the levels"),
+        ({"environment": "gone/meta.json"}, "no such file"),
     ],
 )
 def test_bad_manifests_are_refused(streamed, more, message):

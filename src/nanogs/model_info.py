@@ -54,6 +54,7 @@ class ModelInfo:
         notes: What reading had to change or could not carry.
         levels: Splats of each level of detail of a streamed model or of a folder of levels, the
             finest first, which the rest is about; none for others.
+        environment: Splats of a stream's environment (its sky), which are part of every level.
         losses: By the suffix of every format that is written, what it cannot hold of the model
             besides quantisation, one sentence each.
     """
@@ -68,6 +69,7 @@ class ModelInfo:
     scale: Spread | None
     notes: tuple[str, ...]
     levels: tuple[int, ...]
+    environment: int
     losses: dict[str, tuple[str, ...]]
 
     def to_dict(self) -> dict[str, Any]:
@@ -96,6 +98,7 @@ def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
     """As `info`, of a file; `given` is that or its folder."""
     with open_model(path, render_mode=render_mode) as source:
         file, levels, frame = source.info, source.levels, source.frame
+        environment = source.environment
         refuse_too_large(
             f"Describing {path}",
             info_bytes(source),
@@ -120,6 +123,7 @@ def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
         scale=_spread(census.scales),
         notes=join_findings(census.notes),
         levels=levels or manifest.level_counts(given),
+        environment=environment,
         losses={suffix: join_findings(parts) for suffix, parts in census.losses.items()},
     )
 

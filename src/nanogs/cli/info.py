@@ -139,6 +139,7 @@ def _rows(model: "ModelInfo", looked: bool) -> dict[str, str]:
         + ", ".join(f"{count} {kind}" for kind, count in kinds.items()),
         "splats": f"{file.splats:,}",
         **_levels(model.levels),
+        **_environment(model.environment),
         "SH degree": str(file.sh_degree),
         "render mode": _mode_text(file) + ("" if looked else _HINT),
         "frame": model.frame,
@@ -171,6 +172,10 @@ def _levels(counts: Sequence[int]) -> dict[str, str]:
     """The levels of a stream, of which the finest is described."""
     text = ", ".join(f"{level}: {count:,}" for level, count in enumerate(counts))
     return {"levels": f"{text} splats; the rest is about 0, the finest"} if counts else {}
+
+
+def _environment(splats: int) -> dict[str, str]:
+    return {"environment": f"{splats:,} of the splats of every level"} if splats else {}
 
 
 def _spread(spread: "Spread | None") -> str:

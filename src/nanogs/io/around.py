@@ -50,6 +50,11 @@ class Around(FileSource):
         return self.file.frame
 
     @property
+    def environment(self) -> int:
+        """Splats that belong to all levels; see `FileSource`."""
+        return self.file.environment
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What is taken otherwise than the file says; see `FileSource`."""
         return self.file.remarks

@@ -82,6 +82,15 @@ class FileSource(Source):
         return ""
 
     @property
+    def environment(self) -> int:
+        """Splats of the sky and the like, a model's last rows, which belong to all its levels.
+
+        Raises:
+            FormatError: The file that holds them cannot be read.
+        """
+        return 0
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What is taken otherwise than the file says, as the caller asked; one sentence each."""
         return ()

@@ -3,7 +3,9 @@
 Layout: https://github.com/playcanvas/splat-transform (MIT). `filenames` lists the `meta.json` of
 each model, `lodLevels` says how many levels there are, 0 the finest, and the leaves of `tree` say
 in `lods`, by level, which `count` rows from `offset` on of which `file` stand for their region.
-Each level is the whole scene: levels are read one at a time and never put together.
+Each level is the whole scene: levels are read one at a time and never put together. `environment`
+names one more model, of the sky and what else is far away on all sides: viewers draw all of it with
+every level, and so it is read as the last rows of each.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,13 +40,13 @@ class Piece:
     Attributes:
         folder: The model's folder.
         name: Name of its `meta.json`, or of its `.sog`; or of the zip that it is in.
-        spans: (offset, count) of runs of rows, ascending, without overlap.
+        spans: (offset, count) of runs of rows, ascending, without overlap; None for all rows.
         inside: The model's folder in the zip, with a slash at its end.
     """
 
     folder: Path
     name: str
-    spans: tuple[tuple[int, int], ...]
+    spans: tuple[tuple[int, int], ...] | None
     inside: str = ""
 
     @property
@@ -54,7 +56,13 @@ class Piece:
 
     @property
     def count(self) -> int:
-        """Number of rows in all spans."""
+        """Number of rows in all spans; of a whole model from its description.
+
+        Raises:
+            FormatError: That is missing or damaged.
+        """
+        if self.spans is None:
+            return SogSource(self.path, None, self.inside).meta.count
         return sum(count for _, count in self.spans)
 
 
@@ -64,14 +72,14 @@ class Levels:
 
     Attributes:
         levels: Pieces by level, from the finest on.
-        notes: What is not part of any level, for the user.
+        environment: What belongs to every level beside them, or None.
     """
 
     levels: tuple[tuple[Piece, ...], ...]
-    notes: tuple[str, ...]
+    environment: Piece | None
 
     def pieces(self, path: Path, level: int) -> tuple[Piece, ...]:
-        """The pieces of one level of that file.
+        """The pieces of one level of that file, the environment's last.
 
         Raises:
             OptionError: There is no such level.
@@ -80,7 +88,7 @@ class Levels:
         check_level(path, level, len(self.levels))
         if not self.levels[level]:
             raise refused(f"{path}, tree", f"holds nothing of level {level}")
-        return self.levels[level]
+        return (*self.levels[level], *([self.environment] if self.environment else ()))
 
 
 def read_manifest(path: Path) -> Levels:
@@ -104,7 +112,7 @@ def read_manifest(path: Path) -> Levels:
     levels = [
         tuple(_piece(path, names[file], found[file]) for file in sorted(found)) for found in spans
     ]
-    return Levels(tuple(levels), _notes(data.get("environment")))
+    return Levels(tuple(levels), _environment(path, data.get("environment"), names))
 
 
 def _is_archive(path: Path) -> bool:
@@ -122,11 +130,13 @@ def _archived(path: Path) -> dict[str, Any]:
         return parse(bundle.read(LEVELS, MAX_MANIFEST_BYTES), where)
 
 
-def _notes(environment: object) -> tuple[str, ...]:
-    if environment is None:
-        return ()
-    shown = str(environment)[:80]
-    return (f"The environment, {shown!r}, is a model of its own and was left out.",)
+def _environment(path: Path, name: object, names: Sequence[object]) -> Piece | None:
+    """The model that belongs to every level; None without."""
+    if name is None or name == "":  # as viewers take it
+        return None
+    if name in names:
+        raise refused(f"{path}, environment", "is one of the models of the levels")
+    return _piece(path, name, None, "environment")
 
 
 def _leaves(
@@ -150,29 +160,38 @@ def _entry(entry: dict[str, Any], files: int, where: str) -> tuple[int, tuple[in
     return file, (offset, integer(entry.get("count"), f"{where}.count", 0, MAX_COUNT))
 
 
-def _piece(path: Path, name: object, spans: list[tuple[int, int]]) -> Piece:
+def _piece(
+    path: Path, name: object, spans: list[tuple[int, int]] | None, key: str = "filenames"
+) -> Piece:
+    """A model that the description names under a key, and runs of its rows or all."""
     parts = name.split("/") if isinstance(name, str) else []
     if not parts or not all(map(is_plain, parts)):
-        raise refused(f"{path}, filenames", "must name files below its own folder")
+        raise refused(f"{path}, {key}", "must name files below its own folder")
+    ordered = None if spans is None else _ordered(path, name, spans)
+    if not _is_archive(path):
+        return Piece(path.parent.joinpath(*parts[:-1]), parts[-1], ordered)
+    *folders, file = parts
+    if file != META or not folders:
+        raise refused(f"{path}, {key}", f"must name a {META} in a folder of the zip")
+    return Piece(path.parent, path.name, ordered, "/".join(folders) + "/")
+
+
+def _ordered(path: Path, name: object, spans: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    """The runs of a level's rows in a model that are not empty, none of which may overlap."""
     ordered = sorted(span for span in spans if span[1])
     end = 0
     for offset, count in ordered:
         if offset < end:
             raise refused(f"{path}, tree", f"names rows of {name} twice in a level")
         end = offset + count
-    if not _is_archive(path):
-        return Piece(path.parent.joinpath(*parts[:-1]), parts[-1], tuple(ordered))
-    *folders, file = parts
-    if file != META or not folders:
-        raise refused(f"{path}, filenames", f"must name a {META} in a folder of the zip")
-    return Piece(path.parent, path.name, tuple(ordered), "/".join(folders) + "/")
+    return tuple(ordered)
 
 
 def _opened(piece: Piece) -> SogSource:
     """The model of a piece, whose rows must be there."""
     source = SogSource(piece.path, piece.spans, piece.inside)
     available = source.meta.count
-    if any(offset + count > available for offset, count in piece.spans):
+    if any(offset + count > available for offset, count in piece.spans or ()):
         raise FormatError(
             f"{piece.path} has {counted(available, 'splat')}, fewer than its lod-meta.json says;"
             " export or download the model again."
@@ -245,8 +264,15 @@ class SogLevel(Packed):
 
     @property
     def levels(self) -> tuple[int, ...]:
-        """Splats of each level; see `FileSource`."""
-        return tuple(sum(piece.count for piece in each) for each in self._manifest.levels)
+        """Splats of each level, those of the environment among them; see `FileSource`."""
+        levels = self._manifest.levels
+        return tuple(sum(piece.count for piece in each) + self.environment for each in levels)
+
+    @cached_property
+    def environment(self) -> int:
+        """Splats that belong to every level; see `FileSource`."""
+        found = self._manifest.environment
+        return found.count if found else 0
 
     @cached_property
     def stored(self) -> Mapping[str, Column]:
@@ -283,5 +309,5 @@ class SogLevel(Packed):
                     column = getattr(part, name)
                     column = padded(column, out["sh"].shape[1]) if name == "sh" else column
                     array[low - start : high - start] = column
-        notes = joined_notes([model.meta.notes for model in self._models], self._manifest.notes)
+        notes = joined_notes([model.meta.notes for model in self._models], ())
         return Splats(**out, render_mode=self.info.render_mode, notes=notes)
