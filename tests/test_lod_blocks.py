@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import nanogs
 from builders import random_splats
@@ -23,6 +25,7 @@ from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.tiles import Tiles
 from nanogs.pipeline import run as scale_run
 from nanogs.pipeline import stages
+from nanogs.pipeline.chunked import joined_up
 from nanogs.pipeline.folder import MANIFEST
 from nanogs.pipeline.plan import plan_blocks
 from nanogs.pipeline.presets import PRESETS
@@ -126,6 +129,47 @@ def test_all_models_of_a_streamed_level_are_the_level(made, plain):
             assert np.abs(found - wanted).max() < fine
 
 
+def test_blocks_of_which_little_is_left_share_files(made, scene, tmp_path):
+    """No file has fewer splats than a chunk may have, but where the whole level has."""
+    path = made[Layout.SOG][0] / "lod-meta.json"
+    for level, counts in held_by_files(path).items():
+        assert min(counts) >= min(CHUNK // 4, sum(counts)), level
+        assert max(counts) <= 4 * CHUNK
+    write(scene, tmp_path / "fewer", Layout.SOG, chunk_min=30)
+    found = held_by_files(tmp_path / "fewer" / "lod-meta.json")
+    assert [sum(counts) for counts in found.values()] == [600, 120, 24]
+    assert min(found[0]) >= min(found[1]) >= 30
+    assert found[2] == [24]
+
+
+def held_by_files(path):
+    """Splats of each file of each level, and that the tree names all of them once."""
+    meta, spans = json.loads(path.read_text()), {}
+    for leaf in leaves(meta["tree"]):
+        for level, place in leaf["lods"].items():
+            key = int(level), place["file"]
+            spans.setdefault(key, []).append((place["offset"], place["count"]))
+    found = {}
+    for (level, file), own in sorted(spans.items()):
+        ends = list(itertools.accumulate(count for _, count in sorted(own)))
+        assert [offset for offset, _ in sorted(own)] == [0, *ends[:-1]]
+        assert ends[-1] == io.inspect(path.parent / meta["filenames"][file]).splats
+        found.setdefault(level, []).append(ends[-1])
+    return found
+
+
+@given(counts=st.lists(st.integers(0, 20), min_size=1, max_size=40), fewest=st.integers(0, 30))
+def test_blocks_are_put_together_until_there_are_enough(counts, fewest):
+    groups = joined_up(counts, fewest)
+    assert [number for group in groups for number in group] == list(range(len(counts)))
+    if fewest == 0:
+        assert len(groups) == len(counts)
+    for group in groups:
+        held = [counts[number] for number in group]
+        assert sum(held) >= min(fewest, sum(counts))
+        assert len(groups) == 1 or sum(held) <= 2 * fewest + max(held)
+
+
 def test_plain_levels_are_files_of_any_format(scene, tmp_path, plain):
     manifest, _ = write(scene, tmp_path / "levels", Layout.FILES, suffix=".spz")
     assert [level.file for level in manifest.levels] == [f"level_{n}.spz" for n in range(3)]
@@ -161,8 +205,8 @@ def test_levels_that_would_be_held_whole_and_are_too_large_are_refused(tmp_path)
         sink = levels_folder.LevelsFolder(tmp_path / "l", overwrite=False, source="a", **given)
         sink.refuse_large(count, 200, 10**8)
 
-    for given in ({}, {"suffix": ".spz"}, {"chunks": Tiles(100)}):
-        refuse(10**6, **given)
+    for options in ({}, {"suffix": ".spz"}, {"chunks": Tiles(100)}):
+        refuse(10**6, **options)
     refuse(10**5, suffix=".sog")
     with pytest.raises(OptionError, match=r"\.sog is not written block by block"):
         refuse(10**6, suffix=".sog")

@@ -24,6 +24,7 @@ from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.io.folder import atomic_folder
 from nanogs.levels_of_detail import write_levels
+from nanogs.lod import streamed_sog
 from nanogs.lod.boxes import box_around
 from nanogs.lod.cells import LEAF, divide
 from nanogs.lod.folder import LevelsFolder, made_files
@@ -115,6 +116,57 @@ def test_no_cell_holds_too_much_and_none_is_empty(points, most):
         assert (np.ptp(points[leaf == number], axis=0) == 0).all()  # they coincide
     for first, end in cells.leaves[cells.axes != LEAF]:
         assert counts[first:end].sum() > most  # nothing is divided without need
+
+
+@st.composite
+def sizes(draw):
+    """Bounds of a chunk of which each can be had."""
+    most = draw(st.integers(1, 40))
+    return most, draw(st.integers(1, (most + 1) // 2))
+
+
+@given(points=clouds(), bounds=sizes())
+def test_no_cell_holds_too_few(points, bounds):
+    """But where no plane leaves enough on both sides, as in a heap that shares its coordinates."""
+    most, least = bounds
+    cells = divide(points, most, least)
+    leaf = cells.leaf_of(points)
+    counts = np.bincount(leaf, minlength=cells.count)
+    assert counts.sum() == len(points)
+    for number in np.flatnonzero(counts > most):
+        assert (np.ptp(points[leaf == number], axis=0) == 0).all()  # they coincide
+    for parent in np.flatnonzero(cells.axes != LEAF):
+        first, end = cells.leaves[parent]
+        sides = [counts[slice(*cells.leaves[child])].sum() for child in cells.children[parent]]
+        if min(sides) < least:
+            own = points[(leaf >= first) & (leaf < end)]
+            assert all(
+                min((own[:, axis] < plane).sum(), (own[:, axis] >= plane).sum()) < least
+                for axis in range(3)
+                for plane in np.unique(own[:, axis])
+            )
+    if all(len(np.unique(column)) == len(points) for column in points.T):
+        assert counts.max() <= most
+        assert counts.min() >= min(least, len(points))
+
+
+@given(counts=st.lists(st.integers(0, 10), min_size=1, max_size=60), least=st.integers(1, 10))
+def test_files_hold_neither_too_much_nor_too_little(counts, least):
+    """Cells of no more than a quarter of a file, each in one file, in their order."""
+    runs = streamed_sog._runs(np.array(counts), 40, least)
+    held = [sum(counts[first:end]) for first, end in runs]
+    assert sum(held) == sum(counts)
+    assert all(end == first for (_, end), (first, _) in itertools.pairwise(runs))
+    assert max(held, default=0) <= 40
+    assert min(held, default=least) >= min(least, sum(counts))
+
+
+@given(counts=st.lists(st.integers(0, 100), min_size=1, max_size=60), least=st.integers(1, 10))
+def test_cells_that_are_too_large_take_others_into_their_files(counts, least):
+    runs = streamed_sog._runs(np.array(counts), 40, least)
+    held = [sum(counts[first:end]) for first, end in runs]
+    assert sum(held) == sum(counts)
+    assert min(held, default=least) >= min(least, sum(counts))
 
 
 @given(points=clouds(), others=clouds(), most=st.integers(1, 70))
@@ -364,6 +416,9 @@ def test_json_report_and_plan(scene, tmp_path):
         ("out/levels.json", [], ["lod-meta.json or tileset.json", "out/levels/lod-meta.json"]),
         ("out/meta.json", [], ["lod-meta.json or tileset.json"]),
         ("out", ["--chunk", "100"], ["chunks", "not divided"]),
+        ("out", ["--chunk-min", "100"], ["chunks", "not divided"]),
+        ("out/lod-meta.json", ["--chunk-min", "20000"], ["20,000 to 32,768", "at most half"]),
+        ("out/lod-meta.json", ["--chunk-min", "0"], ["at least 1", "0"]),
         ("out/lod-meta.json", ["--chunk", "0"], ["at least 1", "0"]),
         ("out/lod-meta.json", ["--plain"], ["3D Tiles"]),
         ("missing/out/lod-meta.json", [], ["missing"]),

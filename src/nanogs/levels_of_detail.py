@@ -53,6 +53,7 @@ def write_levels(
     source: str | None = None,
     layout: Layout | str = Layout.FILES,
     chunk: int | None = None,
+    chunk_min: int | None = None,
     plain: bool = False,
     place: Place | Sequence[Sequence[float]] | F64 | None = None,
     suffix: str = PLY,
@@ -77,6 +78,8 @@ def write_levels(
             "spark tree", for which `folder` is the `.ssog` or `.rad` file to make.
         chunk: Most splats of the finest level in a chunk, for a layout with chunks; 32,768 by
             default.
+        chunk_min: Least splats of such a chunk, and of a file of streamed SOG, unless a level has
+            fewer; 8,192 by default, or a quarter of `chunk`.
         plain: Leave the contents of 3D Tiles unpacked, every number as it is; by default SPZ packs
             them.
         place: Where on Earth 3D Tiles are: a `nanogs.Place`, or a (4, 4) transform from their
@@ -111,8 +114,8 @@ def write_levels(
     overrides = {key: given.pop(key) for key in given.keys() - _FIELDS}
     request = Request(
         inputs=files, output=Path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
-        chunks=chunks_of(layout, chunk, plain=plain, place=place), frame=frame, overwrite=overwrite,
-        measured=measured, overrides=overrides, **given,
+        chunks=chunks_of(layout, chunk, chunk_min, plain=plain, place=place), frame=frame,
+        overwrite=overwrite, measured=measured, overrides=overrides, **given,
     )  # fmt: skip
     sink = sink_of(request, suffix=suffix, source=source, layout=layout)
     with drawn(progress) as tell:

@@ -75,6 +75,7 @@ class BlockChunks:
 
     Attributes:
         cells: What divides it, as `Chunked.divide` gives it; empty where there is nothing at all.
+            Its files may hold splats of the blocks after it too, which then have no files.
         splats: In it.
         losses: The parts that its files leave out, one sentence each.
         files: Name and contents of each file, one at a time.
@@ -94,6 +95,7 @@ class Encoding:
 
     Attributes:
         file: Bytes for the file that is being made.
+        joined: Bytes for splats of further blocks that files of one hold too.
         each: Bytes for each splat of a block.
         described: Bytes for what describes the folder, which is held whole in the end.
         seconds: Of one processor, for all files.
@@ -103,10 +105,11 @@ class Encoding:
     each: float = 0.0
     described: float = 0.0
     seconds: float = 0.0
+    joined: float = 0.0
 
     def held(self, block: int) -> float:
         """Most bytes at any time, with blocks of so many splats."""
-        return max(self.file + block * self.each, self.described)
+        return max(self.file + self.joined + block * self.each, self.described)
 
     def most(self, room: float, block: int) -> int:
         """Splats of a block for which there is room, and no more than so many."""
@@ -114,7 +117,7 @@ class Encoding:
             return block
         if self.described > room:
             return 0
-        return max(min(block, int((room - self.file) / self.each)), 0)
+        return max(min(block, int((room - self.file - self.joined) / self.each)), 0)
 
     def remedy(self) -> str:
         """Advice on what takes less, to end a sentence about memory."""
@@ -131,22 +134,27 @@ class Chunked(Protocol):
     def weight(self) -> float:
         """Seconds of a machine for a million splats."""
 
+    @property
+    def fewest(self) -> int:
+        """Splats of a result below which a block is put together with the next; 0 for never."""
+
     def divide(self, means: F) -> dict[str, Array]:
         """Divide space around (N, 3) finite centres, N at least 1, of the finest result."""
 
     def encode(
         self,
         splats: Splats,
-        cells: Mapping[str, Array],
+        blocks: Sequence[tuple[int, Mapping[str, Array]]],
         finer: Sequence[Any] | None,
         prefix: str,
         tell: Parts = untold,
     ) -> BlockChunks:
-        """The files of a block, which are made as they are taken.
+        """The files of a block, or of neighbouring ones, which are made as they are taken.
 
         Args:
-            splats: N splats, all finite.
-            cells: As `divide` gives them, of this block's finest result.
+            splats: N splats, all finite, block after block.
+            blocks: How many splats each has, and as `divide` gives them the cells of its finest
+                result; one block, where `fewest` is 0.
             finer: Chunks of this block's next finer result; None for the finest.
             prefix: How names of files begin.
             tell: Told of the parts that are done.

@@ -12,7 +12,7 @@ from nanogs.cli.groups import with_options
 from nanogs.cli.importing import uncollected
 from nanogs.cli.method import Method
 from nanogs.cli.placing import Placing
-from nanogs.defaults import CHUNK
+from nanogs.defaults import CHUNK, LEAST_CHUNK
 from nanogs.errors import OptionError
 
 if TYPE_CHECKING:
@@ -63,6 +63,14 @@ def lod(
             show_default=str(CHUNK),
         ),
     ] = None,
+    chunk_min: Annotated[
+        int | None,
+        typer.Option(
+            help="Least splats of such a chunk, and of a file of streamed SOG, unless a level has"
+            " fewer.",
+            show_default=f"{LEAST_CHUNK}, or a quarter of --chunk",
+        ),
+    ] = None,
     plain: Annotated[
         bool,
         typer.Option(
@@ -107,7 +115,9 @@ def lod(
         wish=plan.wish_of(
             method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder, frame=turn,
             overwrite=overwrite, ratios=ratios,
-            chunks=chunks_of(output.layout, chunk, plain=plain, place=placing.place),
+            chunks=chunks_of(
+                output.layout, chunk, chunk_min, plain=plain, place=placing.place
+            ),
         ),
         method=method, output=output, usual=levels is None,
     )  # fmt: skip

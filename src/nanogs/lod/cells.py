@@ -1,8 +1,9 @@
 """A binary tree of cells that divides space: which chunk of a level a splat belongs to.
 
 The planes are laid through the centres of the finest level, at the median along the longest side,
-until no cell has more than a given number of them. The cells fill all of space, so that the other
-levels' splats fall into them too, wherever merging has moved them.
+until no cell has more than a given number of them. Where so many centres share a coordinate that
+a side would have fewer than another given number, a shorter side is taken. The cells fill all of
+space, so that the other levels' splats fall into them too, wherever merging has moved them.
 """
 
 from collections.abc import Iterator
@@ -82,13 +83,16 @@ class Cells:
         return frozenset(np.flatnonzero(self.axes == LEAF).tolist())
 
 
-def divide(means: F, most: int) -> Cells:
-    """Divide space so that no cell holds more than so many centres.
+def divide(means: F, most: int, least: int = 1) -> Cells:
+    """Divide space so that no cell holds more than so many centres, nor fewer than so many.
 
     Args:
         means: (N, 3) finite centres, N at least 1, scene units.
         most: Centres in a cell, at least 1. Centres that coincide stay together, even if they are
             more.
+        least: Centres in a cell, at most half of `most + 1`; unless there are fewer in all, or a
+            cell must be divided where no plane leaves as many on both sides, since most of its
+            centres share their coordinates with others.
     """
     nodes: list[_Node] = []
     leaf = 0
@@ -99,7 +103,7 @@ def divide(means: F, most: int) -> Cells:
         if parent is not None:
             parent.children.append(len(nodes))
         nodes.append(node)
-        sides = _split(points) if len(points) > most else None
+        sides = _split(points, least) if len(points) > most else None
         if sides is None:
             leaf += 1
             continue
@@ -116,20 +120,33 @@ class _Node:
         self.children: list[int] = []
 
 
-def _split(points: F) -> tuple[int, float, Bool] | None:
+def _split(points: F, least: int) -> tuple[int, float, Bool] | None:
     """The axis and place of a plane, and (N,) bool, which points are behind; None if all coincide.
 
-    There are points on both sides.
+    There are points on both sides: at least so many on the longest axis that has such a plane, or
+    as many as on any.
     """
     sides = points.max(axis=0) - points.min(axis=0)
-    axis = int(sides.argmax())
-    if sides[axis] == 0:
-        return None
-    values = points[:, axis]
-    plane = np.partition(values, len(values) // 2)[len(values) // 2]
-    if plane == values.min():  # half of them are there, and nothing before
-        plane = values[values > plane].min()
-    return axis, float(plane), values >= plane
+    best: tuple[int, int, float, Bool] | None = None
+    for axis in np.argsort(-sides, kind="stable").tolist():
+        for plane in _planes(points[:, axis]):
+            far = points[:, axis] >= plane
+            behind = int(far.sum())
+            fewer = min(behind, len(points) - behind)
+            if fewer > (best[0] if best else 0):
+                best = fewer, axis, plane, far
+            if fewer >= least:
+                return axis, plane, far
+    return best[1:] if best else None
+
+
+def _planes(values: F) -> Iterator[float]:
+    """The value at the median, and the next one above it: no other divides more evenly."""
+    median = np.partition(values, len(values) // 2)[len(values) // 2]
+    if median > values.min():
+        yield float(median)
+    if len(above := values[values > median]):
+        yield float(above.min())
 
 
 def _packed(nodes: list[_Node]) -> Cells:

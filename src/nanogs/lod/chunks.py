@@ -26,19 +26,29 @@ _DESCRIBED = 2 * 8_000  # bytes for what is said of a chunk at all levels; some 
 
 
 class SortedLevel:
-    """A level whose splats are taken cell by cell."""
+    """A level, or some neighbouring blocks of it, whose splats are taken cell by cell.
 
-    def __init__(self, splats: Splats, cells: Cells) -> None:
+    Attributes:
+        cells: Those of the first block.
+        counts: (L,) splats of each leaf; the leaves of a block follow those of the one before.
+    """
+
+    def __init__(self, splats: Splats, blocks: Sequence[tuple[int, Cells]]) -> None:
         """Sort the splats.
 
         Args:
-            splats: N splats, all finite.
-            cells: What they are sorted into.
+            splats: N splats, all finite, those of one block after those of the other.
+            blocks: How many splats each block has, and what they are sorted into.
         """
         # What no chunk holds is not copied into any.
         self._splats = replace(splats, extras={}, comments=(), elements=(), notes=())
-        self.cells, self.leaves = cells, cells.leaf_of(splats.means)
-        self.counts = np.bincount(self.leaves, minlength=cells.count)
+        self.cells = blocks[0][1]
+        leaves, at, first = [], 0, 0
+        for count, cells in blocks:
+            leaves.append(first + cells.leaf_of(splats.means[at : at + count]))
+            at, first = at + count, first + cells.count
+        self.leaves = np.concatenate(leaves)
+        self.counts = np.bincount(self.leaves, minlength=first)
         self._order = np.argsort(self.leaves, kind="stable")
         self._starts = np.concatenate([[0], np.cumsum(self.counts)])
 
@@ -53,7 +63,8 @@ class Tree(NamedTuple):
 
     Attributes:
         cells: What divides it.
-        levels: Chunks of each level, the finest first, as `ChunkLayout` describes them.
+        levels: Chunks of each level, the finest first, as `ChunkLayout` describes them. Those of
+            a block may hold splats of the blocks after it, which then have none of their own.
     """
 
     cells: Cells
@@ -66,9 +77,11 @@ class ChunkLayout(ABC):
 
     Attributes:
         most: Splats of the finest level in a chunk, at most.
+        least: Splats of the finest level in a chunk, at least, unless there are fewer in all.
     """
 
     most: int
+    least: int = 1
     name: ClassVar[str]  # of the file that tells of the others
     suffix: ClassVar[str]  # of a model as its files hold it
     weight: ClassVar[float]  # seconds of a machine for a million splats
@@ -79,25 +92,37 @@ class ChunkLayout(ABC):
         """Refuse what is no size of chunks.
 
         Raises:
-            OptionError: It is below 1.
+            OptionError: It is below 1, or the least is more than half of the most.
         """
-        if self.most < 1:
-            raise OptionError(f"A chunk must hold at least 1 splat, not {self.most}.")
+        for bound in (self.most, self.least):
+            if bound < 1:
+                raise OptionError(f"A chunk must hold at least 1 splat, not {bound}.")
+        if 2 * self.least > self.most + 1:
+            raise OptionError(
+                f"Chunks of {self.least:,} to {self.most:,} splats cannot always be made, since a"
+                " larger one is cut in halves: the least must be at most half of the most."
+            )
 
     def divide(self, means: F) -> dict[str, Array]:
         """As `Chunked` says: the fields of `Cells`."""
-        return asdict(divide(means, self.most))
+        return asdict(divide(means, self.most, self.least))
+
+    @property
+    def fewest(self) -> int:
+        """As `Chunked` says: of files that cannot hold several blocks any number will do."""
+        return 0
 
     def encode(
         self,
         splats: Splats,
-        cells: Mapping[str, Array],
+        blocks: Sequence[tuple[int, Mapping[str, Array]]],
         finer: Sequence[Any] | None,
         prefix: str,
         tell: Parts = untold,
     ) -> BlockChunks:
         """As `Chunked` says."""
-        level, chunks = SortedLevel(splats, Cells(**cells)), list[Any]()
+        level = SortedLevel(splats, [(count, Cells(**cells)) for count, cells in blocks])
+        chunks = list[Any]()
         losses = self.losses(splats) if len(splats) else ()
 
         def files() -> Iterator[tuple[str, bytes]]:
@@ -105,7 +130,7 @@ class ChunkLayout(ABC):
                 chunks.append(chunk)
                 yield from files.items()
 
-        return BlockChunks(cells, len(splats), losses, files(), chunks)
+        return BlockChunks(blocks[0][1], len(splats), losses, files(), chunks)
 
     def encoding(self, row: int, degree: int, splats: int, shares: Sequence[float]) -> Encoding:
         """As `Chunked` says, from measurements of one file."""
@@ -114,6 +139,7 @@ class ChunkLayout(ABC):
         return Encoding(
             file=_OUTSIDE + at_once * (over * row + each),
             each=min(1.0, 2 * largest) * (row + PLACED),
+            joined=2 * self.fewest * (row + PLACED),
             described=splats * largest / self.most * _DESCRIBED,
             seconds=sum(int(share * splats) for share in shares) * self._seconds[degree > 0],
         )

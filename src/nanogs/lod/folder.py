@@ -158,7 +158,8 @@ class ChunksFilling(LevelsFilling):
         splats, level = as_splats(model), len(self.written)
         cells = self._cells[0] if level else self._layout.divide(splats.means)
         finer = self._levels[-1][0] if level else None
-        self.add_blocks([self._layout.encode(splats, cells, finer, f"{level}_", tell)])
+        blocks = [(len(splats), cells)]
+        self.add_blocks([self._layout.encode(splats, blocks, finer, f"{level}_", tell)])
 
     def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
         """As `Filling` says."""

@@ -9,7 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from nanogs._types import F64
-from nanogs.defaults import CHUNK
+from nanogs.defaults import CHUNK, LEAST_CHUNK
 from nanogs.errors import OptionError
 from nanogs.io import registry
 from nanogs.io.rad.write import SUFFIX as TREE
@@ -106,6 +106,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
 def chunks_of(
     layout: Layout | str,
     chunk: int | None,
+    chunk_min: int | None = None,
     *,
     plain: bool,
     place: Place | Sequence[Sequence[float]] | F64 | None = None,
@@ -115,30 +116,34 @@ def chunks_of(
     Args:
         layout: How they are to lie.
         chunk: Most splats of a chunk of the finest level; `CHUNK` by default.
+        chunk_min: Least splats of such a chunk, and of a file of streamed SOG; by default
+            `LEAST_CHUNK`, or a quarter of `chunk` where that is less.
         plain: Whether the contents of 3D Tiles are not packed.
         place: The place on Earth of 3D Tiles, as `transform_of` takes it; None for none.
 
     Raises:
         OptionError: There is no such layout, the size of chunks is below 1 or given for a layout
-            without chunks, or plain contents or a place are asked for outside of 3D Tiles; or the
-            place is none.
+            without chunks, or the least more than half of the most; or plain contents or a place
+            are asked for outside of 3D Tiles; or the place is none.
     """
     if layout not in list(Layout):
         known = ", ".join(f'"{each}"' for each in Layout)
         raise OptionError(f'There is no layout "{layout}"; there are {known}.')
-    if chunk is not None and layout == Layout.FILES:
+    sized = chunk is not None or chunk_min is not None
+    if sized and layout == Layout.FILES:
         raise OptionError(
             "The size of chunks is for lod-meta.json and tileset.json; levels as files of their"
             " own are not divided."
         )
-    if chunk is not None and layout == Layout.TREE:
+    if sized and layout == Layout.TREE:
         raise OptionError("Chunks of a .rad file have 65,536 splats, as viewers want them.")
     if plain and layout != Layout.TILES:
         raise OptionError("Contents are plain or packed in 3D Tiles only; write a tileset.json.")
     if place is not None and layout != Layout.TILES:
         raise OptionError("Only 3D Tiles have a place on Earth; write a tileset.json.")
     most = CHUNK if chunk is None else chunk
+    least = max(min(LEAST_CHUNK, most // 4), 1) if chunk_min is None else chunk_min
     if layout == Layout.TILES:
         put = None if place is None else columns(transform_of(place))
-        return Tiles(most, packed=not plain, place=put)
-    return StreamedSog(most) if layout in (Layout.SOG, Layout.ARCHIVE) else None
+        return Tiles(most, least, packed=not plain, place=put)
+    return StreamedSog(most, least) if layout in (Layout.SOG, Layout.ARCHIVE) else None

@@ -7,8 +7,10 @@ more room.
 """
 
 import json
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -61,12 +63,18 @@ class StreamedSog(ChunkLayout):
     ) -> Made:
         from nanogs.io.sog import write as sog_write  # here, as `--help` does without
 
-        for number, (first, end) in enumerate(_runs(level.counts, self.chunks_a_file * self.most)):
+        runs = _runs(level.counts, self.chunks_a_file * self.most, self.least)
+        for number, (first, end) in enumerate(runs):
             part, leaves = level.take(first, end)
             folder, places = f"{prefix}{number}", list(_places(part, level.counts, first, end))
             files = sog_write.contents(part, leaves)
             tell(level.counts[:end].sum(), level.counts.sum())
             yield [folder, places], {f"{folder}/{name}": data for name, data in files.items()}
+
+    @property
+    def fewest(self) -> int:
+        """As `Chunked` says: of each file of a level."""
+        return self.least
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """As `ChunkLayout` says."""
@@ -79,13 +87,17 @@ class StreamedSog(ChunkLayout):
         names: list[str] = []
         found = [_Leaves(tree.cells) for tree in trees]
         for level in range(len(counts)):
-            for tree, leaves in zip(trees, found, strict=True):
+            for number, tree in enumerate(trees):
                 for folder, places in tree.levels[level]:
-                    leaves.add(level, len(names), places)
+                    _add(found[number:], level, len(names), places)
                     names.append(f"{folder}/{META}")
         data = {
             "version": 1,
-            "asset": {"generator": generator(), "chunkGaussians": self.most},
+            "asset": {
+                "generator": generator(),
+                "chunkGaussians": self.most,
+                "chunkMinGaussians": self.least,
+            },
             "count": sum(counts),
             "counts": list(counts),
             "lodLevels": len(counts),
@@ -104,12 +116,15 @@ class _Leaves:
         self._entries: list[dict[str, dict[str, int]]] = [{} for _ in range(cells.count)]
         self._boxes: list[list[F64]] = [[] for _ in range(cells.count)]
 
-    def add(self, level: int, file: int, places: Sequence[Any]) -> None:
-        """Note the places in a file of a level; the finest level, which fills all leaves, first."""
-        for leaf, offset, splats, box in places:
-            place = {"file": file, "offset": offset, "count": splats}
-            self._entries[leaf][str(level)] = place
-            self._boxes[leaf].append(np.array(box))
+    @property
+    def count(self) -> int:
+        """The number of leaves."""
+        return self._cells.count
+
+    def add(self, level: int, leaf: int, place: dict[str, int], box: Sequence[Any]) -> None:
+        """Note a place in a file of a level; the finest level, which fills all leaves, first."""
+        self._entries[leaf][str(level)] = place
+        self._boxes[leaf].append(np.array(box))
 
     def tree(self) -> _Node:
         """The tree and the box around all of it; from the leaves up, as boxes grow."""
@@ -123,6 +138,15 @@ class _Leaves:
             else:
                 nodes[node] = _parent(*map(nodes.pop, cells.children[node].tolist()))
         return nodes[0]
+
+
+def _add(trees: Sequence[_Leaves], level: int, file: int, places: Sequence[Any]) -> None:
+    """Note the places in a file, whose leaves are numbered from those of the first tree on."""
+    before = [0, *accumulate(tree.count for tree in trees)]
+    for leaf, offset, splats, box in places:
+        number = bisect_right(before, leaf) - 1
+        place = {"file": file, "offset": offset, "count": splats}
+        trees[number].add(level, leaf - before[number], place, box)
 
 
 def _joined(trees: list[_Node]) -> _Node:
@@ -165,16 +189,58 @@ def made_files(folder: Path) -> frozenset[str] | None:
     return frozenset(names)
 
 
-def _runs(counts: I64, most: int) -> Iterator[tuple[int, int]]:
-    """Ranges of leaves whose splats fit into a file together; one that does not has its own."""
-    first = held = 0
+def _runs(counts: I64, most: int, least: int) -> list[tuple[int, int]]:
+    """Ranges of leaves whose splats fit into a file together; one that does not has its own.
+
+    Neighbours of which one has too few for a file are divided anew, as evenly as leaves allow, or
+    are one file, if need be a larger one.
+
+    Args:
+        counts: (L,) splats of each leaf.
+        most: Splats of a file, at most.
+        least: Splats of a file, at least, unless all leaves have fewer.
+    """
+    before = np.concatenate([[0], np.cumsum(counts)])
+
+    def held(run: tuple[int, int]) -> int:
+        return int(before[run[1]] - before[run[0]])
+
+    runs, first = [], 0
     for leaf, count in enumerate(counts.tolist()):
-        if held and held + count > most:
-            yield first, leaf
-            first, held = leaf, 0
-        held += count
-    if held:
-        yield first, len(counts)
+        if (full := held((first, leaf))) and full + count > most:
+            runs.append((first, leaf))
+            first = leaf
+    if held((first, len(counts))):
+        runs.append((first, len(counts)))
+    number = 0
+    while number < len(runs):
+        if held(runs[number]) >= least or len(runs) == 1:
+            number += 1
+            continue
+        pair = max(number - 1, 0)
+        (begin, _), (_, end) = runs[pair : pair + 2]
+        runs[pair : pair + 2] = _evened(before[begin : end + 1], begin, most, least)
+        number = pair
+    return runs
+
+
+def _evened(before: I64, first: int, most: int, least: int) -> list[tuple[int, int]]:
+    """A range of leaves as two files of about equal size, or as one where that cannot be.
+
+    Args:
+        before: (L + 1,) splats before each leaf, and before the one after the last.
+        first: Number of the first leaf.
+        most: As in `_runs`.
+        least: As in `_runs`.
+    """
+    whole, end = before[-1] - before[0], first + len(before) - 1
+    left = before - before[0]
+    fewer = np.minimum(left, whole - left)
+    middle = int(fewer.argmax())
+    fits = whole <= most
+    if fits or fewer[middle] < least or whole - fewer[middle] > most:
+        return [(first, end)]
+    return [(first, first + middle), (first + middle, end)]
 
 
 def _bound(box: F64) -> dict[str, list[float]]:

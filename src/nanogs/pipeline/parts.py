@@ -112,6 +112,12 @@ def part_of_block(work: "Work", block: int, level: int) -> Splats:
     return change_frame(splats, *frame) if frame else splats
 
 
+def count_of_block(work: "Work", block: int, level: int) -> int:
+    """How many these are."""
+    rows = _place(work, block, level)[1]
+    return int(rows.stop - rows.start)
+
+
 def means_of_block(work: "Work", block: int, level: int) -> F:
     """(N, 3) the centres of these splats, scene units."""
     record, rows = _place(work, block, level)
