@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from builders import random_splats
 from conftest import scene_path
 from damage import mutate, outcome
+from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io import registry
@@ -112,7 +113,9 @@ def test_fraction_bits(load, bits):
 def test_extension_records_are_noted(load, version):
     records = struct.pack("<III", 0xADBE0003, 4, 6) + struct.pack("<II3s", 0x12340001, 3, b"abc")
     model = load(encode([row()], version, flags=2, records=records))
-    assert model.notes == ("Extension records of the .spz file were left out: 0x12340001.",)
+    left = "Extension records of the .spz file were left out: 0x12340001."
+    assert model.notes == ((left,) if version == 3 else ())
+    assert [each.name for each in model.elements] == ["spz_record_12340001"] * (version == 4)
     with pytest.raises(FormatError, match="cut short"):
         load(encode([row()], version, flags=2, records=records[:-1]))
 
@@ -168,10 +171,79 @@ def test_a_frame_is_written_where_the_version_can(tmp_path):
         io.save(model, tmp_path / "b.spz", overwrite=True, format_options={"spz_version": 4})
         assert_same(io.load(path), io.load(tmp_path / "b.spz"))
     with pytest.raises(OptionError, match="version 4"):
-        io.save(model, tmp_path / "c.spz", format_options={"frame": "rub"})
+        io.save(model, tmp_path / "c.spz", format_options={"frame": "rub", "spz_version": 3})
     with pytest.raises(OptionError, match="frame must be"):
         io.save(model, tmp_path / "c.spz", format_options={"frame": "fru"})
     assert not (tmp_path / "c.spz").exists()
+
+
+CAMERA = struct.pack("<II3f", 0xADBE0002, 12, -0.5, 0.5, 2)
+UNKNOWN = struct.pack("<II5s", 0x12340001, 5, b"hello")
+SHARES = struct.pack("<II8s", 0x12340002, 8, bytes(range(8)))  # two bytes for each of four splats
+
+
+def recorded(tmp_path, records, count=4):
+    """A file of version 4 with such records, its splats apart from each other."""
+    rows = [row(mean=(i, i % 3, 0), alpha=200) for i in range(count)]
+    path = tmp_path / "more.spz"
+    path.write_bytes(encode(rows, 4, flags=2, records=records))
+    return path
+
+
+def records_in(path):
+    """What lies between the header and the table of contents, where version 4 has its records."""
+    data = path.read_bytes()
+    assert struct.unpack_from("<I", data, 4)[0] == 4
+    return data[32 : struct.unpack_from("<I", data, 16)[0]]
+
+
+def test_records_are_kept_where_the_splats_are(tmp_path):
+    """By way of a .ply too, where they are elements."""
+    path = recorded(tmp_path, CAMERA + UNKNOWN + SHARES)
+    assert ("spz_record_12340002", 4) in io.inspect(path).elements
+    for first, second in (("a.spz", "a.spz"), ("b.ply", "b.spz")):
+        for source, target in ((path, first), (tmp_path / first, second))[: 1 + (first != second)]:
+            done = run("convert", source, tmp_path / target)
+            assert done.returncode == 0, done.stderr
+            assert "spz_record" not in done.stderr
+        assert records_in(tmp_path / second) == CAMERA + UNKNOWN + SHARES
+    told = run("convert", path, tmp_path / "c.splat")
+    assert "spz_record_ADBE0002" in told.stderr
+    refused = run("convert", path, tmp_path / "d.spz", "--spz-version", "3")
+    assert refused.returncode == 2
+    assert "Only .spz of version 4 holds the extension records" in refused.stderr
+    assert not (tmp_path / "d.spz").exists()
+
+
+def test_records_of_the_whole_stay_when_splats_go(tmp_path):
+    path, halved = recorded(tmp_path, CAMERA + UNKNOWN, 40), ("--preset", "fast", "-r", "0.5")
+    done = run("simplify", path, tmp_path / "a.spz", *halved)
+    assert done.returncode == 0, done.stderr
+    assert records_in(tmp_path / "a.spz") == CAMERA + UNKNOWN
+    refused = run("simplify", recorded(tmp_path, SHARES), tmp_path / "b.spz", *halved)
+    assert refused.returncode == 2
+    assert "'spz_record_12340002' has one row for each splat" in refused.stderr
+
+
+def test_a_stated_frame_stays_stated_where_nothing_is_turned(tmp_path):
+    path = recorded(tmp_path, struct.pack("<III", 0xADBE0003, 4, 3), 40)
+    halved = ("--preset", "fast", "-r", "0.5")
+    for made in (
+        ("convert", path, tmp_path / "a.spz"),
+        ("simplify", path, tmp_path / "b.spz", *halved),
+    ):
+        done = run(*made)
+        assert done.returncode == 0, done.stderr
+        assert stated(made[2]) == "lub"
+    for name, words in {
+        "c.ply": "as if they were rdf, as of .ply files; it was not turned",
+        "d.spz": "has no place for",
+    }.items():
+        more = ("--spz-version", "3") if name == "d.spz" else ()
+        done = run("convert", path, tmp_path / name, *more)
+        assert done.returncode == 0
+        assert "states that its axes are lub" in done.stderr
+        assert words in done.stderr
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -14,6 +14,7 @@ from nanogs.filters import Filter, FilterReport, apply
 from nanogs.findings import join_findings
 from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
 from nanogs.io import open as open_model
+from nanogs.io.frames import repeated
 from nanogs.io.parts import FileSource
 from nanogs.io.stand_ins import at_hand
 from nanogs.io.urls import place
@@ -117,6 +118,8 @@ def convert(
         open_model(here, level=level, render_mode=render_mode) as file,
     ):
         path = there or wanted
+        unturned = () if frame else (file,)
+        saving["format_options"], said = repeated(wanted, format_options, unturned)
         allowed = None if max_memory is None else as_bytes(max_memory)
         _refuse_too_large(file, path, filters, format_options, allowed)
         typical = 1_000_000  # only how the two compare counts
@@ -135,7 +138,7 @@ def convert(
         made = _written(path, count, degree) | {"output_bytes": bytes_on_disk(path)}
     return ConvertReport(
         input=str(given), output=str(wanted), filters=took, frames=frame,
-        input_bytes=read_bytes, **made, notes=notes, losses=lost,
+        input_bytes=read_bytes, **made, notes=(*notes, *said), losses=lost,
         seconds=clock.seconds, total_seconds=time.perf_counter() - start,
     )  # fmt: skip
 

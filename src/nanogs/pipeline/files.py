@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -13,6 +14,7 @@ from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
+from nanogs.io.frames import repeated
 from nanogs.io.stand_ins import at_hand
 from nanogs.io.urls import place
 from nanogs.pipeline.api import simplify
@@ -164,10 +166,20 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
         NanogsError: It cannot be done.
     """
     request.check()
+    options, notes = _frame_of(request)
+    request = replace(request, format_options=options)
     plan = plan_files(request)
-    if not plan.divided:
-        return _in_memory(request, plan, told)
-    return _in_blocks(request, told)
+    report = _in_blocks(request, told) if plan.divided else _in_memory(request, plan, told)
+    return replace(report, notes=(*report.notes, *notes))
+
+
+def _frame_of(request: Request) -> tuple["FormatOptions | None", tuple[str, ...]]:
+    """Options with which the output repeats the frame that the inputs state; see `repeated`."""
+    if request.frame is not None:
+        return request.format_options, ()
+    with ExitStack() as stack:
+        files = [stack.enter_context(open_model(path)) for path in request.inputs]
+        return repeated(request.output, request.format_options, files)
 
 
 def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:

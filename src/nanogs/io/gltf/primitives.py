@@ -113,7 +113,10 @@ class Packed:
             span = slice(start, start + BLOCK_ROWS)
             part = {name: array[span] for name, array in out.items()}
             _place(self, part, *(column[span].astype(np.float64) for column in stored))
-        return tuple(splats.notes)
+        if not splats.elements:
+            return tuple(splats.notes)
+        names = ", ".join(element.name for element in splats.elements)
+        return (*splats.notes, f"Extension records of the packed splats were left out: {names}.")
 
 
 Primitive = Rows | Packed

@@ -1,6 +1,6 @@
 """Niantic's `.spz`: columns of bytes, packed by gzip or zstd."""
 
-from nanogs.io.format import Format, WriteOption
+from nanogs.io.format import Format, FormatOptions, WriteOption
 from nanogs.io.precision import FEWEST_BITS, MOST_BITS
 from nanogs.io.spz import write
 from nanogs.io.spz.header import GZIP, MAGIC, RECORDED_FRAMES
@@ -9,6 +9,14 @@ from nanogs.io.spz.read import open_spz
 _FRAME = (
     "not stated in the file; y up (rub) by the specification, though many files have y down (rdf)"
 )
+
+
+def _version(options: FormatOptions) -> int:
+    """The version that is written with such options, of a model without records."""
+    usual = write.STATING if options.get("frame") else write.USUAL
+    return options.get("spz_version") or usual
+
+
 FORMATS = (
     Format(
         ".spz",
@@ -24,7 +32,7 @@ FORMATS = (
             "sh_bits": WriteOption("sh_bits", range(2, 9), write.SH_BITS),
             "frame": WriteOption("frame", RECORDED_FRAMES),
         },
-        states_frame=lambda options: options.get("spz_version") == write.STATING,
+        states_frame=lambda options: _version(options) == write.STATING,
         tells=True,
         streams=True,
         starts=(MAGIC, GZIP),

@@ -152,23 +152,32 @@ def _expander(packed: BinaryIO) -> "ZstdDecompressionReader":
     return decompressor.stream_reader(packed, read_across_frames=True)
 
 
-def stated_frame(header: Header) -> str:
-    """The frame that a record states, such as "rub"; empty where none does.
+def read_records(header: Header) -> dict[int, bytes]:
+    """The payload of each extension record by its kind.
 
     Of versions 1 to 3 all columns are unpacked on the way, a piece at a time.
 
     Raises:
-        FormatError: The file cannot be read, a record is cut short, or there is no such frame.
+        FormatError: The file cannot be read, or a record is cut short.
     """
     if not header.flags & EXTENSIONS:
-        return ""
+        return {}
     with opened(header.section) as file:
         if header.version > LAST_GZIP:
             file.seek(HEADER.size)
             records = file.read(max(header.toc - HEADER.size, 0))
         else:
             records = _tail(header, file)
-    return _frame_in(header, _records(header, records))
+    return _records(header, records)
+
+
+def stated_frame(header: Header) -> str:
+    """The frame that a record states, such as "rub"; empty where none does.
+
+    Raises:
+        FormatError: As for `read_records`, or there is no such frame.
+    """
+    return _frame_in(header, read_records(header))
 
 
 def _frame_in(header: Header, records: dict[int, bytes]) -> str:
@@ -200,7 +209,7 @@ def frame_record(frame: str) -> bytes:
 
 
 def _records(header: Header, records: bytes) -> dict[int, bytes]:
-    """The payload of each extension record by its type; of twins the last one counts."""
+    """The payload of each extension record by its kind; of twins the last one counts."""
     found, at = {}, 0
     while at + RECORD.size <= len(records):
         kind, length = RECORD.unpack_from(records, at)
@@ -213,11 +222,11 @@ def _records(header: Header, records: bytes) -> dict[int, bytes]:
 
 
 def _extension_notes(header: Header, records: bytes) -> list[str]:
-    """A note that names the extension records whose payload is not carried."""
+    """A note that names the extension records whose payload is not carried: of old versions all."""
     found = _records(header, records)
     _frame_in(header, found)  # which refuses a record that names none
     kinds = [kind for kind in found if kind != FRAME_RECORD]
-    if not kinds:
+    if not kinds or header.version > LAST_GZIP:
         return []
     names = ", ".join(_KNOWN_RECORDS.get(kind, f"0x{kind:08X}") for kind in kinds)
     return [f"Extension records of the .spz file were left out: {names}."]

@@ -12,6 +12,7 @@ axes as they are. A frame that a file does state is told (`FileInfo.frame`). Alp
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -23,9 +24,10 @@ from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.rotations import whole_quats
 from nanogs.io.section import whole_file
-from nanogs.io.spz.body import body_pieces, stated_frame, window_bytes
+from nanogs.io.spz.body import body_pieces, read_records, stated_frame, window_bytes
 from nanogs.io.spz.header import ANTIALIASED, LAST_GZIP, Header, read_header
-from nanogs.splats import RenderMode, Splats, empty_arrays
+from nanogs.io.spz.records import elements_of
+from nanogs.splats import ExtraElement, RenderMode, Splats, empty_arrays
 from nanogs.stored import logit
 
 COLOUR_SCALE = 0.15
@@ -63,6 +65,10 @@ class SpzSource(Packed):
         self._header = header
         self._widths = header.columns()
         self.stored = {n: Column("|u1", (header.count, w)) for n, w in self._widths.items()}
+        # Records of older versions follow the columns; those are not unpacked for them.
+        records = read_records(header) if header.version > LAST_GZIP else {}
+        self._elements = elements_of(records, header.count)
+        self.elements = tuple((each.name, len(each.rows)) for each in self._elements)
         self.info = FileInfo(
             path=path,
             format="spz",
@@ -71,6 +77,7 @@ class SpzSource(Packed):
             splats=header.count,
             sh_degree=header.degree,
             properties=_properties(header),
+            elements=self.elements,
             render_mode=_render_mode(header),
             render_tag=f"the antialiased flag of its header, {header.flags & ANTIALIASED}",
         )
@@ -99,7 +106,16 @@ class SpzSource(Packed):
     def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
         """Some rows; see `Packed`."""
         stored = {name: columns(name, start, stop) for name in self._widths}
-        return _decoded(self._header, stored)
+        elements = [ExtraElement(each.name, each.rows[:0]) for each in self._elements]
+        return replace(_decoded(self._header, stored), elements=elements)
+
+    def read_elements(self) -> tuple[ExtraElement, ...]:
+        """Extension records of version 4; see `Source`."""
+        return self._elements
+
+    def load(self) -> Splats:
+        """The whole model."""
+        return replace(super().load(), elements=self._elements)
 
 
 def _decoded(header: Header, columns: Mapping[str, U8]) -> Splats:

@@ -39,6 +39,7 @@ from nanogs.io.spz.header import (
     column_widths,
 )
 from nanogs.io.spz.read import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
+from nanogs.io.spz.records import packed, without_records
 from nanogs.progress import Parts, untold
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import RenderMode, Splats
@@ -46,7 +47,7 @@ from nanogs.stored import rounded_bytes
 
 SUFFIX = ".spz"
 SH_BITS = 5  # kept of a coefficient of degree 1; of a higher one, one less
-STATING = 4  # the version that can state a frame
+USUAL, STATING = 3, 4  # the version by default, and the one that can state a frame
 MOST_ENTRIES = 1 << 20  # of a palette
 USUAL_FRACTION_BITS = 12
 _FIXED_MAX = (1 << 23) - 1
@@ -61,7 +62,7 @@ def write(
     file: BinaryIO,
     tell: Parts = untold,
     *,
-    version: int = 3,
+    version: int | None = None,
     palette_size: int | None = None,
     bits: int = MOST_BITS,
     sh_bits: int = SH_BITS,
@@ -75,7 +76,8 @@ def write(
         file: Open for binary writing.
         tell: Told of the rounds in which a palette is looked for.
         version: 3 (gzip), which Spark reads; 4 (zstd), as today's reference writer has it; or 2
-            (gzip), which older readers know, with rotations of less precision.
+            (gzip), which older readers know, with rotations of less precision. By default 3, but 4
+            for a model with extension records, which were read of such a file, or with a frame.
         palette_size: Most sets of higher coefficients that splats may have; by default each splat
             has its own. Splats of one set then follow each other.
         bits: Of a part of a rotation, a colour and an alpha, 4 to 8; centres follow, see
@@ -85,22 +87,26 @@ def write(
             of older ones expect nothing after the columns.
 
     Raises:
-        OptionError: A frame is to be stated by another version.
+        OptionError: A frame or a record is to be in a file of another version.
         OutputError: A value is NaN or infinite, or a centre is too far out; nothing has been
             written then.
         OSError: The system refuses to write.
     """
-    if frame is not None and version != STATING:
-        raise OptionError(
-            f"Only .spz of version {STATING} states its frame; give spz_version={STATING}."
-        )
     source = source_of(model)
+    records = packed(source.read_elements()) + (frame_record(frame) if frame else b"")
+    version = version or (STATING if records else USUAL)
+    if records and version != STATING:
+        what = "states its frame" if frame else "holds the extension records of the model"
+        raise OptionError(
+            f"Only .spz of version {STATING} {what}; leave spz_version={version} out, or give"
+            f" {STATING}."
+        )
     precision, (degree, count) = Precision(bits), (source.columns.sh_degree, source.count)
     fraction = fraction_bits(source, precision)
     if palette_size is not None and degree and count:
         source = InMemory(_sharing(source.load(), palette_size, tell))
     flags = ANTIALIASED if source.columns.render_mode == RenderMode.MIP else 0
-    flags |= EXTENSIONS if frame else 0
+    flags |= EXTENSIONS if records else 0
     start = (MAGIC, version, count, degree, fraction, flags)
     buckets = _buckets(degree, sh_bits)[:, None]
     columns = encoded_columns(source, _encoders(fraction, version, precision, buckets))
@@ -112,12 +118,11 @@ def write(
                     stream.write(block)
     elif version == STATING:
         widths = list(column_widths(version, degree).values())
-        packed = [_compressed(column) for column in columns]
-        records = frame_record(frame) if frame else b""
-        file.write(HEADER.pack(*start, len(packed), HEADER.size + len(records)) + records)
-        sizes = zip(packed, widths, strict=True)
+        streams = [_compressed(column) for column in columns]
+        file.write(HEADER.pack(*start, len(streams), HEADER.size + len(records)) + records)
+        sizes = zip(streams, widths, strict=True)
         file.writelines(TOC_ENTRY.pack(len(column), w * count) for column, w in sizes)
-        file.writelines(packed)
+        file.writelines(streams)
     else:
         raise OutputError(f".spz version {version} is not written; choose 2, 3 or 4.")
 
@@ -129,7 +134,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
     scales, colours, rest = splats.log_scales, splats.sh[:, 0], splats.sh[:, 1:]
     widest = 0.5 / COLOUR_SCALE
     half = (_buckets(splats.sh_degree, SH_BITS) / 2 / SH_STEPS)[:, None]
-    out = limits.left_out(splats, SUFFIX)
+    out = limits.left_out(without_records(splats), SUFFIX)
     out += limits.lost_mode(splats, SUFFIX, RenderMode.MIP)
     out += limits.clamped(
         (scales < low - step) | (scales > high + step),
