@@ -147,7 +147,7 @@ SpzVersion = Annotated[
     typer.Option(
         help="Of a .spz file: 3 (gzip), which Spark reads; 4 (zstd), smaller, which PlayCanvas"
         " reads; or 2 (gzip), for old readers, with rounder rotations.",
-        show_default="3",
+        show_default="3, or 4 for a model with extension records",
     ),
 ]
 Palette = Annotated[
