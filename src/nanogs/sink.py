@@ -10,7 +10,7 @@ import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -26,6 +26,7 @@ from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
 from nanogs.source import Source
 from nanogs.splats import Splats
+from nanogs.switches import PixelOf, Switch
 
 PLACED = 24  # bytes a splat of a level that is divided: its cell and place
 
@@ -46,6 +47,7 @@ class Written(NamedTuple):
             for the views; None where that was not measured.
         requests: Files that a viewer asks for, of those in chunks: those named here and those that
             they name.
+        switch: The fields of `Switch`; None where that was not measured.
     """
 
     splats: int
@@ -57,6 +59,12 @@ class Written(NamedTuple):
     notes: Sequence[str] = ()
     costs: Sequence[Sequence[float]] | None = None
     requests: int = 0
+    switch: tuple[float, float | None, float, int, float] | None = None
+
+    @property
+    def switched(self) -> Switch | None:
+        """How it looks where a viewer begins to draw it."""
+        return None if self.switch is None else Switch(*self.switch)
 
     @property
     def drawn(self) -> tuple[DrawCost, ...]:
@@ -184,6 +192,9 @@ class Judge(Protocol):
     def costs(self, path: Path, level: int = 0) -> Sequence[DrawCost]:
         """What it takes to draw, and the model; nothing where that is not measured."""
 
+    def at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> Switch | None:
+        """A level where a viewer begins to draw it; None where that is not measured."""
+
 
 class Filling(ABC):
     """A sink that has been opened, and is being filled.
@@ -212,12 +223,18 @@ class Filling(ABC):
             judge: Measures files; by default nothing is measured.
         """
 
-    def measure(self, judge: Judge | None, files: Sequence[tuple[Path, int]]) -> None:
+    def measure(
+        self,
+        judge: Judge | None,
+        files: Sequence[tuple[Path, int]],
+        pixel_of: PixelOf | None = None,
+    ) -> None:
         """Add to what was written how it was measured.
 
         Args:
             judge: Measures files, or None.
             files: Each result's file, and its level in there.
+            pixel_of: How a viewer chooses among them; None where none does.
         """
         if judge is None:
             return
@@ -226,7 +243,10 @@ class Filling(ABC):
             if found is not None:
                 judged = found.psnr, found.ssim, found.protocol.views
                 costs = [each.numbers for each in judge.costs(*file)] or None
-                self.written[number] = self.written[number]._replace(judged=judged, costs=costs)
+                switch = judge.at_switch(*file, pixel_of) if number and pixel_of else None
+                self.written[number] = self.written[number]._replace(
+                    judged=judged, costs=costs, switch=astuple(switch) if switch else None
+                )
         self.written[0] = self.written[0]._replace(notes=judge.notes)
 
 

@@ -20,6 +20,7 @@ from nanogs.lod.manifest import ChunkedLevel, Level
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.target import target_count
 from nanogs.progress import Progress
+from nanogs.switches import SCREEN, Switch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,16 +91,25 @@ def print_levels(run: Run, *, verbose: bool) -> None:
     warn_of_input(manifest.notes, files["dropped_nonfinite"])
     table = Table("level", box=None, pad_edge=False)
     drawn = any(level.draws is not None for level in levels)
-    for heading in ("asked", "splats", "file", "PSNR", "SSIM", *["draws"] * drawn, "seconds"):
+    switched = any(map(_switch, levels))
+    more = ["draws"] * drawn + ["from", "there"] * switched
+    for heading in ("asked", "splats", "file", "PSNR", "SSIM", *more, "seconds"):
         table.add_column(heading, justify="right")
     for number, (level, report) in enumerate(zip(levels, reports, strict=True)):
         draws = [NONE if level.draws is None else f"{level.draws:.1%}"] * drawn
-        table.add_row(*_cells(number, level), *draws, f"{report.total_seconds:.2f}")
+        there = _switch_cells(_switch(level)) if switched else ()
+        table.add_row(*_cells(number, level), *draws, *there, f"{report.total_seconds:.2f}")
     show(err, table)
     if manifest.protocol:
         text = f"PSNR in dB; means over {manifest.protocol.text}"
         text += "; draws: splats a pixel, as a share of the original's" * drawn
         err.print(text, markup=False, soft_wrap=True)
+        if switched:
+            err.print(
+                "from, there: how many units away a viewer begins to draw the level, on"
+                f" {SCREEN} pixels and 45 degrees, and PSNR and SSIM from there",
+                markup=False, soft_wrap=True,
+            )  # fmt: skip
     for number, report in enumerate(reports if verbose else []):
         err.print(f"level {number}")
         show_report(report)
@@ -113,6 +123,15 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         say(f"a viewer's first picture takes {asked} and {bytes_text(coarsest.bytes)}")
     if files["layout"] != Layout.FILES:
         say(f"`nanogs view {files['output']}` makes a page of one level, to look at it")
+
+
+def _switch(level: Level | ChunkedLevel) -> Switch | None:
+    return level.switch if isinstance(level, ChunkedLevel) else None
+
+
+def _switch_cells(switch: Switch | None) -> tuple[str, str]:
+    """From how far on a viewer draws a level, and how it looks from there."""
+    return (switch.distance_text, switch.marks) if switch else (NONE, NONE)
 
 
 def _cells(number: int, level: Level | ChunkedLevel) -> Iterator[str]:

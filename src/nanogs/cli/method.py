@@ -69,7 +69,8 @@ class Method(options.Telling):
         bool | None,
         typer.Option(
             "--measure/--no-measure",
-            help="Say the PSNR that `nanogs compare` measures; where asked for, the draw cost.",
+            help="Say the PSNR that `nanogs compare` measures; where asked for, the draw cost, and"
+            " of levels how they look from where viewers begin to draw them.",
             show_default="where the preset renders",
         ),
     ] = None

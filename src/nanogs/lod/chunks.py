@@ -156,6 +156,15 @@ class ChunkLayout(ABC):
         """Make the chunks of a level; see `encode`."""
 
     @abstractmethod
+    def switch_pixel(self, level: int, deviation: float) -> float:
+        """Scene units that a pixel shows where a viewer begins to draw a level.
+
+        Args:
+            level: 1 or more.
+            deviation: Of a typical splat of it along its longest axis, scene units.
+        """
+
+    @abstractmethod
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """Name the parts of a model that the files leave out, one sentence each."""
 

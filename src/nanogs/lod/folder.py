@@ -199,7 +199,8 @@ class ChunksFilling(LevelsFilling):
         path = self._folder / self._layout.name
         text = self._layout.describe(trees, [each.splats for each in self.written])
         path.write_text(text, encoding="utf-8")
-        self.measure(judge, [(path, level) for level in range(len(self.written))])
+        levels = [(path, level) for level in range(len(self.written))]
+        self.measure(judge, levels, self._layout.switch_pixel)
         return describe_levels(self._source, reports, self.written)
 
 

@@ -11,6 +11,7 @@ from nanogs._version import __version__
 from nanogs.protocol import Protocol
 from nanogs.report import SimplifyReport, StopReason
 from nanogs.sink import Written
+from nanogs.switches import GOOD_PSNR, GOOD_SSIM, Switch
 
 NAME = "levels.json"
 FORMAT = "nanogs-levels"
@@ -60,6 +61,8 @@ class ChunkedLevel:
         stop: Why its merging stopped.
         draws: As in `Level`.
         requests: All these files, each of which a viewer asks for.
+        switch: How it looks where a viewer begins to draw it; None of the finest, and where that
+            was not measured.
     """
 
     files: tuple[str, ...]
@@ -71,6 +74,7 @@ class ChunkedLevel:
     stop: StopReason
     draws: float | None = None
     requests: int = 0
+    switch: Switch | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +123,8 @@ def describe_levels(
         prefix = f"Level {level}: " if level else ""
         notes += [prefix + loss for loss in each.losses if loss not in notes]
         notes += each.notes
+        if each.switched and each.switched.seen:
+            notes.append(_seen_note(level, each.switched))
     return Manifest(
         generator=f"nanogs {__version__}",
         source=source,
@@ -128,6 +134,14 @@ def describe_levels(
         levels=tuple(map(_entry, reports, written)),
         notes=tuple(dict.fromkeys(notes)),
         protocol=next((each.marks.protocol for each in written if each.marks), None),
+    )
+
+
+def _seen_note(level: int, switch: Switch) -> str:
+    return (
+        f"Level {level}: one sees a viewer switch to it ({switch.text}; below {GOOD_PSNR:g} dB or"
+        f" {GOOD_SSIM:g} a difference is more than slight). Give more levels or larger ratios, or"
+        " the preset `best`."
     )
 
 
@@ -141,7 +155,7 @@ def _entry(report: SimplifyReport, written: Written) -> Level | ChunkedLevel:
     if not written.sha256:
         return ChunkedLevel(
             tuple(written.files), ratio, report.achieved_count, written.bytes, psnr, ssim,
-            report.stop, draws, written.requests,
+            report.stop, draws, written.requests, written.switched,
         )  # fmt: skip
     return Level(
         written.files[0], ratio, report.achieved_count, written.bytes, written.sha256, psnr, ssim,

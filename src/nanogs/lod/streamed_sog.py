@@ -31,6 +31,7 @@ from nanogs.lod.chunks import (
 )
 from nanogs.progress import Parts
 from nanogs.splats import Splats
+from nanogs.switches import streamed_pixel
 
 # As the format's own tool has it. A viewer chooses levels by the distance to these boxes, so that
 # larger ones would bring fine levels too early.
@@ -75,6 +76,10 @@ class StreamedSog(ChunkLayout):
     def fewest(self) -> int:
         """As `Chunked` says: of each file of a level."""
         return self.least
+
+    def switch_pixel(self, level: int, deviation: float) -> float:  # noqa: ARG002 - by distance
+        """As `ChunkLayout` says."""
+        return streamed_pixel(level)
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """As `ChunkLayout` says."""

@@ -34,6 +34,7 @@ from nanogs.lod.tileset import describe
 from nanogs.place import from_columns
 from nanogs.progress import Parts
 from nanogs.splats import Splats
+from nanogs.switches import tile_pixel
 
 _DEVIATIONS = 3.0  # as far as rasterisers draw; what is outside of a box may be culled
 # A level's error is the width, in deviations, of what one sees of its splats: by the usual 16
@@ -113,6 +114,10 @@ class Tiles(ChunkLayout):
             box = box_around(part, _DEVIATIONS)
             tell(number + 1, len(nodes))
             yield [node, name, box.tolist(), _width(part)], {name: file.getvalue()}
+
+    def switch_pixel(self, level: int, deviation: float) -> float:  # noqa: ARG002 - by size
+        """As `ChunkLayout` says."""
+        return tile_pixel(_WIDTH * deviation)
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """As `ChunkLayout` says."""

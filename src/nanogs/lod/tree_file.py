@@ -18,6 +18,7 @@ from nanogs.report import SimplifyReport
 from nanogs.sink import Filling, Judge, OneFile, Written, made_beside
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import Splats
+from nanogs.switches import tree_pixel
 
 _LINKING = 220  # bytes for a splat of the finest level, while it is linked to the next; measured
 _HELD = ".npz"  # which keeps all of a level that is not in memory
@@ -120,7 +121,8 @@ class TreeFilling(Filling):
         self.written[:] = [
             each._replace(bytes=size * each.splats // count) for each in self.written
         ]
-        self.measure(judge, [(self._making, level) for level in range(len(self.written))])
+        files = [(self._making, level) for level in range(len(self.written))]
+        self.measure(judge, files, lambda _level, deviation: tree_pixel(deviation))
         made = describe_levels(self._source, reports, self.written)
         if not any(report.refit for report in reports):
             return made

@@ -94,8 +94,8 @@ class Ending:
                         filling.add(source)
                 else:
                     filling.add_blocks(blocks_of(work, level, progress.part))
-            judge = self._judge(work, progress) if self.measured else None
-            filling.finish(self.reports(done, filling.written), judge)
+            with self._judge(work, progress) as judge:
+                filling.finish(self.reports(done, filling.written), judge)
             if self.costed and judge is None:  # its PSNR is known already
                 filling.written[0] = self._costed(work, filling.written[0], made)
             _seal(made, self.sink.files(made), filling.written, measured=self.measured)
@@ -103,11 +103,16 @@ class Ending:
             raise output_error(made, error) from error
         return filling.written
 
-    def _judge(self, work: Work, progress: Tracker) -> FileJudge:
+    @contextmanager
+    def _judge(self, work: Work, progress: Tracker) -> Iterator[FileJudge | None]:
+        """What measures files, as long as the model is open; None where nothing is measured."""
+        if not self.measured:
+            yield None
+            return
         settings = work.settings
         progress.begin("measure")
         with opened(settings, work.unpacked()) as original:
-            return file_judge(
+            yield file_judge(
                 original, self.sink.suffix, turn=settings.frame, threads=work.threads,
                 tell=progress.part, max_memory=self.max_memory, costs=self.costed,
             )  # fmt: skip

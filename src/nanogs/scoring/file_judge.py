@@ -1,5 +1,7 @@
 """Holding files against the model that they were made of, as they give it back."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,10 +16,12 @@ from nanogs.protocol import Judged, PackingLoss
 from nanogs.scoring.packing import rounds
 from nanogs.source import Source, Turned
 from nanogs.splats import Splats
+from nanogs.switches import PixelOf, Switch
 
 if TYPE_CHECKING:
     from nanogs.scoring.draw_views import DrawViews
     from nanogs.scoring.held_out import HeldOut
+    from nanogs.scoring.switch_views import SwitchViews
 
 
 @dataclass(slots=True, eq=False)
@@ -32,6 +36,10 @@ class FileJudge:
         threads: Threads to use, or None for all.
         notes: Why nothing is measured, one sentence each.
         drawing: What the model takes to draw; None where that is not measured.
+        original: The model, where levels are measured at the distances at which viewers begin to
+            draw them; else None.
+        max_memory: Bytes that this process may take for that, where it is a source; by default
+            what is free.
     """
 
     views: "HeldOut | None" = None
@@ -40,6 +48,9 @@ class FileJudge:
     threads: int | None = None
     notes: tuple[str, ...] = ()
     drawing: "DrawViews | None" = None
+    original: Splats | Source | None = None
+    max_memory: int | None = None
+    _switching: "SwitchViews | None" = None
 
     def of(self, path: Path, level: int = 0) -> Judged | None:
         """What was measured of a file; None where nothing can be, of which a note then tells.
@@ -71,8 +82,26 @@ class FileJudge:
         from nanogs.threads import use_threads
 
         with use_threads(self.threads), open_model(path, level=level) as file:
-            back: Source = Turned(file, self.turn[1], self.turn[0]) if self.turn else file
-            return self.drawing.cost(back), self.drawing.original
+            return self.drawing.cost(self._source_back(file)), self.drawing.original
+
+    def at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> Switch | None:
+        """A level where a viewer begins to draw it; None where that is not measured.
+
+        Args:
+            path: The file.
+            level: Which one, 1 or more.
+            pixel_of: How the viewer chooses.
+        """
+        if self.views is None or self.original is None:
+            return None
+        from nanogs.scoring.switch_views import switch_views, typical_deviation
+        from nanogs.threads import use_threads
+
+        with use_threads(self.threads), self._read(path, level) as model:
+            if self._switching is None:
+                cameras = [view.camera for view in self.views.views]
+                self._switching = switch_views(self.original, cameras, self.max_memory)
+            return self._switching.judge(model, pixel_of(level, typical_deviation(model)))
 
     def beside(self, path: Path, result: Splats) -> tuple[Judged | None, PackingLoss | None]:
         """What was measured of a file, and what packing alone cost where its format rounds.
@@ -97,12 +126,21 @@ class FileJudge:
     def _turned_back(self, splats: Splats) -> Splats:
         return change_frame(splats, self.turn[1], self.turn[0]) if self.turn else splats
 
+    def _source_back(self, file: Source) -> Source:
+        return Turned(file, self.turn[1], self.turn[0]) if self.turn else file
+
     def _judged(self, views: "HeldOut", path: Path, level: int) -> Judged:
+        with self._read(path, level) as model:
+            return views.judge(model)
+
+    @contextmanager
+    def _read(self, path: Path, level: int) -> Iterator[Splats | Source]:
+        """A level as it is measured, in the frame of the original."""
         if self.held:
-            return views.judge(self._turned_back(load(path, level=level)))
-        back = (self.turn[1], self.turn[0]) if self.turn else None
+            yield self._turned_back(load(path, level=level))
+            return
         with open_model(path, level=level) as source:
-            return views.judge(Turned(source, *back) if back else source)
+            yield self._source_back(source)
 
 
 def file_judge(
@@ -125,7 +163,7 @@ def file_judge(
         tell: Told of the views rendered.
         max_memory: Bytes that this process may take, where a source is rendered; by default what is
             free.
-        costs: Measure what files take to draw too.
+        costs: Measure what files take to draw too, and levels where viewers begin to draw them.
     """
     known = registry.find(Path(f"model{suffix}"))
     if known is not None and not known.readable:
@@ -139,7 +177,10 @@ def file_judge(
             drawing = _drawing(original) if costs else None
     except (ModelError, FormatError) as error:
         return FileJudge(notes=(_unmeasured(error),))
-    return FileJudge(views, isinstance(original, Splats), turn, threads, drawing=drawing)
+    held, looked = isinstance(original, Splats), original if costs else None
+    return FileJudge(
+        views, held, turn, threads, drawing=drawing, original=looked, max_memory=max_memory
+    )
 
 
 def _drawing(original: Splats | Source) -> "DrawViews":

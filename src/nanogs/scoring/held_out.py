@@ -51,13 +51,13 @@ class HeldOut:
             NotEnoughMemoryError: The source cannot be rendered in so little memory.
         """
         cameras = [view.camera for view in self.views]
-        shown = renderings(_drawable(small, self.max_memory), cameras, background=BLACK)
+        shown = renderings(as_drawn(small, self.max_memory), cameras, background=BLACK)
         pairs = zip(shown, self.views, strict=True)
         return mean_psnr([psnr(view.image, rendering.shown()) for rendering, view in pairs])
 
     def judge(self, small: Splats | Source) -> Judged:
         """Hold a model against the original; it raises what `psnr` does."""
-        means = score("", _drawable(small, self.max_memory), self.views, BLACK)
+        means = score("", as_drawn(small, self.max_memory), self.views, BLACK)
         return Judged(means.psnr, means.ssim, self.protocol)
 
     def judge_packed(
@@ -77,7 +77,7 @@ class HeldOut:
 
         def marks(small: Splats, form: str) -> ModelScore:
             beside.begin(form)
-            drawn = _drawable(small, self.max_memory)
+            drawn = as_drawn(small, self.max_memory)
             return beside.end(score("", drawn, self.views, BLACK, on_view=beside.see_view))
 
         marks(model, "")
@@ -105,7 +105,7 @@ def held_out(
         ModelError: Nothing of it is visible.
         NotEnoughMemoryError: The source cannot be rendered in so little memory.
     """
-    drawn = _drawable(original, max_memory)
+    drawn = as_drawn(original, max_memory)
     try:
         cameras = cameras_for(
             original, "auto", count=VIEWS, width=PIXELS, height=PIXELS, split=split
@@ -117,7 +117,7 @@ def held_out(
     return HeldOut(views, protocol, max_memory)
 
 
-def _drawable(model: Splats | Source, max_memory: int | None) -> PreparedSplats | Streamed:
+def as_drawn(model: Splats | Source, max_memory: int | None) -> PreparedSplats | Streamed:
     """A model as it is rendered: held where it is held already, else some rows at a time."""
     if isinstance(model, Splats):
         return drawable(model, None)

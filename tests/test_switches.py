@@ -1,0 +1,155 @@
+"""Where viewers begin to draw a level, and how it looks there."""
+
+import json
+import math
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from launch import run
+from nanogs.lod.manifest import describe_levels
+from nanogs.lod.streamed_sog import StreamedSog
+from nanogs.lod.tiles import Tiles
+from nanogs.raster.rendering import prepare, render
+from nanogs.scoring.switch_views import LEAST_PIXELS, magnified, switch_views, typical_deviation
+from nanogs.sink import Written
+from nanogs.switches import GOOD_PSNR, GOOD_SSIM, SCREEN, Switch, streamed_distance
+from nanogs.views.automatic import automatic_cameras
+
+
+@pytest.fixture(scope="module")
+def splats():
+    return random_splats(400, degree=1)
+
+
+@pytest.fixture(scope="module")
+def scene(splats, tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "scene.ply"
+    nanogs.save(splats, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def camera(splats):
+    return automatic_cameras(splats, 1, width=96, height=64, split="test")[0]
+
+
+def test_levels_of_a_streamed_sog_come_at_the_distances_of_the_engine():
+    assert [streamed_distance(level) for level in (1, 2, 3)] == [5, 15, 45]
+    pixel = StreamedSog(100).switch_pixel(2, 0.3)
+    assert pixel * SCREEN == pytest.approx(2 * 15 * math.tan(math.pi / 8))
+    assert Switch(pixel, 30, 0.9, 8, 64).distance == pytest.approx(15)
+
+
+def test_tiles_come_where_their_error_is_sixteen_pixels():
+    assert Tiles(100).switch_pixel(1, 0.5) == pytest.approx(4 * 0.5 / 16)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.75, 1.0])
+def test_from_farther_away_pictures_are_smaller(splats, camera, factor):
+    far = magnified(camera, factor)
+    assert (far.width, far.height) == (96 * factor, 64 * factor)
+    assert far.fx == camera.fx * factor
+
+
+def test_pictures_stay_large_enough_for_ssim(camera):
+    assert magnified(camera, 1e-6).height == LEAST_PIXELS
+
+
+def test_from_nearer_the_middle_is_drawn(splats, camera):
+    near, larger = magnified(camera, 3), camera.resized(288, 192)
+    model = prepare(splats)
+    whole = render(model, larger).color
+    assert np.array_equal(render(model, near).color, whole[64:128, 96:192])
+
+
+def test_pictures_follow_from_what_a_pixel_shows(splats, camera):
+    views = switch_views(splats, [camera])
+    depth = render(prepare(splats), camera, depth=True)
+    own = np.median(depth.depth[depth.alpha > 0.5]) / camera.fx
+    assert views.pixels[0] == pytest.approx(own, rel=1e-3)
+    found = views.judge(splats, 2 * views.pixels[0])
+    assert astuple(found) == (2 * views.pixels[0], None, pytest.approx(1), 1, 48)
+    assert not found.seen
+
+
+def test_marks_are_those_of_pictures_from_there(splats, camera):
+    small, _ = nanogs.simplify(splats, ratio=0.1, preset="fast")
+    views = switch_views(splats, [camera])
+    found = views.judge(small, views.pixels[0] / 2)
+    alone = nanogs.compare(splats, small, cameras=magnified(camera, 2))
+    assert (found.psnr, found.ssim) == (alone.models[0].psnr, alone.models[0].ssim)
+    assert found.pixels == 96
+
+
+def test_the_typical_deviation_is_that_along_the_longest_axis(splats):
+    assert typical_deviation(splats) == pytest.approx(np.median(splats.scales().max(axis=1)))
+
+
+@pytest.mark.parametrize(
+    ("psnr", "ssim", "seen"),
+    [
+        (GOOD_PSNR, GOOD_SSIM, False),
+        (GOOD_PSNR - 0.01, 1, True),
+        (60, GOOD_SSIM - 0.001, True),
+        (None, 1, False),
+    ],
+)
+def test_a_switch_that_is_seen_is_said(splats, psnr, ssim, seen):
+    _, report = nanogs.simplify(splats, ratio=0.5, preset="fast")
+    level = Written(3, ("a",), 5, switch=(0.01, psnr, ssim, 8, 200.0))
+    manifest = describe_levels("a.ply", [report, report], [level._replace(switch=None), level])
+    assert manifest.levels[0].switch is None
+    assert manifest.levels[1].switch.seen is seen
+    said = [note for note in manifest.notes if note.startswith("Level 1: one sees")]
+    assert len(said) == seen
+    assert not said or "12.4 units" in said[0]
+
+
+@pytest.mark.parametrize("name", ["a/lod-meta.json", "a/tileset.json", "a.ssog", "a.rad"])
+def test_each_level_says_how_it_looks_where_a_viewer_comes_to_it(scene, tmp_path, name):
+    given = ["--preset", "fast", "--levels", "1,0.2,0.04", "--measure"]
+    result = run("lod", scene, tmp_path / name, *given, "--json")
+    assert result.returncode == 0, result.stderr
+    said = json.loads(result.stdout)
+    first, *others = (level["switch"] for level in said["levels"])
+    assert first is None
+    assert all(each["psnr"] > 0 and each["ssim"] <= 1 and each["views"] == 8 for each in others)
+    if name.endswith(("lod-meta.json", ".ssog")):
+        assert others[1]["pixel"] == pytest.approx(3 * others[0]["pixel"])
+    seen = [Switch(**each).seen for each in others]
+    notes = [note[:19] for note in said["notes"] if "switch to it" in note]
+    assert notes == [f"Level {n}: one sees a" for n, each in enumerate(seen, 1) if each]
+
+
+def test_the_command_shows_it(scene, tmp_path):
+    given = ["--preset", "fast", "--levels", "1,0.2", "--measure"]
+    result = run("lod", scene, tmp_path / "a/lod-meta.json", *given)
+    assert "from" in result.stderr
+    assert "there" in result.stderr
+    assert " dB / 0." in result.stderr
+
+
+def test_levels_made_in_blocks_say_it_too(scene, tmp_path):
+    made, _ = nanogs.write_levels(
+        scene, tmp_path / "l", [1, 0.2], preset="fast", layout="streamed sog", block=150,
+        measured=True,
+    )  # fmt: skip
+    level = nanogs.load(tmp_path / "l/lod-meta.json", level=1)
+    original = nanogs.load(scene)
+    cameras = automatic_cameras(original, 8, width=512, height=512, split="test")
+    views = switch_views(original, cameras)
+    again = views.judge(level, made.levels[1].switch.pixel)
+    assert astuple(made.levels[1].switch) == pytest.approx(astuple(again), rel=1e-6)
+
+
+def test_files_that_no_viewer_chooses_among_have_none(splats, tmp_path):
+    made, _ = nanogs.write_levels(splats, tmp_path / "l", [1, 0.1], preset="fast", measured=True)
+    assert "switch" not in made.to_dict()["levels"][1]
+    quick, _ = nanogs.write_levels(
+        splats, tmp_path / "s", [1, 0.1], preset="fast", layout="streamed sog"
+    )
+    assert quick.levels[1].switch is None
