@@ -44,7 +44,11 @@ def served(**folders):
 
     class Handler(http.server.SimpleHTTPRequestHandler):
         def do_GET(self):
-            """As usual, and the part of a file that a viewer asks for."""
+            """As usual, and the part of a file that a viewer asks for; a page has no icon."""
+            if self.path == "/favicon.ico":
+                self.send_response(204)
+                self.end_headers()
+                return
             wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
             path = Path(self.translate_path(self.path)) if wanted else None
             if path is None or not path.is_file():

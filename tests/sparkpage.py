@@ -1,23 +1,15 @@
 """A page in which Spark, as its npm package has it, opens a file and draws it from one camera."""
 
-import io
 import json
-import os
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
+from browsers import PATIENCE, page_at, pixels_of
 from npm_packages import served
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PACKAGES = Path(__file__).resolve().parents[1] / "viewer" / "node_modules"
-PATIENCE = 60_000  # milliseconds
 # As nanogs.render has it: a splat reaches to alpha 1/255, the variance on screen grows by 0.3.
 PAGE = """<!doctype html><meta charset="utf-8">
 <link rel="icon" href="data:,"><style>body { margin: 0 }</style>
@@ -79,12 +71,8 @@ def in_spark(path, camera, folder, *, mesh=None, calm=8, **options):
         calm: Frames in a row that draw the same splats, before a picture is taken.
         **options: Of Spark's renderer, such as `lodSplatCount`.
     """
-    if not CHROMIUM:
-        pytest.skip("Chromium is not installed")
     if not (PACKAGES / "@sparkjsdev" / "spark").exists():
         pytest.skip("the npm package Spark is absent: run python viewer/bundle.py")
-    from playwright.sync_api import sync_playwright
-
     pose = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
     told = {
         "url": f"/scene/{path.name}",
@@ -100,23 +88,10 @@ def in_spark(path, camera, folder, *, mesh=None, calm=8, **options):
     (folder / "spark.html").write_text(PAGE.replace("TOLD", json.dumps(told), 1))
     with (
         served(packages=PACKAGES, scene=path.parent, own=folder) as (address, asked),
-        sync_playwright() as driver,
+        page_at(f"{address}/own/spark.html", camera.width, camera.height) as page,
     ):
-        browser = driver.chromium.launch(
-            executable_path=CHROMIUM, args=[*FLAGS, "--ignore-gpu-blocklist"]
-        )
-        page = browser.new_page(viewport={"width": camera.width, "height": camera.height})
-        faults = []
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
-        page.goto(f"{address}/own/spark.html")
         done = f"window.state && (window.state.error || window.state.still > {calm})"
         page.wait_for_function(done, timeout=PATIENCE)
         state = page.evaluate("window.state")
-        picture = page.locator("canvas").screenshot()
-        browser.close()
-    assert faults == []
-    if kept := os.environ.get("NANOGS_SCREENSHOTS"):
-        Path(kept, f"spark-{path.name}.png").write_bytes(picture)
-    pixels = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=np.float32) / 255
+        pixels = pixels_of(page.locator("canvas"), f"spark-{path.name}")
     return pixels, state | {"asked": [name for name in asked if name.startswith("scene/")]}

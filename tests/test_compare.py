@@ -3,13 +3,13 @@
 import json
 import math
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import nanogs
+from browsers import CHROMIUM
 from builders import random_splats
 from launch import run
 from nanogs.cli.options import parse_background, parse_direction, parse_pixels
@@ -238,11 +238,6 @@ def test_compare_refuses(files, tmp_path):
     (tmp_path / "page.html").write_text("mine")
     assert_refused(run("compare", scene, small, "--report", tmp_path / "page.html"), "-w")
     assert (tmp_path / "page.html").read_text() == "mine"
-
-
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
 
 
 @pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed")

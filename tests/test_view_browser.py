@@ -3,13 +3,13 @@
 import dataclasses
 import io
 import os
-import shutil
 import time
 
 import numpy as np
 import pytest
 
 import nanogs
+from browsers import CHROMIUM, SOFTWARE
 from builders import random_splats
 from conftest import scene_path
 from nanogs.metrics import psnr
@@ -22,15 +22,10 @@ from nanogs.views.opening import opening_for
 from nanogs.views.poses import look_at
 from viewer_bundle import require_bundle
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
 pytestmark = [
     pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed"),
     pytest.mark.filterwarnings("default"),  # the driver's own warnings are not ours
 ]
-# WebGL by the processor: machines without a graphics card draw the same.
-SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 VIEW = "#nanogs-view"
 BARE = f"{VIEW} > :not(canvas) {{ opacity: 0 !important; }} canvas {{ outline: none !important; }}"
 PATIENCE = 60_000  # milliseconds

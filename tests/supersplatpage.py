@@ -1,0 +1,50 @@
+"""PlayCanvas's viewer, supersplat-viewer as its npm package has it, with a model that we wrote."""
+
+import json
+
+import numpy as np
+
+from browsers import PATIENCE, page_at, pixels_of
+from npm_packages import package, served
+
+SETTINGS = {"background": {"color": [0, 0, 0]}, "animTracks": []}
+LENS = {"fov": 50}  # degrees, of the longer side
+# It turns what it opens by half a turn about z, from y down to y up.
+TURN = np.array([-1.0, -1.0, 1.0])
+
+
+def standing_at(camera):
+    """The viewer's words for a camera whose up is its own, that of the model's -y."""
+    forward, centre = camera.world_to_camera[2, :3], camera.position
+    longer = max(camera.width / camera.fx, camera.height / camera.fy) / 2
+    return {
+        "position": (TURN * centre).tolist(),
+        "target": (TURN * (centre + forward)).tolist(),
+        "fov": float(np.degrees(2 * np.arctan(longer))),
+    }
+
+
+def in_supersplat(path, folder, count, width=320, height=240, **camera):
+    """What it shows when it draws so many splats, and the files that it asked for.
+
+    Args:
+        path: The model.
+        folder: For its settings.
+        count: Splats that it draws in the end; it begins with the coarsest level.
+        width, height: Pixels.
+        **camera: Where it begins, as `standing_at` says it; it chooses if nothing is given.
+
+    Returns:
+        (H, W, 3) float32 in [0, 1], and names of descriptions and bundles in the order of requests.
+    """
+    viewer = package("@playcanvas/supersplat-viewer") / "public"
+    (folder / "settings.json").write_text(json.dumps(SETTINGS | {"camera": LENS | camera}))
+    with served(viewer=viewer, scene=path.parent, own=folder) as (address, asked):
+        options = "webgl&noanim&nofx&noui&settings=/own/settings.json"
+        options += f"&content=/scene/{path.name}"
+        with page_at(f"{address}/viewer/index.html?{options}", width, height) as page:
+            drawn = "window.app?.stats?.frame?.gsplats"
+            page.wait_for_function(f"{drawn} === {count}", timeout=PATIENCE)
+            page.wait_for_timeout(500)  # a few frames
+            pixels = pixels_of(page, f"{path.parent.name}-{path.name}")
+    return pixels, [name for name in asked if name.endswith(("meta.json", "sog"))]
