@@ -297,6 +297,40 @@ def test_transforms_of_nodes_add_up_and_colours_turn_with_them(load):
     assert np.allclose(before, after, atol=1e-5)
 
 
+def test_scales_of_nodes_may_differ_along_the_axes(load):
+    """The specification's covariance is M C C^T M^T; colours turn with the rotation alone."""
+    model = random_splats(20, degree=1, seed=2)
+    model.log_scales[3, 1] = -np.inf
+    stretch, (x, y, z, w) = np.array([2.0, 0.5, 3.0]), unit([0.3, -0.2, 0.5, 0.7])
+    node = {"mesh": 0, "scale": stretch.tolist(), "translation": [1, 2, 3]}
+    plain = load(document(columns(model), nodes=[{"mesh": 0, "rotation": [x, y, z, w]}]))
+    again = load(document(columns(model), nodes=[node | {"rotation": [x, y, z, w]}]))
+    turn = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    total = np.diag([-1.0, -1, 1]) @ turn @ np.diag(stretch)
+    assert np.allclose(again.means, model.means @ total.T + [-1, -2, 3], atol=1e-5)
+    wanted = total @ covariances(model) @ total.T
+    assert np.allclose(covariances(again), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
+    assert np.isneginf(again.log_scales[3]).sum() == 1
+    assert np.array_equal(again.sh, plain.sh)
+    assert np.allclose(np.linalg.norm(again.quats, axis=1), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("space", ["BT.709-sRGB", "BT.709-linear", None])
+def test_colour_spaces_of_drafts_are_known(load, space):
+    model = random_splats(4, seed=7)
+    content, body = document(columns(model), nodes=[{"mesh": 0, "rotation": [0, 0, 1, 0]}])
+    extension = {"kernel": "ellipse"} | ({"colorSpace": space} if space else {})
+    content["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"] = extension
+    again = load((content, body))
+    assert np.array_equal(again.sh, model.sh) == (space != "BT.709-linear")
+    assert any("BT.709-linear" in note for note in again.notes) == (space == "BT.709-linear")
+    assert len(again.notes) == (space == "BT.709-linear")
+
+
 def test_a_matrix_is_a_transform_too(load):
     model = random_splats(5, seed=3)
     matrix = np.diag([-1.0, -1, 1, 1])
@@ -350,11 +384,21 @@ def test_what_is_not_carried_is_noted(load):
     content, body = document(table, extras={"SplatRenderMode": "new", "comments": ["a", 3, "b\n"]})
     content["meshes"][0]["primitives"].append({"attributes": {"POSITION": 0}})
     content["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"] = {
-        "kernel": "box", "colorSpace": "lin_rec709_display",
+        "kernel": "box", "colorSpace": "lin_rec709_display", "projection": "fish",
+        "sortingMethod": "zDepth", "extensions": {"EXT_box": {}},
     }  # fmt: skip
     again = load((content, body))
     text = " ".join(again.notes)
-    for word in ("_LABEL", "'new'", "'box'", "lin_rec709_display", "1 primitives of meshes"):
+    for word in (
+        "_LABEL",
+        "'new'",
+        "'box'",
+        "'fish'",
+        "'zDepth'",
+        "'EXT_box'",
+        "lin_rec709_display",
+        "1 primitives of meshes",
+    ):
         assert word in text
     assert again.comments == ("a",)
     assert again.render_mode is RenderMode.DEFAULT
@@ -404,7 +448,10 @@ REFUSED = {
     "cycle": (broken(("nodes", 0, "children"), [0]), "nodes must be a tree"),
     "twice": (broken(("scenes", 0, "nodes"), [0, 0]), "nodes must be a tree"),
     "mesh": (broken(("nodes", 0, "mesh"), -1), r"nodes\[0\].mesh must be an integer from 0 on"),
-    "shear": (broken(("nodes", 0, "scale"), [1, 2, 1]), "differently along the axes"),
+    "shear": (
+        broken(("nodes", 0, "matrix"), [1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]),
+        "shears its splats",
+    ),
     "mirror": (broken(("nodes", 0, "scale"), [-1, 1, 1]), "mirrors"),
     "flat": (broken(("nodes", 0, "scale"), [0, 0, 0]), "flattens"),
     "huge scale": (

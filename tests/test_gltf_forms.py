@@ -123,6 +123,14 @@ def test_what_was_packed_is_what_spz_holds(tmp_path, degree):
     assert sum(map(len, io.open(path).blocks())) == 500
 
 
+def test_the_name_of_the_draft_before_is_read(tmp_path):
+    data = packed(tmp_path / "a.glb", random_splats(40, degree=1)).read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    text = data[20 : 20 + length].replace(b"compression_spz_2", b"compression_spz")
+    (tmp_path / "b.glb").write_bytes(glb(json.loads(text), data[28 + length :]))
+    assert_same(io.load(tmp_path / "b.glb"), io.load(tmp_path / "a.glb"))
+
+
 def test_packed_splats_are_placed_by_their_nodes(tmp_path):
     model = random_splats(40, degree=2, seed=5)
     data = packed(tmp_path / "a.glb", model).read_bytes()

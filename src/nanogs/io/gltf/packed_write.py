@@ -9,6 +9,7 @@ no data of their own.
 
 import io
 import json
+from dataclasses import replace
 from typing import Any, BinaryIO
 
 from nanogs.io.gltf.primitives import MAX_DEGREE, PACKED, attribute, coefficients
@@ -32,7 +33,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
     """
     splats = splats.with_sh_degree(MAX_DEGREE)
     packed = io.BytesIO()
-    spz_write.write(splats, packed)
+    spz_write.write(replace(splats, elements=()), packed, version=spz_write.USUAL)
     body = _padded(packed.getvalue(), b"\0")
     document = _document(splats, len(packed.getvalue()))
     text = _padded(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), b" ")
@@ -42,7 +43,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
 def losses(splats: Splats) -> tuple[str, ...]:
     """Name what the file leaves out or clamps, one sentence each."""
     cut = splats.with_sh_degree(MAX_DEGREE)
-    found = spz_write.losses(cut)
+    found = spz_write.losses(cut, records=False)
     if cut.sh_degree == splats.sh_degree:
         return found
     return (

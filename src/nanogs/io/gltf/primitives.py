@@ -1,7 +1,8 @@
 """The splats of one glTF primitive: in accessors, or packed as SPZ.
 
 The packed ones follow KHR_gaussian_splatting_compression_spz_2, a draft, as CesiumJS reads it: the
-numbers in the SPZ data are those of the mesh as they are; see `packed_write`.
+numbers in the SPZ data are those of the mesh as they are; see `packed_write`. The draft before it
+had another name and the same layout.
 """
 
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from nanogs.stored import logit
 
 MAX_DEGREE = 3
 PACKED = "KHR_gaussian_splatting_compression_spz_2"
+PACKED_NAMES = (PACKED, "KHR_gaussian_splatting_compression_spz")
 _POINTS = 0
 _TYPE_NAMES = {"i1": "char", "u1": "uchar", "<i2": "short", "<u2": "ushort", "<f4": "float"}
 
@@ -130,14 +132,14 @@ def primitive_of(document: Document, placed: Placed, linear: bool) -> Primitive:
     """
     splatting = placed.primitive.part("extensions").part(EXTENSION)
     packed = [name for name in splatting.part("extensions").data if "compression" in name]
-    if packed and packed != [PACKED]:
+    if packed and (len(packed) > 1 or packed[0] not in PACKED_NAMES):
         raise placed.primitive.error(
             f"is packed with {packed[0][:80]!a}, which nanogs does not read"
         )
     if placed.primitive.integer("mode", 4) != _POINTS:
         raise placed.primitive.error("with splats must be of mode 0, points")
     if packed:
-        view = splatting.part("extensions").part(PACKED).integer("bufferView")
+        view = splatting.part("extensions").part(packed[0]).integer("bufferView")
         source = spz.SpzSource(document.path, read_header(document.view(view)))
         return Packed(placed.pose, linear, source)
     return _rows(document, placed, linear)
@@ -185,7 +187,7 @@ def _place(
     if primitive.linear:
         out["sh"][:] = to_display(out["sh"])
     if not pose.is_identity():
-        means, quats = pose.means(means), pose.quats(quats)
-        log_scales = log_scales + np.log(pose.scale)
+        means = pose.means(means)
+        quats, log_scales = pose.shapes(quats, log_scales)
         out["sh"][:] = pose.harmonics(out["sh"])
     out["means"][:], out["quats"][:], out["log_scales"][:] = means, quats, log_scales

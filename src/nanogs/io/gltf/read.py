@@ -1,9 +1,9 @@
 """Reading glTF with KHR_gaussian_splatting: linear scales and alpha, rotations xyzw, y-up.
 
 Specification: https://github.com/KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting,
-the release candidate of 2026 (its editorial review is pull request 2567). Scales are linear and
-not negative there; drafts before it stored logarithms, which files in the wild still hold. A scene
-is turned into the frame of `.ply` files, half a turn about z from glTF's, its node transforms
+ratified in 2026; docs/formats.md compares every property with it. Scales are linear and not
+negative there; drafts before it stored logarithms, which files in the wild still hold. A scene is
+turned into the frame of `.ply` files, half a turn about z from glTF's, its node transforms
 applied. The render mode and the comments of a PLY file, for which the extension has no place,
 travel in the primitive's `extras`.
 """
@@ -27,7 +27,7 @@ from nanogs.io.gltf.document import Document, Part
 from nanogs.io.gltf.glb import read_document
 from nanogs.io.gltf.primitives import (
     MAX_DEGREE,
-    PACKED,
+    PACKED_NAMES,
     Packed,
     Primitive,
     Rows,
@@ -41,14 +41,15 @@ from nanogs.splats import RenderMode, Splats, empty_arrays
 
 COLOUR_SPACE = "srgb_rec709_display"
 MODE_KEY, COMMENTS_KEY = "SplatRenderMode", "comments"
-_UNDERSTOOD = (EXTENSION, PACKED, "KHR_mesh_quantization")
+_UNDERSTOOD = (EXTENSION, *PACKED_NAMES, "KHR_mesh_quantization")
 _IGNORED = "KHR_materials_"  # splats have no material
 _DERIVED = ("COLOR_0", "NORMAL")  # for viewers that know no splats
 _LOGARITHMS = "Scales are negative, so they were read as logarithms, as early drafts had."
-_LINEAR = (
-    f"Colours in linear light ({LINEAR}) became those of a display ({COLOUR_SPACE}), as which"
-    " splats are blended too."
-)
+# As drafts called the two; without a name they meant the first.
+_DISPLAYED = (COLOUR_SPACE, "BT.709", "BT.709-srgb", "BT.709-sRGB")
+_LINEAR = (LINEAR, "lin_rec709_scene", "BT.709-linear", "linear")
+# What the extension defines, and where it is left out.
+_USUAL = {"kernel": "ellipse", "projection": "perspective", "sortingMethod": "cameraDistance"}
 
 
 @dataclass(slots=True)
@@ -207,18 +208,24 @@ def _colour_space(scene: _Scene, primitive: Part) -> bool:
     """Whether the colours of a primitive are linear light."""
     splatting = primitive.part("extensions").part(EXTENSION)
     space = splatting.text("colorSpace", COLOUR_SPACE)
-    if space == LINEAR:
-        scene.notes.append(_LINEAR)
-    elif space != COLOUR_SPACE:
+    if space in _LINEAR:
+        scene.notes.append(
+            f"Colours in linear light ({space}) became those of a display ({COLOUR_SPACE}), as"
+            " which splats are blended too."
+        )
+    elif space not in _DISPLAYED:
         scene.notes.append(f"The colour space {space[:40]!a} is unknown: read as {COLOUR_SPACE}.")
-    return space == LINEAR
+    return space in _LINEAR
 
 
 def _describe(scene: _Scene, primitive: Part, mode: RenderMode) -> None:
     """Note what a primitive says about itself beside its numbers."""
-    kernel = primitive.part("extensions").part(EXTENSION).text("kernel", "ellipse")
-    if kernel != "ellipse":
-        scene.notes.append(f"The kernel {kernel[:40]!a} is unknown and was read as ellipse.")
+    splatting = primitive.part("extensions").part(EXTENSION)
+    for key, usual in _USUAL.items():
+        if (value := splatting.text(key, usual)) != usual:
+            scene.notes.append(f"The {key} {value[:40]!a} is unknown and was read as {usual}.")
+    others = [name for name in splatting.part("extensions").data if name not in PACKED_NAMES]
+    scene.notes += [f"The extension {name[:80]!a} of splats was left out." for name in others]
     known = {"POSITION", attribute("ROTATION"), attribute("SCALE"), attribute("OPACITY")}
     known |= {*coefficients(MAX_DEGREE), *_DERIVED}
     left_out = [name for name in primitive.part("attributes").data if name not in known]

@@ -1,7 +1,9 @@
 """Node transforms of a glTF scene, and turning splats by them.
 
-A node's transform is similar (uniform positive scale, rotation, translation) or is refused: other
-ones shear the splats. Spherical harmonics turn with the rotation, as the extension asks for.
+A node's transform has to come apart into translation, rotation and positive scales, as the
+extension asks for, or is refused: others mirror or shear the splats. Scales that differ along the
+axes give splats other axes, those of their stretched covariance. Spherical harmonics turn with the
+rotation.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,7 +15,7 @@ from nanogs._types import F32, F64
 from nanogs.errors import FormatError
 from nanogs.io.gltf.document import Document, Part
 from nanogs.sh import basis
-from nanogs.stored import quaternions
+from nanogs.stored import quaternions, rotations
 
 EXTENSION = "KHR_gaussian_splatting"
 # glTF is y-up, a 3DGS file y-down by habit: half a turn about z leads from one to the other.
@@ -21,25 +23,26 @@ HALF_TURN = (0.0, 0.0, 1.0, 0.0)  # xyzw
 _TO_PLY = np.diag([-1.0, -1.0, 1.0, 1.0])
 _IDENTITY = tuple(np.eye(4).ravel().tolist())
 _MAX_PRIMITIVES = 4096
+_CLOSE = 1e-4  # of single precision, through a few nodes
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A similarity: x -> scale · rotation x + shift.
+    """A transform without shear: x -> rotation (scale · x) + shift.
 
     Attributes:
         rotation: (3, 3) float64, orthonormal with determinant 1.
-        scale: Above 0.
+        scale: (3,) float64, above 0; one number three times where all directions are scaled alike.
         shift: (3,) float64, scene units.
     """
 
     rotation: F64
-    scale: float
+    scale: F64
     shift: F64
 
     def is_identity(self) -> bool:
         """Whether it leaves every bit as it is."""
-        same = np.array_equal(self.rotation, np.eye(3)) and self.scale == 1
+        same = np.array_equal(self.rotation, np.eye(3)) and (self.scale == 1).all()
         return bool(same and not self.shift.any())
 
     def means(self, means: F64) -> F64:
@@ -47,7 +50,30 @@ class Pose:
         turned: F64 = self.scale * means @ self.rotation.T + self.shift
         return turned
 
-    def quats(self, quats: F64) -> F64:
+    def shapes(self, quats: F64, log_scales: F64) -> tuple[F64, F64]:
+        """Rotations and scales of splats, transformed; where scales differ, of longest axes first.
+
+        Args:
+            quats: (R, 4) wxyz, perhaps not of unit length.
+            log_scales: (R, 3).
+
+        Returns:
+            The same of the transformed splats; NaN for those with a NaN or an infinite value.
+        """
+        if (self.scale == self.scale[0]).all():
+            return self._turned(quats), log_scales + np.log(self.scale[0])
+        unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+        stretched = self.rotation * self.scale @ (rotations(unit) * np.exp(log_scales)[:, None])
+        whole = np.isfinite(stretched).all(axis=(1, 2))
+        # Singular vectors and values are the axes and their lengths, without squares in between.
+        turned, lengths, _ = np.linalg.svd(np.where(whole[:, None, None], stretched, np.eye(3)))
+        turned[:, :, 2] *= np.linalg.det(turned)[:, None]
+        return (
+            np.where(whole[:, None], quaternions(turned), np.nan),
+            np.where(whole[:, None], np.log(lengths), np.nan),
+        )
+
+    def _turned(self, quats: F64) -> F64:
         """(R, 4) float64 wxyz: rotations, followed by this one."""
         w, *v = quaternions(self.rotation[None])[0]
         axis = np.array(v)
@@ -88,7 +114,7 @@ def placed_splats(document: Document, above: F64) -> tuple[list[Placed], int]:
         above: (4, 4) float64: what is done to the scene, in its own frame, after its nodes.
 
     Raises:
-        FormatError: There is none, the nodes are no tree, or a transform is not similar.
+        FormatError: There is none, the nodes are no tree, or a transform mirrors or shears.
     """
     found, others = [], 0
     for node, matrix in _nodes(document.root, above):
@@ -163,22 +189,28 @@ def pose_of(matrix: F64, error: Callable[[str], FormatError]) -> Pose:
         error: Makes the error of what is wrong with it.
 
     Raises:
-        FormatError: It is no similarity.
+        FormatError: It mirrors, flattens or shears.
     """
     with np.errstate(all="ignore"):
         matrix = _TO_PLY @ matrix
         linear = matrix[:3, :3]
-        scale = float(np.cbrt(np.linalg.det(linear)))
+        same = np.cbrt(np.linalg.det(linear))
+        scale = np.full(3, same)
+        if _skew(linear / scale) > _CLOSE:
+            scale = np.linalg.norm(linear, axis=0)
         rotation = linear / scale
-        skew = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if not (np.isfinite(matrix).all() and np.isfinite(scale) and scale > 0):
+    if not (np.isfinite(matrix).all() and np.isfinite(scale).all() and same > 0):
         raise error("mirrors or flattens its splats, or is too large")
-    if not skew <= 1e-4:  # nor NaN
-        raise error("scales its splats differently along the axes; apply its transform first")
+    if not _skew(rotation) <= _CLOSE:  # nor NaN
+        raise error("shears its splats; apply its transform first")
     left, _, right = np.linalg.svd(rotation)
     rotation = left @ right
     whole = rotation.round()
     if np.abs(rotation - whole).max() < 1e-12:
         rotation = whole
-    scale = 1.0 if abs(scale - 1) < 1e-12 else scale
-    return Pose(rotation, scale, matrix[:3, 3])
+    return Pose(rotation, np.where(np.abs(scale - 1) < 1e-12, 1, scale), matrix[:3, 3])
+
+
+def _skew(rotation: F64) -> float:
+    """How far columns are from being orthonormal."""
+    return float(np.abs(rotation.T @ rotation - np.eye(3)).max())

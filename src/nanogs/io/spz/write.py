@@ -127,14 +127,19 @@ def write(
         raise OutputError(f".spz version {version} is not written; choose 2, 3 or 4.")
 
 
-def losses(splats: Splats) -> tuple[str, ...]:
-    """Name what the file leaves out or clamps, one sentence each."""
+def losses(splats: Splats, *, records: bool = True) -> tuple[str, ...]:
+    """Name what the file leaves out or clamps, one sentence each.
+
+    Args:
+        splats: The model.
+        records: Whether its extension records go into the file.
+    """
     step = 0.5 / SCALE_STEPS
     low, high = SCALE_LOW, SCALE_LOW + 255 / SCALE_STEPS
     scales, colours, rest = splats.log_scales, splats.sh[:, 0], splats.sh[:, 1:]
     widest = 0.5 / COLOUR_SCALE
     half = (_buckets(splats.sh_degree, SH_BITS) / 2 / SH_STEPS)[:, None]
-    out = limits.left_out(without_records(splats), SUFFIX)
+    out = limits.left_out(without_records(splats) if records else splats, SUFFIX)
     out += limits.lost_mode(splats, SUFFIX, RenderMode.MIP)
     out += limits.clamped(
         (scales < low - step) | (scales > high + step),

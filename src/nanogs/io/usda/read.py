@@ -115,16 +115,17 @@ def _decoded(layer: Layer, given: _Field) -> Splats:
     pose = pose_of(_placed(layer, given.prim), layer.error)
     scales, alphas = columns["scales"], columns["opacities"][:, 0]
     with np.errstate(all="ignore"):
-        out["log_scales"][:] = np.log(scales) + np.log(pose.scale)
         out["opacity_logits"][:] = logit(alphas)
         for start in range(0, given.count, BLOCK_ROWS):
             span = slice(start, start + BLOCK_ROWS)
             means, quats = columns["positions"][span], columns["orientations"][span]
-            out["sh"][span] = columns[COEFFICIENTS][span]
+            out["sh"][span], log_scales = columns[COEFFICIENTS][span], np.log(scales[span])
             if not pose.is_identity():
-                means, quats = pose.means(means), pose.quats(quats)
+                means = pose.means(means)
+                quats, log_scales = pose.shapes(quats, log_scales)
                 out["sh"][span] = pose.harmonics(out["sh"][span])
             out["means"][span], out["quats"][span] = means, quats
+            out["log_scales"][span] = log_scales
     notes = negative_scales(int((scales < 0).any(axis=1).sum()))
     if wrong := int(np.isnan(out["opacity_logits"]).sum()):
         notes.append(f"{wrong} opacities are not from 0 to 1 and became NaN.")
