@@ -48,6 +48,33 @@ def test_our_own_levels_come_back(splats, tmp_path, plain):
     assert {file.name[0] for file in read} == {"t", "0"}
 
 
+def test_commands_read_what_lod_packs_as_spz(splats, tmp_path):
+    """The tileset, a level of it and a single tile: the same splats as SPZ files of them."""
+    nanogs.save(splats, tmp_path / "a.ply")
+    done = run("lod", tmp_path / "a.ply", tmp_path / "t" / "tileset.json", "--levels", "1,0.5",
+               "--preset", "fast", "--chunk", "100")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    one = min((tmp_path / "t").glob("0_*.glb"))
+    for model, count, more in (
+        (tmp_path / "t", 900, ()),
+        (tmp_path / "t" / "tileset.json", 450, ("--level", "1")),
+        (one, io.inspect(one).splats, ()),
+    ):
+        told = run("info", model)
+        assert told.returncode == 0, told.stderr
+        assert "gzip; columns: 1 int24" in told.stdout
+        done = run("convert", model, tmp_path / "b.ply", "-w", *more)
+        assert done.returncode == 0, done.stderr
+        assert io.inspect(tmp_path / "b.ply").splats == count
+    whole = nanogs.convert(tmp_path / "t" / "tileset.json", tmp_path / "c.ply")
+    assert whole.splats == 900
+    nanogs.convert(tmp_path / "a.ply", tmp_path / "a.spz")
+    read, packed = nanogs.load(tmp_path / "c.ply"), nanogs.load(tmp_path / "a.spz")
+    for column in ("log_scales", "opacity_logits"):
+        first, second = (np.sort(getattr(each, column), axis=0) for each in (read, packed))
+        assert np.allclose(first, second, atol=1e-6), column
+
+
 def tile(*children, uri=None, error=1, **more):
     content = {"content": {"uri": uri}} if uri else {}
     below = {"children": list(children)} if children else {}
