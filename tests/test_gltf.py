@@ -11,15 +11,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import nanogs
 from builders import random_splats
 from damage import outcome
+from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
 from nanogs.io.gltf import write as gltf_write
 from nanogs.sh import basis
 from nanogs.splats import ExtraElement, RenderMode
 from npm_packages import node, package
-from strategies import splats
+from strategies import assert_same, splats
 
 FILES = settings(
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None
@@ -138,12 +140,49 @@ def test_what_is_written_is_read(tmp_path, model):
 
 
 @FILES
+@given(model=splats())
+def test_text_is_the_same_model(tmp_path, model):
+    """One file, which holds its buffer; a comment cannot be taken for that."""
+    comments = ["data:application/octet-stream;base64,", '"'] + list(model.comments)
+    model = dataclasses.replace(model, comments=comments)
+    for name in ("a.glb", "a.gltf"):
+        io.save(model, tmp_path / name, overwrite=True)
+    again = io.load(tmp_path / "a.gltf")
+    assert_same(again, io.load(tmp_path / "a.glb"))
+    assert again.comments == tuple(comments)
+    content = json.loads((tmp_path / "a.gltf").read_bytes())
+    assert len(content["buffers"]) == 1
+    assert content["extensionsUsed"] == ["KHR_gaussian_splatting"]
+
+
+def test_text_appears_whole_or_not_at_all(tmp_path):
+    model = random_splats(500, degree=1)
+    io.save(model, tmp_path / "a.ply")
+    done = run("convert", tmp_path / "a.ply", tmp_path / "a.gltf")
+    assert done.returncode == 0, done.stderr
+    before = (tmp_path / "a.gltf").read_bytes()
+    model.means[7] = np.nan
+    io.save(model, tmp_path / "b.ply")
+    for more in ((), ("-w",)):
+        refused = run("convert", tmp_path / "b.ply", tmp_path / "a.gltf", *more)
+        assert refused.returncode == 2
+        assert ("row 7" in refused.stderr) == bool(more)
+    assert (tmp_path / "a.gltf").read_bytes() == before
+    assert {path.name for path in tmp_path.iterdir()} == {"a.ply", "b.ply", "a.gltf"}
+    result = nanogs.convert(tmp_path / "a.gltf", tmp_path / "c.gltf")
+    assert (result.format, result.splats, result.notes, result.losses) == ("gltf", 500, (), ())
+
+
+@pytest.mark.parametrize(
+    ("write", "size"),
+    [(gltf_write.write, gltf_write.file_bytes), (gltf_write.write_text, gltf_write.text_bytes)],
+)
+@FILES
 @given(model=splats(), count=st.integers(1, 3000))
-def test_size_is_known_beforehand(model, count):
+def test_size_is_known_beforehand(write, size, model, count):
     many = model.take(np.arange(count) % len(model))
     stream = streams.BytesIO()
-    gltf_write.write(many, stream)
-    size = gltf_write.file_bytes
+    write(many, stream)
     assert size(model, count) == len(stream.getvalue()) < size(model, count + 1)
 
 
@@ -212,6 +251,8 @@ def test_four_gigabytes_are_the_limit():
     assert gltf_write.file_bytes(model, 17_000_000) < 1 << 32
     with pytest.raises(OutputError, match="cannot have more than 4294967295"):
         gltf_write.file_bytes(model, 18_000_000)
+    with pytest.raises(OutputError, match=r"or a \.glb"):
+        gltf_write.text_bytes(model, 17_000_000)
 
 
 def test_comments_that_could_not_be_read_back_are_refused():
@@ -231,13 +272,14 @@ def test_losses_are_stated():
     assert io.losses(random_splats(2, degree=3), "a.glb") == ()
 
 
-def test_the_khronos_validator_finds_no_fault(tmp_path):
+@pytest.mark.parametrize("name", ["a.glb", "a.gltf"])
+def test_the_khronos_validator_finds_no_fault(tmp_path, name):
     """It does not know the extension yet, and so neither the names of its attributes."""
     package("gltf-validator")
     model = dataclasses.replace(
         random_splats(300, degree=3), render_mode=RenderMode.MIP, comments=["é"]
     )
-    io.save(model, tmp_path / "a.glb")
+    io.save(model, tmp_path / name)
     script = (
         "const fs = require('fs'), v = require('gltf-validator');"
         "v.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1])), {maxIssues: 0})"
@@ -245,7 +287,7 @@ def test_the_khronos_validator_finds_no_fault(tmp_path):
     )
     issues = [
         (issue["code"], issue["pointer"])
-        for issue in json.loads(node(script, tmp_path / "a.glb"))
+        for issue in json.loads(node(script, tmp_path / name))
         if not issue["pointer"].split("/")[-1].startswith(PREFIX)
     ]
     assert issues in ([], [("UNSUPPORTED_EXTENSION", "/extensionsUsed/0")])

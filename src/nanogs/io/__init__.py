@@ -142,8 +142,8 @@ def save(
     """Write a model to a file, which appears whole or not at all.
 
     Of a source, as `open` gives one, formats that list splats one after the other or column by
-    column hold no more than some rows: .ply, .splat, .npz, .spz and .glb; .compressed.ply the
-    centres too. Others read all of it.
+    column hold no more than some rows: .ply, .splat, .npz, .spz, .glb and .gltf; .compressed.ply
+    the centres too. Others read all of it.
 
     `folder/meta.json` makes the folder of a SOG model; of a folder that exists, nothing is replaced
     but what nanogs made.

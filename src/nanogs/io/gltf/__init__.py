@@ -1,5 +1,7 @@
 """glTF with KHR_gaussian_splatting, and 3D Tiles, whose contents are glTF."""
 
+from functools import partial
+
 from nanogs.io.format import Format
 from nanogs.io.gltf import tileset, write
 from nanogs.io.gltf.glb import MAGIC
@@ -22,7 +24,17 @@ FORMATS = (
         max_degree=MAX_DEGREE,
         starts=(MAGIC,),
     ),
-    Format(".gltf", open_gltf, frame=_FRAME, turns=True),
+    Format(
+        ".gltf",
+        open_gltf,
+        write.write_text,
+        write.text_bytes,
+        partial(write.losses, suffix=".gltf"),
+        frame=_FRAME,
+        turns=True,
+        streams=True,
+        max_degree=MAX_DEGREE,
+    ),
     Format(
         TILESET,
         tileset.open_level,

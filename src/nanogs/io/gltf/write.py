@@ -1,13 +1,17 @@
-"""Writing `.glb` with KHR_gaussian_splatting: float32 columns, one primitive of points.
+"""Writing `.glb` and `.gltf` with KHR_gaussian_splatting: float32 columns, one primitive of points.
 
 The specification is named in `read`. The numbers stay in the frame of the model; the node turns
 them by half a turn about z into glTF's, y-up. `COLOR_0` shows the base colours to viewers that
 know no splats. The JSON is padded to what the longest numbers would take, so that the size of a
 file follows from the count of its splats.
+
+A `.gltf`, which is text, holds its buffer as a `data:` URI: a second file beside it could be there
+while the first one is not, or be that of another model.
 """
 
 import json
 import struct
+from base64 import b64encode
 from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import Any, BinaryIO
@@ -33,25 +37,60 @@ _FLOAT, _BYTE = 5126, 5121
 _KINDS = {_FLOAT: "<f4", _BYTE: "u1"}
 _VERTICES = 34962  # the target of a buffer view with vertex attributes
 _MAX_BYTES = (1 << 32) - 1
+_URI = "data:application/octet-stream;base64,"
 _LONGEST = -2.2250738585072014e-308  # no float has more digits
 
 
 def write(model: Splats | Source, file: BinaryIO) -> None:
-    """Write a model, no more than some rows of it held; rotations are written with unit length.
+    """Write a `.glb`, no more than some rows held; rotations are written with unit length.
 
     Raises:
         OutputError: A splat holds a value that glTF cannot, or the file would be too large.
         OSError: The system refuses to write.
     """
     source = source_of(model)
-    low, high = (edge.astype(np.float32).tolist() for edge in _bounds(source))
+    low, high = _bounds(source, ".glb")
     first, count = source.read(0, 1), source.count
     file_bytes(first, count)  # which refuses what is too large
     text = _text(_document(first, count, low, high)).ljust(_json_bytes(first))
     file.writelines(head(text, count * _row_bytes(first)))
+    file.writelines(_body(source, first))
+
+
+def write_text(model: Splats | Source, file: BinaryIO) -> None:
+    """Write a `.gltf` in the same way, its buffer in it as a `data:` URI.
+
+    Raises:
+        OutputError: As for `write`.
+        OSError: The system refuses to write.
+    """
+    source = source_of(model)
+    low, high = _bounds(source, ".gltf")
+    first, count = source.read(0, 1), source.count
+    size = text_bytes(first, count)
+    text = _text(_document(first, count, low, high, _URI))
+    before, uri, after = text.rpartition(_URI.encode())  # a comment may hold the same, before it
+    file.write(before + uri)
+    rest = b""
+    for block in _body(source, first):
+        data = rest + block
+        whole = len(data) - len(data) % 3
+        file.write(b64encode(data[:whole]))
+        rest = data[whole:]
+    file.write(b64encode(rest))
+    file.write(after.ljust(size - len(before + uri) - _encoded_bytes(count * _row_bytes(first))))
+
+
+def _body(source: Source, first: Splats) -> Iterator[bytes]:
+    """The buffer, in pieces."""
     encoders = [partial(_encoded, encode, kind) for _, encode, kind, *_ in _attributes(first)]
     for column in encoded_columns(source, encoders):
-        file.writelines(column)
+        yield from column
+
+
+def _encoded_bytes(size: int) -> int:
+    """Characters of so many bytes in base64."""
+    return (size + 2) // 3 * 4
 
 
 def head(text: bytes, body_bytes: int) -> Iterator[bytes]:
@@ -85,18 +124,35 @@ def file_bytes(splats: Splats, count: int) -> int:
     return size
 
 
-def losses(splats: Splats) -> tuple[str, ...]:
+def text_bytes(splats: Splats, count: int) -> int:
+    """Bytes of a `.gltf`, see `file_bytes`.
+
+    Raises:
+        OutputError: The comments are too long, or the file would be too large.
+    """
+    size = _json_bytes(splats) + len(_URI) + len(',"uri":""')
+    size += _encoded_bytes(count * _row_bytes(splats))
+    if size > _MAX_BYTES:
+        raise OutputError(
+            f"{count} splats would take {size} bytes of text; write fewer splats, or a .glb, which"
+            " takes a quarter less."
+        )
+    return size
+
+
+def losses(splats: Splats, suffix: str = ".glb") -> tuple[str, ...]:
     """Name what the file leaves out, one sentence each."""
-    found = limits.left_out(splats, ".glb", comments=False, max_degree=MAX_DEGREE)
-    return (*found, *limits.rounded(splats, ".glb"))
+    found = limits.left_out(splats, suffix, comments=False, max_degree=MAX_DEGREE)
+    return (*found, *limits.rounded(splats, suffix))
 
 
-def _bounds(source: Source) -> tuple[Array, Array]:
+def _bounds(source: Source, suffix: str) -> tuple[list[float], list[float]]:
     """The lowest and the highest centre, once it is known that all can be stored."""
-    blocks = limits.storable(source, ".glb")
+    blocks = limits.storable(source, suffix)
     corners = [(block.means.min(axis=0), block.means.max(axis=0)) for block in blocks]
     low, high = map(np.array, zip(*corners, strict=True))
-    return low.min(axis=0), high.max(axis=0)
+    low, high = low.min(axis=0).astype(np.float32), high.max(axis=0).astype(np.float32)
+    return low.tolist(), high.tolist()
 
 
 def _encoded(encode: Encoder, component: int, block: Splats) -> Array:
@@ -151,8 +207,10 @@ def _fallback(part: Splats) -> Array:
     return np.floor(rgba * 255 + 0.5).astype(np.uint8)
 
 
-def _document(splats: Splats, count: int, low: list[float], high: list[float]) -> dict[str, Any]:
-    """The JSON of a model of so many splats."""
+def _document(
+    splats: Splats, count: int, low: list[float], high: list[float], uri: str = ""
+) -> dict[str, Any]:
+    """The JSON of a model of so many splats, the buffer last."""
     columns = list(_attributes(splats))
     accessors: list[dict[str, Any]] = []
     views = []
@@ -169,7 +227,8 @@ def _document(splats: Splats, count: int, low: list[float], high: list[float]) -
     primitive = primitive_of((name for name, *_ in columns), drawn)
     if extras := _extras(splats):
         primitive["extras"] = extras
-    arrays = {"accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": offset}]}
+    buffer = {"byteLength": offset} | ({"uri": uri} if uri else {})
+    arrays = {"accessors": accessors, "bufferViews": views, "buffers": [buffer]}
     return document_of(primitive, {"extensionsUsed": [EXTENSION]}, {"rotation": HALF_TURN}) | arrays
 
 
