@@ -263,3 +263,24 @@ def test_a_tag_in_obj_info_counts_in_parts_as_in_whole(tmp_path, models):
     with nanogs.open(path) as source:
         assert source.columns.render_mode == source.read(0, 3).render_mode == MIP
         assert source.info.render_mode is source.load().render_mode is MIP
+
+
+def test_bench_measures_as_asked(models, tmp_path):
+    """Originals, results and files of other tools alike; the table says so."""
+    right, wrong = models
+    nanogs.simplify_blocks(wrong, tmp_path / "small.ply", ratio=0.1, preset="fast")
+    options = ("--ratios", "0.1", "--methods", "random", "--pixels", "48", "--views", "2",
+               "--external", f"other={tmp_path}/small.ply")  # fmt: skip
+
+    def rows(model, *more):
+        made = done("bench", f"--scene=s={model}", *options, *more)["rows"]
+        return [(row["method"], row["splats"], row["psnr"], row["ssim"]) for row in made]
+
+    asked = rows(wrong, "--render-mode", "default")
+    assert [row[0] for row in asked] == ["original", "random", "other"]
+    assert asked == rows(right, "--render-mode", "default")
+    as_tagged = rows(wrong)
+    assert asked[1][2] != as_tagged[1][2]
+    assert asked[2][2] != as_tagged[2][2]
+    told = run("bench", f"--scene=s={wrong}", *options, "--render-mode", "default")
+    assert "All models are drawn as default, whatever their files say." in told.stdout

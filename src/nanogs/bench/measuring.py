@@ -69,7 +69,7 @@ def whole_row(
     row, path = empty_row(scene, ORIGINAL, wish), folder / f"whole{wish.format}"
     try:
         save(splats, path)
-        decoded = load(path)
+        decoded = load(path, render_mode=settings.render_mode)
     except NanogsError as error:
         return replace(row, status=Status.FAILED, reason=str(error))
     notes = (*losses(splats, path), *decoded.notes)
@@ -91,7 +91,7 @@ def method_row(
     output = folder / f"result{wish.format or '.ply'}"
     job = Job(
         scene.model, method, wish.ratio or 1.0, output, views.fit_cameras, views.trained,
-        settings.seed, settings.threads, wish.size,
+        settings.seed, settings.threads, wish.size, settings.render_mode,
     )  # fmt: skip
     outcome = run_job(job)
     if outcome.error:
@@ -104,7 +104,7 @@ def method_row(
         peak_memory=outcome.peak_memory,
         notes=(*_count_note(outcome.splats, outcome.asked), *outcome.notes),
     )
-    return _scored(row, load(output), views, settings)
+    return _scored(row, load(output, render_mode=settings.render_mode), views, settings)
 
 
 def external_row(
@@ -121,7 +121,7 @@ def external_row(
     if not path.exists():
         return replace(row, status=Status.SKIPPED, reason=f"There is no file {path}.")
     try:
-        splats = load(path)
+        splats = load(path, render_mode=settings.render_mode)
         row = replace(row, file_bytes=path.stat().st_size, **_producer_figures(path))
     except NanogsError as error:
         return replace(row, status=Status.FAILED, reason=str(error))

@@ -33,4 +33,6 @@ def preamble(settings: BenchSettings, command: str = "") -> str:
     lines = [f"```\n{command}\n```\n"] if command else []
     lines.append(f"nanogs {__version__}, Python {platform.python_version()}, {machine}.")
     lines.append(f"Views of scenes without photographs: {views}, which no method learns from.\n")
+    if settings.render_mode is not None:
+        lines.append(f"All models are drawn as {settings.render_mode}, whatever their files say.\n")
     return "\n".join([*lines, _COLUMNS]) + "\n"

@@ -87,7 +87,7 @@ def _scene_rows(
         return
     progress(f"{scene.name}: reading")
     try:
-        splats = load(scene.model)
+        splats = load(scene.model, render_mode=settings.render_mode)
         views = scene_views(scene, splats, settings)
     except NanogsError as error:
         yield from _skipped_rows(scene, settings, str(error))

@@ -8,6 +8,7 @@ from nanogs.bench.methods import all_methods, find_method, refuse_unsized
 from nanogs.bench.rows import ORIGINAL, Wish, size_name
 from nanogs.errors import OptionError
 from nanogs.io import registry
+from nanogs.io.retag import checked_mode
 from nanogs.protocol import Background
 from nanogs.views.cameras import FOUND
 
@@ -37,6 +38,8 @@ class BenchSettings:
         threads: Threads to use; None for all.
         file_sizes: Bytes of the files that presets make in place of models of a ratio.
         formats: Suffixes of these files.
+        render_mode: "default" or "mip" in place of the render mode that files name, of models and
+            of results alike; see `nanogs.load`.
 
     Raises:
         OptionError: A value is out of range, or a name unknown or given twice.
@@ -55,6 +58,7 @@ class BenchSettings:
     threads: int | None = None
     file_sizes: tuple[int, ...] = ()
     formats: tuple[str, ...] = (".sog",)
+    render_mode: str | None = None
 
     @property
     def wishes(self) -> tuple[Wish, ...]:
@@ -67,6 +71,7 @@ class BenchSettings:
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
         self._check_files()
+        checked_mode(self.render_mode)
         for ratio in self.ratios:
             if not 0 < ratio <= 1:
                 raise OptionError(f"A ratio must be above 0 and at most 1, not {ratio:g}.")

@@ -37,6 +37,7 @@ class Job:
         seed: Seed of whatever is drawn.
         threads: Threads to use; None for all.
         size: Bytes that the file may have; the method is a preset then.
+        render_mode: "default" or "mip" in place of what the model's file says.
     """
 
     model: Path
@@ -48,6 +49,7 @@ class Job:
     seed: int = 0
     threads: int | None = None
     size: int | None = None
+    render_mode: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +126,7 @@ def do_job(job: Job) -> Outcome:
     method = find_method(job.method)
     context = MethodContext(job.cameras, job.seed, job.trained)
     start = time.perf_counter()
-    splats = load(job.model)
+    splats = load(job.model, render_mode=job.render_mode)
     read_seconds = time.perf_counter() - start
     asked = target_count(int(splats.finite().sum()), job.ratio, None)
     with use_threads(job.threads):
@@ -145,13 +147,13 @@ def _do_sized(job: Job) -> Outcome:
     preset, overrides = find_preset(job.method)
     context = MethodContext(job.cameras, job.seed, job.trained)
     with use_threads(job.threads):
-        splats = load(job.model)
+        splats = load(job.model, render_mode=job.render_mode)
         _warm_up(find_method(job.method), splats, context)
         encoded_bytes(splats.take(np.arange(min(_WARM_UP, len(splats)))), job.output)
     del splats
     report = simplify_blocks(
         job.model, job.output, size=job.size, preset=preset, threads=job.threads, overwrite=True,
-        cameras=job.cameras if job.trained else None, **overrides,
+        render_mode=job.render_mode, cameras=job.cameras if job.trained else None, **overrides,
     )  # fmt: skip
     read = report.seconds.get("read", 0.0)
     made = report.achieved_count

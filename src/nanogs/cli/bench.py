@@ -106,6 +106,7 @@ def bench(
     ] = None,
     up: options.Up = None,
     background: options.PhotoBackground = None,
+    render_mode: options.AsMode = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of what methods draw.")] = 0,
     threads: options.Threads = None,
     out: Annotated[
@@ -144,6 +145,7 @@ def bench(
         metrics=tuple(_list(metrics)),
         seed=seed,
         threads=threads,
+        render_mode=render_mode,
     )
     scenes = known.scenes_of_files(models or [])
     scenes += [known.parse_scene(text) for text in scene or []]
