@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from nanogs.raster.camera import Camera
     from nanogs.report import SimplifyReport
     from nanogs.scoring.api import compare
+    from nanogs.scoring.mixed import MixedComparison, compare_mixed
     from nanogs.scoring.modes import ModeEvidence, mode_evidence
     from nanogs.scoring.packing_cost import packing_cost
     from nanogs.source import Source
@@ -35,6 +36,7 @@ __all__ = [
     "Camera",
     "ConvertReport",
     "DrawCost",
+    "MixedComparison",
     "ModeEvidence",
     "NanogsError",
     "Place",
@@ -46,6 +48,7 @@ __all__ = [
     "Splats",
     "__version__",
     "compare",
+    "compare_mixed",
     "convert",
     "draw_cost",
     "filters",
@@ -70,6 +73,7 @@ _HOMES = {
     "Camera": "raster.camera",
     "ConvertReport": "conversion",
     "DrawCost": "costs",
+    "MixedComparison": "scoring.mixed",
     "ModeEvidence": "scoring.modes",
     "NanogsError": "errors",
     "Place": "place",
@@ -80,6 +84,7 @@ _HOMES = {
     "Source": "source",
     "Splats": "splats",
     "compare": "scoring.api",
+    "compare_mixed": "scoring.mixed",
     "convert": "conversion",
     "draw_cost": "views.costing",
     "info": "model_info",

@@ -8,8 +8,9 @@ import typer
 
 from nanogs.cli import options
 from nanogs.cli.groups import with_options
+from nanogs.errors import OptionError
 from nanogs.formatting import NONE, bytes_text, number_text
-from nanogs.protocol import PIXELS
+from nanogs.protocol import BLACK, PIXELS, Background
 from nanogs.view.bundle import is_built
 
 if TYPE_CHECKING:
@@ -68,6 +69,23 @@ def compare(
     render_mode: options.AsMode = None,
     packed: options.Packed = "",
     of_format: options.OfFormat,
+    mixed: Annotated[
+        bool,
+        typer.Option(
+            "--mixed",
+            help="Draw TESTs, lod-meta.json or .ssog, as a viewer does: near chunks fine, far ones"
+            " coarse.",
+        ),
+    ] = False,
+    budget: Annotated[
+        int | None,
+        typer.Option(
+            parser=options.parse_count,
+            metavar="COUNT",
+            help="Splats that this viewer draws at once, e.g. 1M.",
+            show_default="levels by distance alone",
+        ),
+    ] = None,
     run: options.Running,
 ) -> None:
     """Score models against the original, on views that no method has used."""
@@ -91,6 +109,15 @@ def compare(
     from nanogs.threads import use_threads
 
     named = [options.parse_named(text) for text in (reference, *tests)]
+    if budget is not None and not mixed:
+        raise OptionError("--budget is for --mixed; give both, or leave it out.")
+    if mixed:
+        _compare_mixed(
+            named, run, budget=budget, cameras=cameras, views=views, pixels=pixels, up=up,
+            background=color or BLACK, report=report, photos=photos, images=images,
+            metrics=metrics, packed=packed, render_mode=render_mode,
+        )  # fmt: skip
+        return
     with (
         fetched([path for _, path in named], quiet=run.hushed) as files,
         shown(quiet=run.hushed) as progress,
@@ -106,6 +133,37 @@ def compare(
             max_memory=run.max_memory,
         )  # fmt: skip
     run.tell(comparison.to_dict(), partial(_show, comparison, report), comparison.all_notes)
+
+
+def _compare_mixed(
+    named: list[tuple[str, Path]],
+    run: options.Running,
+    *,
+    budget: int | None,
+    cameras: str,
+    views: int | None,
+    pixels: list[tuple[int, int]],
+    up: tuple[float, float, float] | None,
+    background: Background,
+    **others: object,
+) -> None:
+    """Score streams as a viewer draws them; other options are refused."""
+    from nanogs.cli.fetching import fetched
+    from nanogs.cli.mixed import refuse_others, show_mixed
+    from nanogs.cli.progress import shown
+    from nanogs.scoring.mixed import compare_mixed
+
+    refuse_others(**others)
+    with (
+        fetched([path for _, path in named], quiet=run.hushed) as files,
+        shown(quiet=run.hushed) as progress,
+    ):
+        found = compare_mixed(
+            *files, names=[name for name, _ in named], budget=budget, cameras=cameras, views=views,
+            pixels=pixels, up=up, background=background, threads=run.threads,
+            max_memory=run.max_memory, progress=progress,
+        )  # fmt: skip
+    run.tell(found.to_dict(), partial(show_mixed, found), found.notes)
 
 
 def _show(comparison: "Comparison", report: Path | None) -> None:

@@ -82,7 +82,7 @@ def compare(
         NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
         OptionError: An argument is out of range, or no model is given.
     """
-    called, asked = _names(models, names), _asked(cameras, pixels)
+    called, asked = _names(models, names), asked_views(cameras, pixels)
     largest, most = asked.pictures(views)
     packing = packing_of(packed, format_options) if packed else {}
     given, limit = (original, *models), None if max_memory is None else as_bytes(max_memory)
@@ -120,7 +120,7 @@ def compare(
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class Asked:
     """The views that are asked for: cameras, or else where to find some and at which sizes."""
 
     cameras: "list[Camera]"
@@ -152,20 +152,21 @@ class _Asked:
         return view_sets(model, self.sources, self.sizes, views=views, up=up)
 
 
-def _asked(cameras: Cameras | Sequence[str], pixels: Pixels) -> _Asked:
+def asked_views(cameras: Cameras | Sequence[str], pixels: Pixels) -> Asked:
+    """The views that are asked for; the arguments and errors are those of `compare`."""
     from nanogs.scoring.view_sets import parse_sources
 
     if isinstance(cameras, Camera):
-        return _Asked([cameras])
+        return Asked([cameras])
     names = [cameras] if isinstance(cameras, str | PathLike) else list(cameras)
     sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
     if not sources or len(sources) < len(names):
         given = [camera for camera in names if isinstance(camera, Camera)]
-        return _Asked(given_cameras(given if len(given) == len(names) else []))
+        return Asked(given_cameras(given if len(given) == len(names) else []))
     sources = parse_sources(sources[0]) if len(sources) == 1 else sources
     several = pixels if isinstance(pixels, list) else [pixels]
     sizes = [(size, size) if isinstance(size, int) else size for size in several]
-    return _Asked([], sources, sizes)
+    return Asked([], sources, sizes)
 
 
 def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from nanogs._types import Array
 from nanogs.errors import FormatError
@@ -66,6 +66,18 @@ class Piece:
         return sum(count for _, count in self.spans)
 
 
+class Leaf(NamedTuple):
+    """A region of the scene.
+
+    Attributes:
+        bound: Its box as the file has it, unchecked, since models are read without it.
+        entries: What stands for it: (level, number of the file, (offset, count)).
+    """
+
+    bound: object
+    entries: tuple[tuple[int, int, tuple[int, int]], ...]
+
+
 @dataclass(frozen=True, slots=True)
 class Levels:
     """A checked `lod-meta.json`.
@@ -73,10 +85,12 @@ class Levels:
     Attributes:
         levels: Pieces by level, from the finest on.
         environment: What belongs to every level beside them, or None.
+        leaves: The regions of the scene.
     """
 
     levels: tuple[tuple[Piece, ...], ...]
     environment: Piece | None
+    leaves: tuple["Leaf", ...] = ()
 
     def pieces(self, path: Path, level: int) -> tuple[Piece, ...]:
         """The pieces of one level of that file, the environment's last.
@@ -105,14 +119,16 @@ def read_manifest(path: Path) -> Levels:
     if len(set(map(str, names))) < len(names):
         raise refused(f"{path}, filenames", "names a file twice")
     spans: list[dict[int, list[tuple[int, int]]]] = [{} for _ in range(depth)]
-    for level, file, span in _leaves(data.get("tree"), depth, len(names), str(path)):
-        spans[level].setdefault(file, []).append(span)
+    leaves = tuple(_leaves(data.get("tree"), depth, len(names), str(path)))
+    for leaf in leaves:
+        for level, file, span in leaf.entries:
+            spans[level].setdefault(file, []).append(span)
     if not spans[0]:
         raise refused(f"{path}, tree", "holds nothing of level 0")
     levels = [
         tuple(_piece(path, names[file], found[file]) for file in sorted(found)) for found in spans
     ]
-    return Levels(tuple(levels), _environment(path, data.get("environment"), names))
+    return Levels(tuple(levels), _environment(path, data.get("environment"), names), leaves)
 
 
 def _is_archive(path: Path) -> bool:
@@ -139,19 +155,21 @@ def _environment(path: Path, name: object, names: Sequence[object]) -> Piece | N
     return _piece(path, name, None, "environment")
 
 
-def _leaves(
-    tree: object, depth: int, files: int, where: str
-) -> Iterator[tuple[int, int, tuple[int, int]]]:
-    """(level, file, (offset, count)) of every entry of the tree."""
+def _leaves(tree: object, depth: int, files: int, where: str) -> Iterator[Leaf]:
+    """Every node of the tree that has splats."""
     where = f"{where}, tree"
     open_nodes = [table(tree, where)]
     while open_nodes:
         node = open_nodes.pop()
         children = rows(node.get("children") or [], f"{where}, children")
         open_nodes += [table(child, where) for child in reversed(children)]
+        entries = []
         for key, given in table(node.get("lods") or {}, f"{where}, lods").items():
             level = integer(int(key) if key.isdecimal() else None, f"{where}, lods", 0, depth - 1)
-            yield level, *_entry(table(given, f"{where}, lods"), files, f"{where}, lods")
+            entry = _entry(table(given, f"{where}, lods"), files, f"{where}, lods")
+            entries.append((level, *entry))
+        if entries:
+            yield Leaf(node.get("bound"), tuple(entries))
 
 
 def _entry(entry: dict[str, Any], files: int, where: str) -> tuple[int, tuple[int, int]]:

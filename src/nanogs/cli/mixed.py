@@ -1,0 +1,67 @@
+"""`nanogs compare --mixed`: streams as a viewer draws them."""
+
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+from rich.text import Text
+
+from nanogs.cli.console import out, say, show
+from nanogs.errors import OptionError
+from nanogs.formatting import NONE, number_text
+
+if TYPE_CHECKING:
+    from nanogs.scoring.mixed import MixedComparison, MixedScore
+    from nanogs.scoring.mixed_views import MixedView
+
+
+def refuse_others(**given: object) -> None:
+    """Refuse options that do not go with --mixed.
+
+    Args:
+        given: Values by name; what is empty was not given.
+
+    Raises:
+        OptionError: One was given.
+    """
+    for name, value in given.items():
+        if value:
+            raise OptionError(
+                f"--{name.replace('_', '-')} does not go with --mixed; leave one of them out."
+            )
+
+
+def show_mixed(comparison: "MixedComparison") -> None:
+    """Show each view, and the means of each stream."""
+    for score in comparison.scores:
+        table = Table("view", "chunks", box=None, pad_edge=False)
+        for heading in ("splats", "PSNR", "SSIM", "coarse", "PSNR", "SSIM", "at seams", "worse by"):
+            table.add_column(heading, justify="right")
+        for view in score.views:
+            table.add_row(Text(view.view), *_cells(view))
+        show(out, table)
+        say(_means(score))
+    say(
+        "chunks: how many of each level, the finest first; coarse: the coarsest of these, alone; at"
+        " seams: share of the pixels at which levels meet; worse by: dB there, than the coarser one"
+        " alone"
+    )
+
+
+def _cells(view: "MixedView") -> tuple[str, ...]:
+    return (
+        " ".join(map(str, view.chunks)), f"{view.splats:,}", number_text(view.psnr),
+        number_text(view.ssim, 4), NONE if view.coarse is None else f"level {view.coarse}",
+        number_text(view.coarse_psnr), number_text(view.coarse_ssim, 4), f"{view.seams:.1%}",
+        number_text(view.seam_loss),
+    )  # fmt: skip
+
+
+def _means(score: "MixedScore") -> str:
+    chosen = "by distance" if score.budget is None else f"of at most {score.budget:,} splats"
+    mixed = f"{number_text(score.psnr)} dB / {number_text(score.ssim, 4)} on {score.protocol.text}"
+    coarse = f"{number_text(score.coarse_psnr)} dB / {number_text(score.coarse_ssim, 4)}"
+    seams = "no levels meet"
+    if score.seam_loss is not None:
+        share = f"{score.seams:.1%} of the pixels"
+        seams = f"{number_text(score.seam_loss)} dB worse at seams ({share})"
+    return f"{score.name}, levels {chosen}: {mixed}; the coarsest alone {coarse}; {seams}"

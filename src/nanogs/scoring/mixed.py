@@ -1,0 +1,256 @@
+"""`nanogs.compare_mixed`: streams as viewers draw them, near chunks fine and far ones coarse."""
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nanogs.bar import drawn
+from nanogs.errors import OptionError
+from nanogs.io import inspect
+from nanogs.io.models import Model, as_splats
+from nanogs.io.registry import ARCHIVE, LEVELS
+from nanogs.memory import allowed_memory, refuse_too_large
+from nanogs.needs import model_bytes, models_bytes, scoring_bytes
+from nanogs.progress import Progress, Stage, Tracker
+from nanogs.protocol import BLACK, PIXELS, Background, Protocol
+from nanogs.quantities import as_bytes
+from nanogs.scoring.api import Pixels, asked_views
+from nanogs.views.cameras import Cameras
+
+if TYPE_CHECKING:
+    from nanogs.scoring.mixed_views import MixedView
+
+SEAM_LOSS = 0.3  # dB: more than that is said
+_LESS = "free some, or look at a smaller model or at smaller pictures (`pixels`)"
+
+
+@dataclass(frozen=True, slots=True)
+class MixedScore:
+    """A stream on one set of views.
+
+    Attributes:
+        name: What the user calls it.
+        levels: Splats of each level, the finest first.
+        environment: Splats that are drawn with every level, in none of these numbers.
+        budget: Splats that a viewer draws at once; None for levels by distance alone.
+        protocol: How it was measured.
+        psnr: Mean over the views, dB.
+        ssim: Mean over the views.
+        coarse_psnr: The same of the coarsest level that is drawn in each view, alone.
+        coarse_ssim: See there.
+        seam_loss: How much worse the pixels at seams are than the coarser of the levels that meet
+            there, drawn alone: of the squares of all views, dB; below 0 where they are better. None
+            without seams.
+        seams: Share of all pixels that are at seams, in [0, 1].
+        views: View by view.
+    """
+
+    name: str
+    levels: tuple[int, ...]
+    environment: int
+    budget: int | None
+    protocol: Protocol
+    psnr: float
+    ssim: float
+    coarse_psnr: float
+    coarse_ssim: float
+    seam_loss: float | None
+    seams: float
+    views: tuple["MixedView", ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MixedComparison:
+    """The result of `compare_mixed`.
+
+    Attributes:
+        reference: Name of the original.
+        reference_splats: Its splats.
+        scores: Of each stream on each set of views.
+        notes: What the reader of the numbers should know.
+    """
+
+    reference: str
+    reference_splats: int
+    scores: tuple[MixedScore, ...]
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        return asdict(self)
+
+
+def compare_mixed(
+    original: Model,
+    *streams: str | PathLike[str],
+    names: Sequence[str] | None = None,
+    budget: int | None = None,
+    cameras: Cameras | Sequence[str] = "auto",
+    views: int | None = None,
+    pixels: Pixels = PIXELS,
+    up: Sequence[float] | None = None,
+    background: Background = BLACK,
+    threads: int | None = None,
+    max_memory: int | str | None = None,
+    progress: Progress | bool | None = None,
+) -> MixedComparison:
+    """Hold streamed SOGs against their original, drawn as the PlayCanvas engine draws them.
+
+    For each view a level is chosen of each chunk, as `views.chunk_levels` says. All levels are held
+    in memory.
+
+    Args:
+        original: What they were made of: a model, or a path.
+        *streams: At least one `lod-meta.json` or `.ssog`.
+        names: Of the original and of the streams; by default those of their files.
+        budget: Splats that the viewer draws at once, 1 or more: levels are as fine as that allows.
+            By default they follow from distances alone.
+        cameras: As `compare` takes them, and so are the following.
+        views: See there.
+        pixels: See there.
+        up: See there.
+        background: See there.
+        threads: See there.
+        max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
+            what is free, less a tenth.
+        progress: See there.
+
+    Raises:
+        FormatError: A model or the cameras cannot be read.
+        ModelError: The original is seen in none of the views.
+        NotEnoughMemoryError: It takes more memory than is free or allowed.
+        OptionError: An argument is out of range, no stream is given, or it is none.
+    """
+    paths = [Path(stream) for stream in streams]
+    _check(paths, budget)
+    asked = asked_views(cameras, pixels)
+    limit = None if max_memory is None else as_bytes(max_memory)
+    _refuse_too_large(original, paths, *asked.pictures(views), limit)
+    called = names or [
+        Path(original).name if isinstance(original, str | PathLike) else "original",
+        *(path.name for path in paths),
+    ]
+    # Here and not above: these bring Numba.
+    from nanogs.raster.rendering import prepare
+    from nanogs.scoring.comparison import protocol_of
+    from nanogs.scoring.mixed_views import levels_together
+    from nanogs.scoring.scores import reference_views
+    from nanogs.threads import use_threads
+
+    scores, notes = list[MixedScore](), list[str]()
+    with ExitStack() as stack:
+        stack.enter_context(use_threads(threads))
+        told = Tracker(stack.enter_context(drawn(progress)), _stages(len(paths), asked.sets_count))
+        told.begin("read")
+        whole = as_splats(original)
+        together = [levels_together(path) for path in paths]
+        for found in asked.sets(whole, views, up):
+            told.begin("render")
+            ready = prepare(whole)
+            seen, empty = reference_views(ready, found.cameras, background, told.part, depth=False)
+            del ready
+            notes += [*found.notes]
+            notes += [f"{name}: nothing of the original is seen; left out" for name in empty]
+            split = None if found.kind == "given" else "test"
+            protocol = protocol_of(seen, found.kind, split, background)
+            told.begin("score")
+            for place, (name, stream) in enumerate(zip(called[1:], together, strict=True)):
+                marks = list["MixedView"]()
+                for number, view in enumerate(seen):
+                    told.part(place * len(seen) + number, len(paths) * len(seen))
+                    marks.append(stream.score(view, background, budget))
+                levels = tuple(np.diff(stream.ends).tolist())
+                apart = stream.chunks.environment
+                scores.append(_means(name, levels, apart, budget, protocol, marks))
+                notes += _notes(scores[-1])
+        told.finish()
+    return MixedComparison(called[0], len(whole), tuple(scores), tuple(dict.fromkeys(notes)))
+
+
+def _check(paths: Sequence[Path], budget: int | None) -> None:
+    if not paths:
+        raise OptionError("Give at least one lod-meta.json or .ssog to compare with the original.")
+    for path in paths:
+        if path.name != LEVELS and path.suffix.lower() != ARCHIVE:
+            raise OptionError(
+                f"{path} has no chunks of several levels to mix; give a {LEVELS} or an {ARCHIVE}."
+            )
+    if budget is not None and budget < 1:
+        raise OptionError(f"The budget must be 1 splat or more, not {budget}.")
+
+
+def _refuse_too_large(
+    original: Model, paths: Sequence[Path], pixels: int, views: int, limit: int | None
+) -> None:
+    """Refuse what does not fit into memory: the original and all levels of all streams at once."""
+    held = models_bytes([original], all_of_it=bool(limit))
+    counts = [0]
+    for path in paths:
+        infos = [inspect(path, level=level) for level in range(len(_levels(path)))]
+        held += 2 * sum(map(model_bytes, infos))  # as they are read, and put together
+        counts.append(sum(info.splats for info in infos))
+    needed = held + scoring_bytes(counts, pixels, views)
+    refuse_too_large("Comparing mixed levels", needed, allowed_memory(limit), _LESS)
+
+
+def _levels(path: Path) -> Sequence[int]:
+    from nanogs.io import open as open_model
+
+    with open_model(path) as source:
+        return source.levels
+
+
+def _stages(streams: int, sets: int) -> list[Stage]:
+    looking = [Stage("render", 1.0), Stage("score", 4.0 * streams)]
+    return [Stage("read", 1.0 + streams), *looking * sets]
+
+
+def _means(
+    name: str,
+    levels: tuple[int, ...],
+    environment: int,
+    budget: int | None,
+    protocol: Protocol,
+    views: Sequence["MixedView"],
+) -> MixedScore:
+    from nanogs.scoring.mixed_views import loss_of
+    from nanogs.scoring.scores import mean_psnr
+
+    seams = float(np.mean([view.seams for view in views]))
+    errors = [sum(view.seam_error for view in views), sum(v.seam_coarse_error for v in views)]
+    return MixedScore(
+        name=name,
+        levels=levels,
+        environment=environment,
+        budget=budget,
+        protocol=protocol,
+        psnr=mean_psnr([view.psnr for view in views]),
+        ssim=float(np.mean([view.ssim for view in views])),
+        coarse_psnr=mean_psnr([view.coarse_psnr for view in views]),
+        coarse_ssim=float(np.mean([view.coarse_ssim for view in views])),
+        seam_loss=loss_of(errors[0], errors[1]) if seams else None,
+        seams=seams,
+        views=tuple(views),
+    )
+
+
+def _notes(score: MixedScore) -> list[str]:
+    where = f"{score.name}, {score.protocol.label}"
+    if score.seam_loss is None:
+        unmixed = (
+            f"{where}: no levels meet in any view, so that nothing is said of seams; a `budget`"
+            " below the splats of the finest level mixes them."
+        )
+        return [unmixed]
+    if score.seam_loss <= SEAM_LOSS:
+        return []
+    worse = (
+        f"{where}: where levels meet, pictures are {score.seam_loss:.2f} dB worse than the coarser"
+        " level alone, which one may see as lines; make the stream of larger chunks (`chunk`)."
+    )
+    return [worse]

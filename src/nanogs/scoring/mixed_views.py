@@ -1,0 +1,205 @@
+"""A streamed SOG as viewers draw it, near chunks fine and far ones coarse, beside its original.
+
+A *seam* is where chunks of different levels meet in a picture. Coarse splats reach into the fine
+chunk there, and fine ones do not reach out of it as far as was merged: light can be there twice, or
+be missing. So it is measured apart, against what the coarser of the two levels shows alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from nanogs._types import F32, F64, I64, Bool
+from nanogs.io import load
+from nanogs.io.sog.chunks import Chunks, read_chunks
+from nanogs.metrics import psnr, ssim
+from nanogs.protocol import Background
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import PreparedSplats, background_of, blend, prepare, project
+from nanogs.scoring.scores import ReferenceView
+from nanogs.splats import concatenate
+from nanogs.views.chunk_levels import NOTHING, chosen_levels, chunk_distances
+
+SEAM = 0.1  # of the light at a pixel: a seam is where so much is from each of two levels
+_CHANNELS = 3  # of a picture, each the light of one level
+
+
+@dataclass(frozen=True, slots=True)
+class MixedView:
+    """A view as a viewer draws it, held against the original.
+
+    Attributes:
+        view: Name of the camera.
+        chunks: How many chunks are drawn of each level, the finest first.
+        splats: In all that is drawn, whether or not in the picture.
+        psnr: Of the picture, dB; infinite where it equals the original's.
+        ssim: Of the picture.
+        coarse: The coarsest level that is drawn; None where none is.
+        coarse_psnr: Of that level alone, all of it, dB.
+        coarse_ssim: The same.
+        seams: Share of the pixels that are at seams, in [0, 1].
+        seam_error: Sum of squares there, mean over the channels of each pixel; colours in [0, 1].
+        seam_coarse_error: The same of the coarser of the levels that meet, drawn alone.
+        seam_loss: The former over the latter, dB; None without seams.
+    """
+
+    view: str
+    chunks: tuple[int, ...]
+    splats: int
+    psnr: float
+    ssim: float
+    coarse: int | None
+    coarse_psnr: float
+    coarse_ssim: float
+    seams: float
+    seam_error: float
+    seam_coarse_error: float
+    seam_loss: float | None = None
+
+
+def loss_of(error: float, other: float) -> float:
+    """How much worse a squared error is than another, dB; below 0 where it is better."""
+    if error == other:
+        return 0.0
+    with np.errstate(divide="ignore"):
+        return float(10 * (np.log10(error) - np.log10(other)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LevelsTogether:
+    """All levels of a streamed SOG, of which any mixture can be drawn.
+
+    Attributes:
+        chunks: Which rows are which chunk's.
+        prepared: M splats: the levels without the environment, the finest first, and that.
+        levels: (M,) int64, the level of each; that of the environment is `NOTHING`.
+        ends: (L + 1,) int64, where each level begins, and where the last one ends.
+    """
+
+    chunks: Chunks
+    prepared: PreparedSplats
+    levels: I64
+    ends: I64
+
+    def drawn(self, choice: I64) -> Bool:
+        """(M,) bool: the rows of a mixture, the environment among them.
+
+        Args:
+            choice: (C,) the level of each chunk, or `NOTHING`.
+        """
+        rows: Bool = self.levels == NOTHING
+        for chunk, level in enumerate(choice.tolist()):
+            if level != NOTHING:
+                first = self.ends[level] + self.chunks.starts[chunk, level]
+                rows[first : first + self.chunks.counts[chunk, level]] = True
+        return rows
+
+    def alone(self, level: int) -> Bool:
+        """(M,) bool: the rows of a level and of the environment."""
+        found: Bool = (self.levels == level) | (self.levels == NOTHING)
+        return found
+
+    def score(self, view: ReferenceView, background: Background, budget: int | None) -> MixedView:
+        """Draw a view as a viewer does, and hold it against the original.
+
+        Args:
+            view: The original's.
+            background: RGB in [0, 1].
+            budget: As `chosen_levels` takes it.
+        """
+        camera, chunks = view.camera, self.chunks
+        choice = chosen_levels(chunk_distances(chunks.boxes, camera), chunks.counts, budget)
+        rows, counts = self.drawn(choice), np.bincount(choice[choice != NOTHING], minlength=0)
+        shown = np.flatnonzero(counts).tolist()
+        image, shares = self._picture(rows, camera, background, shown)
+        marks = psnr(view.image, image), ssim(view.image, image)
+        listed = tuple(counts.tolist()) + (0,) * (chunks.counts.shape[1] - len(counts))
+        own = MixedView(
+            camera.name, listed, int(np.count_nonzero(rows)), *marks, None, *marks, 0.0, 0.0, 0.0
+        )
+        if not shown:
+            return own
+        alone = {level: self._alone(level, camera, background) for level in shown[1:]}
+        coarsest = alone.get(shown[-1])
+        if coarsest is None:
+            coarsest = self._alone(shown[-1], camera, background)
+        seams, errors = _at_seams(view.image, image, shares, [alone[each] for each in shown[1:]])
+        return replace(
+            own, coarse=shown[-1], coarse_psnr=psnr(view.image, coarsest),
+            coarse_ssim=ssim(view.image, coarsest), seams=seams, seam_error=errors[0],
+            seam_coarse_error=errors[1], seam_loss=loss_of(*errors) if seams else None,
+        )  # fmt: skip
+
+    def _alone(self, level: int, camera: Camera, background: Background) -> F32:
+        return self._picture(self.alone(level), camera, background, ())[0]
+
+    def _picture(
+        self, rows: Bool, camera: Camera, background: Background, levels: Sequence[int]
+    ) -> tuple[F32, F32]:
+        """(H, W, 3) what some rows show, and (H, W, len(levels)) how much light is from each."""
+        some = replace(self.prepared, keep=self.prepared.keep & rows)
+        view = project(some, camera)
+        behind = background_of(background, depth=False)
+        image, _left, _ = blend(view, camera, view.features, behind)
+        parts = [np.zeros((camera.height, camera.width, 0), np.float32)]
+        for first in range(0, len(levels), _CHANNELS):
+            lights = np.zeros((len(rows), _CHANNELS), np.float32)
+            for channel, level in enumerate(levels[first : first + _CHANNELS]):
+                lights[self.levels == level, channel] = 1
+            parts.append(blend(view, camera, lights, np.zeros(_CHANNELS, np.float32))[0])
+        shares: F32 = np.concatenate(parts, axis=2)[:, :, : len(levels)]
+        return np.clip(image[..., :3], 0.0, 1.0), shares
+
+
+def _at_seams(
+    original: F32, image: F32, shares: F32, alone: Sequence[F32]
+) -> tuple[float, tuple[float, float]]:
+    """The share of the pixels that are at seams, and the errors there.
+
+    Args:
+        original: (H, W, 3) what there is to see.
+        image: (H, W, 3) the mixture.
+        shares: (H, W, K) light of each of the K levels that are drawn, the finest first.
+        alone: (H, W, 3) each of these levels but the finest.
+
+    Returns:
+        The share, and sums of squares of the mixture and of the coarser level alone.
+    """
+    meet = shares >= SEAM
+    seams = meet.sum(axis=2) > 1
+    if not seams.any():
+        return 0.0, (0.0, 0.0)
+    coarser = meet.shape[2] - 1 - meet[:, :, ::-1].argmax(axis=2)  # the last that is there
+    error = _squares(original, image)[seams].sum()
+    others = np.stack([_squares(original, each) for each in alone])  # (K - 1, H, W)
+    rows, columns = np.nonzero(seams)
+    other = others[coarser[seams] - 1, rows, columns].sum()
+    return float(seams.mean()), (float(error), float(other))
+
+
+def _squares(a: F32, b: F32) -> F64:
+    found: F64 = np.square(a.astype(np.float64) - b).mean(axis=2)
+    return found
+
+
+def levels_together(path: Path) -> LevelsTogether:
+    """Read all levels of a streamed SOG.
+
+    Raises:
+        FormatError: A file is missing or damaged.
+    """
+    chunks = read_chunks(path)
+    parts, numbers, ends = [], [], [0]
+    for level in range(chunks.counts.shape[1]):
+        model = load(path, level=level)
+        own = len(model) - chunks.environment
+        parts.append(model.take(np.arange(own)))
+        numbers.append(np.full(own, level, np.int64))
+        ends.append(ends[-1] + own)
+        if level == 0:
+            apart = model.take(np.arange(own, len(model)))
+    numbers.append(np.full(len(apart), NOTHING, np.int64))
+    together = prepare(concatenate([*parts, apart]))
+    return LevelsTogether(chunks, together, np.concatenate(numbers), np.array(ends))
