@@ -32,7 +32,7 @@ sink method
 summary
 view scoring
 store lod
-pipeline levels_of_detail model_info conversion
+pipeline environments levels_of_detail model_info conversion
 ahead bench cli __main__
 """.split()
 

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs._types import F64, Bool
+from nanogs._types import F64, Bool, F
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import counted
 from nanogs.splats import Splats, refuse_misaligned_elements, refuse_other
 
+ENVIRONMENT = "environment"  # the filter that leaves levels without it
 NEIGHBOURS = 8  # clusters of up to so many splats can be floaters
 DEVIATIONS = 5.0  # of the logarithm of distances
 _LEAST_SPREAD = 0.3  # of that logarithm: evenly spaced splats have none
@@ -116,6 +117,10 @@ def filter_of(kind: str, values: Sequence[float]) -> Filter:
         return box(values[:3], values[3:])
     if kind == "sphere":
         return sphere(values[:3], values[3])
+    if kind == "within":
+        return within(values[:3], values[3])
+    if kind == "beyond":
+        return beyond(values[:3], values[3])
     if kind == "opacity":
         return opaque_enough(values[0])
     if kind == "company":
@@ -214,14 +219,42 @@ def sphere(centre: Sequence[float], radius: float) -> Filter:
         raise OptionError(f"The radius of a sphere must be above 0 and finite, not {radius:g}.")
 
     def keep(splats: Splats) -> Bool:
-        with np.errstate(over="ignore", invalid="ignore"):
-            offsets = splats.means.astype(np.float64) - middle
-            inside: Bool = np.linalg.norm(offsets, axis=1) <= radius
+        inside: Bool = distances(splats.means, middle) <= radius
         return inside
 
     text = "sphere:" + ",".join(f"{value:g}" for value in (*middle, radius))
     plain = ("sphere", (*middle.tolist(), float(radius)))
     return Filter("crop", text, keep, plain=plain)
+
+
+def within(centre: Sequence[float], radius: float) -> Filter:
+    """The filter of a scene without its environment, what lies beyond a distance."""
+    middle = _point(centre)
+    plain = ("within", (*middle.tolist(), float(radius)))
+    return Filter(
+        ENVIRONMENT, "", lambda splats: ~(distances(splats.means, middle) > radius), plain=plain
+    )
+
+
+def beyond(centre: Sequence[float], radius: float) -> Filter:
+    """The filter of that environment, all that `within` leaves out."""
+    middle = _point(centre)
+    plain = ("beyond", (*middle.tolist(), float(radius)))
+    return Filter(
+        ENVIRONMENT, "", lambda splats: distances(splats.means, middle) > radius, plain=plain
+    )
+
+
+def distances(means: F, middle: F64) -> F64:
+    """(N,) distances of centres from a point, scene units; NaN of one that is not finite.
+
+    Args:
+        means: (N, 3) centres.
+        middle: (3,) the point.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        away: F64 = np.linalg.norm(means.astype(np.float64) - middle, axis=1)
+    return away
 
 
 def opaque_enough(alpha: float) -> Filter:

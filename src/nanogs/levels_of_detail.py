@@ -12,6 +12,7 @@ from typing import Any
 from nanogs._types import F64
 from nanogs.bar import drawn
 from nanogs.clock import StageClock
+from nanogs.environments import AUTO, NOTHING, Surroundings, surroundings, without_environment
 from nanogs.errors import OptionError
 from nanogs.frames import change_frame
 from nanogs.io import inspect
@@ -39,7 +40,8 @@ from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import file_judge
-from nanogs.source import Source
+from nanogs.sink import Environment
+from nanogs.source import InMemory, Joined, Source
 from nanogs.splats import Splats
 
 _FIELDS = frozenset(each.name for each in fields(Request))
@@ -60,6 +62,8 @@ def write_levels(
     frame: tuple[str, str] | None = None,
     overwrite: bool = False,
     measured: bool | None = False,
+    environment: str | PathLike[str] | Splats | Source = AUTO,
+    environment_ratio: float | None = None,
     progress: Progress | bool | None = None,
     **options: Any,  # noqa: ANN401 - as `levels` or `simplify_blocks` takes them
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
@@ -90,6 +94,11 @@ def write_levels(
         overwrite: Replace the folder if it holds nothing but earlier levels.
         measured: Hold what was written of each level against the model, as `nanogs compare` does.
             With None that is done where the preset renders and the model is in memory.
+        environment: What streamed SOG has beside the levels and draws with each of them, such as
+            the sky: "auto" takes it out of the model where it stands apart (`lod.environment`),
+            "none" leaves all splats in the levels, and a path or model, in the model's frame, is
+            written as it is.
+        environment_ratio: What is kept of its splats, in (0, 1]; all by default.
         progress: As `levels` takes it; a stage "write" follows each level.
         **options: As `simplify_blocks` takes them, such as `preset`, `max_memory` and `filters`;
             `block`, `job`, `scratch`, `resume` and `executor` are for files.
@@ -99,7 +108,7 @@ def write_levels(
 
     Raises:
         OptionError: As for `levels`, there is no such layout, it has no such chunks, contents or
-            place, the place is none, or the format of the files is not written.
+            place, no environment, the place is none, or the format of the files is not written.
         ModelError: As for `levels`.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
@@ -118,12 +127,13 @@ def write_levels(
         overwrite=overwrite, measured=measured, overrides=overrides, **given,
     )  # fmt: skip
     sink = sink_of(request, suffix=suffix, source=source, layout=layout)
+    sky = surroundings(environment, environment_ratio, layout)
     with drawn(progress) as tell:
         if not isinstance(paths, Splats | Source):
-            return write_levels_of_files(request, sink, tell)
+            return write_levels_of_files(request, sink, tell, sky)
         if for_files := given.keys() & {"block", "job", "scratch", "resume", "executor"}:
             raise OptionError(f"{min(for_files)} is for files; give the model's path in its place.")
-        return _whole(request, prepare(as_splats(paths), request.edits), sink, tell)
+        return _whole(request, prepare(as_splats(paths), request.edits), sink, tell, sky)
 
 
 LevelsSink = LevelsFolder | LevelsTree
@@ -167,7 +177,7 @@ def sink_of(
 
 
 def write_levels_of_files(
-    request: Request, sink: LevelsSink, told: Progress | None
+    request: Request, sink: LevelsSink, told: Progress | None, sky: Surroundings = NOTHING
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make the levels that are asked for, in memory or in blocks.
 
@@ -175,29 +185,53 @@ def write_levels_of_files(
         request: What is asked for.
         sink: Takes the levels.
         told: Called with each step.
+        sky: The environment that is asked for.
 
     Raises:
         NanogsError: It cannot be done.
     """
     plan = plan_files(request)
     if plan.divided:
+        request, beside = sky.in_blocks(request)
+        sink = _with(sink, beside)
         written, made = fill_in_blocks(request, sink, told)
+        made = without_environment(made)
         return describe_levels(sink.source, made, written), tuple(made)
     request.goes_on()
     sink.check()
     import_stages(request.parameters)
     stages = _stages(request, plan.splats, sink)
     tracker = Tracker(told, [*reading_stages(request.edits, plan.splats), *stages])
-    prepared = read_changed(request.inputs, request.edits, tracker, StageClock())
-    manifest, reports = _whole(request, prepared, sink, tracker.passing())
+    manifest, reports = _whole(
+        request, read_changed(request.inputs, request.edits, tracker, StageClock()), sink,
+        tracker.passing(), sky,
+    )  # fmt: skip
     return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)
 
 
+def _with(sink: LevelsSink, beside: Environment | None) -> LevelsSink:
+    if beside is None:
+        return sink
+    assert isinstance(sink, LevelsFolder), "a tree has no environment"  # noqa: S101
+    return replace(sink, environment=beside)
+
+
 def _whole(
-    request: Request, prepared: Prepared, sink: LevelsSink, told: Progress | None
+    request: Request,
+    prepared: Prepared,
+    sink: LevelsSink,
+    told: Progress | None,
+    sky: Surroundings,
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make the levels of a model in memory."""
-    splats, filtered, notes = prepared
+    whole, filtered, notes = prepared
+    splats, beside = sky.in_memory(request, whole)
+    sink = _with(sink, beside)
+    if beside is not None and not beside.own and is_measured(request):
+        whole = Joined([InMemory(whole), InMemory(beside.original())]).load()
+    elif not is_measured(request):
+        whole = splats  # and what has become the environment is not held twice
+    del prepared
     tracker = Tracker(told, _stages(request, len(splats), sink))
     made = judged_levels(
         splats, request.ratios, judged=is_measured(request), preset=request.preset,
@@ -209,7 +243,7 @@ def _whole(
         tracker.begin("measure")
         turn, threads = request.frame, request.threads
         judge = file_judge(
-            splats, sink.suffix, turn=turn, threads=threads, tell=tracker.part,
+            whole, sink.suffix, turn=turn, threads=threads, tell=tracker.part,
             costs=bool(request.measured),
         )  # fmt: skip
     with sink.filled() as filling:

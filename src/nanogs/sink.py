@@ -8,7 +8,7 @@ its name is given to what it made when that is complete.
 import os
 import shutil
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, field
 from pathlib import Path
@@ -28,6 +28,8 @@ from nanogs.source import Source
 from nanogs.splats import Splats
 from nanogs.switches import PixelOf, Switch
 
+Read = Callable[[], Splats]
+"""Reads a model."""
 PLACED = 24  # bytes a splat of a level that is divided: its cell and place
 
 
@@ -48,6 +50,8 @@ class Written(NamedTuple):
         requests: Files that a viewer asks for, of those in chunks: those named here and those that
             they name.
         switch: The fields of `Switch`; None where that was not measured.
+        environment: Of an environment that is beside all results: where it is from, its splats,
+            its bytes, its files, and how many splats of the model have become it; nothing without.
     """
 
     splats: int
@@ -60,6 +64,7 @@ class Written(NamedTuple):
     costs: Sequence[Sequence[float]] | None = None
     requests: int = 0
     switch: tuple[float, float | None, float, int, float] | None = None
+    environment: Sequence[Any] = ()
 
     @property
     def switched(self) -> Switch | None:
@@ -75,6 +80,25 @@ class Written(NamedTuple):
     def marks(self) -> Judged | None:
         """The same with the protocol by which it was measured."""
         return None if self.judged is None else Judged.usual(*self.judged)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Environment:
+    """A model that viewers draw with every result, such as the sky.
+
+    Attributes:
+        source: Where it is from: the name of its file, or "auto".
+        count: Splats of it before any were merged.
+        own: Whether they were taken out of the model itself.
+        original: Reads it as it was, in the frame of the model.
+        made: Reads it as it is written.
+    """
+
+    source: str
+    count: int
+    own: bool
+    original: Read
+    made: Read
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +271,8 @@ class Filling(ABC):
                 self.written[number] = self.written[number]._replace(
                     judged=judged, costs=costs, switch=astuple(switch) if switch else None
                 )
-        self.written[0] = self.written[0]._replace(notes=judge.notes)
+        notes = (*self.written[0].notes, *judge.notes)
+        self.written[0] = self.written[0]._replace(notes=notes)
 
 
 class Sink(Protocol):
@@ -264,6 +289,10 @@ class Sink(Protocol):
     @property
     def chunks(self) -> Chunked | None:
         """How results are divided; None where each is one file."""
+
+    @property
+    def environment(self) -> Environment | None:
+        """What is drawn with every result, or None."""
 
     @property
     def suffix(self) -> str:
@@ -321,6 +350,7 @@ class OneFile:
     overwrite: bool
     format_options: FormatOptions | None = None
     chunks: None = None
+    environment: None = None
 
     @property
     def suffix(self) -> str:

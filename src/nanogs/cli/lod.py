@@ -79,6 +79,22 @@ def lod(
             " draw these.",
         ),
     ] = False,
+    environment: Annotated[
+        str,
+        typer.Option(
+            help="What streamed SOG draws with every level, such as the sky: auto takes it out of"
+            " the model where it stands far apart all around, none leaves all splats in the"
+            " levels; or a model, in the frame of IN.",
+            metavar="auto|none|FILE",
+        ),
+    ] = "auto",
+    environment_ratio: Annotated[
+        float | None,
+        typer.Option(
+            help="Compaction ratio of the environment, all of which is loaded at once.",
+            show_default="1",
+        ),
+    ] = None,
     placing: Placing,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show how each level was made.")
@@ -96,6 +112,7 @@ def lod(
     # What only a run needs is imported here, and not for `--help`.
     with uncollected():
         from nanogs.cli import framing, lod_run, many, plan
+        from nanogs.environments import surroundings
         from nanogs.io.collect import Pair
         from nanogs.io.stand_ins import refuse_address
         from nanogs.lod.layout import chunks_of, output_of
@@ -120,6 +137,7 @@ def lod(
             ),
         ),
         method=method, output=output, usual=levels is None,
+        sky=surroundings(environment, environment_ratio, output.layout),
     )  # fmt: skip
     show = partial(lod_run.print_levels, verbose=verbose)
     [run] = many.run_all(

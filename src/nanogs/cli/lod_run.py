@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 from rich.table import Table
 
@@ -12,6 +13,7 @@ from nanogs.cli.many import Run
 from nanogs.cli.method import Method
 from nanogs.cli.plan import carry_out, plan_run, show_plan
 from nanogs.cli.simplify_report import warn_of_input
+from nanogs.environments import AUTO, NOTHING, Surroundings
 from nanogs.formatting import NONE, bytes_text, counted, number_text, time_text
 from nanogs.io.collect import Pair
 from nanogs.levels_of_detail import sink_of, usual_levels, write_levels_of_files
@@ -32,12 +34,14 @@ class Wishes:
         method: What the options say of how.
         output: Where the levels go.
         usual: Whether the levels are the usual ones, whatever the wish says.
+        sky: The environment that is asked for.
     """
 
     wish: Request
     method: Method
     output: Output
     usual: bool = False
+    sky: Surroundings = NOTHING
 
 
 def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
@@ -57,14 +61,18 @@ def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
     if not method.hushed and (plan.divided or method.dry_run):
         for note in plan.notes():
             warn(note)
-    told = {"input": plan.name, "output": str(output.path), "layout": output.layout}
+    told: dict[str, Any] = {"input": plan.name, "output": str(output.path), "layout": output.layout}
     if method.dry_run:
-        shown = plan.shown()
+        wish, beside = wishes.sky.planned(wish, divided=plan.divided)
+        told["environment"] = beside and {"source": beside.source, "count": beside.count}
+        shown = replace(plan, wish=wish).shown()
         counts = [target_count(shown.info.splats, ratio, None) for ratio in wish.ratios]
         asked = [{"ratio": r, "count": c} for r, c in zip(wish.ratios, counts, strict=True)]
         return Run(shown, told | {"levels": asked})
     start = time.perf_counter()
-    manifest, reports = carry_out(plan, lambda wish: write_levels_of_files(wish, sink, progress))
+    manifest, reports = carry_out(
+        plan, lambda wish: write_levels_of_files(wish, sink, progress, wishes.sky)
+    )
     if not plan.divided:
         manifest = replace(manifest, notes=(*plan.notes(), *manifest.notes))
     first, seconds = reports[0], time.perf_counter() - start
@@ -75,7 +83,9 @@ def run_levels(wishes: Wishes, pair: Pair, progress: Progress) -> Run:
 def print_plan(run: Run) -> None:
     """Show on stderr what would be made."""
     counts = ", ".join(f"{level['count']:,}" for level in run.files["levels"])
-    show_plan(run.report, f"{run.files['output']}: levels of {counts} splats")
+    beside = run.files["environment"]
+    sky = f", and {_environment(beside['count'], beside['source'])}" if beside else ""
+    show_plan(run.report, f"{run.files['output']}: levels of {counts} splats{sky}")
 
 
 def print_levels(run: Run, *, verbose: bool) -> None:
@@ -113,14 +123,20 @@ def print_levels(run: Run, *, verbose: bool) -> None:
     for number, report in enumerate(reports if verbose else []):
         err.print(f"level {number}")
         show_report(report)
-    size = bytes_text(sum(level.bytes for level in levels))
+    sky = manifest.environment
+    if sky:
+        text = _environment(sky.count, sky.source)
+        say(f"{text}, {bytes_text(sky.bytes)}, drawn with every level")
+    beside, further = (sky.bytes, sky.requests) if sky else (0, 0)
+    size = bytes_text(sum(level.bytes for level in levels) + beside)
     made = f"{counted(len(levels), 'level')} in {files['output']}, {size}"
     whole = counted(manifest.source_count, "splat")
     say(f"{whole} {arrow()} {made}, {time_text(files['total_seconds'])}")
     folder = files["layout"] != Layout.ARCHIVE
     if folder and isinstance(coarsest := levels[-1], ChunkedLevel) and coarsest.requests:
-        asked = counted(coarsest.requests + 1, "request")  # what describes the levels is one
-        say(f"a viewer's first picture takes {asked} and {bytes_text(coarsest.bytes)}")
+        asked = counted(coarsest.requests + further + 1, "request")  # one tells of the levels
+        size = bytes_text(coarsest.bytes + beside)
+        say(f"a viewer's first picture takes {asked} and {size}")
     if files["layout"] != Layout.FILES:
         say(f"`nanogs view {files['output']}` makes a page of one level, to look at it")
 
@@ -132,6 +148,11 @@ def _switch(level: Level | ChunkedLevel) -> Switch | None:
 def _switch_cells(switch: Switch | None) -> tuple[str, str]:
     """From how far on a viewer draws a level, and how it looks from there."""
     return (switch.distance_text, switch.marks) if switch else (NONE, NONE)
+
+
+def _environment(count: int, source: str) -> str:
+    found = "found apart in the model" if source == AUTO else f"of {source}"
+    return f"an environment of {counted(count, 'splat')}, {found}"
 
 
 def _cells(number: int, level: Level | ChunkedLevel) -> Iterator[str]:

@@ -15,7 +15,7 @@ from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import ChunksFilling, LevelsFolder
 from nanogs.lod.manifest import Manifest
 from nanogs.report import SimplifyReport
-from nanogs.sink import Judge, made_beside, move_file
+from nanogs.sink import Environment, Judge, made_beside, move_file
 
 _PIECE = 1 << 22  # bytes
 
@@ -35,7 +35,7 @@ class LevelsArchive(LevelsFolder):
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         assert self.chunks is not None, "there are no others in an archive"  # noqa: S101
-        return ArchiveFilling(folder, self.source, self.chunks, making)
+        return ArchiveFilling(folder, self.source, self.chunks, making, self.environment)
 
     @contextmanager
     def filled(self) -> Iterator["ArchiveFilling"]:
@@ -60,15 +60,22 @@ class LevelsArchive(LevelsFolder):
 class ArchiveFilling(ChunksFilling):
     """A folder that is being filled, and put into one file at the end."""
 
-    def __init__(self, folder: Path, source: str, layout: ChunkLayout, made: Path) -> None:
-        super().__init__(folder, source, layout)
+    def __init__(
+        self,
+        folder: Path,
+        source: str,
+        layout: ChunkLayout,
+        made: Path,
+        environment: Environment | None = None,
+    ) -> None:
+        super().__init__(folder, source, layout, environment)
         self._made = made
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
         """As `LevelsFilling` says; the folder goes into the file, which is written last."""
         manifest = super().finish(reports, judge)
         coarse_first = [name for level in reversed(self.names) for name in level]
-        write_archive(self._folder, [LEVELS, *coarse_first], self._made)
+        write_archive(self._folder, [LEVELS, *self.beside, *coarse_first], self._made)
         shutil.rmtree(self._folder)
         return manifest
 
@@ -76,8 +83,8 @@ class ArchiveFilling(ChunksFilling):
 def write_archive(folder: Path, names: Sequence[str], path: Path) -> None:
     """Put files into a zip, not packed again, the same bytes at any time.
 
-    What describes the levels comes first and the coarsest level after it, so that the beginning of
-    the file is all that a first picture needs.
+    What describes the levels comes first, the environment and the coarsest level after it, so that
+    the beginning of the file is all that a first picture needs.
 
     Args:
         folder: Where they are.

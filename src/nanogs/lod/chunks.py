@@ -169,13 +169,20 @@ class ChunkLayout(ABC):
         """Name the parts of a model that the files leave out, one sentence each."""
 
     @abstractmethod
-    def describe(self, trees: Sequence[Tree], counts: Sequence[int]) -> str:
+    def describe(
+        self, trees: Sequence[Tree], counts: Sequence[int], environment: bool = False
+    ) -> str:
         """The contents of the file that tells of the others.
 
         Args:
             trees: One or more, neighbours beside each other.
             counts: Splats of each level.
+            environment: Whether there are `environment_files`.
         """
+
+    def environment_files(self, splats: Splats) -> Mapping[str, bytes]:
+        """Name and contents of the files of what belongs to every level, where there may be any."""
+        raise NotImplementedError
 
 
 def generator() -> str:

@@ -21,7 +21,7 @@ from nanogs.lod.chunks import ChunkLayout, Tree, plain_paths
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.progress import Parts, untold
 from nanogs.report import SimplifyReport
-from nanogs.sink import BlockChunks, Filling, Judge, Written, refuse_large
+from nanogs.sink import BlockChunks, Environment, Filling, Judge, Written, refuse_large
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -41,6 +41,7 @@ class LevelsFolder:
         source: Name of the model for the manifest.
         chunks: How levels are divided; None for files of their own.
         suffix: Format of such files.
+        environment: What belongs to every level beside them, for layouts that have a place for it.
     """
 
     place: Path
@@ -48,6 +49,7 @@ class LevelsFolder:
     source: str
     chunks: ChunkLayout | None = None
     suffix: str = PLY
+    environment: Environment | None = None
 
     def __post_init__(self) -> None:
         """Refuse a format of files that is not written.
@@ -85,7 +87,7 @@ class LevelsFolder:
     def _filling(self, making: Path) -> "LevelsFilling":
         if self.chunks is None:
             return _Files(making, self.source, self.suffix)
-        return ChunksFilling(making, self.source, self.chunks)
+        return ChunksFilling(making, self.source, self.chunks, self.environment)
 
     def move(self, made: Path) -> None:
         """As `Sink` says."""
@@ -144,11 +146,19 @@ class ChunksFilling(LevelsFilling):
 
     Attributes:
         names: Of the files of each level, as paths from the folder.
+        beside: Of those of the environment.
     """
 
-    def __init__(self, folder: Path, source: str, layout: ChunkLayout) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        source: str,
+        layout: ChunkLayout,
+        environment: Environment | None = None,
+    ) -> None:
         super().__init__(folder, source)
-        self._layout = layout
+        self._layout, self._environment = layout, environment
+        self.beside: list[str] = []
         self._cells: list[Mapping[str, Array]] = []  # of each block
         self._levels: list[list[list[Any]]] = []  # chunks of each block of each level
         self.names: list[list[str]] = []  # of the files of each level
@@ -197,11 +207,28 @@ class ChunksFilling(LevelsFilling):
             if cells
         ]
         path = self._folder / self._layout.name
-        text = self._layout.describe(trees, [each.splats for each in self.written])
+        if self._environment is not None:
+            self._write_environment(self._environment)
+        counts = [each.splats for each in self.written]
+        text = self._layout.describe(trees, counts, bool(self.beside))
         path.write_text(text, encoding="utf-8")
         levels = [(path, level) for level in range(len(self.written))]
         self.measure(judge, levels, self._layout.switch_pixel)
         return describe_levels(self._source, reports, self.written)
+
+    def _write_environment(self, given: Environment) -> None:
+        """Write the model that belongs to every level, and note it with each."""
+        splats, size = given.made(), 0
+        lost = [f"The environment: {loss}" for loss in self._layout.losses(splats)]
+        for name, data in self._layout.environment_files(splats).items():
+            self._write(name, data)
+            self.beside.append(name)
+            size += len(data)
+        taken = given.count if given.own else 0
+        noted = given.source, len(splats), size, len(self.beside), taken
+        self.written = [each._replace(environment=noted) for each in self.written]
+        notes = [*self.written[0].notes, *lost] if not given.own else self.written[0].notes
+        self.written[0] = self.written[0]._replace(notes=tuple(notes))
 
 
 def level_name(level: int, suffix: str = PLY) -> str:

@@ -78,6 +78,23 @@ class ChunkedLevel:
 
 
 @dataclass(frozen=True, slots=True)
+class EnvironmentFile:
+    """What belongs to every level beside them.
+
+    Attributes:
+        source: Where it is from: the name of its file, or "auto" where it was found in the model.
+        count: Splats in it.
+        bytes: Size of its files.
+        requests: These files, each of which a viewer asks for.
+    """
+
+    source: str
+    count: int
+    bytes: int
+    requests: int
+
+
+@dataclass(frozen=True, slots=True)
 class Manifest:
     """The contents of `levels.json`, besides its format and version.
 
@@ -90,6 +107,7 @@ class Manifest:
         levels: From the finest to the coarsest.
         notes: What else the user should know, one sentence each.
         protocol: How PSNR and SSIM were measured, or None.
+        environment: What belongs to every level beside them, or None.
     """
 
     generator: str
@@ -100,6 +118,7 @@ class Manifest:
     levels: tuple[Level | ChunkedLevel, ...]
     notes: tuple[str, ...]
     protocol: Protocol | None = None
+    environment: EnvironmentFile | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""
@@ -125,15 +144,17 @@ def describe_levels(
         notes += each.notes
         if each.switched and each.switched.seen:
             notes.append(_seen_note(level, each.switched))
+    *beside, taken = written[0].environment or (0,)
     return Manifest(
         generator=f"nanogs {__version__}",
         source=source,
-        source_count=first.input_count,
+        source_count=first.input_count + taken,
         preset=first.preset,
         parameters=first.parameters,
         levels=tuple(map(_entry, reports, written)),
         notes=tuple(dict.fromkeys(notes)),
         protocol=next((each.marks.protocol for each in written if each.marks), None),
+        environment=EnvironmentFile(*beside) if beside else None,
     )
 
 

@@ -8,7 +8,7 @@ more room.
 
 import json
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -37,6 +37,7 @@ from nanogs.switches import streamed_pixel
 # larger ones would bring fine levels too early.
 _DEVIATIONS = 1.0
 META = "meta.json"
+ENVIRONMENT = "env"  # its folder, as the format's own tool calls it
 _Node = tuple[dict[str, Any], F64]
 
 
@@ -87,8 +88,17 @@ class StreamedSog(ChunkLayout):
 
         return sog_write.losses(splats)
 
-    def describe(self, trees: Sequence[Tree], counts: Sequence[int]) -> str:
-        """As `ChunkLayout` says."""
+    def environment_files(self, splats: Splats) -> Mapping[str, bytes]:
+        """As `ChunkLayout` says: of a model in a folder of its own."""
+        from nanogs.io.sog import write as sog_write
+
+        files = sog_write.contents(splats)
+        return {f"{ENVIRONMENT}/{name}": data for name, data in files.items()}
+
+    def describe(
+        self, trees: Sequence[Tree], counts: Sequence[int], environment: bool = False
+    ) -> str:
+        """As `ChunkLayout` says; what is not in the tree, the environment, counts nowhere."""
         names: list[str] = []
         found = [_Leaves(tree.cells) for tree in trees]
         for level in range(len(counts)):
@@ -107,6 +117,7 @@ class StreamedSog(ChunkLayout):
             "counts": list(counts),
             "lodLevels": len(counts),
             "lodErrors": False,
+            **({"environment": f"{ENVIRONMENT}/{META}"} if environment else {}),
             "filenames": names,
             "tree": _joined([leaves.tree() for leaves in found])[0],
         }
@@ -187,7 +198,8 @@ def made_files(folder: Path) -> frozenset[str] | None:
         return None
     names = {LEVELS}
     given = data.get("filenames")
-    for name in plain_paths(given if isinstance(given, list) else []):
+    named = [*(given if isinstance(given, list) else []), data.get("environment")]
+    for name in plain_paths(named):
         inner, _, file = name.rpartition("/")
         if inner and file == META:
             names |= {f"{inner}/{own}" for own in sog_write.ours(folder / inner) or ()}

@@ -123,7 +123,12 @@ class Tiles(ChunkLayout):
         """As `ChunkLayout` says."""
         return form_of(packed=self.packed).losses(splats)
 
-    def describe(self, trees: Sequence[Tree], counts: Sequence[int]) -> str:
+    def describe(
+        self,
+        trees: Sequence[Tree],
+        counts: Sequence[int],
+        environment: bool = False,  # noqa: ARG002 - tiles have none
+    ) -> str:
         """As `ChunkLayout` says."""
         place = None if self.place is None else from_columns(self.place)
         return describe(trees, len(counts), form_of(packed=self.packed).extensions, place)

@@ -39,6 +39,7 @@ class LevelsTree:
     source: str
     chunks: None = None
     suffix: str = SUFFIX
+    environment: None = None
 
     @property
     def _file(self) -> OneFile:

@@ -21,7 +21,7 @@ from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import FileJudge, file_costs, file_judge
 from nanogs.sink import Sink, Written
-from nanogs.source import InMemory, Source, Turned
+from nanogs.source import InMemory, Joined, Source, Turned
 from nanogs.store.scratch import hash_file
 
 Tell = Callable[[Done, Sequence[Written]], list[SimplifyReport]]
@@ -111,7 +111,10 @@ class Ending:
             return
         settings = work.settings
         progress.begin("measure")
-        with opened(settings, work.unpacked()) as original:
+        with opened(settings, work.unpacked()) as scene:
+            beside, original = self.sink.environment, scene
+            if beside is not None:
+                original = Joined([scene, InMemory(beside.original())])
             yield file_judge(
                 original, self.sink.suffix, turn=settings.frame, threads=work.threads,
                 tell=progress.part, max_memory=self.max_memory, costs=self.costed,

@@ -1,0 +1,412 @@
+"""The environment of a stream: found in a model, given, written, read, and drawn by the viewer."""
+
+import json
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import nanogs
+from builders import random_splats
+from conftest import scene_path
+from launch import run
+from nanogs import filters, io
+from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.levels_of_detail import write_levels
+from nanogs.lod.environment import find_environment
+from nanogs.metrics import psnr
+from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import render
+from nanogs.source import InMemory
+from nanogs.splats import concatenate
+from nanogs.views.poses import look_at
+from npm_packages import package
+from supersplatpage import in_supersplat, standing_at
+from test_lod_stream import leaves
+from test_rad_spark import lopsided
+
+SCENE, SKY = 2400, 700
+FAST = ("--preset", "fast", "--chunk", "500", "--levels", "1,0.5,0.1")
+
+
+def shell(count, radius, *, half=True, seed=1, degree=1, width=2.0, centre=(0, 0, 0), alpha=0.98):
+    """Splats around the origin at about a distance, the sky above (-y) or all around.
+
+    Args:
+        count: Splats.
+        radius: The distance.
+        half: Whether there are none below.
+        seed: Of all that is drawn.
+        degree: Of the harmonics.
+        width: Standard deviation over what each would need to fill a sphere of a layer.
+        centre: Of the shell.
+        alpha: Of each splat.
+    """
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    if half:
+        directions[:, 1] = -np.abs(directions[:, 1])
+    away = radius * rng.uniform(0.97, 1.03, (count, 1))
+    deviation = width * radius * np.sqrt(2 / count)
+    return replace(
+        random_splats(count, degree=degree, seed=seed),
+        means=(directions * away + centre).astype(np.float32),
+        log_scales=np.full((count, 3), np.log(deviation), np.float32),
+        opacity_logits=np.full(count, np.log(alpha / (1 - alpha)), np.float32),
+    )
+
+
+def under_a_sky(radius=12.0, **options):
+    """A scene and the sky around it, the rows of both mixed."""
+    whole = concatenate([random_splats(SCENE), shell(SKY, radius, **options)])
+    return whole.take(np.random.default_rng(5).permutation(len(whole)))
+
+
+def found(model):
+    return find_environment(InMemory(model))
+
+
+# Finding it
+
+
+@pytest.mark.parametrize(
+    "sky",
+    [
+        shell(SKY, 12),
+        shell(SKY, 12, half=False),
+        shell(SKY, 100, centre=(5, 0, -3)),
+        shell(150, 30),  # few and wide
+        shell(2000, 12, width=0.6),  # hardly opaque where they are thin
+        shell(SKY, 12, alpha=0.3),
+    ],
+)
+def test_a_sky_is_found_whole(sky):
+    model = concatenate([random_splats(SCENE), sky])
+    environment = found(model)
+    assert environment.splats == len(sky)
+    assert 2 < environment.radius < 100
+    keep = filters.within(environment.centre, environment.radius).keep(model)
+    assert np.array_equal(np.flatnonzero(~keep), SCENE + np.arange(len(sky)))
+    others = filters.beyond(environment.centre, environment.radius).keep(model)
+    assert np.array_equal(keep, ~others)
+
+
+def test_strays_before_a_sky_do_not_hide_it_and_stay_in_the_scene():
+    strays = random_splats(6, seed=8, spread=3.5)
+    model = concatenate([random_splats(SCENE), strays, shell(SKY, 14)])
+    assert found(model).splats == SKY
+
+
+def on_the_ground(count, reach, seed=3):
+    """Splats on a plane, denser in the middle, as far as a scene reaches."""
+    model = random_splats(count, seed=seed)
+    away = np.abs(model.means[:, :1]) ** 4 * reach
+    means = np.concatenate([model.means[:, 1:2], model.means[:, :1] * 0, model.means[:, 2:]], 1)
+    return replace(model, means=(means * (0.05 + away)).astype(np.float32))
+
+
+def far_house():
+    model = random_splats(500, seed=4)
+    return replace(model, means=(model.means + [40, 0, 0]).astype(np.float32))
+
+
+NONE = {
+    "a scene": random_splats(SCENE),
+    "one splat": random_splats(1),
+    "the same place": replace(random_splats(500), means=np.ones((500, 3), np.float32)),
+    "ground to the horizon": on_the_ground(5000, 200),
+    "ground up to the sky": concatenate([on_the_ground(5000, 200), shell(SKY, 150)]),
+    "a house far away": concatenate([random_splats(SCENE), far_house()]),
+    "strays all around": concatenate([random_splats(SCENE), shell(SKY, 30, width=0.02)]),
+    "a haze": concatenate([random_splats(SCENE), shell(SKY, 30, alpha=0.01)]),
+    "walls around a room": concatenate([random_splats(SCENE), shell(SKY, 2.5, half=False)]),
+    "more sky than scene": concatenate([random_splats(SKY), shell(SCENE, 30)]),
+    "a sky of which little is seen": concatenate(
+        [random_splats(SCENE), shell(SKY, 30).take(shell(SKY, 30).means[:, 0] > 22)]
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NONE)
+def test_what_is_no_sky_stays_in_the_scene(name):
+    assert found(NONE[name]) is None
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "biker.spz", "chair.splat", "guitar.compressed.ply", "kitchen.spz", "plant.splat",
+        "seal.splat", "skull.sog", "flowers/lod-meta.json", "playbot/lod-meta.json",
+    ],
+)  # fmt: skip
+def test_real_scenes_have_none(name):
+    with io.open(scene_path(name)) as source:
+        assert find_environment(source) is None
+
+
+@given(seed=st.integers(0, 99), power=st.integers(-20, 20), shift=st.integers(-3, 3))
+def test_neither_units_nor_order_matter(seed, power, shift):
+    model = under_a_sky(20)
+    here = found(model)
+    order = np.random.default_rng(seed).permutation(len(model))
+    moved = replace(
+        model.take(order),
+        means=((model.means[order] + shift) * np.float32(2.0**power)).astype(np.float32),
+        log_scales=(model.log_scales[order] + np.float32(power * np.log(2))).astype(np.float32),
+    )
+    there = found(moved)
+    assert there.splats == here.splats == SKY
+    assert np.isclose(there.radius, here.radius * 2.0**power, rtol=1e-4)
+
+
+def test_what_is_not_finite_counts_nowhere():
+    model = under_a_sky()
+    means, scales = model.means.copy(), model.log_scales.copy()
+    means[0], scales[1] = np.nan, np.inf
+    damaged = replace(model, means=means, log_scales=scales)
+    environment = found(damaged)
+    assert environment.splats in (SKY, SKY - 1, SKY - 2)
+    keep = filters.within(environment.centre, environment.radius).keep(damaged)
+    assert keep[0]  # and is dropped with the others of its kind
+
+
+# Writing it
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sky") / "a.ply"
+    nanogs.save(under_a_sky(), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def made(model):
+    """The folder and the archive that the command makes of it, and its report of the former."""
+    folder = model.parent
+    result = run("lod", model, folder / "web" / "lod-meta.json", *FAST, "--json")
+    assert result.returncode == 0, result.stderr
+    archive = run("lod", model, folder / "a.ssog", *FAST)
+    assert archive.returncode == 0, archive.stderr
+    return folder, json.loads(result.stdout), archive.stderr
+
+
+def test_each_splat_is_in_the_scene_or_in_its_environment(model, made):
+    folder, report, _ = made
+    meta = json.loads((folder / "web" / "lod-meta.json").read_text())
+    assert meta["environment"] == "env/meta.json"
+    assert meta["counts"] == [2400, 1200, 240]
+    assert sum(leaf["lods"]["0"]["count"] for leaf in leaves(meta["tree"])) == SCENE
+    assert not any("env" in name for name in meta["filenames"])
+    sky, whole = io.load(folder / "web" / "env" / "meta.json"), io.load(model)
+    assert len(sky) == SKY
+    assert np.linalg.norm(sky.means, axis=1).min() > 11
+    for level, scene in enumerate((2400, 1200, 240)):
+        back = io.load(folder / "web" / "lod-meta.json", level=level)
+        assert (np.linalg.norm(back.means, axis=1) > 6).sum() == SKY
+        assert len(back) == scene + SKY
+        if level == 0:
+            assert np.allclose(np.sort(back.means, 0), np.sort(whole.means, 0), atol=0.1)
+    boxes = np.array([[meta["tree"]["bound"][end] for end in ("min", "max")]])
+    assert np.abs(boxes).max() < 6  # a viewer near the scene is not near all of the sky
+    assert report["environment"] == {
+        "source": "auto", "count": SKY,
+        "bytes": sum(file.stat().st_size for file in (folder / "web" / "env").iterdir()),
+        "requests": len(list((folder / "web" / "env").iterdir())),
+    }  # fmt: skip
+    assert report["source_count"] == len(whole)
+    assert report["filters"] == []
+
+
+def test_the_first_picture_takes_the_environment_too(made):
+    folder, report, said = made
+    assert f"an environment of {SKY} splats, found apart in the model" in said
+    with zipfile.ZipFile(folder / "a.ssog") as archive:
+        names = archive.namelist()
+        assert {name: archive.read(name) for name in names} == {
+            path.relative_to(folder / "web").as_posix(): path.read_bytes()
+            for path in (folder / "web").rglob("*")
+            if path.is_file()
+        }
+    order = [name.split("/")[0] for name in names]
+    assert list(dict.fromkeys(order)) == ["lod-meta.json", "env", "2_0", "1_0", "0_0", "0_1"]
+    shown = run("lod", folder / "a.ply", folder / "web" / "lod-meta.json", *FAST, "-w")
+    asked = 1 + report["environment"]["requests"] + report["levels"][-1]["requests"]
+    assert f"first picture takes {asked} requests" in shown.stderr
+
+
+def test_a_plan_says_so(model, tmp_path):
+    path = tmp_path / "web" / "lod-meta.json"
+    plan = json.loads(run("lod", model, path, *FAST, "--dry-run", "--json").stdout)
+    assert plan["environment"] == {"source": "auto", "count": SKY}
+    assert [level["count"] for level in plan["levels"]] == [2400, 1200, 240]
+    shown = run("lod", model, path, *FAST, "--dry-run", "--job", tmp_path / "job").stderr
+    assert f"an environment of {SKY} splats" in " ".join(shown.split())
+    plan = run("lod", model, path, *FAST, "--dry-run", "--json", "--environment", "none").stdout
+    assert json.loads(plan)["environment"] is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_none_leaves_all_splats_in_the_levels(model, tmp_path):
+    path = tmp_path / "web" / "lod-meta.json"
+    result = run("lod", model, path, *FAST, "--environment", "none", "--json")
+    assert json.loads(result.stdout)["environment"] is None
+    assert io.open(path).levels == (3100, 1550, 310)
+    assert "environment" not in json.loads(path.read_text())
+    plain = run("lod", model, tmp_path / "plain", "--preset", "fast", "--levels", "1", "--json")
+    assert json.loads(plain.stdout)["levels"][0]["count"] == 3100  # there is no place for one
+
+
+def test_another_model_can_be_the_environment(model, tmp_path):
+    other = shell(400, 40, degree=3, seed=6)
+    nanogs.save(other, tmp_path / "b.sog")
+    path = tmp_path / "web" / "lod-meta.json"
+    given = ["--environment", tmp_path / "b.sog", "--environment-ratio", "0.25"]
+    result = run("lod", model, path, *FAST, *given, "--json")
+    assert result.returncode == 0, result.stderr
+    sky = json.loads(result.stdout)["environment"]
+    assert (sky["source"], sky["count"]) == ("b.sog", 100)
+    assert io.open(path).levels == (3200, 1650, 410)
+    back = io.load(path)
+    assert (back.sh_degree, len(back)) == (3, 3200)
+    again = run("lod", model, path, *FAST, "-w", "--environment", "none")
+    assert again.returncode == 0, again.stderr  # the environment's files are known as ours
+    assert not (path.parent / "env").exists()
+
+
+@pytest.mark.parametrize("sky", ["auto", "given"])
+def test_blocks_make_the_same_environment_for_any_number_of_threads(model, made, tmp_path, sky):
+    options = {"preset": "fast", "layout": "streamed sog archive", "chunk": 500}
+    if sky == "given":
+        options |= {"environment": shell(300, 30), "environment_ratio": 0.5}
+    for number in (1, 2):
+        manifest, reports = write_levels(
+            model, tmp_path / f"{number}.ssog", [1, 0.5, 0.1], threads=number, block=1000, **options
+        )
+    assert (tmp_path / "1.ssog").read_bytes() == (tmp_path / "2.ssog").read_bytes()
+    assert reports[0].blocks.blocks > 1
+    assert (manifest.source_count, reports[0].filters) == (3100, ())
+    write_levels(model, tmp_path / "whole.ssog", [1, 0.5, 0.1], **options)
+    with (
+        zipfile.ZipFile(tmp_path / "1.ssog") as one,
+        zipfile.ZipFile(tmp_path / "whole.ssog") as two,
+    ):
+        names = [name for name in one.namelist() if name.startswith("env/")]
+        assert names == [name for name in two.namelist() if name.startswith("env/")]
+        assert all(one.read(name) == two.read(name) for name in names)
+    rest = (3100, 1550, 310) if sky == "given" else (2400, 1200, 240)
+    more = 150 if sky == "given" else SKY
+    assert io.open(tmp_path / "1.ssog").levels == tuple(count + more for count in rest)
+
+
+def test_the_environment_is_turned_and_reduced_as_the_levels_are(model, made, tmp_path):
+    path = tmp_path / "web" / "lod-meta.json"
+    edits = ["--frame", "rdf:rub", "--sh-degree", "0", "--min-opacity", "0.05"]
+    result = run("lod", model, path, *FAST, *edits, "--json")
+    assert result.returncode == 0, result.stderr
+    assert [each["name"] for each in json.loads(result.stdout)["filters"]] == ["min-opacity"]
+    sky = io.load(path.parent / "env" / "meta.json")
+    plain = io.load(made[0] / "web" / "env" / "meta.json")
+    assert sky.sh_degree == 0
+    assert np.allclose(sky.means.mean(0), plain.means.mean(0) * [1, -1, -1], atol=0.01)
+    assert len(io.load(path)) < 3100
+
+
+@pytest.mark.parametrize("block", [None, 1000])
+def test_levels_are_measured_with_their_environment(model, tmp_path, block, small_views):
+    """The finest is all there is, whether the sky is part of the model or another one."""
+    options = {"preset": "fast", "layout": "streamed sog archive", "measured": True}
+    options |= {"block": block} if block else {}
+    for environment in ("auto", shell(300, 30)):
+        manifest, _ = write_levels(
+            model, tmp_path / "a.ssog", [1, 0.1], environment=environment, overwrite=True, **options
+        )
+        fine, coarse = (level.psnr for level in manifest.levels)
+        assert fine > 30 > coarse
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("out/lod-meta.json", ["--environment", "gone.ply"], ["gone.ply", "no such file"]),
+        ("out/lod-meta.json", ["--environment", "https://a.b/c.ply"], ["is a URL", "name a file"]),
+        ("out/lod-meta.json", ["--environment-ratio", "2"], ["at most 1, not 2"]),
+        ("out/lod-meta.json", ["--environment-ratio", "0"], ["above 0"]),
+        (
+            "out/lod-meta.json",
+            ["--environment", "none", "--environment-ratio", "0.5"],
+            ["none to simplify"],
+        ),
+        ("out/tileset.json", ["--environment", "gone.ply"], ["belongs to streamed SOG"]),
+        ("out", ["--environment-ratio", "0.5"], ["belongs to streamed SOG"]),
+        ("out.rad", ["--environment", "a.ply"], ["belongs to streamed SOG"]),
+    ],
+)
+def test_refused(model, tmp_path, name, options, words):
+    result = run("lod", model, tmp_path / name, "--preset", "fast", *options)
+    assert result.returncode == 2
+    assert all(word in " ".join(result.stderr.split()) for word in words), result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_environment_that_cannot_be_held_is_refused_before_any_work(tmp_path):
+    big = concatenate([random_splats(120_000, degree=3), shell(100_000, 12, degree=3)])
+    nanogs.save(big, tmp_path / "a.ply")
+    with pytest.raises(NotEnoughMemoryError, match=r'environment, 100,000 .*environment="none"'):
+        write_levels(
+            tmp_path / "a.ply", tmp_path / "a.ssog", [1], layout="streamed sog archive",
+            preset="fast", max_memory="380MB", block=20_000,
+        )  # fmt: skip
+    with pytest.raises(OptionError, match="has no usable splat"):
+        write_levels(
+            random_splats(30), tmp_path / "a.ssog", [1], layout="streamed sog archive",
+            preset="fast", environment=replace(random_splats(1), means=np.full((1, 3), np.nan)),
+        )  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+# Other programs
+
+
+def test_what_splat_transform_writes_is_read(model, tmp_path, benchmark_module):
+    package("@playcanvas/splat-transform")
+    scene, sky = random_splats(SCENE), shell(300, 30)
+    for name, part in (("a", scene), ("b", sky)):
+        nanogs.save(part, tmp_path / f"{name}.ply")
+    path = tmp_path / "out" / "lod-meta.json"
+    tagged = [tmp_path / "a.ply", "-l", "0", tmp_path / "b.ply", "-l", "-1"]
+    benchmark_module("rivals").run_tool(*tagged, path)
+    with io.open(path) as source:
+        assert (source.levels, source.environment) == ((SCENE + 300,), 300)
+        back = source.load()
+    assert (np.linalg.norm(back.means, axis=1) > 20).sum() == 300
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+def test_the_viewer_draws_it_once_and_where_it_is(tmp_path):
+    """First of all; what it shows is what nanogs renders of the same camera, sky and scene."""
+    scene, sky = lopsided(900), shell(700, 30, half=False, degree=2)
+    sh, above = np.zeros_like(sky.sh), sky.means[:, 1:2] < 0
+    sh[:, 0] = np.where(above, [-1, 0, 1.2], [0.2, 0.6, -1.2]) + 0.5 * (sky.means[:, :1] > 0)
+    nanogs.save(concatenate([scene, replace(sky, sh=sh)]), tmp_path / "a.ply")
+    path, own = tmp_path / "web" / "lod-meta.json", tmp_path / "own"
+    options = ["--preset", "fast", "--chunk", "200", "--levels", "1,0.5"]
+    assert run("lod", tmp_path / "a.ply", path, *options).returncode == 0
+    own.mkdir()
+    focal = 160 / np.tan(np.radians(25))
+    pose = look_at(np.array([-2.0, -1, 4]), np.zeros(3), np.array([0.0, -1, 0]))
+    camera = Camera(320, 240, focal, focal, 160, 120, pose, near=0.01)
+    shown, asked = in_supersplat(path, own, 900 + 700, **standing_at(camera))
+    assert asked[:2] == ["scene/lod-meta.json", "scene/env/meta.json"]
+    assert {"scene/0_0/meta.json", "scene/1_0/meta.json"} <= set(asked)
+    assert len(asked) == len(set(asked))  # and nothing is fetched twice
+    rendered = render(io.load(path), camera).shown()
+    assert psnr(shown, rendered) > 25
+    without = render(io.load(path).take(np.arange(900)), camera).shown()
+    for other in (without, rendered[::-1], rendered[:, ::-1], rendered[..., ::-1]):
+        assert psnr(shown, other) < 20
