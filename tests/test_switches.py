@@ -16,7 +16,14 @@ from nanogs.lod.tiles import Tiles
 from nanogs.raster.rendering import prepare, render
 from nanogs.scoring.switch_views import LEAST_PIXELS, magnified, switch_views, typical_deviation
 from nanogs.sink import Written
-from nanogs.switches import GOOD_PSNR, GOOD_SSIM, SCREEN, Switch, streamed_distance
+from nanogs.switches import (
+    GOOD_PSNR,
+    GOOD_SSIM,
+    SCREEN,
+    Switch,
+    distance_of,
+    streamed_distance,
+)
 from nanogs.views.automatic import automatic_cameras
 
 
@@ -41,7 +48,7 @@ def test_levels_of_a_streamed_sog_come_at_the_distances_of_the_engine():
     assert [streamed_distance(level) for level in (1, 2, 3)] == [5, 15, 45]
     pixel = StreamedSog(100).switch_pixel(2, 0.3)
     assert pixel * SCREEN == pytest.approx(2 * 15 * math.tan(math.pi / 8))
-    assert Switch(pixel, 30, 0.9, 8, 64).distance == pytest.approx(15)
+    assert distance_of(pixel) == pytest.approx(15)
 
 
 def test_tiles_come_where_their_error_is_sixteen_pixels():
@@ -72,7 +79,7 @@ def test_pictures_follow_from_what_a_pixel_shows(splats, camera):
     own = np.median(depth.depth[depth.alpha > 0.5]) / camera.fx
     assert views.pixels[0] == pytest.approx(own, rel=1e-3)
     found = views.judge(splats, 2 * views.pixels[0])
-    assert astuple(found) == (2 * views.pixels[0], None, pytest.approx(1), 1, 48)
+    assert astuple(found) == (distance_of(2 * views.pixels[0]), None, pytest.approx(1), 1, 48)
     assert not found.seen
 
 
@@ -100,7 +107,7 @@ def test_the_typical_deviation_is_that_along_the_longest_axis(splats):
 )
 def test_a_switch_that_is_seen_is_said(splats, psnr, ssim, seen):
     _, report = nanogs.simplify(splats, ratio=0.5, preset="fast")
-    level = Written(3, ("a",), 5, switch=(0.01, psnr, ssim, 8, 200.0))
+    level = Written(3, ("a",), 5, switch=(12.4, psnr, ssim, 8, 200.0))
     manifest = describe_levels("a.ply", [report, report], [level._replace(switch=None), level])
     assert manifest.levels[0].switch is None
     assert manifest.levels[1].switch.seen is seen
@@ -119,7 +126,7 @@ def test_each_level_says_how_it_looks_where_a_viewer_comes_to_it(scene, tmp_path
     assert first is None
     assert all(each["psnr"] > 0 and each["ssim"] <= 1 and each["views"] == 8 for each in others)
     if name.endswith(("lod-meta.json", ".ssog")):
-        assert others[1]["pixel"] == pytest.approx(3 * others[0]["pixel"])
+        assert [each["distance"] for each in others] == pytest.approx([5, 15])
     seen = [Switch(**each).seen for each in others]
     notes = [note[:19] for note in said["notes"] if "switch to it" in note]
     assert notes == [f"Level {n}: one sees a" for n, each in enumerate(seen, 1) if each]
@@ -142,7 +149,7 @@ def test_levels_made_in_blocks_say_it_too(scene, tmp_path):
     original = nanogs.load(scene)
     cameras = automatic_cameras(original, 8, width=512, height=512, split="test")
     views = switch_views(original, cameras)
-    again = views.judge(level, made.levels[1].switch.pixel)
+    again = views.judge(level, StreamedSog(9).switch_pixel(1, 0))
     assert astuple(made.levels[1].switch) == pytest.approx(astuple(again), rel=1e-6)
 
 

@@ -37,7 +37,8 @@ class Switch:
     """A level where a viewer begins to draw it, held against the original there.
 
     Attributes:
-        pixel: Scene units that a pixel shows there.
+        distance: From how far a window of `SCREEN` pixels and 45 degrees shows as much in a pixel,
+            scene units.
         psnr: Mean over the views, dB; None where every one equals the original's.
         ssim: Mean over the views.
         views: Number of views: those of `nanogs compare` at its defaults, from which the camera
@@ -45,16 +46,11 @@ class Switch:
         pixels: Mean width of their pictures.
     """
 
-    pixel: float
+    distance: float
     psnr: float | None
     ssim: float
     views: int
     pixels: float
-
-    @property
-    def distance(self) -> float:
-        """From how far a pixel shows so much, on `SCREEN` pixels and 45 degrees, scene units."""
-        return self.pixel * SCREEN / (2 * HALF_FIELD)
 
     @property
     def seen(self) -> bool:
@@ -90,6 +86,11 @@ def streamed_distance(level: int) -> float:
 def streamed_pixel(level: int) -> float:
     """Scene units that a pixel shows at `streamed_distance`."""
     return 2 * HALF_FIELD * streamed_distance(level) / SCREEN
+
+
+def distance_of(pixel: float) -> float:
+    """From how far a pixel shows so many scene units, on `SCREEN` pixels and 45 degrees."""
+    return pixel * SCREEN / (2 * HALF_FIELD)
 
 
 def tile_pixel(error: float) -> float:

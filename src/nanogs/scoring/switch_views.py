@@ -19,7 +19,7 @@ from nanogs.scoring.held_out import as_drawn
 from nanogs.scoring.scores import reference_views, score
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
-from nanogs.switches import Switch
+from nanogs.switches import Switch, distance_of
 from nanogs.views.streamed import renderings
 
 LEAST_PIXELS = 32  # of a picture: of fewer SSIM, whose window has 11, says nothing
@@ -67,7 +67,7 @@ class SwitchViews:
         means = score("", as_drawn(level, self.max_memory), views, BLACK)
         psnr = None if math.isinf(means.psnr) else means.psnr
         width = float(np.mean([view.camera.width for view in views]))
-        return Switch(pixel, psnr, means.ssim, len(views), width)
+        return Switch(distance_of(pixel), psnr, means.ssim, len(views), width)
 
 
 def switch_views(

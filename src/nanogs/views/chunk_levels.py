@@ -5,7 +5,8 @@ usual are shrunk (`lodDistanceShrink`); those behind the camera count as farther
 (`lodBehindPenalty`); and all as nearer or farther by the field of view. By distance alone level 1
 comes at 5 units, and each further one three times as far (`switches`). With a budget all these
 distances are multiplied by one number: the finest levels for which all chunks together have no more
-splats than that.
+splats than that. (It keeps a little back for rows of its textures that splats do not fill; here
+none is. An environment is not counted.)
 """
 
 import numpy as np
