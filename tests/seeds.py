@@ -22,6 +22,7 @@ import zstandard
 from PIL import Image
 
 import ksplatfiles
+import lccfiles
 import radfiles
 import sogfiles
 import spzfiles
@@ -67,7 +68,7 @@ def text(rng, files):
 
 def whole_json(rng, files):
     """Values of the first JSON file."""
-    name = next(name for name in files if name.endswith(".json"))
+    name = next(name for name in files if name.endswith((".json", ".lcc")))
     return files | {name: changed_json(rng, files[name])}
 
 
@@ -450,6 +451,23 @@ def _chunked_rads():
     return [{"a.rad": head} | dict(zip(names, radfiles.small_tree()[0], strict=True))]
 
 
+def _lccs():
+    """With and without harmonics and sky; the description first, as it is opened."""
+    rng = np.random.default_rng(11)
+    return [
+        lccfiles.usual(rng, quality=quality, environment=environment)
+        for quality, environment in ((False, 0), (True, 4), (False, 3))
+    ]
+
+
+def index_of_lcc(rng, files):
+    """A count, a place or a size of the cells."""
+    damaged = bytearray(files["index.bin"])
+    at = int(rng.integers(len(damaged)))
+    damaged[at] = rng.choice([0, 1, 2, 32, 127, 128, 255])
+    return files | {"index.bin": bytes(damaged)}
+
+
 FORMATS = {
     ".ply": (_plys, [text, text, plain]),
     ".compressed.ply": (_usual("a.compressed.ply"), [text, plain]),
@@ -467,6 +485,7 @@ FORMATS = {
     ".usda": (_usual("a.usda"), [text, text, plain]),
     ".rad": (_rads, [plain, inside_rad, inside_rad, inside_rad]),
     ".rad and .radc": (_chunked_rads, [plain, one_missing]),
+    ".lcc": (_lccs, [plain, whole_json, index_of_lcc, one_missing]),
     ".sog": (_bundles, [plain, inside_zip, inside_zip]),
     "SOG v1, folder": (_sogs_1, [plain, whole_json, one_texture, one_missing]),
     "SOG v2, folder": (

@@ -138,7 +138,7 @@ def test_names_are_unquoted(host, temporary, tmp_path):
 def test_a_folder_of_textures_is_fetched(folder, host, temporary):
     told = json.loads(ran("info", f"{host}/sog/meta.json{QUERY}", "--json").stdout)
     assert told["file_bytes"] == sum(each.stat().st_size for each in (folder / "sog").iterdir())
-    for name in ("lod-meta.json", "tileset.json", "levels.json"):
+    for name in ("lod-meta.json", "tileset.json", "levels.json", "scan.lcc"):
         refused(launch.run("info", f"{host}/{name}"), f"{host}/{name}", "download the whole folder")
 
 

@@ -13,6 +13,7 @@ FAMILIES = (
     "gltf",
     "sog",
     "rad",
+    "lcc",
     "usda",
     "html",
     "checkpoint",

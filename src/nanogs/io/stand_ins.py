@@ -21,8 +21,8 @@ from nanogs.progress import Parts, untold
 
 Telling = Callable[[str], AbstractContextManager[Parts]]
 """Begins "fetch" or "send"; what the block gets is told the bytes."""
-# They name folders of files that name others.
-_MANIFESTS = (registry.LEVELS, registry.TILESET, FILES)
+# They name folders of files that name others, or need those beside them to be opened.
+_MANIFESTS = (registry.LEVELS, registry.TILESET, FILES, ".lcc")
 
 
 def tell_nobody(_stage: str) -> AbstractContextManager[Parts]:
@@ -164,9 +164,9 @@ def _fetched(
     """The temporary file of an address, with all that it names."""
     if not isinstance(path, Address):
         return path
-    if path.name.lower() in _MANIFESTS:
+    if path.name.lower().endswith(_MANIFESTS):
         raise FormatError(
-            f"{path} names files in further folders, which are not fetched; download the whole"
+            f"{path} describes files of its folder, which are not fetched; download the whole"
             " folder and name that, or a stream in one file (.ssog, .rad)."
         )
     if format is None and (known := registry.find(path)) and not known.readable:

