@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 
 import nanogs
 from builders import random_splats
+from conftest import scene_path
 from launch import run
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.sog.chunks import read_chunks
 from nanogs.raster.camera import Camera
 from nanogs.scoring import mixed_views
+from nanogs.scoring.mixed import SEAM_LOSS
 from nanogs.scoring.mixed_views import levels_together, loss_of
 from nanogs.views.chunk_levels import NOTHING, chosen_levels, chunk_distances
 from nanogs.views.poses import look_at
@@ -26,13 +28,6 @@ RATIOS = (1.0, 0.4, 0.1)
 @pytest.fixture(scope="module")
 def splats():
     return random_splats(900, degree=1)
-
-
-@pytest.fixture(scope="module")
-def scene(splats, tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "scene.ply"
-    nanogs.save(splats, path)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -300,6 +295,22 @@ def test_seams_are_where_two_levels_give_light():
                 coarse += ((original[at].astype(float) - alone[there[-1] - 1][at]) ** 2).mean()
     assert share == pytest.approx(places / 30)
     assert (error, other) == (pytest.approx(own), pytest.approx(coarse))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["seal.splat", "guitar.compressed.ply"])
+def test_seams_of_real_scenes_are_no_worse_than_the_coarser_level(tmp_path, name):
+    path = scene_path(name)
+    given = {"layout": "streamed sog", "chunk": 8192, "preset": "fast"}
+    made, _ = nanogs.write_levels(path, tmp_path / "web", [0.5, 0.25, 0.125], **given)
+    found = nanogs.compare_mixed(
+        path, tmp_path / "web" / "lod-meta.json", budget=made.levels[0].count * 2 // 3,
+        cameras=["auto", "roam"], views=4, pixels=256,
+    )  # fmt: skip
+    for score in found.scores:
+        assert score.seams > 0
+        assert score.seam_loss <= SEAM_LOSS
+        assert score.psnr > score.coarse_psnr
 
 
 def test_a_loss_is_a_ratio_of_errors():

@@ -33,13 +33,6 @@ def splats():
 
 
 @pytest.fixture(scope="module")
-def scene(splats, tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "scene.ply"
-    nanogs.save(splats, path)
-    return path
-
-
-@pytest.fixture(scope="module")
 def camera(splats):
     return automatic_cameras(splats, 1, width=96, height=64, split="test")[0]
 
