@@ -4,7 +4,9 @@ python benchmarks/scale.py make city.ply --splats 20000000 --degree 3 scene.ply 
 python benchmarks/scale.py run city.ply --max-memory 2GB --ratio 0.1
 python benchmarks/scale.py lod city.ply tileset.json --max-memory 2GB
 python benchmarks/scale.py kill scene.ply --given "psnr=30, block=9000" --suffix .spz
+python benchmarks/scale.py kill scene.ply --lod a.rad --max-memory 254MB
 python benchmarks/scale.py seam scene.ply ... --blocks 4
+python benchmarks/scale.py tree scene.ply ... --blocks 6
 python benchmarks/scale.py chance scene.ply ... --ratios 0.01
 """
 
@@ -26,10 +28,16 @@ from pathlib import Path
 import numpy as np
 
 import nanogs
+from nanogs.metrics import psnr
+from nanogs.raster.rendering import render
 from nanogs.source import Joined
 from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
 
 NANOGS = [sys.executable, "-m", "nanogs"]
+POLL = 0.2  # seconds: to find what many pages are shared with takes the processor too
+FILES = "a.ssog", "a.rad"  # levels in one file
+LAYOUTS = "tileset.json", "lod-meta.json", *FILES
 
 
 def copies(scenes: list[Splats], count: int, degree: int) -> Iterator[Splats]:
@@ -100,7 +108,7 @@ def watched(command: list[str]) -> tuple[float, float, int, str]:
         child = subprocess.Popen(command, stdout=out)
         while child.poll() is None:
             peak = max(peak, resident(child.pid))
-            time.sleep(0.05)
+            time.sleep(POLL)
         seconds = time.perf_counter() - start
         out.seek(0)
         text = out.read()
@@ -135,10 +143,10 @@ def run(args: argparse.Namespace) -> None:
 def lod(args: argparse.Namespace) -> None:
     """Make levels of detail and say what it took."""
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
-        out = Path(folder) / "levels" / args.name
+        out = Path(folder) / ("" if args.name in FILES else "levels") / args.name
         command = [*NANOGS, "lod", str(args.source), str(out), "--preset", args.preset, "--json"]
         command += ["--levels", args.levels]
-        for option in ("max_memory", "threads", "workers", "chunk"):
+        for option in ("max_memory", "threads", "workers", "chunk", "sh_degree"):
             if (value := getattr(args, option)) is not None:
                 command += [f"--{option.replace('_', '-')}", str(value)]
         seconds, spent, peak, text = watched(command)
@@ -154,8 +162,11 @@ def lod(args: argparse.Namespace) -> None:
 def kill(args: argparse.Namespace) -> None:
     """Kill runs at random moments until one ends, again and again; every result is the same."""
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
-        out = Path(folder) / ("levels" if args.lod else f"small{args.suffix}")
-        what = ["lod", str(args.source), str(out / args.lod), "--preset", "fast"]
+        out = Path(folder) / f"small{args.suffix}"
+        if args.lod:
+            out = Path(folder) / (args.lod if args.lod in FILES else "levels")
+        named = out if args.lod in FILES else out / args.lod
+        what = ["lod", str(args.source), str(named), "--preset", "fast"]
         if not args.lod:
             what = ["simplify", str(args.source), str(out), "--ratio", "0.1"]
         elif args.chunk:
@@ -210,6 +221,25 @@ def seam(args: argparse.Namespace) -> None:
             print(path.name, ratio, compare(path, ratio, args.blocks, args.rounds), flush=True)
 
 
+def tree(args: argparse.Namespace) -> None:
+    """Levels of a tree made in blocks against those of one made in memory: PSNR of each."""
+    for path in args.scenes:
+        model = nanogs.load(path)
+        cameras = automatic_cameras(model, args.views, width=args.pixels, height=args.pixels)
+        targets = [render(model, camera).shown() for camera in cameras]
+        with tempfile.TemporaryDirectory() as folder:
+            for name, block in ("memory", None), ("blocks", len(model) // args.blocks):
+                out = Path(folder) / f"{name}.rad"
+                given = {"layout": "spark tree", "preset": "fast", "block": block}
+                nanogs.write_levels(path, out, **given)
+                marks = {}
+                for level, count in enumerate(nanogs.open(out).levels[1:7], 1):
+                    small = nanogs.load(out, level=level)
+                    shown = [render(small, camera).shown() for camera in cameras]
+                    marks[count] = round(float(np.mean(list(map(psnr, shown, targets)))), 2)
+                print(path.name, name, marks, flush=True)
+
+
 def chance(args: argparse.Namespace) -> None:
     """What chance does to the method in memory, to compare blocks with."""
     from seams import chance
@@ -239,19 +269,20 @@ def main() -> None:
     one.set_defaults(do=run)
     one = commands.add_parser("lod")
     one.add_argument("source", type=Path)
-    one.add_argument("name", choices=["tileset.json", "lod-meta.json"])
+    one.add_argument("name", choices=LAYOUTS)
     one.add_argument("--levels", default="0.5,0.25,0.1,0.01")
     one.add_argument("--max-memory", help="in memory without it")
     one.add_argument("--workers", type=int)
     one.add_argument("--threads", type=int)
     one.add_argument("--chunk", type=int)
+    one.add_argument("--sh-degree", type=int)
     one.add_argument("--preset", default="fast")
     one.add_argument("--folder", type=Path)
     one.set_defaults(do=lod)
     one = commands.add_parser("kill")
     one.add_argument("source", type=Path)
     one.add_argument("--times", type=int, default=100)
-    one.add_argument("--lod", default="", help="make levels: tileset.json or lod-meta.json")
+    one.add_argument("--lod", default="", choices=["", *LAYOUTS], help="make levels")
     one.add_argument("--chunk", type=int)
     one.add_argument("--given", help="arguments of nanogs.simplify_blocks, as Python has them")
     one.add_argument("--suffix", default=".ply", help="of what it writes")
@@ -265,6 +296,12 @@ def main() -> None:
     one.add_argument("--blocks", type=int, default=4)
     one.add_argument("--rounds", type=int, default=3)
     one.set_defaults(do=seam)
+    one = commands.add_parser("tree")
+    one.add_argument("scenes", type=Path, nargs="+")
+    one.add_argument("--blocks", type=int, default=6)
+    one.add_argument("--views", type=int, default=4)
+    one.add_argument("--pixels", type=int, default=240)
+    one.set_defaults(do=tree)
     one = commands.add_parser("chance")
     one.add_argument("scenes", type=Path, nargs="+")
     one.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.01])

@@ -18,7 +18,6 @@ from nanogs.io.rad.header import read_header
 from nanogs.io.rad.levels import heights
 from nanogs.lod import links
 from nanogs.lod.tree import as_rows, layers_of
-from nanogs.lod.tree_file import LevelsTree
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
 from nanogs.source import InMemory
@@ -164,13 +163,6 @@ def test_a_job_that_ended_while_it_wrote_goes_on(model, tmp_path, monkeypatch):
     assert (tmp_path / "a.rad").read_bytes() == (tmp_path / "b.rad").read_bytes()
 
 
-def test_links_that_take_too_much_memory_are_refused(tmp_path):
-    sink = LevelsTree(tmp_path / "a.rad", overwrite=False, source="a")
-    with pytest.raises(OptionError, match="name a lod-meta"):
-        sink.refuse_large(20_000_000, 236, 2_000_000_000)
-    sink.refuse_large(3000, 236, 2_000_000_000)
-
-
 def test_nothing_is_overwritten_without_w(made):
     before = made.read_bytes()
     done = run("lod", made.with_name("a.ply"), made, "--levels", "1,0.1", "--preset", "fast")
@@ -250,18 +242,12 @@ def test_many_without_a_child_in_one_place_get_one_each(few, more, apart):
     assert set(parents.tolist()) == set(range(few))
 
 
-@pytest.mark.parametrize("held", [True, False])
-def test_rows_are_the_same_however_many_are_merged_at_a_time(monkeypatch, model, held, tmp_path):
-    """In memory and by way of files too."""
+def test_rows_are_the_same_however_many_are_merged_at_a_time(monkeypatch, model):
     levels = [InMemory(each) for each, _ in nanogs.levels(model, RATIOS, preset="fast")]
     layers = layers_of(levels)
     expected, tree = as_rows(levels[0], layers)
-    leaves = levels[0]
-    if not held:
-        io.save(leaves, tmp_path / "a.npz")
-        leaves = io.open(tmp_path / "a.npz")
     monkeypatch.setattr("nanogs.lod.tree._ROWS", 70)
-    rows, again = as_rows(leaves, layers)
+    rows, again = as_rows(levels[0], layers)
     np.testing.assert_array_equal(again.counts, tree.counts)
     for start, stop in ((0, rows.count), (40, 700), (3000, 3001)):
         assert model_bytes(rows.read(start, stop)) == model_bytes(expected.read(start, stop))

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-from nanogs._types import Array, F
+from nanogs._types import I64, Array, F
 from nanogs.costs import DrawCost
 from nanogs.errors import OptionError
 from nanogs.io import check_writable, losses, registry, save
@@ -131,6 +131,7 @@ class Encoding:
         each: Bytes for each splat of a block.
         described: Bytes for what describes the folder, which is held whole in the end.
         seconds: Of one processor, for all files.
+        sized: Whether the size of chunks can be chosen.
     """
 
     file: float = 0.0
@@ -138,6 +139,7 @@ class Encoding:
     described: float = 0.0
     seconds: float = 0.0
     joined: float = 0.0
+    sized: bool = True
 
     def held(self, block: int) -> float:
         """Most bytes at any time, with blocks of so many splats."""
@@ -155,10 +157,13 @@ class Encoding:
         """Advice on what takes less, to end a sentence about memory."""
         if self.each == 0:
             return "."
+        if not self.sized:
+            return f" and {self.held(0) / 1e6:,.0f} MB for the file that is written."
         size = "larger" if self.described > self.file else "smaller"
         return f" and {self.held(0) / 1e6:,.0f} MB for chunks; a {size} `chunk` takes less."
 
 
+@runtime_checkable
 class Chunked(Protocol):
     """A layout that divides results into chunks: plain data, which travel to any worker."""
 
@@ -203,6 +208,52 @@ class Chunked(Protocol):
         """
 
 
+@dataclass(frozen=True, slots=True)
+class BlockTree:
+    """A tree of the levels of a block, down from several roots; not all are splats of the result.
+
+    Attributes:
+        layers: The splats of each, the finest first and the roots last, children of one row side by
+            side and in the order of their parents.
+        children: Tells of each layer how many children the rows from one to before another have.
+        roots: Moments of the roots, by name, each with a row for each root.
+    """
+
+    layers: Sequence[Source]
+    children: Sequence[Callable[[int, int], I64]]
+    roots: Mapping[str, Array]
+
+
+@runtime_checkable
+class Linked(Protocol):
+    """A layout that links results to a tree: plain data, which travel to any worker."""
+
+    @property
+    def weight(self) -> float:
+        """Seconds of a machine for a million splats."""
+
+    def link(
+        self, levels: Sequence[Source], some: Splats, threads: int, steps: int | None
+    ) -> BlockTree:
+        """The tree of a block.
+
+        Args:
+            levels: What results leave of it, the finest first, of 1 splat or more each.
+            some: Splats of the finest result, the same for all blocks.
+            threads: To search with.
+            steps: How often splats of the coarsest are merged until there are few enough roots.
+
+        Raises:
+            OptionError: A splat would stand for too many others.
+        """
+
+    def encoding(self, row: int, degree: int, splats: int, shares: Sequence[float]) -> Encoding:
+        """As `Chunked` says, of linking."""
+
+    def whole(self, row: int) -> int:
+        """Bytes for each splat of the finest result, of a model in memory, beside its own."""
+
+
 class Judge(Protocol):
     """Measures files."""
 
@@ -236,6 +287,16 @@ class Filling(ABC):
 
     def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
         """Write the next result, of whose blocks the sink's chunks have made the files."""
+        raise NotImplementedError
+
+    def add_trees(self, trees: Sequence[BlockTree], levels: int, some: Splats) -> None:
+        """Take what a sink's layout has linked; results are added afterwards.
+
+        Args:
+            trees: Of each block.
+            levels: How many results they have, the finest first.
+            some: As `Linked.link` took it.
+        """
         raise NotImplementedError
 
     @abstractmethod
@@ -287,8 +348,8 @@ class Sink(Protocol):
         """Whether what is there is replaced, as far as it may be."""
 
     @property
-    def chunks(self) -> Chunked | None:
-        """How results are divided; None where each is one file."""
+    def chunks(self) -> Chunked | Linked | None:
+        """How results are divided, or linked; None where each is one file."""
 
     @property
     def environment(self) -> Environment | None:

@@ -1,6 +1,5 @@
 """The rows of a source in another order, by way of a temporary file if it is not in memory."""
 
-from dataclasses import replace
 from tempfile import TemporaryFile
 from typing import IO, Any
 from weakref import finalize
@@ -89,42 +88,6 @@ class _Sorted(Source):
             rows = np.frombuffer(stored, self._dtype, count)  # which refuses fewer
             self._last = number, rows[np.argsort(rows["place"])]
         return self._last[1]
-
-    def close(self) -> None:
-        """Remove the temporary file."""
-        self._file.close()
-
-
-class Kept(Source):
-    """Rows in a temporary file, without extra columns, in the order in which they are added.
-
-    Args:
-        columns: Of all rows.
-
-    Raises:
-        OSError: The temporary file cannot be written.
-    """
-
-    def __init__(self, columns: Layout) -> None:
-        self.count, self.columns = 0, replace(columns, extras=())
-        self._file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed by `close`
-        finalize(self, self._file.close)
-        self._dtype = np.dtype([])
-
-    def add(self, splats: Splats) -> None:
-        """Add rows; none once some have been read."""
-        self._dtype = self._dtype if self.count else np.dtype(_columns(splats))
-        rows = np.empty(len(splats), self._dtype)
-        for name in _COLUMNS:
-            rows[name] = getattr(splats, name)
-        self._file.write(rows.tobytes())
-        self.count += len(splats)
-
-    def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
-        self._file.seek(start * self._dtype.itemsize)
-        stored = self._file.read((stop - start) * self._dtype.itemsize)
-        return _splats(np.frombuffer(stored, self._dtype, stop - start), self.columns)
 
     def close(self) -> None:
         """Remove the temporary file."""

@@ -17,6 +17,7 @@ from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, level_name
 from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.tiles import Tiles
+from nanogs.lod.tree_blocks import Linked
 from nanogs.place import Place, columns, transform_of
 
 
@@ -110,8 +111,8 @@ def chunks_of(
     *,
     plain: bool,
     place: Place | Sequence[Sequence[float]] | F64 | None = None,
-) -> ChunkLayout | None:
-    """How levels are divided in a layout; None where each is a file.
+) -> ChunkLayout | Linked | None:
+    """How levels are divided or linked in a layout; None where each is a file.
 
     Args:
         layout: How they are to lie.
@@ -146,4 +147,6 @@ def chunks_of(
     if layout == Layout.TILES:
         put = None if place is None else columns(transform_of(place))
         return Tiles(most, least, packed=not plain, place=put)
+    if layout == Layout.TREE:
+        return Linked()
     return StreamedSog(most, least) if layout in (Layout.SOG, Layout.ARCHIVE) else None

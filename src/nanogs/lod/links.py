@@ -58,22 +58,23 @@ def shapes_of(level: Source) -> Shapes:
     return found
 
 
-def parents_of(fine: Shapes, coarse: Shapes) -> I64:
+def parents_of(fine: Shapes, coarse: Shapes, threads: int | None = None) -> I64:
     """(N,) the coarser splat that stands for each of N finer ones; each stands for one or more.
 
     Args:
         fine: N splats.
         coarse: M splats, M from 1 to N.
+        threads: To search with; None for all.
     """
-    parents = _likeliest(fine, coarse)
-    _give_to_childless(parents, fine.means, coarse.means)
+    with use_threads(threads) as used:
+        parents = _likeliest(fine, coarse, used)
+        _give_to_childless(parents, fine.means, coarse.means, used)
     return parents
 
 
-def _likeliest(fine: Shapes, coarse: Shapes) -> I64:
-    with use_threads(None) as threads:
-        _, nearest = nearest_to(fine.means, coarse.means, threads)
-        around = nearest_neighbours(coarse.means, _NEAR, threads)
+def _likeliest(fine: Shapes, coarse: Shapes, threads: int) -> I64:
+    _, nearest = nearest_to(fine.means, coarse.means, threads)
+    around = nearest_neighbours(coarse.means, _NEAR, threads)
     parents = np.empty(len(fine.means), np.int64)
     for start in range(0, len(parents), _ROWS):
         rows = slice(start, min(start + _ROWS, len(parents)))
@@ -106,15 +107,14 @@ def _unlikelihoods(deltas: F64, covariances: F64) -> F64:
     return unlikely
 
 
-def _give_to_childless(parents: I64, fine: F64, coarse: F64) -> None:
+def _give_to_childless(parents: I64, fine: F64, coarse: F64, threads: int = 1) -> None:
     """Give a child to each that has none, one near by whose parent has others; in place."""
     lone = np.flatnonzero(np.bincount(parents, minlength=len(coarse)) == 0)
     for _ in range(_ROUNDS):
         if not len(lone):
             return
         spare = _spare(parents, fine, coarse)
-        with use_threads(None) as threads:
-            distances, nearest = nearest_to(coarse[lone], fine[spare], threads)
+        distances, nearest = nearest_to(coarse[lone], fine[spare], threads)
         order = np.argsort(distances, kind="stable")
         _, first = np.unique(nearest[order], return_index=True)
         served = order[first]  # of those that are nearest to one child, the nearest

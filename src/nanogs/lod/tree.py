@@ -19,9 +19,8 @@ import numpy as np
 
 from nanogs._types import F64, I32, I64
 from nanogs.errors import OptionError
-from nanogs.io.in_order import Kept, in_order
-from nanogs.io.rad.write import Tree
-from nanogs.lod.links import parents_of, shapes_of
+from nanogs.io.in_order import in_order
+from nanogs.lod.links import Shapes, parents_of, shapes_of
 from nanogs.method.extent import Dilation, dilation
 from nanogs.method.nodes import Nodes, activate_nodes, gather, thinnest_axis
 from nanogs.method.order import morton_codes, morton_order
@@ -47,11 +46,73 @@ class Layer:
 
     Attributes:
         means: (N, 3) float64 centres of its splats, which say what lies near what, scene units.
-        parents: (N,) the row of each one's parent in the next coarser layer; none of the root.
+        parents: (N,) the row of each one's parent in the next coarser layer; none of the last.
     """
 
     means: F64
     parents: I64
+
+
+class Linking:
+    """Links levels to each other as they come, of which only their shapes are held.
+
+    Args:
+        threads: To search with; None for all.
+        first: The number of the first level, for messages.
+
+    Attributes:
+        layers: All levels but the last.
+    """
+
+    def __init__(self, threads: int | None = None, first: int = 0) -> None:
+        self.layers: list[Layer] = []
+        self._threads, self._first = threads, first
+        self._shapes: Shapes | None = None
+
+    def add(self, level: Source) -> None:
+        """Link the next coarser level to the last one.
+
+        Where it has more splats than that, as a part of a scene can, that is taken once more.
+
+        Args:
+            level: One splat or more.
+
+        Raises:
+            OptionError: A splat would stand for more others than a row can.
+        """
+        coarse, fine = shapes_of(level), self._shapes
+        self._shapes = coarse
+        if fine is None:
+            return
+        if level.count > len(fine.means):
+            parents, self._shapes = np.arange(len(fine.means)), fine
+        else:
+            parents = parents_of(fine, coarse, self._threads)
+        refuse_many(np.bincount(parents), self._first + len(self.layers))
+        self.layers.append(Layer(fine.means, parents))
+
+    def last(self) -> F64:
+        """The centres of the last level, (N, 3), scene units; no more can be added."""
+        assert self._shapes is not None, "there is one level at least"  # noqa: S101
+        means, self._shapes = self._shapes.means, None
+        return means
+
+
+def refuse_many(children: I64, level: int) -> None:
+    """Refuse what a row of a file cannot hold.
+
+    Args:
+        children: How many splats of a level each of the next one stands for.
+        level: Its number.
+
+    Raises:
+        OptionError: One of these is too large.
+    """
+    if (most := int(children.max())) > MOST_CHILDREN:
+        raise OptionError(
+            f"A splat of level {level + 1} would stand for {most:,} of level {level}, and a .rad"
+            f" file holds {MOST_CHILDREN:,}; give more levels between the two."
+        )
 
 
 def layers_of(levels: Sequence[Source]) -> list[Layer]:
@@ -64,25 +125,22 @@ def layers_of(levels: Sequence[Source]) -> list[Layer]:
     Raises:
         OptionError: A splat would stand for more others than a row can.
     """
-    layers, shapes = [], shapes_of(levels[0])
-    for number, coarser in enumerate(levels[1:]):
-        coarse = shapes_of(coarser)
-        parents = parents_of(shapes, coarse)
-        most = int(np.bincount(parents).max())
-        if most > MOST_CHILDREN:
-            raise OptionError(
-                f"A splat of level {number + 1} would stand for {most:,} of level {number}, and a"
-                f" .rad file holds {MOST_CHILDREN:,}; give more levels between the two."
-            )
-        layers.append(Layer(shapes.means, parents))
-        shapes = coarse
-    return [*layers, *_upper(shapes.means)]
+    linking = Linking()
+    for level in levels:
+        linking.add(level)
+    return [*linking.layers, *above(linking.last())]
 
 
-def _upper(means: F64) -> list[Layer]:
-    """The coarsest level and those above it, each of groups in the order of space, up to one."""
-    found = []
-    while len(means) > 1:
+def above(means: F64, steps: int | None = None) -> list[Layer]:
+    """The coarsest level and those above it, each of groups in the order of space.
+
+    Args:
+        means: (N, 3) centres of the coarsest level, scene units.
+        steps: How many there are above it, however few splats they have; by default up to one
+            splat.
+    """
+    found: list[Layer] = []
+    while len(means) > 1 if steps is None else len(found) < steps:
         parents = np.empty(len(means), np.int64)
         parents[morton_order(means)] = np.arange(len(means)) // _TOGETHER
         found.append(Layer(means, parents))
@@ -92,44 +150,92 @@ def _upper(means: F64) -> list[Layer]:
     return [*found, Layer(means, np.empty(0, np.int64))]
 
 
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """Which rows stand for which, of rows in the order of the file.
+
+    Attributes:
+        counts: (N,) children of each, 0 of leaves.
+    """
+
+    counts: I64
+
+    @property
+    def starts(self) -> I64:
+        """(N,) the first child of each; 0 of leaves."""
+        starts = np.cumsum(self.counts) - self.counts + 1  # they come in the order of their parents
+        return np.where(self.counts > 0, starts, 0)
+
+    def children(self, start: int, stop: int) -> I64:
+        """How many children rows have."""
+        return self.counts[start:stop]
+
+
 def as_rows(leaves: Source, layers: Sequence[Layer]) -> tuple[Source, Tree]:
     """All splats of a tree as rows, the root first, and what says which stand for which.
-
-    Those that stand for others are made anew, by the moments of all leaves below them; but for some
-    rows at a time, only these moments are held.
 
     Args:
         leaves: The finest level.
         layers: From that to the root, as `layers_of` gives them.
+    """
+    made = build(leaves, layers, frame_of(leaves))
+    return Joined(made.layers[::-1]), Tree(np.concatenate(made.children[::-1]))
 
-    Raises:
-        OSError: A temporary file cannot be written, where the leaves are not in memory.
+
+class Built(NamedTuple):
+    """Layers whose splats are there, each in the order of the file.
+
+    Attributes:
+        layers: The splats of each, the finest first.
+        children: Of each, how many rows of the layer before each row stands for.
+        order: (N,) the row of the leaves, as they were given, that comes first, and so on.
+        nodes: Of the last layer, without features.
+    """
+
+    layers: Sequence[Source]
+    children: Sequence[I64]
+    order: I64
+    nodes: Nodes
+
+
+def build(
+    leaves: Source, layers: Sequence[Layer], frame: "Frame", nodes: Nodes | None = None
+) -> Built:
+    """Make the splats that stand for others, by the moments of all leaves below them.
+
+    Args:
+        leaves: The finest layer.
+        layers: From that to the last; the last may have several rows.
+        frame: What nodes are made with.
+        nodes: Of the leaves, without features, if they stand for others themselves.
     """
     orders, children = _places(layers)
-    parts = [in_order(leaves, orders[0])]
-    frame, moments, held = _frame_of(leaves), None, isinstance(leaves, InMemory)
+    order = orders[0]
+    made: list[Source] = [in_order(leaves, order)]
+    moments = None if nodes is None else _moments(nodes, order)
     for counts in children[1:]:
-        made, moments = _standing_for(parts[-1], moments, counts, frame, held=held)
-        parts.append(made)
-    counts = np.concatenate(children[::-1])
-    starts = np.cumsum(counts) - counts + 1  # children come in the order of their parents
-    return Joined(parts[::-1]), Tree(counts, np.where(counts > 0, starts, 0))
+        splats, moments = _standing_for(made[-1], moments, counts, frame)
+        made.append(InMemory(splats))
+    if moments is None:
+        alone = _nodes(made[0].load(), None, slice(None), frame)
+        moments = replace(alone, features=_NO_FEATURES, rows=_NO_ROWS)
+    return Built(made, children, order, moments)
 
 
 def _places(layers: Sequence[Layer]) -> tuple[list[I64], list[I64]]:
     """Of each layer its rows in the order of the file, and how many children each of these has."""
-    orders, children = [np.zeros(1, np.int64)], []
+    orders, children = [morton_order(layers[-1].means)], []
     for layer in reversed(layers[:-1]):
         places = np.empty(len(orders[-1]), np.int64)
         places[orders[-1]] = np.arange(len(places))
-        above = places[layer.parents]
-        children.append(np.bincount(above, minlength=len(places)))
-        orders.append(np.lexsort((morton_codes(layer.means), above)))
+        own = places[layer.parents]
+        children.append(np.bincount(own, minlength=len(places)))
+        orders.append(np.lexsort((morton_codes(layer.means), own)))
     children.append(np.zeros(len(orders[-1]), np.int64))
     return orders[::-1], children[::-1]
 
 
-class _Frame(NamedTuple):
+class Frame(NamedTuple):
     """What splats are made nodes with; see `activate_nodes`."""
 
     origin: F64
@@ -138,7 +244,7 @@ class _Frame(NamedTuple):
     usual: float  # coverage, square scene units
 
 
-def _frame_of(leaves: Source) -> _Frame:
+def frame_of(leaves: Source) -> Frame:
     """By some of the leaves."""
     some = leaves.take(np.arange(0, leaves.count, leaves.count // _SAMPLE + 1))
     means = some.means.astype(np.float64)
@@ -147,12 +253,12 @@ def _frame_of(leaves: Source) -> _Frame:
     thinnest = thinnest_axis(some.scales(), means, added.least)
     rows: I32 = np.arange(len(some), dtype=np.int32)
     nodes = activate_nodes(some, rows, origin, added, thinnest)
-    return _Frame(origin, added, thinnest, float(nodes.coverages.mean()) or 1.0)
+    return Frame(origin, added, thinnest, float(nodes.coverages.mean()) or 1.0)
 
 
 def _standing_for(
-    below: Source, moments: Nodes | None, counts: I64, frame: _Frame, *, held: bool
-) -> tuple[Source, Nodes]:
+    below: Source, moments: Nodes | None, counts: I64, frame: Frame
+) -> tuple[Splats, Nodes]:
     """The splats of a layer, of the rows of the next finer one.
 
     Args:
@@ -160,14 +266,12 @@ def _standing_for(
         moments: Its nodes, without features; None for leaves.
         counts: How many rows each of the splats stands for, one after the other.
         frame: See there.
-        held: Whether the splats are held in memory.
 
     Returns:
         The splats, and their nodes without features.
     """
     ends = np.concatenate([[0], np.cumsum(counts)])
     cuts = np.unique([*np.searchsorted(ends, np.arange(0, ends[-1], _ROWS)), len(counts)])
-    kept = None if held else Kept(below.columns)
     made, found = [], []
     for first, last in pairwise(cuts.tolist()):
         rows = slice(int(ends[first]), int(ends[last]))
@@ -176,27 +280,35 @@ def _standing_for(
         labels = np.repeat(np.arange(last - first, dtype=np.int32), counts[first:last])
         stored = store_groups(nodes, labels, splats, frame.origin, frame.added, sheets=False)
         # Groups are stored in the order of their heaviest members, which is theirs here.
-        own = replace(stored.grown(_GROWTH), notes=())
-        made.append(own) if kept is None else kept.add(own)
+        made.append(replace(stored.grown(_GROWTH), notes=()))
         merged = gather(nodes, labels, last - first)
         found.append(replace(merged, features=_NO_FEATURES, rows=_NO_ROWS))
+    return concatenate(made), joined_nodes(found)
+
+
+def joined_nodes(parts: Sequence[Nodes]) -> Nodes:
+    """Nodes without features, one after the other."""
     names = ("weights", "coverages", "means", "covariances")
-    columns = {name: np.concatenate([getattr(each, name) for each in found]) for name in names}
-    return kept or InMemory(concatenate(made)), replace(found[0], **columns)
+    columns = {name: np.concatenate([getattr(each, name) for each in parts]) for name in names}
+    return replace(parts[0], **columns)
 
 
-def _nodes(splats: Splats, moments: Nodes | None, rows: slice, frame: _Frame) -> Nodes:
+def _moments(nodes: Nodes, rows: I64 | slice) -> Nodes:
+    """Some nodes without features."""
+    return replace(
+        nodes,
+        weights=nodes.weights[rows],
+        coverages=nodes.coverages[rows],
+        means=nodes.means[rows],
+        covariances=nodes.covariances[rows],
+    )
+
+
+def _nodes(splats: Splats, moments: Nodes | None, rows: slice, frame: Frame) -> Nodes:
     """Nodes of some rows, which weigh as much as they cover: then moments of moments are right."""
     own: I32 = np.arange(len(splats), dtype=np.int32)
     if moments is None:
         leaves = activate_nodes(splats, own, frame.origin, frame.added, frame.thinnest)
         return replace(leaves, weights=np.maximum(leaves.coverages / frame.usual, _LEAST_WEIGHT))
-    return replace(
-        moments,
-        weights=moments.weights[rows],
-        coverages=moments.coverages[rows],
-        means=moments.means[rows],
-        covariances=moments.covariances[rows],
-        features=np.ascontiguousarray(splats.sh).reshape(len(splats), -1),
-        rows=own,
-    )
+    features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
+    return replace(_moments(moments, rows), features=features, rows=own)

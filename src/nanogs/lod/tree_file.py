@@ -1,27 +1,23 @@
 """The sink of levels that become one tree: Spark's `.rad`, a single file."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-from nanogs.errors import OptionError
-from nanogs.io import losses, save
-from nanogs.io import open as open_model
+from nanogs.io import losses
 from nanogs.io.format import FormatOptions
+from nanogs.io.models import as_splats
 from nanogs.io.rad.write import SUFFIX, write
 from nanogs.lod.manifest import Manifest, describe_levels
-from nanogs.lod.tree import as_rows, layers_of
+from nanogs.lod.tree import Linking, above, as_rows
+from nanogs.lod.tree_blocks import Linked, joined_trees
 from nanogs.progress import Parts, untold
 from nanogs.report import SimplifyReport
-from nanogs.sink import Filling, Judge, OneFile, Written, made_beside
+from nanogs.sink import BlockTree, Filling, Judge, OneFile, Written, made_beside
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import Splats
 from nanogs.switches import tree_pixel
-
-_LINKING = 220  # bytes for a splat of the finest level, while it is linked to the next; measured
-_HELD = ".npz"  # which keeps all of a level that is not in memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +28,13 @@ class LevelsTree:
         place: The file to make.
         overwrite: Whether a file that exists is replaced.
         source: Name of the model for what is told of the levels.
+        chunks: How levels are linked where they are made in blocks.
     """
 
     place: Path
     overwrite: bool
     source: str
-    chunks: None = None
+    chunks: Linked = field(default_factory=Linked)
     suffix: str = SUFFIX
     environment: None = None
 
@@ -45,13 +42,8 @@ class LevelsTree:
     def _file(self) -> OneFile:
         return OneFile(self.place, self.overwrite)
 
-    def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:  # noqa: ARG002
-        """As `Sink` says: links between levels are held whole."""
-        if max_memory is not None and count * _LINKING > max_memory:
-            raise OptionError(
-                f"{self.place}: linking levels of {count:,} splats takes"
-                f" {count * _LINKING / 1e9:.1f} GB; name a lod-meta.json, or raise `max_memory`."
-            )
+    def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
+        """As `Sink` says: blocks are linked each by itself, and what is written is not held."""
 
     def check(self) -> None:
         """As `Sink` says."""
@@ -87,23 +79,31 @@ class TreeFilling(Filling):
     def __init__(self, making: Path, source: str) -> None:
         super().__init__()
         self._making, self._source = making, source
-        self._levels: list[Source] = []
-        self._stack = ExitStack()
+        self._leaves: Source | None = None
+        self._linking = Linking()
+        self._trees: Sequence[BlockTree] = ()
+        self._linked, self._further = 0, list[Source]()
+        self._some: Splats | None = None
+
+    def add_trees(self, trees: Sequence[BlockTree], levels: int, some: Splats) -> None:
+        """As `Filling` says."""
+        self._trees, self._linked, self._some = trees, levels, some
 
     def add(self, model: Splats | Source, tell: Parts = untold) -> None:
-        """Keep a level: one in memory as it is, others in a file beside the result."""
+        """Link a level to the one before, unless blocks have been linked as far as that."""
         tell(0, 1)
-        number, source = len(self._levels), source_of(model)
-        if not isinstance(source, InMemory):
-            if not number:
-                folder = TemporaryDirectory(dir=self._making.parent, prefix="levels-")
-                self._folder = Path(self._stack.enter_context(folder))
-            path = self._folder / f"{number}{_HELD}"
-            save(source, path)
-            source = self._stack.enter_context(open_model(path))
-        self._levels.append(source)
+        number, source = len(self.written), source_of(model)
+        count = source.count
+        if number < self._linked:
+            count = sum(tree.layers[number].count for tree in self._trees)
+        elif self._trees:
+            self._further.append(InMemory(as_splats(source)))
+        else:
+            level = InMemory(as_splats(source))
+            self._leaves = self._leaves or level
+            self._linking.add(level)
         left_out = losses(model, self._making)
-        self.written.append(Written(source.count, (self._making.name,), 0, left_out))
+        self.written.append(Written(count, (self._making.name,), 0, left_out))
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:
         """Write the tree, and measure each level.
@@ -112,12 +112,7 @@ class TreeFilling(Filling):
             reports: Of each level.
             judge: Measures levels.
         """
-        with self._stack:
-            rows, tree = as_rows(self._levels[0], layers_of(self._levels))
-            with self._making.open("wb") as file:
-                write(rows, file, tree=tree)
-            count = rows.count
-            rows.close()
+        count = self._write()
         size = self._making.stat().st_size
         self.written[:] = [
             each._replace(bytes=size * each.splats // count) for each in self.written
@@ -132,3 +127,16 @@ class TreeFilling(Filling):
             f" not as {made.preset!r} fitted them: the preset 'fast' takes less time for as much."
         )
         return replace(made, notes=(*made.notes, note))
+
+    def _write(self) -> int:
+        """Write the file, and count its rows."""
+        with self._making.open("wb") as file:
+            if self._some is not None:
+                rows = joined_trees(self._trees, self._further, self._some)
+                write(rows, file, tree=rows)
+                return rows.count
+            assert self._leaves is not None, "there is one level at least"  # noqa: S101
+            layers = [*self._linking.layers, *above(self._linking.last())]
+            source, tree = as_rows(self._leaves, layers)
+            write(source, file, tree=tree)
+            return source.count

@@ -13,6 +13,7 @@ from pathlib import Path
 from nanogs.io.atomic import atomic_write, output_error
 from nanogs.pipeline.chunked import blocks_of
 from nanogs.pipeline.folder import RESULT, refuse_finished
+from nanogs.pipeline.linked import linked_levels, spread_sample, trees_of
 from nanogs.pipeline.parts import Parts, further
 from nanogs.pipeline.rows import opened
 from nanogs.pipeline.run import Done
@@ -20,7 +21,7 @@ from nanogs.pipeline.work import Work
 from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import FileJudge, file_costs, file_judge
-from nanogs.sink import Sink, Written
+from nanogs.sink import Chunked, Linked, Sink, Written
 from nanogs.source import InMemory, Joined, Source, Turned
 from nanogs.store.scratch import hash_file
 
@@ -87,8 +88,10 @@ class Ending:
     def _make(self, done: Done, made: Path, progress: Tracker) -> list[Written]:
         try:
             filling, work = self.sink.open(made, done.entries.get("format_options", {})), done.work
+            if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
+                filling.add_trees(trees_of(work), levels, spread_sample(work))
             for number, level in enumerate(done.levels):
-                if self.sink.chunks is None:
+                if not isinstance(self.sink.chunks, Chunked):
                     progress.part(number, len(done.levels))
                     with result_of(work, level) as source:
                         filling.add(source)

@@ -10,7 +10,7 @@ from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.slices import SLICE_PAIRS
 from nanogs.pipeline.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
 from nanogs.pipeline.presets import Parameters
-from nanogs.sink import PLACED, Chunked
+from nanogs.sink import PLACED, Chunked, Linked
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # Gaussians; their features are the model's
@@ -73,9 +73,9 @@ def plan_chunks(
     degree: int,
     target: int,
     ratios: Sequence[float],
-    chunks: Chunked,
+    chunks: Chunked | Linked,
 ) -> MemoryPlan:
-    """Memory of making levels in chunks.
+    """Memory of making levels in chunks, or of a tree.
 
     Args:
         plan: Of making levels.
@@ -83,9 +83,12 @@ def plan_chunks(
         degree: Of the spherical harmonics.
         target: Splats of the finest level.
         ratios: Of the levels.
-        chunks: How they are divided.
+        chunks: How they are divided or linked.
     """
     row = plan.input_columns // max(splats, 1)
+    if isinstance(chunks, Linked):
+        held = plan.input_columns + target * chunks.whole(row)
+        return replace(plan, stages=plan.stages | {"tree": held}, peak=max(plan.peak, held))
     file = chunks.encoding(row, degree, splats, ratios).file
     # Between two levels, what a cut needs is kept, and each is encoded before the next.
     held = int(plan.stages.get("cut", plan.input_columns) + target * (row + PLACED) + file)

@@ -40,11 +40,13 @@ class Parts(Source):
     Args:
         work: The job, all its tasks done.
         level: Of the result.
+        block: The only one, by its number; by default all.
     """
 
-    def __init__(self, work: "Work", level: int) -> None:
+    def __init__(self, work: "Work", level: int, block: int | None = None) -> None:
         self._work = work
-        self._records = work.delivered(level)
+        records = work.delivered(level)
+        self._records = records if block is None else records[block : block + 1]
         self._ends = [0, *accumulate(map(count_of, self._records))]
         self.count, self.columns = self._ends[-1], work.settings.delivered
         self._table: Table | None = None

@@ -12,7 +12,7 @@ from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.memory_blocks import block_stages, scratch_bytes
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.unpack import Cost
-from nanogs.sink import Chunked, Encoding
+from nanogs.sink import Chunked, Encoding, Linked
 from nanogs.source import Layout
 from nanogs.store.columns import row_bytes
 
@@ -73,7 +73,7 @@ def plan_blocks(
     shares: tuple[float, ...],
     max_memory: int | None,
     block: int | None = None,
-    chunks: Chunked | None = None,
+    chunks: Chunked | Linked | None = None,
     beside: int = 0,
 ) -> ScalePlan:
     """Blocks as large as the memory allows.
@@ -85,7 +85,7 @@ def plan_blocks(
         shares: What the results keep of the splats.
         max_memory: Bytes that a process may take; not needed where `block` is given.
         block: Splats of a block, in place of what memory allows.
-        chunks: Of the results, or None where each is one file.
+        chunks: How results are divided or linked, or None where each is one file.
         beside: Bytes that the process holds besides its task.
 
     Raises:

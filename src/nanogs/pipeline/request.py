@@ -21,7 +21,7 @@ from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
 from nanogs.pipeline.rows import Changes, check_degree, open_parts
 from nanogs.pipeline.target import Goal, is_searched, target_count
-from nanogs.sink import Chunked
+from nanogs.sink import Chunked, Linked
 from nanogs.source import Joined
 from nanogs.store.columns import row_bytes
 
@@ -44,7 +44,7 @@ class Request:
         measured: Whether the result is held against the input as `nanogs compare` does it; None
             for where the preset renders anyway and the model is in memory.
         ratios: Of levels, the finest first, which the goal is; none for one file.
-        chunks: How levels are divided, or None.
+        chunks: How levels are divided or linked, or None.
     """
 
     goal: Goal
@@ -71,7 +71,7 @@ class Request:
     patience: float = PATIENCE
     format_options: "FormatOptions | None" = None
     ratios: Sequence[float] = ()
-    chunks: Chunked | None = None
+    chunks: Chunked | Linked | None = None
 
     @property
     def goals(self) -> tuple[Goal, ...]:

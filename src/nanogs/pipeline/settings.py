@@ -10,12 +10,12 @@ from nanogs.filters import Plain
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.asked import AUTOMATIC, Asked
 from nanogs.pipeline.presets import renders
-from nanogs.sink import Chunked
+from nanogs.sink import Chunked, Linked
 from nanogs.source import Layout
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.
 MOST_SEEN = 0.1
-VERSION = 7  # of the job folder; one of another version is not continued
+VERSION = 8  # of the job folder; one of another version is not continued
 
 
 class Access(StrEnum):
@@ -105,7 +105,7 @@ class Settings:
         nan: "drop" or "error".
         block: Most splats of a block.
         parameters: Of the forest.
-        chunks: Of the results, or None where each is one file.
+        chunks: How results are divided or linked, or None where each is one file.
         filters: What they leave of the files; None without any.
         frame: From and to which results are turned, or None.
         asked: The views that were asked for.
@@ -123,7 +123,7 @@ class Settings:
     nan: str
     block: int
     parameters: ForestParameters
-    chunks: Chunked | None = None
+    chunks: Chunked | Linked | None = None
     filters: Sieve | None = None
     frame: tuple[str, str] | None = None
     asked: Asked = AUTOMATIC
@@ -193,7 +193,13 @@ class Settings:
     @property
     def chunked(self) -> Chunked:
         """The chunks of results that have them."""
-        assert self.chunks is not None, "tasks of chunks are for jobs that have them"  # noqa: S101
+        assert isinstance(self.chunks, Chunked), "this is asked in jobs with chunks"  # noqa: S101
+        return self.chunks
+
+    @property
+    def linked(self) -> Linked:
+        """How results are linked that become a tree."""
+        assert isinstance(self.chunks, Linked), "this is asked in jobs of trees"  # noqa: S101
         return self.chunks
 
     def to_dict(self) -> dict[str, Any]:

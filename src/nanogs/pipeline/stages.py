@@ -19,6 +19,7 @@ from nanogs.pipeline.coarse import outline_counts, write_coarse
 from nanogs.pipeline.cuts import write_cut
 from nanogs.pipeline.fitting import fit_part
 from nanogs.pipeline.forests import grow
+from nanogs.pipeline.linked import linked_levels, write_tree
 from nanogs.pipeline.look import choose_views, look_at_block
 from nanogs.pipeline.memory_blocks import COARSE_SHARES
 from nanogs.pipeline.partition import partition
@@ -45,6 +46,7 @@ from nanogs.pipeline.weights import (
     roaming_seconds,
 )
 from nanogs.pipeline.work import Work
+from nanogs.sink import Chunked, Linked
 from nanogs.store.tables import Record, write_table
 from nanogs.threads import use_threads
 
@@ -116,15 +118,15 @@ def stages_of(settings: Settings) -> Iterator[tuple[JobStage, int]]:
     for level in range(settings.levels):
         yield from level_stages(settings, level)
     for stage in wanted:
-        if stage.name in _CHUNKED:
+        if stage.name in _AFTER:
             levels = settings.levels if stage.levels is None else stage.levels
             yield from ((stage, level) for level in range(levels))
 
 
 def level_stages(settings: Settings, level: int) -> Iterator[tuple[JobStage, int]]:
-    """The stages of one result of a job in blocks, and its level; chunks come after all results."""
+    """The stages of one result of a job in blocks, and its level, but for those after all."""
     for stage in STAGES.values():
-        if stage.levels is None and stage.name not in _CHUNKED and stage.wanted(settings):
+        if stage.levels is None and stage.name not in _AFTER and stage.wanted(settings):
             yield stage, level
 
 
@@ -260,6 +262,10 @@ def _chunk(work: Work, task: Task) -> Record:
     return write_chunks(work, task.name, task.number, task.level)
 
 
+def _tree(work: Work, task: Task) -> Record:
+    return write_tree(work, task.name, task.number)
+
+
 def _looks(job: Settings | Load) -> bool:
     return renders(job.parameters)
 
@@ -281,7 +287,11 @@ def _fits(job: Settings | Load) -> bool:
 
 
 def _in_chunks(settings: Settings) -> bool:
-    return settings.chunks is not None
+    return isinstance(settings.chunks, Chunked)
+
+
+def _in_a_tree(settings: Settings) -> bool:
+    return isinstance(settings.chunks, Linked)
 
 
 def _unpacks(settings: Settings) -> bool:
@@ -290,6 +300,10 @@ def _unpacks(settings: Settings) -> bool:
 
 def _divided(scene: Scene, _level: int) -> bool:
     return scene.partition.blocks > 1
+
+
+def _links(work: Work, _level: int) -> bool:
+    return linked_levels(work) > 0
 
 
 def _merges(scene: Scene, level: int) -> bool:
@@ -359,6 +373,7 @@ STAGES = {
         JobStage("rest", "job", _rest, 0.2, _in_chunks, levels=None),
         JobStage("cells", "block", _cells, 0.5, _in_chunks),
         JobStage("chunk", "block", _chunk, 1.0, _in_chunks, levels=None),
+        JobStage("tree", "block", _tree, 9.0, _in_a_tree, needed=_links),
     )
 }
-_CHUNKED = ("rest", "cells", "chunk")
+_AFTER = ("rest", "cells", "chunk", "tree")  # all results

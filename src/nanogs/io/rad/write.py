@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from tempfile import TemporaryFile
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 
@@ -46,17 +46,14 @@ _USUAL = (0.5, 99.5)  # per cent of values between which a viewer's textures are
 _LEAST_WIDTH = 1e-3  # of a viewer's range
 
 
-@dataclass(frozen=True, slots=True)
-class Tree:
+class Tree(Protocol):
     """Which rows stand for the same as others, only finer.
 
-    Attributes:
-        counts: (N,) children of each row, 0 of leaves, at most 65,535.
-        starts: (N,) the first of them.
+    Rows have children in their order: the first with any those that follow the root, and so on.
     """
 
-    counts: I64
-    starts: I64
+    def children(self, start: int, stop: int) -> I64:
+        """How many children rows from one to before another have, at most 65,535; leaves none."""
 
 
 @dataclass(slots=True)
@@ -158,10 +155,16 @@ def _described(magic: bytes, content: dict[str, Any]) -> bytes:
 def _chunks(
     source: Source, degree: int, tree: Tree | None, ranges: dict[str, Any]
 ) -> Iterator[bytes]:
+    below = 1  # the first row that is a child of those still to come
     for start in range(0, source.count, CHUNK_ROWS):
         block = source.read(start, min(start + CHUNK_ROWS, source.count))
+        columns = list(_columns(block, degree))
+        if tree is not None:
+            counts = tree.children(start, start + len(block))
+            columns += _links(counts, below)
+            below += int(counts.sum())
         properties, payload, at = [], [], 0
-        for entry, plain in _columns(block, degree, tree, start):
+        for entry, plain in columns:
             data = _deflated(plain)
             properties.append({"offset": at, "bytes": len(data), **entry, "compression": "gz"})
             payload.append(data.ljust(padded(len(data)), b"\0"))
@@ -184,9 +187,7 @@ def _deflated(data: bytes) -> bytes:
     return packer.compress(data) + packer.flush()
 
 
-def _columns(
-    block: Splats, degree: int, tree: Tree | None, start: int
-) -> Iterator[tuple[dict[str, Any], bytes]]:
+def _columns(block: Splats, degree: int) -> Iterator[tuple[dict[str, Any], bytes]]:
     """What is said of each column of a chunk, and its bytes before they are packed."""
     yield _entry("center", "f32_lebytes"), by_byte(block.means.astype(np.float32))
     opacities = rounded_bytes(alphas(block.opacity_logits) * 255)[:, None]
@@ -199,10 +200,18 @@ def _columns(
     yield _entry("orientation", "oct88r8"), turns(quats).tobytes()
     for name, (first, last) in zip(BANDS, _bands(degree), strict=False):
         yield _band(name, block.sh[:, first:last].reshape(len(block), -1))
-    if tree is not None:
-        rows = slice(start, start + len(block))
-        yield _entry(CHILD_COUNT, "u16"), tree.counts[rows].astype("<u2").tobytes()
-        yield _entry(CHILD_START, "u32"), tree.starts[rows].astype("<u4").tobytes()
+
+
+def _links(counts: I64, below: int) -> Iterator[tuple[dict[str, Any], bytes]]:
+    """The same of the columns that say which rows are whose children.
+
+    Args:
+        counts: Children of each row.
+        below: The first of them.
+    """
+    starts = np.where(counts > 0, np.cumsum(counts) - counts + below, 0)
+    yield _entry(CHILD_COUNT, "u16"), counts.astype("<u2").tobytes()
+    yield _entry(CHILD_START, "u32"), starts.astype("<u4").tobytes()
 
 
 def _entry(

@@ -1,0 +1,196 @@
+"""A tree of levels of detail from the trees of a scene's blocks, which are not held.
+
+Each block has a tree of its own levels, down from some roots. These are few, and above them a last
+tree is made as that of a model in memory. In the file's order the rows of a layer then follow the
+order of that tree, root by root: those below one root lie side by side in the tree of its block.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from nanogs._types import I64
+from nanogs.io.rad.header import CHUNK_ROWS
+from nanogs.lod.tree import Layer, Linking, above, build, frame_of, joined_nodes, refuse_many
+from nanogs.method.nodes import Nodes
+from nanogs.sink import BlockTree, Encoding
+from nanogs.source import InMemory, Source
+from nanogs.source.base import joined_rows
+from nanogs.splats import Splats, concatenate
+
+_MOMENTS = ("weights", "coverages", "means", "covariances")
+_SEARCHED = 240  # bytes a splat of the finest level while it is linked to the next; measured
+_LAYER = 100  # bytes a splat of all layers: their order, links and moments; measured
+_WRITTEN = 6  # times the bytes of a chunk's rows while it is written
+
+Children = Callable[[int, int], I64]
+
+
+@dataclass(frozen=True, slots=True)
+class Linked:
+    """The layout of levels that become one tree; see `sink.Linked`."""
+
+    suffix: ClassVar[str] = ".rad"
+    weight: ClassVar[float] = 9.0
+
+    def link(
+        self, levels: Sequence[Source], some: Splats, threads: int, steps: int | None
+    ) -> BlockTree:
+        """As `sink.Linked` says."""
+        linking = Linking(threads)
+        for level in levels:
+            linking.add(level)
+        layers = [*linking.layers, *above(linking.last(), steps)]
+        leaves = InMemory(levels[0].load())
+        made = build(leaves, layers, frame_of(InMemory(some)))
+        children = [partial(_part, counts) for counts in made.children]
+        roots = {name: getattr(made.nodes, name) for name in _MOMENTS}
+        return BlockTree(made.layers, children, roots)
+
+    def encoding(
+        self,
+        row: int,
+        degree: int,  # noqa: ARG002 - chunks have it
+        splats: int,
+        shares: Sequence[float],
+    ) -> Encoding:
+        """As `sink.Linked` says, from measurements."""
+        kept = [min(1.0, 2 * share) for share in shares]  # one block can keep more than others
+        # A layer is put together of parts that are held meanwhile.
+        built = kept[0] * row + 1.5 * sum(kept[1:]) * row + sum(kept) * _LAYER
+        return Encoding(
+            each=max(kept[0] * _SEARCHED, built),
+            described=CHUNK_ROWS * row * _WRITTEN,
+            seconds=sum(shares) * splats * self.weight / 1e6,
+            sized=False,
+        )
+
+    def whole(self, row: int) -> int:
+        """As `sink.Linked` says."""
+        return max(_SEARCHED, 3 * row + 2 * _LAYER)
+
+
+class _Run(NamedTuple):
+    """Rows of a layer of a block, which lie side by side in the file too."""
+
+    source: Source
+    children: Children
+    start: int
+    stop: int
+
+
+class TreeRows(Source):
+    """The rows of a tree in the order of the file; see `io.rad.write.Tree`.
+
+    Args:
+        runs: All of them.
+    """
+
+    def __init__(self, runs: Sequence[_Run]) -> None:
+        self._runs = runs
+        self._ends = np.cumsum([0, *(run.stop - run.start for run in runs)])
+        self.count, self.columns = int(self._ends[-1]), runs[0].source.columns
+
+    def _span(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        parts = [run.source.read(low, high) for run, low, high in self._within(start, stop)]
+        return joined_rows(parts or [self._runs[0].source.read(0, 0)])
+
+    def children(self, start: int, stop: int) -> I64:
+        """How many children rows have."""
+        parts = [run.children(low, high) for run, low, high in self._within(start, stop)]
+        return np.concatenate(parts)
+
+    def _within(self, start: int, stop: int) -> list[tuple[_Run, int, int]]:
+        """The runs that some rows lie in, and which of their rows."""
+        found = []
+        number = int(np.searchsorted(self._ends, start, side="right")) - 1
+        while start < stop:
+            run, end = self._runs[number], min(int(self._ends[number + 1]), stop)
+            low = run.start + start - int(self._ends[number])
+            found.append((run, low, low + end - start))
+            start, number = end, number + 1
+        return found
+
+
+def joined_trees(trees: Sequence[BlockTree], further: Sequence[Source], some: Splats) -> TreeRows:
+    """All rows of a scene.
+
+    Args:
+        trees: Of its blocks, of as many layers each.
+        further: Results that are coarser than the trees' levels, the finest first; with them roots
+            only say what is below them, and are no rows of the tree.
+        some: As `sink.Linked.link` took it.
+
+    Raises:
+        OptionError: A splat would stand for too many others.
+    """
+    roots = InMemory(concatenate([tree.layers[-1].load() for tree in trees]))
+    levels = len(trees[0].layers) - 1
+    top = build(roots, _top(roots, further, levels), frame_of(InMemory(some)), _nodes_of(trees))
+    layers, children = list(top.layers), list(top.children)
+    bounds = _bounds(trees)
+    below = np.concatenate([np.diff(each[-2]) for each in bounds]) if levels else None
+    if further:
+        assert below is not None, "there is a level below these roots"  # noqa: S101
+        members = np.repeat(np.arange(layers[1].count), children[1])
+        many = np.bincount(members, below[top.order].astype(np.float64)).astype(np.int64)
+        refuse_many(many, levels - 1)
+        layers, children = layers[1:], [many, *children[2:]]
+    elif below is not None:
+        children[0] = below[top.order]
+    runs = [
+        _Run(layer, partial(_part, counts), 0, layer.count)
+        for layer, counts in zip(layers[::-1], children[::-1], strict=True)
+    ]
+    return TreeRows([*runs, *_below(trees, bounds, top.order)])
+
+
+def _top(roots: Source, further: Sequence[Source], number: int) -> list[Layer]:
+    linking = Linking(first=number - 1)
+    for level in (roots, *further):
+        linking.add(level)
+    return [*linking.layers, *above(linking.last())]
+
+
+def _nodes_of(trees: Sequence[BlockTree]) -> Nodes:
+    features, rows = np.empty((0, 0), np.float32), np.empty(0, np.int32)
+    return joined_nodes([Nodes(**tree.roots, features=features, rows=rows) for tree in trees])
+
+
+def _bounds(trees: Sequence[BlockTree]) -> list[list[I64]]:
+    """Of each block and layer (R + 1,) where the rows below each root begin, and all end."""
+    found = []
+    for tree in trees:
+        ends = [np.arange(tree.layers[-1].count + 1)]
+        for layer, children in zip(tree.layers[:0:-1], tree.children[:0:-1], strict=True):
+            counts = np.concatenate([[0], np.cumsum(children(0, layer.count))])
+            ends.append(counts[ends[-1]])
+        found.append(ends[::-1])
+    return found
+
+
+def _below(trees: Sequence[BlockTree], bounds: list[list[I64]], order: I64) -> list[_Run]:
+    """The layers below the roots, the coarsest first, in the order of the roots."""
+    sizes = [tree.layers[-1].count for tree in trees]
+    blocks = np.repeat(np.arange(len(trees)), sizes)[order]
+    own = order - (np.cumsum(sizes) - sizes)[blocks]
+    # Roots that follow each other in the tree of one block too are read at once.
+    begins = np.flatnonzero((np.diff(blocks) != 0) | (np.diff(own) != 1)) + 1
+    together = list(pairwise([0, *begins.tolist(), len(order)]))
+    runs = []
+    for layer in reversed(range(len(trees[0].layers) - 1)):
+        for first, last in together:
+            block, root = int(blocks[first]), int(own[first])
+            ends, tree = bounds[block][layer], trees[block]
+            start, stop = int(ends[root]), int(ends[root + last - first])
+            runs.append(_Run(tree.layers[layer], tree.children[layer], start, stop))
+    return runs
+
+
+def _part(values: I64, start: int, stop: int) -> I64:
+    return values[start:stop]

@@ -1,0 +1,235 @@
+"""Trees of models that do not fit into memory: `.rad` by blocks, and by runs that are cut off."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+import nanogs
+import radfiles
+from builders import random_splats
+from launch import run
+from nanogs import io, sink
+from nanogs.errors import OptionError
+from nanogs.levels_of_detail import write_levels
+from nanogs.lod.tree_blocks import Linked
+from nanogs.metrics import psnr
+from nanogs.pipeline import run as scale_run
+from nanogs.pipeline import stages
+from nanogs.pipeline.folder import MANIFEST
+from nanogs.pipeline.plan import plan_blocks
+from nanogs.pipeline.presets import PRESETS
+from nanogs.raster.rendering import render
+from nanogs.source import Layout as Columns
+from test_rad_lod import rows_sorted, tree_of
+from test_rad_spark import lopsided, seen_from_the_start
+
+RATIOS = (1, 0.5, 0.25, 0.1)
+TREE = "spark tree"
+
+
+@pytest.fixture(scope="module")
+def model():
+    return lopsided(3000)
+
+
+@pytest.fixture(scope="module")
+def scene(model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "a.ply"
+    io.save(model, path)
+    return path
+
+
+def write(scene, out, ratios=RATIOS, **options):
+    given = {"layout": TREE, "preset": "fast", "block": 700, "threads": 1}
+    return write_levels(scene, out, ratios, **(given | options))
+
+
+@pytest.fixture(scope="module")
+def made(scene, tmp_path_factory):
+    out = tmp_path_factory.mktemp("made") / "a.rad"
+    return out, *write(scene, out)
+
+
+def assert_tree(path):
+    """The root first, children side by side after their parents, each row below just one."""
+    counts, starts = tree_of(path)
+    inner = np.flatnonzero(counts)
+    assert (starts[inner] > inner).all()
+    np.testing.assert_array_equal(starts[inner], 1 + np.cumsum(counts[inner]) - counts[inner])
+    assert counts.sum() == len(counts) - 1
+
+
+def test_all_levels_are_one_tree(model, made):
+    path, manifest, reports = made
+    assert reports[0].blocks.blocks > 3
+    assert [level.count for level in manifest.levels] == [3000, 1500, 750, 300]
+    assert_tree(path)
+    source = io.open(path)
+    assert source.levels[:4] == (3000, 1500, 750, 300)
+    assert source.levels[-1] == 1
+    np.testing.assert_array_equal(rows_sorted(source.load().means), rows_sorted(model.means))
+
+
+def test_each_splat_lies_among_those_that_it_stands_for(made, scene, tmp_path):
+    """Above the blocks, at their roots, and below them."""
+    write(scene, tmp_path / "further.rad", (1, 0.5, 0.02))
+    for path in (made[0], tmp_path / "further.rad"):
+        _, chunks = radfiles.parts_of(path.read_bytes())
+        told, payload = chunks[0]
+        entry = next(each for each in told["properties"] if each["property"] == "center")
+        data = radfiles.inflated(payload[entry["offset"] : entry["offset"] + entry["bytes"]])
+        planes = np.frombuffer(data, np.uint8).reshape(4, 3, -1)
+        means = np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view("<f4")[..., 0].T
+        counts, starts = tree_of(path)
+        for row in np.flatnonzero(counts):
+            below = means[starts[row] : starts[row] + counts[row]]
+            assert (means[row] >= below.min(axis=0) - 1e-5).all()
+            assert (means[row] <= below.max(axis=0) + 1e-5).all()
+
+
+def test_it_looks_as_a_tree_made_in_memory(model, scene, made, tmp_path):
+    """Of each level, as of those above the coarsest: no seam between blocks is seen."""
+    write(scene, tmp_path / "a.rad", block=None)
+    camera = seen_from_the_start(model)
+    whole = render(model, camera).shown()
+    for level in range(len(RATIOS) + 2):
+        marks = [
+            psnr(render(nanogs.load(path, level=level), camera).shown(), whole)
+            for path in (made[0], tmp_path / "a.rad")
+        ]
+        assert marks[0] > marks[1] - 1
+
+
+@pytest.mark.parametrize(
+    "ratios", [(1, 0.5, 0.02), (1, 0.5, 0.02, 0.0005), (1, 0.002), (0.01, 0.002), (1,), (0.4,)]
+)
+def test_levels_that_blocks_cannot_be_cut_to(model, scene, tmp_path, ratios):
+    """What is left to do is done above the blocks' trees, or where no level is left, without."""
+    manifest, _ = write(scene, tmp_path / "a.rad", ratios)
+    wanted = [int(np.ceil(3000 * ratio)) for ratio in ratios]
+    assert [level.count for level in manifest.levels] == wanted
+    assert list(io.open(tmp_path / "a.rad").levels[: len(wanted)]) == wanted
+    assert_tree(tmp_path / "a.rad")
+    if ratios[0] == 1:
+        np.testing.assert_array_equal(
+            rows_sorted(io.load(tmp_path / "a.rad").means), rows_sorted(model.means)
+        )
+
+
+def test_the_same_bytes_for_any_number_of_threads_and_of_workers(scene, made, tmp_path):
+    from concurrent.futures import ThreadPoolExecutor
+
+    write(scene, tmp_path / "b.rad", threads=2)
+    with ThreadPoolExecutor(2) as pool:
+        write(scene, tmp_path / "c.rad", executor=pool)
+    for name in ("b.rad", "c.rad"):
+        assert (tmp_path / name).read_bytes() == made[0].read_bytes()
+
+
+def test_frames_degrees_and_extra_columns(tmp_path):
+    label = {"label": np.arange(900, dtype=np.int32)}
+    splats = random_splats(900, degree=2, extras=label)
+    io.save(splats, tmp_path / "a.ply")
+    given = {"ratios": (1, 0.3), "block": 300, "frame": ("rdf", "rub"), "sh_degree": 1}
+    manifest, _ = write(tmp_path / "a.ply", tmp_path / "a.rad", **given)
+    assert any("label" in note for note in manifest.notes)
+    found = io.load(tmp_path / "a.rad")
+    assert found.sh_degree == 1
+    turned = splats.means * np.float32([1, -1, -1])
+    np.testing.assert_array_equal(rows_sorted(found.means), rows_sorted(turned))
+
+
+def test_a_splat_for_too_many_others_is_refused(monkeypatch, scene, tmp_path):
+    monkeypatch.setattr("nanogs.lod.tree.MOST_CHILDREN", 9)
+    with pytest.raises(OptionError, match=r"of level 0, .* give more levels between"):
+        write(scene, tmp_path / "a.rad", (1, 0.05))
+    with pytest.raises(OptionError, match=r"of level 1, .* give more levels between"):
+        write(scene, tmp_path / "b.rad", (1, 0.5, 0.005))
+    assert not (tmp_path / "b.rad").exists()
+
+
+# Runs that are cut off
+
+
+class CrashError(Exception):
+    """As if the machine had been switched off."""
+
+
+def crash_at(function, done, *places):
+    """The function, which fails at its calls of these numbers."""
+    calls = itertools.count(1)
+
+    def call(*given, **options):
+        if next(calls) in places:
+            done.append("crash")
+            raise CrashError
+        return function(*given, **options)
+
+    return call
+
+
+@pytest.mark.parametrize("name", ["a.rad", "a.ssog"])
+def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(scene, tmp_path, monkeypatch, name):
+    """While tasks are done, while the file is written, and when it has got its name."""
+    layout = {"a.rad": TREE, "a.ssog": "streamed sog archive"}[name]
+    options = {"layout": layout, "chunk": None if layout == TREE else 200, "ratios": (1, 0.1)}
+    write(scene, tmp_path / f"whole{name}", **options)
+    done, move = [], sink.move_file
+
+    def named(*given, **options):
+        move(*given, **options)
+        if "moved" not in done:
+            done.append("moved")
+            raise CrashError  # the file has its name, and the job is not taken away
+
+    places = 1, 5, 20, 31, 40, 47, 52
+    monkeypatch.setattr(scale_run, "do", crash_at(stages.do, done, *places))
+    for each in ("nanogs.lod.tree_file.write", "nanogs.lod.archive.write_archive"):
+        module, _, function = each.rpartition(".")
+        before = getattr(__import__(module, fromlist=[function]), function)
+        monkeypatch.setattr(each, crash_at(before, done, 1))
+    for module in ("nanogs.sink", "nanogs.lod.archive"):
+        monkeypatch.setattr(f"{module}.move_file", named)
+    for _ in range(20):
+        try:
+            write(scene, tmp_path / name, resume=True, **options)
+            break
+        except CrashError:
+            assert (tmp_path / f"{name}.job" / MANIFEST).exists()
+            assert (tmp_path / name).exists() == ("moved" in done)
+    assert done.count("crash") >= 7
+    assert "moved" in done
+    assert (tmp_path / name).read_bytes() == (tmp_path / f"whole{name}").read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} == {name, f"whole{name}"}
+
+
+# Memory, and the command
+
+
+def test_twenty_million_splats_are_planned_within_two_gigabytes():
+    layout = Columns(3, False, (), "default", (), ())
+    shares = tuple(0.5**half for half in range(7))
+    plan = plan_blocks(20_000_000, layout, PRESETS["fast"], shares, 2 * 10**9, None, Linked())
+    assert plan.memory <= 2 * 10**9
+    assert 10 < plan.blocks < 20
+    plain = plan_blocks(20_000_000, layout, PRESETS["fast"], shares, 2 * 10**9)
+    assert plan.seconds > plain.seconds
+    with pytest.raises(OptionError, match="for the file that is written"):
+        plan_blocks(20_000_000, layout, PRESETS["fast"], shares, 10**8, None, Linked())
+
+
+def test_the_command(tmp_path):
+    io.save(random_splats(100_000, degree=0), tmp_path / "a.ply")
+    given = ["lod", tmp_path / "a.ply", tmp_path / "a.rad", "--levels", "1,0.1", "--preset", "fast"]
+    given += ["--max-memory", "250MB"]
+    planned = json.loads(run(*given, "--dry-run", "--json").stdout)
+    assert planned["blocks"]["blocks"] > 1
+    assert planned["blocks"]["memory"] <= 250_000_000
+    result = run(*given, "--json", "--threads", "1")
+    assert result.returncode == 0, result.stderr
+    told = json.loads(result.stdout)
+    assert [level["count"] for level in told["levels"]] == [100_000, 10_000]
+    assert told["reports"][0]["blocks"]["blocks"] > 1
+    assert {entry.name for entry in tmp_path.iterdir()} == {"a.ply", "a.rad"}
