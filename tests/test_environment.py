@@ -14,8 +14,9 @@ from builders import random_splats
 from conftest import scene_path
 from launch import run
 from nanogs import filters, io
-from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.errors import NotEnoughMemoryError, OptionError, OutputError
 from nanogs.levels_of_detail import write_levels
+from nanogs.lod import folder
 from nanogs.lod.environment import find_environment
 from nanogs.metrics import psnr
 from nanogs.raster.camera import Camera
@@ -124,6 +125,7 @@ NONE = {
     "strays all around": concatenate([random_splats(SCENE), shell(SKY, 30, width=0.02)]),
     "a haze": concatenate([random_splats(SCENE), shell(SKY, 30, alpha=0.01)]),
     "walls around a room": concatenate([random_splats(SCENE), shell(SKY, 2.5, half=False)]),
+    "walls of a hall": concatenate([random_splats(SCENE), shell(SKY, 3.75, half=False)]),
     "more sky than scene": concatenate([random_splats(SKY), shell(SCENE, 30)]),
     "a sky of which little is seen": concatenate(
         [random_splats(SCENE), shell(SKY, 30).take(shell(SKY, 30).means[:, 0] > 22)]
@@ -187,26 +189,26 @@ def model(tmp_path_factory):
 @pytest.fixture(scope="module")
 def made(model):
     """The folder and the archive that the command makes of it, and its report of the former."""
-    folder = model.parent
-    result = run("lod", model, folder / "web" / "lod-meta.json", *FAST, "--json")
+    place = model.parent
+    result = run("lod", model, place / "web" / "lod-meta.json", *FAST, "--json")
     assert result.returncode == 0, result.stderr
-    archive = run("lod", model, folder / "a.ssog", *FAST)
+    archive = run("lod", model, place / "a.ssog", *FAST)
     assert archive.returncode == 0, archive.stderr
-    return folder, json.loads(result.stdout), archive.stderr
+    return place, json.loads(result.stdout), archive.stderr
 
 
 def test_each_splat_is_in_the_scene_or_in_its_environment(model, made):
-    folder, report, _ = made
-    meta = json.loads((folder / "web" / "lod-meta.json").read_text())
+    place, report, _ = made
+    meta = json.loads((place / "web" / "lod-meta.json").read_text())
     assert meta["environment"] == "env/meta.json"
     assert meta["counts"] == [2400, 1200, 240]
     assert sum(leaf["lods"]["0"]["count"] for leaf in leaves(meta["tree"])) == SCENE
     assert not any("env" in name for name in meta["filenames"])
-    sky, whole = io.load(folder / "web" / "env" / "meta.json"), io.load(model)
+    sky, whole = io.load(place / "web" / "env" / "meta.json"), io.load(model)
     assert len(sky) == SKY
     assert np.linalg.norm(sky.means, axis=1).min() > 11
     for level, scene in enumerate((2400, 1200, 240)):
-        back = io.load(folder / "web" / "lod-meta.json", level=level)
+        back = io.load(place / "web" / "lod-meta.json", level=level)
         assert (np.linalg.norm(back.means, axis=1) > 6).sum() == SKY
         assert len(back) == scene + SKY
         if level == 0:
@@ -215,26 +217,26 @@ def test_each_splat_is_in_the_scene_or_in_its_environment(model, made):
     assert np.abs(boxes).max() < 6  # a viewer near the scene is not near all of the sky
     assert report["environment"] == {
         "source": "auto", "count": SKY,
-        "bytes": sum(file.stat().st_size for file in (folder / "web" / "env").iterdir()),
-        "requests": len(list((folder / "web" / "env").iterdir())),
+        "bytes": sum(file.stat().st_size for file in (place / "web" / "env").iterdir()),
+        "requests": len(list((place / "web" / "env").iterdir())),
     }  # fmt: skip
     assert report["source_count"] == len(whole)
     assert report["filters"] == []
 
 
 def test_the_first_picture_takes_the_environment_too(made):
-    folder, report, said = made
+    place, report, said = made
     assert f"an environment of {SKY} splats, found apart in the model" in said
-    with zipfile.ZipFile(folder / "a.ssog") as archive:
+    with zipfile.ZipFile(place / "a.ssog") as archive:
         names = archive.namelist()
         assert {name: archive.read(name) for name in names} == {
-            path.relative_to(folder / "web").as_posix(): path.read_bytes()
-            for path in (folder / "web").rglob("*")
+            path.relative_to(place / "web").as_posix(): path.read_bytes()
+            for path in (place / "web").rglob("*")
             if path.is_file()
         }
     order = [name.split("/")[0] for name in names]
     assert list(dict.fromkeys(order)) == ["lod-meta.json", "env", "2_0", "1_0", "0_0", "0_1"]
-    shown = run("lod", folder / "a.ply", folder / "web" / "lod-meta.json", *FAST, "-w")
+    shown = run("lod", place / "a.ply", place / "web" / "lod-meta.json", *FAST, "-w")
     asked = 1 + report["environment"]["requests"] + report["levels"][-1]["requests"]
     assert f"first picture takes {asked} requests" in shown.stderr
 
@@ -301,6 +303,33 @@ def test_blocks_make_the_same_environment_for_any_number_of_threads(model, made,
     rest = (3100, 1550, 310) if sky == "given" else (2400, 1200, 240)
     more = 150 if sky == "given" else SKY
     assert io.open(tmp_path / "1.ssog").levels == tuple(count + more for count in rest)
+
+
+def test_a_job_that_was_cut_off_gives_the_same_bytes(model, tmp_path, monkeypatch):
+    """Before the environment is written, and while it is; a job without it is another one."""
+    options = {"preset": "fast", "layout": "streamed sog archive", "chunk": 500, "block": 1000}
+    write_levels(model, tmp_path / "a.ssog", [1, 0.1], **options)
+    write, fails = folder.ChunksFilling._write, ["env/sh0.webp", "env/meta.json"]
+
+    def cut_off(self, name, data):
+        if name in fails:
+            fails.remove(name)
+            raise KeyboardInterrupt
+        write(self, name, data)
+
+    monkeypatch.setattr(folder.ChunksFilling, "_write", cut_off)
+    with pytest.raises(KeyboardInterrupt):
+        write_levels(model, tmp_path / "b.ssog", [1, 0.1], **options)
+    with pytest.raises(OutputError, match=r"its .*filters differ"):
+        write_levels(
+            model, tmp_path / "b.ssog", [1, 0.1], resume=True, environment="none", **options
+        )
+    with pytest.raises(KeyboardInterrupt):
+        write_levels(model, tmp_path / "b.ssog", [1, 0.1], resume=True, **options)
+    write_levels(model, tmp_path / "b.ssog", [1, 0.1], resume=True, **options)
+    assert fails == []
+    assert (tmp_path / "b.ssog").read_bytes() == (tmp_path / "a.ssog").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ssog", "b.ssog"]
 
 
 def test_the_environment_is_turned_and_reduced_as_the_levels_are(model, made, tmp_path):

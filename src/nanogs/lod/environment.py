@@ -7,7 +7,7 @@ are counted on a logarithmic scale, and an environment is what lies
 
 - beyond a gap of `GAP` in distance, in which there are fewer than `STRAYS` as many splats,
 - at least `FAR` times as far away as half of the splats before the gap,
-- no more than half of all splats, and
+- no more than half of all splats, since the scale begins at half of their median distance, and
 - in `COVERED` of all directions at least so densely that splats cover half of what is seen there.
 
 What is taken for an environment is drawn all the same: viewers show it with every level.
@@ -136,7 +136,7 @@ def _begin_of_shell(counts: I64, angles: F64) -> int | None:
         inner, outer = int(before[begin]), whole - int(before[begin])
         half = int(np.searchsorted(before[1:], inner / 2, side="left"))
         far = begin - 1 - half >= near
-        if outer and gap <= STRAYS * outer and far and inner >= outer and _covers(angles[begin:]):
+        if outer and gap <= STRAYS * outer and far and _covers(angles[begin:]):
             places.append((gap, begin))
     emptiest = [begin for gap, begin in places if gap == min(places)[0]]
     return emptiest[len(emptiest) // 2] if emptiest else None
