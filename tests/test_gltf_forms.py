@@ -53,6 +53,40 @@ def test_text_whose_slashes_are_escaped(made, expected, tmp_path):
     assert_same(io.load(tmp_path / "a.gltf"), expected)
 
 
+@pytest.mark.parametrize("piece", [1, 2, 5, 6, 7, 100, 257, 1000])
+def test_text_is_read_in_pieces_of_any_size(made, expected, tmp_path, monkeypatch, piece):
+    content, body = made
+    content["extras"] = ["data:", '"data:a', 'x"data:', "data:" + "y" * 250, "data:" + "z" * 300]
+    (tmp_path / "a.gltf").write_text(as_text(content, body))
+    monkeypatch.setattr("nanogs.io.gltf.glb._PIECE", piece)
+    assert_same(io.load(tmp_path / "a.gltf"), expected)
+    with io.open(tmp_path / "a.gltf") as source:
+        assert np.array_equal(source.read(7, 200).sh, expected.sh[7:200])
+
+
+def test_a_data_uri_is_decoded_where_it_is_read(tmp_path):
+    model = random_splats(40_000, degree=3)
+    io.save(model, tmp_path / "a.gltf")
+    size = (tmp_path / "a.gltf").stat().st_size
+    assert size > 10_000_000
+    tracemalloc.start()
+    with io.open(tmp_path / "a.gltf") as source:
+        part = source.read(20_000, 20_100)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert np.array_equal(part.means, model.means[20_000:20_100])
+    assert peak < 6_000_000
+
+
+@pytest.mark.parametrize("wrong", ["!", "=", "é"])
+def test_a_data_uri_that_is_damaged_is_refused(made, tmp_path, wrong):
+    text = as_text(*made)
+    at = text.index("base64,") + 4001
+    (tmp_path / "a.gltf").write_text(text[:at] + wrong + text[at + 1 :], encoding="utf-8")
+    with pytest.raises(FormatError, match="damaged"):
+        io.load(tmp_path / "a.gltf")
+
+
 @pytest.mark.parametrize("uri", ["b.bin", "./sub/b%20c.bin", "b.bin?v=1"])
 def test_text_with_a_buffer_beside_it(made, expected, tmp_path, uri):
     name = uri.replace("%20", " ").partition("?")[0]

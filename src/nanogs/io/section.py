@@ -1,12 +1,14 @@
 """Some bytes one after the other, in a file or in memory: where formats lie in other formats."""
 
 import io
+from base64 import b64decode
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, cast
 
+from nanogs.errors import FormatError
 from nanogs.io.files import input_size
 
 
@@ -20,28 +22,34 @@ class Section:
         size: Bytes.
         data: The bytes themselves where they do not lie in the file as they are; `start` counts in
             them then.
+        text: Where text in base64 begins that stands for the bytes; `start` counts in these then.
     """
 
     path: Path
     start: int
     size: int
     data: bytes | None = None
+    text: int | None = None
 
     def part(self, start: int, size: int) -> "Section":
         """A stretch of this one, which must hold it; its start counts from this one's."""
-        return Section(self.path, self.start + start, size, self.data)
+        return Section(self.path, self.start + start, size, self.data, self.text)
 
     @contextmanager
     def opened(self) -> Iterator[BinaryIO]:
         """A file to be read, which begins and ends with the section.
 
         Raises:
+            FormatError: What is read of it is no base64.
             OSError: The system refuses to read.
         """
         if self.data is not None:
             yield io.BytesIO(memoryview(self.data)[self.start : self.start + self.size])
             return
         with self.path.open("rb") as file:
+            if self.text is not None:
+                yield cast("BinaryIO", _Decoded(self.path, file, self.text, self.start, self.size))
+                return
             yield cast("BinaryIO", _Window(file, self.start, self.size))
 
 
@@ -87,3 +95,28 @@ class _Window(io.RawIOBase):
         data = self.read(len(buffer))
         buffer[: len(data)] = data
         return len(data)
+
+
+class _Decoded(_Window):
+    """Bytes that text in base64 stands for; only what is read of it is decoded."""
+
+    def __init__(self, path: Path, file: BinaryIO, text: int, start: int, size: int) -> None:
+        super().__init__(file, start, size)
+        self._path, self._text = path, text
+
+    def read(self, size: int = -1) -> bytes:
+        left = max(self._size - self._at, 0)
+        wanted = left if size < 0 else min(size, left)
+        first, skipped = divmod(self._start + self._at, 3)  # four characters are three bytes
+        self._file.seek(self._text + 4 * first)
+        text = self._file.read((skipped + wanted + 2) // 3 * 4)
+        try:
+            data = b64decode(text, validate=True)[skipped : skipped + wanted]
+        except ValueError:
+            data = b""
+        if len(data) < wanted:
+            raise FormatError(
+                f"{self._path} holds a data: URI that is damaged; export or download it again."
+            )
+        self._at += len(data)
+        return data

@@ -14,7 +14,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import FormatError
-from nanogs.io.files import input_size
+from nanogs.io.files import input_size, reading
 from nanogs.io.gltf.rows import Accessor
 from nanogs.io.json_fields import integer, local_path, numbers, refused, rows, table
 from nanogs.io.section import Section
@@ -22,6 +22,7 @@ from nanogs.io.section import Section
 # Python takes up to 25 times a JSON text's size; those of splats have some 10 KB.
 MAX_JSON_BYTES = 4 << 20
 DATA = "data:"
+_LONGEST_HEAD = 256  # of a URI in base64: its media type
 _KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _AGAIN = "export or download it again."
@@ -107,6 +108,21 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
+class Lifted:
+    """A `data:` URI that was left where it is.
+
+    Attributes:
+        start: Its place in the file.
+        size: Bytes.
+        escaped: Whether a backslash is in it, as some write before a slash.
+    """
+
+    start: int
+    size: int
+    escaped: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Document:
     """A file's JSON and where its buffers lie.
 
@@ -114,13 +130,13 @@ class Document:
         path: The file.
         root: All of its JSON.
         body: The buffer in the file itself, which is that of no URI; None in a text file.
-        lifted: What was in the place of `data:` URIs by what stands there now.
+        lifted: The `data:` URIs that are not in the JSON, by what stands there in their place.
     """
 
     path: Path
     root: Part
     body: Section | None = None
-    lifted: dict[str, bytes] = field(default_factory=dict)
+    lifted: dict[str, Lifted] = field(default_factory=dict)
     _buffers: dict[int, Section] = field(default_factory=dict)
 
     @property
@@ -188,18 +204,42 @@ class Document:
             if self.body is None or not first:
                 raise buffer.error("has no URI")
             return self.body
+        if (lifted := self.lifted.get(uri)) is not None:
+            return _lying(self.path, buffer, lifted)
         if uri.startswith(DATA):
-            data = _decoded(buffer, self.lifted.get(uri) or uri.encode("utf-8", "replace"))
+            data = _decoded(buffer, uri.encode("utf-8", "replace"))
             return Section(self.path, 0, len(data), data)
         path = local_path(self.path.parent, uri, f"{self.path}: {buffer.where}.uri")
         return Section(path, 0, input_size(path))
 
 
-def _decoded(buffer: Part, uri: bytes) -> bytes:
-    """Decode a `data:` URI."""
-    head, comma, payload = uri.partition(b",")
+def _lying(path: Path, buffer: Part, lifted: Lifted) -> Section:
+    """The bytes of a `data:` URI in the file."""
+    with reading(path) as file:
+        file.seek(lifted.start)
+        if lifted.escaped:
+            data = _decoded(buffer, file.read(lifted.size))
+            return Section(path, 0, len(data), data)
+        before = len(_head(buffer, file.read(min(lifted.size, _LONGEST_HEAD)))) + 1
+        file.seek(lifted.start + lifted.size - 2)
+        padding = file.read(2).count(b"=")
+    groups, rest = divmod(lifted.size - before, 4)
+    if rest:
+        raise buffer.error("has a data: URI that is damaged")
+    return Section(path, 0, 3 * groups - padding, text=lifted.start + before)
+
+
+def _head(buffer: Part, uri: bytes) -> bytes:
+    """What is before the comma of a `data:` URI."""
+    head, comma, _ = uri.partition(b",")
     if not comma or not head.endswith(b";base64"):
         raise buffer.error("has a data: URI that is not in base64")
+    return head
+
+
+def _decoded(buffer: Part, uri: bytes) -> bytes:
+    """Decode a `data:` URI."""
+    payload = uri[len(_head(buffer, uri)) + 1 :]
     try:
         return base64.b64decode(payload.replace(b"\\/", b"/"), validate=True)
     except ValueError:

@@ -2,7 +2,8 @@
 
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sections 3.6 (binary data) and 4 (GLB).
 The first bytes tell which of the two a file is, whatever it is called. The `data:` URIs of a text
-file, most of its bytes, are taken out before its JSON is read, which has a limit.
+file, most of its bytes, are passed over when its JSON is read, which has a limit: rows are decoded
+from where they lie.
 """
 
 import struct
@@ -11,7 +12,7 @@ from typing import BinaryIO
 
 from nanogs.errors import FormatError
 from nanogs.io.files import input_size, reading
-from nanogs.io.gltf.document import DATA, Document, check_length, damaged, parsed
+from nanogs.io.gltf.document import DATA, Document, Lifted, check_length, damaged, parsed
 from nanogs.io.section import Section
 
 MAGIC = b"glTF"
@@ -19,6 +20,7 @@ JSON_CHUNK, BODY_CHUNK = b"JSON", b"BIN\0"
 _CHUNK = struct.Struct("<I4s")
 _OPENING = b'"data:'
 _LONG = 256  # of a URI; shorter ones stay in the JSON
+_PIECE = 1 << 20  # bytes
 
 
 def read_document(path: Path) -> Document:
@@ -32,13 +34,12 @@ def read_document(path: Path) -> Document:
         start = file.read(64)
         file.seek(0)
         if start.lstrip().startswith(b"{"):
-            return _read_text(path, file.read())
+            return _read_text(path, file)
         return _read_glb(path, file, size)
 
 
-def _read_text(path: Path, text: bytes) -> Document:
-    rest, lifted = _lift(text)
-    check_length(path, len(rest))
+def _read_text(path: Path, file: BinaryIO) -> Document:
+    rest, lifted = _lift(path, file)
     root = parsed(path, rest)
     version = root.part("asset").text("version", "2.0")
     if version.partition(".")[0] != "2":
@@ -46,17 +47,46 @@ def _read_text(path: Path, text: bytes) -> Document:
     return Document(path, root, lifted=lifted)
 
 
-def _lift(text: bytes) -> tuple[bytes, dict[str, bytes]]:
-    """The text with a name in the place of every long `data:` URI, and the URIs by these names."""
-    pieces, lifted, done = list[bytes](), dict[str, bytes](), 0
-    at = text.find(_OPENING)
-    while at >= 0 and (end := text.find(b'"', at + 1)) >= 0:
-        if end - at > _LONG:
-            name = f"{DATA}{len(lifted)}"
-            pieces += [text[done:at], f'"{name}"'.encode()]
-            lifted[name], done = text[at + 1 : end], end + 1
-        at = text.find(_OPENING, end + 1)
-    return b"".join([*pieces, text[done:]]), lifted
+def _lift(path: Path, file: BinaryIO) -> tuple[bytes, dict[str, Lifted]]:
+    """The text with a name in the place of every long `data:` URI, and where these lie by name.
+
+    Raises:
+        FormatError: The rest is too long.
+    """
+    rest, lifted = bytearray(), dict[str, Lifted]()
+    held, place = b"", 0  # what was read last, and where it lies in the file
+    begin, escaped = -1, False  # of the URI that is passed over
+    while piece := file.read(_PIECE):
+        held += piece
+        at = 0
+        while True:
+            if begin < 0:
+                found = held.find(_OPENING, at)
+                # What may be the beginning of an opening is looked at again with what follows.
+                end = max(len(held) - len(_OPENING) + 1, at) if found < 0 else found + 1
+                rest += held[at:end]
+                at = end
+                if found < 0:
+                    break
+                begin, escaped = place + at, False
+            end = held.find(b'"', at)
+            if end < 0 and place + len(held) - begin <= _LONG:
+                break  # all of it is held, and perhaps put into the rest
+            text = held[at : end if end >= 0 else len(held)]
+            escaped |= b"\\" in text
+            at += len(text)
+            if end < 0:
+                break
+            if (length := place + at - begin) > _LONG:
+                name = f"{DATA}{len(lifted)}"
+                lifted[name] = Lifted(begin, length, escaped)
+                rest += name.encode()
+            else:
+                rest += text
+            begin = -1
+        held, place = held[at:], place + at
+        check_length(path, len(rest))
+    return bytes(rest + held), lifted
 
 
 def _read_glb(path: Path, file: BinaryIO, size: int) -> Document:
