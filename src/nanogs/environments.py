@@ -81,7 +81,8 @@ class Surroundings:
         if self.asked == NONE:
             return request, None
         if self.asked != AUTO:
-            return request, self._given(request)
+            found = self._given(request)
+            return self._named(request, found), found
         with _rows(request, request.filters) as source:
             shell = find_environment(source)
             degree = source.columns.sh_degree
@@ -95,7 +96,8 @@ class Surroundings:
                 return source.read(0, source.count)
 
         taken = replace(request, filters=(*request.filters, _within(shell)))
-        return taken, self._made(request, AUTO, shell.splats, sky)
+        found = self._made(request, AUTO, shell.splats, sky)
+        return self._named(taken, found), found
 
     def planned(self, request: Request, *, divided: bool) -> tuple[Request, Environment | None]:
         """As `in_blocks`, to be shown beforehand of a model in memory too.
@@ -115,6 +117,11 @@ class Surroundings:
             return request, None
         taken = replace(request, filters=(*request.filters, _within(shell)))
         return taken, self._made(request, AUTO, shell.splats, lambda: splats)
+
+    def _named(self, request: Request, found: Environment) -> Request:
+        """The request as a job records it, which is not continued with another environment."""
+        name = f"{found.source}, {counted(found.count, 'splat')}, ratio {self.ratio:g}"
+        return replace(request, environment=name)
 
     def _given(self, request: Request) -> Environment:
         if isinstance(self.asked, Splats | Source):

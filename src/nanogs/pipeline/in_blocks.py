@@ -197,6 +197,7 @@ def plan_job(
         sh_degree=request.sh_degree,
         asked=changes.asked,
         search=sought,
+        environment=request.environment,
     )
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory)
 

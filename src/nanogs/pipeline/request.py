@@ -45,6 +45,7 @@ class Request:
             for where the preset renders anyway and the model is in memory.
         ratios: Of levels, the finest first, which the goal is; none for one file.
         chunks: How levels are divided or linked, or None.
+        environment: What is beside levels, in words that tell one from another; empty for nothing.
     """
 
     goal: Goal
@@ -72,6 +73,7 @@ class Request:
     format_options: "FormatOptions | None" = None
     ratios: Sequence[float] = ()
     chunks: Chunked | Linked | None = None
+    environment: str = ""
 
     @property
     def goals(self) -> tuple[Goal, ...]:

@@ -113,6 +113,7 @@ class Settings:
         share: Splats for each different set of higher harmonics, as a palette has them, or None
             where each has its own.
         search: What a count is searched for, or None where it is known beforehand.
+        environment: The environment beside levels, in words; no task hangs on it.
     """
 
     inputs: tuple[InputFile, ...]
@@ -130,6 +131,7 @@ class Settings:
     sh_degree: int | None = None
     share: float | None = None
     search: Sought | None = None
+    environment: str = ""
 
     @property
     def splats(self) -> int:
