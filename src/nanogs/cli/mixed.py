@@ -62,6 +62,9 @@ def _means(score: "MixedScore") -> str:
     coarse = f"{number_text(score.coarse_psnr)} dB / {number_text(score.coarse_ssim, 4)}"
     seams = "no levels meet"
     if score.seam_loss is not None:
+        than = "better" if score.seam_loss < 0 else "worse"
         share = f"{score.seams:.1%} of the pixels"
-        seams = f"{number_text(score.seam_loss)} dB worse at seams ({share})"
+        seams = (
+            f"seams, {share}, are {number_text(abs(score.seam_loss))} dB {than} than the coarser"
+        )
     return f"{score.name}, levels {chosen}: {mixed}; the coarsest alone {coarse}; {seams}"

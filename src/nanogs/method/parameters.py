@@ -54,7 +54,10 @@ class ForestParameters:
     views: int = parameter(14, 1, views=True, help="Views of the original to render.")
     further: int = parameter(0, views=True)
     roaming: int = parameter(0, views=True)
-    view_size: int = parameter(896, 16, 8192, unit=" pixels", views=True)
+    view_size: int = parameter(
+        896, 16, 8192, unit=" pixels", views=True,
+        help="Pixels along the longer side of these views; fewer for results that are seen small.",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
