@@ -14,7 +14,7 @@ from builders import random_splats
 from conftest import scene_path
 from launch import run
 from nanogs import filters, io
-from nanogs.errors import NotEnoughMemoryError, OptionError, OutputError
+from nanogs.errors import ModelError, NotEnoughMemoryError, OutputError
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod import folder
 from nanogs.lod.environment import find_environment
@@ -387,6 +387,28 @@ def test_refused(model, tmp_path, name, options, words):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_is_left_out_of_an_environment_is_said(tmp_path):
+    options = {"layout": "streamed sog archive", "preset": "fast"}
+    sky = shell(300, 30)
+    means = sky.means.copy()
+    means[:2] = np.nan
+    labelled = replace(sky, means=means, extras={"label": np.arange(300)})
+    manifest, _ = write_levels(
+        random_splats(30), tmp_path / "a.ssog", [1], environment=labelled, environment_ratio=0.5,
+        **options,
+    )  # fmt: skip
+    assert manifest.environment.count == 149
+    assert "The environment: 2 splats hold a NaN or an infinite value; left out." in manifest.notes
+    assert any("The environment: Extra columns" in note for note in manifest.notes)
+    for nan, rows in (("error", 300), ("drop", 2)):
+        with pytest.raises(ModelError, match="The environment, a model: 2 splats hold a NaN"):
+            write_levels(
+                random_splats(30), tmp_path / "b.ssog", [1], nan=nan,
+                environment=labelled.take(np.arange(rows)), **options,
+            )  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ssog"]
+
+
 def test_an_environment_that_cannot_be_held_is_refused_before_any_work(tmp_path):
     big = concatenate([random_splats(120_000, degree=3), shell(100_000, 12, degree=3)])
     nanogs.save(big, tmp_path / "a.ply")
@@ -394,11 +416,6 @@ def test_an_environment_that_cannot_be_held_is_refused_before_any_work(tmp_path)
         write_levels(
             tmp_path / "a.ply", tmp_path / "a.ssog", [1], layout="streamed sog archive",
             preset="fast", max_memory="380MB", block=20_000,
-        )  # fmt: skip
-    with pytest.raises(OptionError, match="has no usable splat"):
-        write_levels(
-            random_splats(30), tmp_path / "a.ssog", [1], layout="streamed sog archive",
-            preset="fast", environment=replace(random_splats(1), means=np.full((1, 3), np.nan)),
         )  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
 

@@ -11,7 +11,7 @@ from os import PathLike
 from pathlib import Path
 
 from nanogs import filters
-from nanogs.errors import OptionError
+from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import counted
 from nanogs.frames import change_frame
 from nanogs.io import inspect, load
@@ -23,6 +23,7 @@ from nanogs.lod.environment import Shell, find_environment
 from nanogs.lod.layout import Layout
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.pipeline.api import simplify
+from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.reading import prepare, read_parts
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.rows import open_parts
@@ -135,18 +136,15 @@ class Surroundings:
 
     def _made(self, request: Request, source: str, count: int, read: Read) -> Environment:
         def whole() -> Splats:
-            found = read()
-            usable = found.finite()
-            if not usable.any():
-                raise OptionError(f"The environment, {source}, has no usable splat; leave it out.")
-            found = found if usable.all() else found.take(usable)
+            found = _usable(read(), source, request.nan)
             degree = request.edits.sh_degree
             return found if degree is None else found.with_sh_degree(degree)
 
         def made() -> Splats:
             found = whole()
             if self.ratio < 1:
-                found = simplify(found, ratio=self.ratio, preset="fast", threads=request.threads)[0]
+                small, _ = simplify(found, ratio=self.ratio, preset="fast", threads=request.threads)
+                found = replace(small, notes=found.notes)
             return change_frame(found, *request.frame) if request.frame else found
 
         return Environment(source, count, self.asked == AUTO, whole, made)
@@ -194,6 +192,23 @@ def without_environment(reports: Sequence[SimplifyReport]) -> list[SimplifyRepor
         replace(each, filters=tuple(took for took in each.filters if took.name != own))
         for each in reports
     ]
+
+
+def _usable(splats: Splats, source: str, nan: NanPolicy) -> Splats:
+    """An environment without splats that are not finite, which a note tells.
+
+    Raises:
+        ModelError: None is usable, or `nan="error"` and one is not.
+    """
+    finite = splats.finite()
+    if finite.all():
+        return splats
+    left_out = counted(int((~finite).sum()), "splat holds", "splats hold")
+    what = f"{left_out} a NaN or an infinite value"
+    if nan == "error" or not finite.any():
+        raise ModelError(f"The environment, {source}: {what}; name another one.")
+    note = f"The environment: {what}; left out."
+    return replace(splats.take(finite), notes=(*splats.notes, note))
 
 
 def _within(shell: Shell) -> filters.Filter:

@@ -227,8 +227,9 @@ class ChunksFilling(LevelsFilling):
         taken = given.count if given.own else 0
         noted = given.source, len(splats), size, len(self.beside), taken
         self.written = [each._replace(environment=noted) for each in self.written]
-        notes = [*self.written[0].notes, *lost] if not given.own else self.written[0].notes
-        self.written[0] = self.written[0]._replace(notes=tuple(notes))
+        # Of a part of the model, its levels say what is left out.
+        notes = (*self.written[0].notes, *splats.notes, *(() if given.own else lost))
+        self.written[0] = self.written[0]._replace(notes=tuple(map(str, notes)))
 
 
 def level_name(level: int, suffix: str = PLY) -> str:
