@@ -4,7 +4,7 @@ python benchmarks/scale.py make city.ply --splats 20000000 --degree 3 scene.ply 
 python benchmarks/scale.py run city.ply --max-memory 2GB --ratio 0.1
 python benchmarks/scale.py lod city.ply tileset.json --max-memory 2GB
 python benchmarks/scale.py kill scene.ply --given "psnr=30, block=9000" --suffix .spz
-python benchmarks/scale.py kill scene.ply --lod a.rad --max-memory 254MB
+python benchmarks/scale.py kill scene.ply --lod a.rad --given "block=9000"
 python benchmarks/scale.py seam scene.ply ... --blocks 4
 python benchmarks/scale.py tree scene.ply ... --blocks 6
 python benchmarks/scale.py chance scene.ply ... --ratios 0.01
@@ -37,7 +37,12 @@ from nanogs.views.automatic import automatic_cameras
 NANOGS = [sys.executable, "-m", "nanogs"]
 POLL = 0.2  # seconds: to find what many pages are shared with takes the processor too
 FILES = "a.ssog", "a.rad"  # levels in one file
-LAYOUTS = "tileset.json", "lod-meta.json", *FILES
+LAYOUTS = {
+    "tileset.json": "3d tiles",
+    "lod-meta.json": "streamed sog",
+    "a.ssog": "streamed sog archive",
+    "a.rad": "spark tree",
+}
 
 
 def copies(scenes: list[Splats], count: int, degree: int) -> Iterator[Splats]:
@@ -174,6 +179,9 @@ def kill(args: argparse.Namespace) -> None:
         command = [*NANOGS, *what, "-q", "--max-memory", args.max_memory, "--resume"]
         if args.given:
             call = f"simplify_blocks({str(args.source)!r}, {str(out)!r}, resume=True, {args.given})"
+            if args.lod:
+                given = f"preset='fast', layout={LAYOUTS[args.lod]!r}, {args.given}"
+                call = f"write_levels({str(args.source)!r}, {str(out)!r}, resume=True, {given})"
             command = [sys.executable, "-c", f"import nanogs; nanogs.{call}"]
         start = time.perf_counter()
         subprocess.run(command, check=True)
@@ -284,7 +292,7 @@ def main() -> None:
     one.add_argument("--times", type=int, default=100)
     one.add_argument("--lod", default="", choices=["", *LAYOUTS], help="make levels")
     one.add_argument("--chunk", type=int)
-    one.add_argument("--given", help="arguments of nanogs.simplify_blocks, as Python has them")
+    one.add_argument("--given", help="arguments of simplify_blocks or write_levels, in Python")
     one.add_argument("--suffix", default=".ply", help="of what it writes")
     one.add_argument("--max-memory", default="225MB")
     one.add_argument("--seed", type=int, default=0)

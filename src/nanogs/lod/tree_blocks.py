@@ -64,7 +64,7 @@ class Linked:
         built = kept[0] * row + 1.5 * sum(kept[1:]) * row + sum(kept) * _LAYER
         return Encoding(
             each=max(kept[0] * _SEARCHED, built),
-            described=CHUNK_ROWS * row * _WRITTEN,
+            described=min(CHUNK_ROWS, int(2 * sum(shares) * splats)) * row * _WRITTEN,
             seconds=sum(shares) * splats * self.weight / 1e6,
             sized=False,
         )
