@@ -232,16 +232,14 @@ class Linked(Protocol):
     def weight(self) -> float:
         """Seconds of a machine for a million splats."""
 
-    def link(
-        self, levels: Sequence[Source], some: Splats, threads: int, steps: int | None
-    ) -> BlockTree:
+    def link(self, levels: Sequence[Source], some: Splats, threads: int, steps: int) -> BlockTree:
         """The tree of a block.
 
         Args:
             levels: What results leave of it, the finest first, of 1 splat or more each.
             some: Splats of the finest result, the same for all blocks.
             threads: To search with.
-            steps: How often splats of the coarsest are merged until there are few enough roots.
+            steps: How often splats of the coarsest are merged, so that there are few roots.
 
         Raises:
             OptionError: A splat would stand for too many others.
@@ -289,13 +287,16 @@ class Filling(ABC):
         """Write the next result, of whose blocks the sink's chunks have made the files."""
         raise NotImplementedError
 
-    def add_trees(self, trees: Sequence[BlockTree], levels: int, some: Splats) -> None:
+    def add_trees(
+        self, trees: Sequence[BlockTree], levels: int, some: Splats, tell: Parts = untold
+    ) -> None:
         """Take what a sink's layout has linked; results are added afterwards.
 
         Args:
             trees: Of each block.
             levels: How many results they have, the finest first.
             some: As `Linked.link` took it.
+            tell: Told how much has been written, which is done in the end.
         """
         raise NotImplementedError
 

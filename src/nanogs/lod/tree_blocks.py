@@ -17,6 +17,7 @@ from nanogs._types import I64
 from nanogs.io.rad.header import CHUNK_ROWS
 from nanogs.lod.tree import Layer, Linking, above, build, frame_of, joined_nodes, refuse_many
 from nanogs.method.nodes import Nodes
+from nanogs.progress import Parts, untold
 from nanogs.sink import BlockTree, Encoding
 from nanogs.source import InMemory, Source
 from nanogs.source.base import joined_rows
@@ -37,9 +38,7 @@ class Linked:
     suffix: ClassVar[str] = ".rad"
     weight: ClassVar[float] = 9.0
 
-    def link(
-        self, levels: Sequence[Source], some: Splats, threads: int, steps: int | None
-    ) -> BlockTree:
+    def link(self, levels: Sequence[Source], some: Splats, threads: int, steps: int) -> BlockTree:
         """As `sink.Linked` says."""
         linking = Linking(threads)
         for level in levels:
@@ -88,15 +87,18 @@ class TreeRows(Source):
 
     Args:
         runs: All of them.
+        tell: Told how much has been read of all rows, which who writes them reads twice.
     """
 
-    def __init__(self, runs: Sequence[_Run]) -> None:
-        self._runs = runs
+    def __init__(self, runs: Sequence[_Run], tell: Parts = untold) -> None:
+        self._runs, self._tell, self._read = runs, tell, 0
         self._ends = np.cumsum([0, *(run.stop - run.start for run in runs)])
         self.count, self.columns = int(self._ends[-1]), runs[0].source.columns
 
     def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
+        self._tell(min(self._read, 2 * self.count), 2 * self.count)
+        self._read += stop - start
         parts = [run.source.read(low, high) for run, low, high in self._within(start, stop)]
         return joined_rows(parts or [self._runs[0].source.read(0, 0)])
 
@@ -117,7 +119,9 @@ class TreeRows(Source):
         return found
 
 
-def joined_trees(trees: Sequence[BlockTree], further: Sequence[Source], some: Splats) -> TreeRows:
+def joined_trees(
+    trees: Sequence[BlockTree], further: Sequence[Source], some: Splats, tell: Parts = untold
+) -> TreeRows:
     """All rows of a scene.
 
     Args:
@@ -125,6 +129,7 @@ def joined_trees(trees: Sequence[BlockTree], further: Sequence[Source], some: Sp
         further: Results that are coarser than the trees' levels, the finest first; with them roots
             only say what is below them, and are no rows of the tree.
         some: As `sink.Linked.link` took it.
+        tell: As `TreeRows` takes it.
 
     Raises:
         OptionError: A splat would stand for too many others.
@@ -147,7 +152,7 @@ def joined_trees(trees: Sequence[BlockTree], further: Sequence[Source], some: Sp
         _Run(layer, partial(_part, counts), 0, layer.count)
         for layer, counts in zip(layers[::-1], children[::-1], strict=True)
     ]
-    return TreeRows([*runs, *_below(trees, bounds, top.order)])
+    return TreeRows([*runs, *_below(trees, bounds, top.order)], tell)
 
 
 def _top(roots: Source, further: Sequence[Source], number: int) -> list[Layer]:

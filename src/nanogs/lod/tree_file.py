@@ -84,10 +84,13 @@ class TreeFilling(Filling):
         self._trees: Sequence[BlockTree] = ()
         self._linked, self._further = 0, list[Source]()
         self._some: Splats | None = None
+        self._tell: Parts = untold
 
-    def add_trees(self, trees: Sequence[BlockTree], levels: int, some: Splats) -> None:
+    def add_trees(
+        self, trees: Sequence[BlockTree], levels: int, some: Splats, tell: Parts = untold
+    ) -> None:
         """As `Filling` says."""
-        self._trees, self._linked, self._some = trees, levels, some
+        self._trees, self._linked, self._some, self._tell = trees, levels, some, tell
 
     def add(self, model: Splats | Source, tell: Parts = untold) -> None:
         """Link a level to the one before, unless blocks have been linked as far as that."""
@@ -132,7 +135,7 @@ class TreeFilling(Filling):
         """Write the file, and count its rows."""
         with self._making.open("wb") as file:
             if self._some is not None:
-                rows = joined_trees(self._trees, self._further, self._some)
+                rows = joined_trees(self._trees, self._further, self._some, self._tell)
                 write(rows, file, tree=rows)
                 return rows.count
             assert self._leaves is not None, "there is one level at least"  # noqa: S101

@@ -18,7 +18,8 @@ from nanogs.pipeline.parts import Parts, further
 from nanogs.pipeline.rows import opened
 from nanogs.pipeline.run import Done
 from nanogs.pipeline.work import Work
-from nanogs.progress import Tracker
+from nanogs.progress import Parts as Told
+from nanogs.progress import Tracker, untold
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import FileJudge, file_costs, file_judge
 from nanogs.sink import Chunked, Linked, Sink, Written
@@ -88,11 +89,13 @@ class Ending:
     def _make(self, done: Done, made: Path, progress: Tracker) -> list[Written]:
         try:
             filling, work = self.sink.open(made, done.entries.get("format_options", {})), done.work
+            tell: Told = progress.part
             if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
-                filling.add_trees(trees_of(work), levels, spread_sample(work))
+                filling.add_trees(trees_of(work), levels, spread_sample(work), tell)
+                tell = untold  # all is written in the end
             for number, level in enumerate(done.levels):
                 if not isinstance(self.sink.chunks, Chunked):
-                    progress.part(number, len(done.levels))
+                    tell(number, len(done.levels))
                     with result_of(work, level) as source:
                         filling.add(source)
                 else:

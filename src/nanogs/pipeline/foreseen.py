@@ -20,6 +20,7 @@ from nanogs.pipeline.weights import (
     write_weight,
 )
 from nanogs.progress import Stage
+from nanogs.sink import Linked
 
 
 def job_stages(settings: Settings) -> list[Stage]:
@@ -39,7 +40,9 @@ def job_stages(settings: Settings) -> list[Stage]:
             sought.is_measured, settings.parameters, splats, sought.suffix
         )
         stages += [*before, *after]
-    return [*stages, Stage("write", 0.1 * settings.splats / 1e6)]
+    chunks = settings.chunks
+    writing = chunks.weight * sum(ratios) if isinstance(chunks, Linked) else 0.1
+    return [*stages, Stage("write", writing * settings.splats / 1e6)]
 
 
 def result_stages(settings: Settings, count: int) -> list[Stage]:
