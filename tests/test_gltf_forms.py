@@ -48,6 +48,13 @@ def test_text_with_a_data_uri_is_the_same_model(made, expected, tmp_path):
     assert info.file_bytes == (tmp_path / "a.gltf").stat().st_size
 
 
+def test_a_long_comment_is_no_data_uri(tmp_path):
+    comments = ["data:" + "x" * 400, '"uri":"data:' + "y" * 400]
+    model = replace(random_splats(5), comments=comments)
+    io.save(model, tmp_path / "a.gltf")
+    assert io.load(tmp_path / "a.gltf").comments == tuple(comments)
+
+
 def test_text_whose_slashes_are_escaped(made, expected, tmp_path):
     (tmp_path / "a.gltf").write_text(as_text(*made).replace("/", "\\/"))
     assert_same(io.load(tmp_path / "a.gltf"), expected)

@@ -6,6 +6,7 @@ file, most of its bytes, are passed over when its JSON is read, which has a limi
 from where they lie.
 """
 
+import re
 import struct
 from pathlib import Path
 from typing import BinaryIO
@@ -19,6 +20,7 @@ MAGIC = b"glTF"
 JSON_CHUNK, BODY_CHUNK = b"JSON", b"BIN\0"
 _CHUNK = struct.Struct("<I4s")
 _OPENING = b'"data:'
+_KEY = re.compile(rb'"uri"\s*:\s*"$')
 _LONG = 256  # of a URI; shorter ones stay in the JSON
 _PIECE = 1 << 20  # bytes
 
@@ -68,6 +70,8 @@ def _lift(path: Path, file: BinaryIO) -> tuple[bytes, dict[str, Lifted]]:
                 at = end
                 if found < 0:
                     break
+                if _KEY.search(rest[-_LONG:]) is None:  # a comment, say
+                    continue
                 begin, escaped = place + at, False
             end = held.find(b'"', at)
             if end < 0 and place + len(held) - begin <= _LONG:
