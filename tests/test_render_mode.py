@@ -269,18 +269,21 @@ def test_bench_measures_as_asked(models, tmp_path):
     """Originals, results and files of other tools alike; the table says so."""
     right, wrong = models
     nanogs.simplify_blocks(wrong, tmp_path / "small.ply", ratio=0.1, preset="fast")
+    nanogs.convert(tmp_path / "small.ply", tmp_path / "plain.ply", render_mode="default")
     options = ("--ratios", "0.1", "--methods", "random", "--pixels", "48", "--views", "2",
-               "--external", f"other={tmp_path}/small.ply")  # fmt: skip
+               "--external", f"other={tmp_path}/small.ply",
+               "--external", f"plain={tmp_path}/plain.ply")  # fmt: skip
 
     def rows(model, *more):
         made = done("bench", f"--scene=s={model}", *options, *more)["rows"]
         return [(row["method"], row["splats"], row["psnr"], row["ssim"]) for row in made]
 
     asked = rows(wrong, "--render-mode", "default")
-    assert [row[0] for row in asked] == ["original", "random", "other"]
+    assert [row[0] for row in asked] == ["original", "random", "other", "plain"]
+    assert asked[2][1:] == asked[3][1:]
     assert asked == rows(right, "--render-mode", "default")
     as_tagged = rows(wrong)
     assert asked[1][2] != as_tagged[1][2]
-    assert asked[2][2] != as_tagged[2][2]
+    assert as_tagged[2][2] != as_tagged[3][2]
     told = run("bench", f"--scene=s={wrong}", *options, "--render-mode", "default")
     assert "All models are drawn as default, whatever their files say." in told.stdout
