@@ -10,6 +10,7 @@ import pytest
 import nanogs
 from builders import model_bytes, random_splats
 from launch import run
+from nanogs.bench.worker import Job, do_job
 from nanogs.errors import OptionError
 from nanogs.io import registry
 from nanogs.io.limits import lost_mode
@@ -287,3 +288,11 @@ def test_bench_measures_as_asked(models, tmp_path):
     assert as_tagged[2][2] != as_tagged[3][2]
     told = run("bench", f"--scene=s={wrong}", *options, "--render-mode", "default")
     assert "All models are drawn as default, whatever their files say." in told.stdout
+
+
+@pytest.mark.parametrize("size", [None, 20_000])
+def test_methods_of_bench_are_given_the_model_as_asked(models, tmp_path, size):
+    _, wrong = models
+    job = Job(wrong, "fast", 0.1, tmp_path / "a.ply", size=size, render_mode="default")
+    assert do_job(job).error == ""
+    assert nanogs.load(tmp_path / "a.ply").render_mode is DEFAULT
