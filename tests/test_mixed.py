@@ -12,7 +12,7 @@ import nanogs
 from builders import random_splats
 from conftest import scene_path
 from launch import run
-from nanogs.errors import FormatError, OptionError
+from nanogs.errors import FormatError, NanogsError, NotEnoughMemoryError, OptionError
 from nanogs.io.sog.chunks import read_chunks
 from nanogs.raster.camera import Camera
 from nanogs.scoring import mixed_views
@@ -374,6 +374,17 @@ def test_only_streams_are_mixed(scene):
         nanogs.compare_mixed(scene, scene)
     with pytest.raises(OptionError, match="at least one"):
         nanogs.compare_mixed(scene)
+
+
+def test_what_is_asked_of_python_is_checked(scene, stream):
+    with pytest.raises(OptionError, match="2 in all"):
+        nanogs.compare_mixed(scene, stream, names=["a"])
+    with pytest.raises(OptionError, match="1 splat or more"):
+        nanogs.compare_mixed(scene, stream, budget=0)
+    with pytest.raises(NanogsError, match="download the stream"):
+        nanogs.compare_mixed(scene, "https://example.org/web/lod-meta.json")
+    with pytest.raises(NotEnoughMemoryError, match="mixed levels"):
+        nanogs.compare_mixed(scene, stream, max_memory="1MB")
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,7 @@ def compare(
     packing = packing_of(packed, format_options) if packed else {}
     given, limit = (original, *models), None if max_memory is None else as_bytes(max_memory)
     with ExitStack() as stack:
-        names = [_file_name(original) or "original", *called]
+        names = [file_name(original) or "original", *called]
         sources = [
             stack.enter_context(opened(model, name))
             for name, model in zip(names, given, strict=True)
@@ -173,13 +173,14 @@ def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:
     if not models:
         raise OptionError("Give at least one model to compare with the original.")
     if names is None:
-        return [_file_name(model) or f"model {place}" for place, model in enumerate(models, 1)]
+        return [file_name(model) or f"model {place}" for place, model in enumerate(models, 1)]
     if isinstance(names, str) or len(names) != len(models):
         raise OptionError(f"Give one name for each model, {len(models)} in all, not {names!r}.")
     return list(names)
 
 
-def _file_name(model: Model) -> str | None:
+def file_name(model: Model) -> str | None:
+    """The name of a model's file, or None where it is none."""
     return place(model).name if isinstance(model, str | PathLike) else None
 
 

@@ -14,12 +14,14 @@ from nanogs.errors import OptionError
 from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
 from nanogs.io.registry import ARCHIVE, LEVELS
+from nanogs.io.stand_ins import refuse_address
+from nanogs.io.urls import place
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.needs import model_bytes, models_bytes, scoring_bytes
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Background, Protocol
 from nanogs.quantities import as_bytes
-from nanogs.scoring.api import Pixels, asked_views
+from nanogs.scoring.api import Pixels, asked_views, file_name
 from nanogs.views.cameras import Cameras
 
 if TYPE_CHECKING:
@@ -126,15 +128,14 @@ def compare_mixed(
         NotEnoughMemoryError: It takes more memory than is free or allowed.
         OptionError: An argument is out of range, no stream is given, or it is none.
     """
-    paths = [Path(stream) for stream in streams]
+    paths = [place(stream) for stream in streams]
+    for path in paths:
+        refuse_address(path, "download the stream, and give the path of its file")
+    called = _names(original, paths, names)
     _check(paths, budget)
     asked = asked_views(cameras, pixels)
     limit = None if max_memory is None else as_bytes(max_memory)
     _refuse_too_large(original, paths, *asked.pictures(views), limit)
-    called = names or [
-        Path(original).name if isinstance(original, str | PathLike) else "original",
-        *(path.name for path in paths),
-    ]
     # Here and not above: these bring Numba.
     from nanogs.raster.rendering import prepare
     from nanogs.scoring.comparison import protocol_of
@@ -159,10 +160,10 @@ def compare_mixed(
             split = None if found.kind == "given" else "test"
             protocol = protocol_of(seen, found.kind, split, background)
             told.begin("score")
-            for place, (name, stream) in enumerate(zip(called[1:], together, strict=True)):
+            for done, (name, stream) in enumerate(zip(called[1:], together, strict=True)):
                 marks = list["MixedView"]()
                 for number, view in enumerate(seen):
-                    told.part(place * len(seen) + number, len(paths) * len(seen))
+                    told.part(done * len(seen) + number, len(paths) * len(seen))
                     marks.append(stream.score(view, background, budget))
                 levels = tuple(np.diff(stream.ends).tolist())
                 apart = stream.chunks.environment
@@ -170,6 +171,18 @@ def compare_mixed(
                 notes += _notes(scores[-1])
         told.finish()
     return MixedComparison(called[0], len(whole), tuple(scores), tuple(dict.fromkeys(notes)))
+
+
+def _names(original: Model, paths: Sequence[Path], names: Sequence[str] | None) -> list[str]:
+    """Names of the original and of the streams."""
+    if names is None:
+        return [file_name(original) or "original", *(path.name for path in paths)]
+    if isinstance(names, str) or len(names) != 1 + len(paths):
+        raise OptionError(
+            f"Give one name for the original and for each stream, {1 + len(paths)} in all, not"
+            f" {names!r}."
+        )
+    return list(names)
 
 
 def _check(paths: Sequence[Path], budget: int | None) -> None:
