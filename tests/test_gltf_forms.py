@@ -14,7 +14,7 @@ from nanogs.errors import FormatError
 from nanogs.io.gltf import packed_write as gltf_spz
 from nanogs.io.parts import Whole
 from nanogs.sh import basis
-from nanogs.splats import RenderMode
+from nanogs.splats import ExtraElement, RenderMode
 from strategies import assert_same
 from test_gltf import PREFIX, columns, document, glb
 
@@ -170,6 +170,27 @@ def test_the_name_of_the_draft_before_is_read(tmp_path):
     text = data[20 : 20 + length].replace(b"compression_spz_2", b"compression_spz")
     (tmp_path / "b.glb").write_bytes(glb(json.loads(text), data[28 + length :]))
     assert_same(io.load(tmp_path / "b.glb"), io.load(tmp_path / "a.glb"))
+
+
+def test_records_of_packed_splats_are_left_out_with_a_note(tmp_path):
+    """Ours are of version 3 whatever the model holds; others may pack version 4."""
+    rows = np.frombuffer(b"hello", [("byte", "u1")])
+    element = ExtraElement("spz_record_12340001", rows)
+    model = replace(random_splats(40, degree=1), elements=[element])
+    data = packed(tmp_path / "a.glb", model).read_bytes()
+    assert io.inspect(tmp_path / "a.glb").encoding == "gzip"
+    assert "spz_record_12340001" in " ".join(gltf_spz.losses(model))
+    io.save(model, tmp_path / "a.spz")
+    length = int.from_bytes(data[12:16], "little")
+    content, body = json.loads(data[20 : 20 + length]), (tmp_path / "a.spz").read_bytes()
+    content["bufferViews"][0]["byteLength"] = content["buffers"][0]["byteLength"] = len(body)
+    (tmp_path / "b.glb").write_bytes(glb(content, body + bytes(-len(body) % 4)))
+    again = io.load(tmp_path / "b.glb")
+    assert again.notes == (
+        "Extension records of the packed splats were left out: spz_record_12340001.",
+    )
+    assert again.elements == ()
+    assert np.array_equal(again.sh, io.load(tmp_path / "a.spz").sh)
 
 
 def test_packed_splats_are_placed_by_their_nodes(tmp_path):
