@@ -28,6 +28,7 @@ memory needs
 datasets views
 fit
 report
+block_layouts
 sink method
 summary
 view scoring

@@ -15,6 +15,7 @@ import nanogs
 from builders import random_splats
 from launch import run
 from nanogs import io
+from nanogs.block_layouts import BlockChunks
 from nanogs.errors import FormatError, NotEnoughMemoryError, OptionError, OutputError
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod import folder as levels_folder
@@ -29,7 +30,6 @@ from nanogs.pipeline.chunked import joined_up
 from nanogs.pipeline.folder import MANIFEST
 from nanogs.pipeline.plan import plan_blocks
 from nanogs.pipeline.presets import PRESETS
-from nanogs.sink import BlockChunks
 from nanogs.source import Layout as Columns
 from nanogs.splats import concatenate
 from supersplatpage import in_supersplat

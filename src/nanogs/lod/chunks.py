@@ -11,11 +11,11 @@ import numpy as np
 
 from nanogs._types import I64, Array, F
 from nanogs._version import __version__
+from nanogs.block_layouts import PLACED, BlockChunks, Encoding
 from nanogs.errors import OptionError
 from nanogs.io.json_fields import is_plain
 from nanogs.lod.cells import Cells, divide
 from nanogs.progress import Parts, untold
-from nanogs.sink import PLACED, BlockChunks, Encoding
 from nanogs.splats import Splats
 
 GENERATOR = "nanogs"
@@ -73,7 +73,7 @@ class Tree(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ChunkLayout(ABC):
-    """A layout that divides levels; see `sink.Chunked`.
+    """A layout that divides levels; see `block_layouts.Chunked`.
 
     Attributes:
         most: Splats of the finest level in a chunk, at most.

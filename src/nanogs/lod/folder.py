@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nanogs.block_layouts import BlockChunks
 from nanogs.errors import FormatError
 from nanogs.findings import join_findings
 from nanogs.io import losses, registry, save
@@ -21,7 +22,7 @@ from nanogs.lod.chunks import ChunkLayout, Tree, plain_paths
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.progress import Parts, untold
 from nanogs.report import SimplifyReport
-from nanogs.sink import BlockChunks, Environment, Filling, Judge, Written, refuse_large
+from nanogs.sink import Environment, Filling, Judge, Written, refuse_large
 from nanogs.source import Source
 from nanogs.splats import Splats
 

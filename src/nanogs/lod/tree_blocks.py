@@ -14,11 +14,11 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from nanogs._types import I64
+from nanogs.block_layouts import BlockTree, Encoding
 from nanogs.io.rad.header import CHUNK_ROWS
 from nanogs.lod.tree import Layer, Linking, above, build, frame_of, joined_nodes, refuse_many
 from nanogs.method.nodes import Nodes
 from nanogs.progress import Parts, untold
-from nanogs.sink import BlockTree, Encoding
 from nanogs.source import InMemory, Source
 from nanogs.source.base import joined_rows
 from nanogs.splats import Splats, concatenate

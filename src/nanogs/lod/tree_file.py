@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from nanogs.block_layouts import BlockTree
 from nanogs.io import losses
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import as_splats
@@ -14,7 +15,7 @@ from nanogs.lod.tree import Linking, above, as_rows
 from nanogs.lod.tree_blocks import Linked, joined_trees
 from nanogs.progress import Parts, untold
 from nanogs.report import SimplifyReport
-from nanogs.sink import BlockTree, Filling, Judge, OneFile, Written, made_beside
+from nanogs.sink import Filling, Judge, OneFile, Written, made_beside
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import Splats
 from nanogs.switches import tree_pixel

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs._types import Array
+from nanogs.block_layouts import BlockChunks
 from nanogs.findings import of_plain, to_plain
 from nanogs.pipeline.parts import count_of_block, means_of_block, part_of_block
 from nanogs.progress import Parts
-from nanogs.sink import BlockChunks
 from nanogs.splats import concatenate
 from nanogs.store.tables import Record, Table, write_table
 

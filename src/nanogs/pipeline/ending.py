@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from nanogs.block_layouts import Chunked, Linked
 from nanogs.io.atomic import atomic_write, output_error
 from nanogs.pipeline.chunked import blocks_of
 from nanogs.pipeline.folder import RESULT, refuse_finished
@@ -22,7 +23,7 @@ from nanogs.progress import Parts as Told
 from nanogs.progress import Tracker, untold
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import FileJudge, file_costs, file_judge
-from nanogs.sink import Chunked, Linked, Sink, Written
+from nanogs.sink import Sink, Written
 from nanogs.source import InMemory, Joined, Source, Turned
 from nanogs.store.scratch import hash_file
 

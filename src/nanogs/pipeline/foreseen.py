@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from nanogs.block_layouts import Linked
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.presets import Parameters, renders
@@ -20,7 +21,6 @@ from nanogs.pipeline.weights import (
     write_weight,
 )
 from nanogs.progress import Stage
-from nanogs.sink import Linked
 
 
 def job_stages(settings: Settings) -> list[Stage]:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nanogs._types import I64, Array
+from nanogs.block_layouts import BlockTree
 from nanogs.pipeline.parts import Parts
-from nanogs.sink import BlockTree
 from nanogs.source import Layout, Source, Turned
 from nanogs.source.base import joined_rows
 from nanogs.splats import Splats

@@ -6,11 +6,11 @@ No Numba here: `--dry-run` uses it without compiling anything.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from nanogs.block_layouts import PLACED, Chunked, Linked
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.slices import SLICE_PAIRS
 from nanogs.pipeline.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
 from nanogs.pipeline.presets import Parameters
-from nanogs.sink import PLACED, Chunked, Linked
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _GEOMETRY = 3 * _F8 + 3 * _F4 + 4 * _F4 + _F8 + _I4 + 1  # Gaussians; their features are the model's

@@ -6,13 +6,13 @@ No Numba here: `--dry-run` uses it.
 from dataclasses import dataclass, replace
 from math import ceil
 
+from nanogs.block_layouts import Chunked, Encoding, Linked
 from nanogs.errors import OptionError
 from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.memory_blocks import block_stages, scratch_bytes
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.unpack import Cost
-from nanogs.sink import Chunked, Encoding, Linked
 from nanogs.source import Layout
 from nanogs.store.columns import row_bytes
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nanogs.block_layouts import Chunked, Linked
 from nanogs.defaults import PATIENCE
 from nanogs.filters import Filter
 from nanogs.io import registry
@@ -21,7 +22,6 @@ from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
 from nanogs.pipeline.rows import Changes, check_degree, open_parts
 from nanogs.pipeline.target import Goal, is_searched, target_count
-from nanogs.sink import Chunked, Linked
 from nanogs.source import Joined
 from nanogs.store.columns import row_bytes
 

@@ -6,11 +6,11 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
+from nanogs.block_layouts import Chunked, Linked
 from nanogs.filters import Plain
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.asked import AUTOMATIC, Asked
 from nanogs.pipeline.presets import renders
-from nanogs.sink import Chunked, Linked
 from nanogs.source import Layout
 
 # Of others, a block sees as many splats as this share of its own, the nearest: memory is bounded.

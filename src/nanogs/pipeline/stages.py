@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from nanogs.block_layouts import Chunked, Linked
 from nanogs.method.choose import GROWTHS
 from nanogs.pipeline.blocks import leaves_of
 from nanogs.pipeline.budget import budget
@@ -46,7 +47,6 @@ from nanogs.pipeline.weights import (
     roaming_seconds,
 )
 from nanogs.pipeline.work import Work
-from nanogs.sink import Chunked, Linked
 from nanogs.store.tables import Record, write_table
 from nanogs.threads import use_threads
 
