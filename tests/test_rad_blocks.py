@@ -22,6 +22,7 @@ from nanogs.pipeline.plan import plan_blocks
 from nanogs.pipeline.presets import PRESETS
 from nanogs.raster.rendering import render
 from nanogs.source import Layout as Columns
+from sparkpage import in_spark
 from test_rad_lod import rows_sorted, tree_of
 from test_rad_spark import lopsided, seen_from_the_start
 
@@ -100,6 +101,20 @@ def test_it_looks_as_a_tree_made_in_memory(model, scene, made, tmp_path):
             for path in (made[0], tmp_path / "a.rad")
         ]
         assert marks[0] > marks[1] - 1
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
+def test_spark_draws_it(model, made, tmp_path):
+    """All of it, and of several levels beside each other as many as are asked for."""
+    camera = seen_from_the_start(model)
+    whole = render(model, camera).shown()
+    shown, state = in_spark(made[0], camera, tmp_path, mesh={"paged": True}, lodRenderScale=0)
+    assert state["splats"] == 3000
+    assert psnr(shown, whole) > 30
+    few, state = in_spark(made[0], camera, tmp_path, mesh={"paged": True}, lodSplatCount=900)
+    assert 700 < state["splats"] <= 900
+    assert 22 < psnr(few, whole) < psnr(shown, whole)
 
 
 @pytest.mark.parametrize(
