@@ -121,7 +121,7 @@ def test_a_search_that_is_killed_ends_the_same(scene, tmp_path, monkeypatch, wis
     assert tried >= 2
     assert whole.packings
     out, job = tmp_path / "b.spz", tmp_path / "b.spz.job"
-    for marks in sorted({*range(0, tried, 4), tried - 1}):
+    for marks in sorted({0, tried // 2, tried - 1}):
         with monkeypatch.context() as patch:
             kill_after(patch, marks)
             with pytest.raises(Killed):

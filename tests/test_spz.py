@@ -246,6 +246,27 @@ def test_a_stated_frame_stays_stated_where_nothing_is_turned(tmp_path):
         assert words in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("name", "more", "words"),
+    [
+        ("levels", ("--format", "ply"), "as of .ply files; it was not turned"),
+        ("levels", ("--format", "spz"), ""),
+        ("web/lod-meta.json", (), "as of .sog files; it was not turned"),
+        ("tree.rad", ("--max-memory", "300MB"), "as of .rad files; it was not turned"),
+        ("turned", ("--format", "spz", "--frame", "lub:rdf"), ""),
+    ],
+)
+def test_levels_say_that_a_stated_frame_is_left_out(tmp_path, name, more, words):
+    path = recorded(tmp_path, struct.pack("<III", 0xADBE0003, 4, 3), 40)
+    done = run("lod", path, tmp_path / name, "--levels", "1,0.5", "--preset", "fast", *more)
+    assert done.returncode == 0, done.stderr
+    assert ("states that its axes are lub" in done.stderr) == bool(words)
+    assert words in done.stderr
+    if name == "levels" and not words:
+        files = sorted((tmp_path / name).glob("*.spz"))
+        assert [stated(path) for path in files] == ["lub", "lub"]
+
+
 @pytest.mark.parametrize("version", VERSIONS)
 def test_inspect_agrees_with_the_model(load, version, tmp_path):
     load(encode([row(sh=[0] * 24)] * 5, version, degree=2))

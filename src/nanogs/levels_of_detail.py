@@ -26,13 +26,13 @@ from nanogs.lod.layout import Layout, chunks_of
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
 from nanogs.lod.usual import usual_ratios
-from nanogs.pipeline.files import cameras_of
+from nanogs.pipeline.files import cameras_of, stated_frame
 from nanogs.pipeline.foreseen import levels_stages
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.job import import_stages
 from nanogs.pipeline.levels import check_ratios, judged_levels
 from nanogs.pipeline.reading import Prepared, prepare, read_changed, reading_stages
-from nanogs.pipeline.request import Request, is_measured, plan_files
+from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import measure_stage, write_weight
 from nanogs.place import Place
@@ -191,6 +191,17 @@ def write_levels_of_files(
         NanogsError: It cannot be done.
     """
     plan = plan_files(request)
+    options, unstated = stated_frame(request, Path(f"level{_suffix(sink)}"))
+    if isinstance(sink, LevelsFolder) and sink.chunks is None:
+        sink = replace(sink, format_options=options)
+    manifest, reports = _written(request, plan, sink, told, sky)
+    return replace(manifest, notes=(*manifest.notes, *unstated)), reports
+
+
+def _written(
+    request: Request, plan: Plan, sink: LevelsSink, told: Progress | None, sky: Surroundings
+) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
+    """The levels of files."""
     if plan.divided:
         request, beside = sky.in_blocks(request)
         sink = _with(sink, beside)
@@ -258,6 +269,11 @@ def _whole(
     return replace(manifest, notes=(*manifest.notes, *notes)), tuple(reports)
 
 
+def _suffix(sink: LevelsSink) -> str:
+    """The format of the files that levels are in."""
+    return sink.chunks.suffix if sink.chunks else sink.suffix
+
+
 def _stages(request: Request, splats: int, sink: LevelsSink) -> list[Stage]:
     """The stages of `_whole`: those of `levels`, and a "write" after each level.
 
@@ -266,8 +282,7 @@ def _stages(request: Request, splats: int, sink: LevelsSink) -> list[Stage]:
     measure = [measure_stage(splats)] if is_measured(request) else []
     counts = [target_count(splats, ratio, None) for ratio in request.ratios]
     stages = levels_stages(request.parameters, splats, counts)
-    suffix = sink.chunks.suffix if sink.chunks else sink.suffix
-    writes = [Stage("write", write_weight(suffix, count)) for count in counts]
+    writes = [Stage("write", write_weight(_suffix(sink), count)) for count in counts]
     first = len(stages) - len(counts)
     pairs = zip(stages[first:], writes, strict=True)
     return [*measure, *stages[:first], *(stage for pair in pairs for stage in pair)]

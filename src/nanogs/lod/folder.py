@@ -42,6 +42,7 @@ class LevelsFolder:
         source: Name of the model for the manifest.
         chunks: How levels are divided; None for files of their own.
         suffix: Format of such files.
+        format_options: Of that format, as `save` takes them.
         environment: What belongs to every level beside them, for layouts that have a place for it.
     """
 
@@ -50,6 +51,7 @@ class LevelsFolder:
     source: str
     chunks: ChunkLayout | None = None
     suffix: str = PLY
+    format_options: FormatOptions | None = None
     environment: Environment | None = None
 
     def __post_init__(self) -> None:
@@ -87,7 +89,7 @@ class LevelsFolder:
 
     def _filling(self, making: Path) -> "LevelsFilling":
         if self.chunks is None:
-            return _Files(making, self.source, self.suffix)
+            return _Files(making, self.source, self.suffix, self.format_options)
         return ChunksFilling(making, self.source, self.chunks, self.environment)
 
     def move(self, made: Path) -> None:
@@ -120,14 +122,16 @@ class LevelsFilling(Filling):
 class _Files(LevelsFilling):
     """A file a level, `level_0` and so on, and `levels.json`."""
 
-    def __init__(self, folder: Path, source: str, suffix: str) -> None:
+    def __init__(
+        self, folder: Path, source: str, suffix: str, format_options: FormatOptions | None
+    ) -> None:
         super().__init__(folder, source)
-        self._suffix = suffix
+        self._suffix, self._format_options = suffix, format_options
 
     def add(self, model: Splats | Source, tell: Parts = untold) -> None:
         tell(0, 1)
         path = self._folder / level_name(len(self.written), self._suffix)
-        save(model, path)
+        save(model, path, format_options=self._format_options)
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         size, left_out = path.stat().st_size, losses(model, path)

@@ -33,13 +33,13 @@ Children = Callable[[int, int], I64]
 
 @dataclass(frozen=True, slots=True)
 class Linked:
-    """The layout of levels that become one tree; see `sink.Linked`."""
+    """The layout of levels that become one tree; see `block_layouts.Linked`."""
 
     suffix: ClassVar[str] = ".rad"
     weight: ClassVar[float] = 9.0
 
     def link(self, levels: Sequence[Source], some: Splats, threads: int, steps: int) -> BlockTree:
-        """As `sink.Linked` says."""
+        """As `block_layouts.Linked` says."""
         linking = Linking(threads)
         for level in levels:
             linking.add(level)
@@ -57,7 +57,7 @@ class Linked:
         splats: int,
         shares: Sequence[float],
     ) -> Encoding:
-        """As `sink.Linked` says, from measurements."""
+        """As `block_layouts.Linked` says, from measurements."""
         kept = [min(1.0, 2 * share) for share in shares]  # one block can keep more than others
         # A layer is put together of parts that are held meanwhile.
         built = kept[0] * row + 1.5 * sum(kept[1:]) * row + sum(kept) * _LAYER
@@ -69,7 +69,7 @@ class Linked:
         )
 
     def whole(self, row: int) -> int:
-        """As `sink.Linked` says."""
+        """As `block_layouts.Linked` says."""
         return max(_SEARCHED, 3 * row + 2 * _LAYER)
 
 
@@ -128,7 +128,7 @@ def joined_trees(
         trees: Of its blocks, of as many layers each.
         further: Results that are coarser than the trees' levels, the finest first; with them roots
             only say what is below them, and are no rows of the tree.
-        some: As `sink.Linked.link` took it.
+        some: As `block_layouts.Linked.link` took it.
         tell: As `TreeRows` takes it.
 
     Raises:

@@ -166,20 +166,28 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
         NanogsError: It cannot be done.
     """
     request.check()
-    options, notes = _frame_of(request)
+    options, notes = stated_frame(request, request.output)
     request = replace(request, format_options=options)
     plan = plan_files(request)
     report = _in_blocks(request, told) if plan.divided else _in_memory(request, plan, told)
     return replace(report, notes=(*report.notes, *notes))
 
 
-def _frame_of(request: Request) -> tuple["FormatOptions | None", tuple[str, ...]]:
-    """Options with which the output repeats the frame that the inputs state; see `repeated`."""
+def stated_frame(request: Request, output: Path) -> tuple["FormatOptions | None", tuple[str, ...]]:
+    """Options with which an output repeats the frame that the inputs state; see `repeated`.
+
+    Args:
+        request: What is asked for.
+        output: Of the format that is written.
+
+    Raises:
+        FormatError: An input cannot be read.
+    """
     if request.frame is not None:
         return request.format_options, ()
     with ExitStack() as stack:
         files = [stack.enter_context(open_model(path)) for path in request.inputs]
-        return repeated(request.output, request.format_options, files)
+        return repeated(output, request.format_options, files)
 
 
 def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:
