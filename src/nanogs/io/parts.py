@@ -19,9 +19,10 @@ from weakref import finalize
 import numpy as np
 
 from nanogs._types import Array
-from nanogs.errors import FormatError, OptionError, OutputError
+from nanogs.errors import FormatError, OptionError
 from nanogs.io.files import BLOCK_ROWS, reading
 from nanogs.io.info import FileInfo
+from nanogs.io.temporary import no_room
 from nanogs.source import Layout, Source
 from nanogs.splats import Splats
 
@@ -228,11 +229,7 @@ def _unpacked(packed: Packed) -> UnpackedColumns:
         for piece in packed.unpack(notes):
             file.write(np.ascontiguousarray(piece).data)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise OutputError(
-            f"{packed.path} cannot be unpacked into a temporary file ({reason}); free some"
-            " space, or name another place in TMPDIR."
-        ) from error
+        raise no_room(f"{packed.path} cannot be unpacked", error) from error
 
     def column(name: str, start: int, stop: int) -> Array:
         shape = packed.stored[name].shape

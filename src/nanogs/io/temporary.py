@@ -16,6 +16,7 @@ from pathlib import Path
 from secrets import token_hex
 
 from nanogs.cleanup import cleaned_up
+from nanogs.errors import OutputError
 
 try:
     import fcntl
@@ -45,6 +46,20 @@ def temporary(target: Path, make: Callable[[Path], None]) -> Iterator[Path]:
         make(path)
         with locked(path):
             yield path
+
+
+def no_room(what: str, error: OSError) -> OutputError:
+    """The error of something that a temporary file does not take.
+
+    Args:
+        what: What cannot be done: "scene.spz cannot be unpacked".
+        error: Why.
+    """
+    reason = error.strerror or str(error)
+    return OutputError(
+        f"{what} into a temporary file ({reason}); free some space, or name another place in"
+        " TMPDIR."
+    )
 
 
 def left_beside(target: Path, suffix: str) -> Iterator[Path]:

@@ -9,6 +9,7 @@ from typing import IO, Any
 
 from nanogs.errors import ExistsError, FormatError, NanogsError, OptionError, OutputError
 from nanogs.formatting import bytes_text
+from nanogs.io.temporary import no_room
 from nanogs.io.urls import Address
 from nanogs.progress import Parts
 
@@ -203,11 +204,7 @@ def _put(out: IO[bytes], data: bytes, address: Address) -> None:
         out.write(data)
         out.flush()  # or what is held back would fail when the file is closed
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise OutputError(
-            f"{address} cannot be put into a temporary file ({reason}); free some space, or name"
-            " another place in TMPDIR."
-        ) from None
+        raise no_room(f"{address} cannot be put", error) from None
 
 
 def _in_a_line(error: Exception) -> str:
