@@ -116,8 +116,9 @@ class Surroundings:
         shell = find_environment(InMemory(splats))
         if shell is None:
             return request, None
-        taken = replace(request, filters=(*request.filters, _within(shell)))
-        return taken, self._made(request, AUTO, shell.splats, lambda: splats)
+        taken, beyond = replace(request, filters=(*request.filters, _within(shell))), _beyond(shell)
+        sky = partial(splats.take, beyond.keep(splats))
+        return taken, self._made(request, AUTO, shell.splats, sky)
 
     def _named(self, request: Request, found: Environment) -> Request:
         """The request as a job records it, which is not continued with another environment."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from nanogs._types import F32, F64, I64, Bool
-from nanogs.io import load
+from nanogs.io import open as open_model
 from nanogs.io.sog.chunks import Chunks, read_chunks
 from nanogs.metrics import psnr, ssim
 from nanogs.protocol import Background
@@ -193,13 +193,13 @@ def levels_together(path: Path) -> LevelsTogether:
     chunks = read_chunks(path)
     parts, numbers, ends = [], [], [0]
     for level in range(chunks.counts.shape[1]):
-        model = load(path, level=level)
-        own = len(model) - chunks.environment
-        parts.append(model.take(np.arange(own)))
+        with open_model(path, level=level) as source:
+            own = source.count - chunks.environment
+            parts.append(source.read(0, own))
+            if level == 0:
+                apart = source.read(own, source.count)
         numbers.append(np.full(own, level, np.int64))
         ends.append(ends[-1] + own)
-        if level == 0:
-            apart = model.take(np.arange(own, len(model)))
     numbers.append(np.full(len(apart), NOTHING, np.int64))
     together = prepare(concatenate([*parts, apart]))
     return LevelsTogether(chunks, together, np.concatenate(numbers), np.array(ends))
