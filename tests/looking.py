@@ -1,4 +1,4 @@
-"""A model as the stages see it, once it has been looked at, and what views show of models."""
+"""A model as the stages see it, once it has been looked at, what views show, and a first view."""
 
 import numpy as np
 
@@ -7,7 +7,10 @@ from nanogs.metrics import psnr, ssim
 from nanogs.pipeline.one_block import OneBlock, whole_settings
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.stages import do
+from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import render
+from nanogs.views.opening import opening_for
+from nanogs.views.poses import look_at
 
 
 def looked(splats, cameras, parameters):
@@ -33,3 +36,12 @@ def marks(one, other, cameras):
     """Mean PSNR and SSIM of a model against another, in the plainest way."""
     pairs = list(zip(*(nanogs.render(model, cameras) for model in (one, other)), strict=True))
     return [float(np.mean([metric(a, b) for a, b in pairs])) for metric in (psnr, ssim)]
+
+
+def seen_from_the_start(model, width=240, height=180, up=None):
+    """The camera that `nanogs view` opens with, in a picture of that size."""
+    start = opening_for(model, up=up)
+    pose = look_at(start.position, start.target, start.up)
+    focal = min(width, height) / 2 / start.lens
+    near = start.near * start.distance
+    return Camera(width, height, focal, focal, width / 2, height / 2, pose, near=near)

@@ -9,13 +9,11 @@ import pytest
 import nanogs
 from cesiumpage import in_cesium
 from conftest import scene_path
+from looking import seen_from_the_start
 from nanogs import io
 from nanogs.lod.layout import Layout
 from nanogs.metrics import psnr
-from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import render
-from nanogs.views.opening import opening_for
-from nanogs.views.poses import look_at
 from sparkpage import in_spark
 from supersplatpage import in_supersplat, standing_at
 
@@ -37,12 +35,7 @@ def seen(request):
     """A scene with fewer splats, a camera before it, and our picture of it."""
     whole = nanogs.load(scene_path(SCENES[request.param]))
     model, _ = nanogs.simplify(whole, count=SPLATS, preset="fast")
-    start = opening_for(model, up=(0, -1, 0))
-    pose = look_at(start.position, start.target, start.up)
-    focal = HEIGHT / 2 / start.lens
-    near = start.near * start.distance
-    camera = Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, pose, near=near)
-    return model, camera
+    return model, seen_from_the_start(model, WIDTH, HEIGHT, up=(0, -1, 0))
 
 
 def assert_same(shown, model, camera):

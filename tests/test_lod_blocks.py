@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import nanogs
 from builders import random_splats
+from crashes import CrashError, crash_at
 from launch import run
 from nanogs import io
 from nanogs.block_layouts import BlockChunks
@@ -319,10 +320,6 @@ def test_what_is_left_out_is_said_once_for_all_blocks(tmp_path):
 # Runs that are cut off, workers
 
 
-class CrashError(Exception):
-    """As if the machine had been switched off."""
-
-
 @pytest.mark.parametrize("layout", [Layout.SOG, Layout.TILES])
 def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
     scene, tmp_path, made, layout, monkeypatch
@@ -330,27 +327,15 @@ def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(
     folder, done = tmp_path / "levels", []
     move = levels_folder.move_folder
 
-    def crash_at(function, *places):
-        """The function, which fails at its calls of these numbers."""
-        calls = itertools.count(1)
-
-        def call(*given, **options):
-            if next(calls) in places:
-                done.append("crash")
-                raise CrashError
-            return function(*given, **options)
-
-        return call
-
     def named(*given, **options):
         move(*given, **options)
         if done.count("moved") < 1:
             done.append("moved")
             raise CrashError  # the folder has its name, and the job is not taken away
 
-    monkeypatch.setattr(scale_run, "do", crash_at(stages.do, 1, 5, 20, 31, 46, 57))
+    monkeypatch.setattr(scale_run, "do", crash_at(stages.do, done, 1, 5, 20, 31, 46, 57))
     filling = levels_folder.ChunksFilling
-    monkeypatch.setattr(filling, "_write", crash_at(filling._write, 1, 5))
+    monkeypatch.setattr(filling, "_write", crash_at(filling._write, done, 1, 5))
     monkeypatch.setattr(levels_folder, "move_folder", named)
     for _ in range(20):
         try:

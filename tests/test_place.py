@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import nanogs
 from builders import random_splats
+from crashes import CrashError
 from launch import run
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
@@ -275,10 +276,6 @@ def test_places_that_are_refused(scene, tmp_path, output, options, words):
     result = run("lod", scene, tmp_path / "out" / output, *options.split())
     assert_refused(result, *words)
     assert not (tmp_path / "out").exists()
-
-
-class CrashError(Exception):
-    """As if the machine had been switched off."""
 
 
 def test_blocks_and_a_job_that_is_resumed_keep_the_place(scene, tmp_path):

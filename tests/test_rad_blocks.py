@@ -1,6 +1,5 @@
 """Trees of models that do not fit into memory: `.rad` by blocks, and by runs that are cut off."""
 
-import itertools
 import json
 
 import numpy as np
@@ -9,7 +8,9 @@ import pytest
 import nanogs
 import radfiles
 from builders import random_splats
+from crashes import CrashError, crash_at
 from launch import run
+from looking import seen_from_the_start
 from nanogs import io, sink
 from nanogs.errors import OptionError
 from nanogs.levels_of_detail import write_levels
@@ -24,7 +25,7 @@ from nanogs.raster.rendering import render
 from nanogs.source import Layout as Columns
 from sparkpage import in_spark
 from test_rad_lod import rows_sorted, tree_of
-from test_rad_spark import lopsided, seen_from_the_start
+from test_rad_spark import lopsided
 
 RATIOS = (1, 0.5, 0.25, 0.1)
 TREE = "spark tree"
@@ -166,23 +167,6 @@ def test_a_splat_for_too_many_others_is_refused(monkeypatch, scene, tmp_path):
 
 
 # Runs that are cut off
-
-
-class CrashError(Exception):
-    """As if the machine had been switched off."""
-
-
-def crash_at(function, done, *places):
-    """The function, which fails at its calls of these numbers."""
-    calls = itertools.count(1)
-
-    def call(*given, **options):
-        if next(calls) in places:
-            done.append("crash")
-            raise CrashError
-        return function(*given, **options)
-
-    return call
 
 
 @pytest.mark.parametrize("name", ["a.rad", "a.ssog"])

@@ -12,6 +12,7 @@ import nanogs
 import radfiles
 from builders import model_bytes, random_splats
 from launch import run
+from looking import seen_from_the_start
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.rad.header import read_header
@@ -23,7 +24,7 @@ from nanogs.raster.rendering import render
 from nanogs.source import InMemory
 from radfiles import chunk, rad, tree_columns, usual
 from sparkpage import in_spark
-from test_rad_spark import lopsided, seen_from_the_start
+from test_rad_spark import lopsided
 
 RATIOS = (1, 0.5, 0.25, 0.1)
 

@@ -8,24 +8,13 @@ import pytest
 import nanogs
 from builders import random_splats
 from conftest import scene_path
+from looking import seen_from_the_start
 from nanogs import io
 from nanogs.metrics import psnr
-from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import render
-from nanogs.views.opening import opening_for
-from nanogs.views.poses import look_at
 from sparkpage import in_spark
 
 pytestmark = pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
-
-
-def seen_from_the_start(model, width=240, height=180):
-    """The camera that `nanogs view` opens with, in a picture of that size."""
-    start = opening_for(model)
-    pose = look_at(start.position, start.target, start.up)
-    focal = height / 2 / start.lens
-    near = start.near * start.distance
-    return Camera(width, height, focal, focal, width / 2, height / 2, pose, near=near)
 
 
 def lopsided(count=400):

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import nanogs
 from builders import model_bytes, random_splats
+from crashes import CrashError
 from nanogs.errors import FormatError, ModelError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
@@ -348,10 +349,6 @@ def test_the_scratch_can_be_a_url(scene, tmp_path, expected):
 
 
 # ---- what was begun -------------------------------------------------------------------------
-
-
-class CrashError(Exception):
-    """As if the machine had been switched off."""
 
 
 def test_a_job_that_was_cut_off_anywhere_gives_the_same_bytes(

@@ -10,6 +10,7 @@ import ksplatfiles
 import nanogs
 from builders import random_splats
 from conftest import scene_path
+from crashes import CrashError
 from launch import run as run_command
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.sog import read as sog
@@ -173,10 +174,6 @@ def test_what_is_said_of_parts_becomes_one_sentence(tmp_path):
 
 
 # ---- what was begun -------------------------------------------------------------------------
-
-
-class CrashError(Exception):
-    """As if the machine had been switched off."""
 
 
 def crash_at(monkeypatch, stage, times=1):

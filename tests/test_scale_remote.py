@@ -22,6 +22,7 @@ import pytest
 import launch
 import nanogs
 from builders import random_splats
+from crashes import CrashError
 from nanogs.clock import StageClock
 from nanogs.errors import FormatError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
@@ -90,10 +91,6 @@ def until(condition, child, seconds=100, every=0.005):
 def records(out):
     """How many tasks are done of a job that keeps its files in its own folder."""
     return len(list(out.with_name(f"{out.name}.job").glob("scratch/*.json")))
-
-
-class CrashError(Exception):
-    """As if the machine had been switched off."""
 
 
 def crash_at(stage, done):

@@ -12,14 +12,12 @@ import nanogs
 from browsers import CHROMIUM, SOFTWARE
 from builders import random_splats
 from conftest import scene_path
+from looking import seen_from_the_start
 from nanogs.metrics import psnr
-from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import render
 from nanogs.scoring.run import compare_files
 from nanogs.scoring.viewing import view_files
 from nanogs.splats import RenderMode
-from nanogs.views.opening import opening_for
-from nanogs.views.poses import look_at
 from viewer_bundle import require_bundle
 
 pytestmark = [
@@ -334,10 +332,7 @@ def rendered_and_shown(chromium, model, folder):
     shown = seen.pixels()
     seen.close()
     splats = nanogs.load(model)
-    start = opening_for(splats)
-    pose = look_at(start.position, start.target, start.up)
-    focal = 100 / start.lens
-    camera = Camera(200, 200, focal, focal, 100, 100, pose, near=start.near * start.distance)
+    camera = seen_from_the_start(splats, 200, 200)
     return render(splats, camera).shown(), shown
 
 
