@@ -2,13 +2,16 @@
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F64, I32, I64, Bool
 from nanogs.kernels.knn import search_tree
 from nanogs.kernels.knn_tree import build_tree
 from nanogs.kernels.lanes import LANES
 from nanogs.kernels.nearest import find_nearest
+from nanogs.slices import slices
 from nanogs.threads import use_threads
 
+_SLICE = 1 << 16  # rows that are scaled at a time
 _EXPONENT = 500  # coordinates are scaled to 2^500: their squares fit, and so do those of 2^-1000
 
 
@@ -33,9 +36,10 @@ def nearest_neighbours(means: F64, k: int, threads: int) -> I32:
     if k <= 0:
         return neighbours
     crowded = np.empty(n, dtype=bool)
-    _search(_scaled(means), threads, neighbours, crowded)
-    if crowded.any():
-        _uncrowd(_scaled(means), np.flatnonzero(crowded), neighbours)
+    with use_threads(threads):
+        _search(_scaled(means), threads, neighbours, crowded)
+        if crowded.any():
+            _uncrowd(_scaled(means), np.flatnonzero(crowded), neighbours)
     return neighbours
 
 
@@ -75,16 +79,28 @@ def coincident_groups(means: F64) -> tuple[I64, I64]:
 
 def _scaled(means: F64) -> F64:
     """(3, N) coordinates times a power of two, which changes no order of distances."""
-    highest = max(-float(means.min()), float(means.max()))
-    return np.ldexp(means.T, _EXPONENT - int(np.frexp(highest)[1]), order="C")
+    ends: list[float] = []
+
+    def measure(part: slice) -> None:
+        ends.append(max(-float(means[part].min()), float(means[part].max())))
+
+    spread.each(slices(len(means), _SLICE), measure)
+    exponent = _EXPONENT - int(np.frexp(max(ends))[1])
+    scaled = np.empty((3, len(means)))
+
+    def scale(part: slice) -> None:
+        for axis in range(3):
+            np.ldexp(means[part, axis], exponent, out=scaled[axis, part])
+
+    spread.each(slices(len(means), _SLICE), scale)
+    return scaled
 
 
 def _search(scaled: F64, threads: int, neighbours: I32, crowded: Bool) -> None:
     """Fill the neighbours; the scaled centres are reordered."""
     points = scaled.reshape(-1)
-    with use_threads(threads):
-        rows, boxes = _tree(points, threads)
-        search_tree(points, rows, boxes, neighbours, crowded)
+    rows, boxes = _tree(points, threads)
+    search_tree(points, rows, boxes, neighbours, crowded)
 
 
 def _tree(points: F64, threads: int) -> tuple[I32, F64]:

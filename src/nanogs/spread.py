@@ -59,6 +59,11 @@ class Spread(Generic[P]):
 
         _on(threads, work)
 
+    def here(self, *args: P.args, **kwargs: P.kwargs) -> None:
+        """Run the whole range on this thread alone: for a part of what is spread already."""
+        assert not kwargs  # noqa: S101 - as above
+        self._compiled(0, len(args[self._place]), *args)  # type: ignore[arg-type]
+
 
 def each(parts: Iterable[T], work: Callable[[T], None]) -> None:
     """Do some work for each part, in any order, on all threads; for NumPy, which lets others run.
@@ -67,7 +72,8 @@ def each(parts: Iterable[T], work: Callable[[T], None]) -> None:
         parts: What the work takes; what it does for one must not touch what it does for another.
         work: Called once for each.
     """
-    waiting, lock = iter(parts), Lock()
+    every = list(parts)
+    waiting, lock = iter(every), Lock()
 
     def work_on() -> None:
         while True:
@@ -77,7 +83,7 @@ def each(parts: Iterable[T], work: Callable[[T], None]) -> None:
                 return
             work(part)
 
-    _on(int(numba.get_num_threads()), work_on)
+    _on(min(int(numba.get_num_threads()), len(every)), work_on)
 
 
 def _on(threads: int, work: Callable[[], None]) -> None:

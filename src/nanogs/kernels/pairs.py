@@ -127,10 +127,15 @@ def offer_pairs(
     costs: F32,
     taken: Bool,
     bounds: I64,
+    crossing: I32,
+    reached: I64,
     size: int,
     bests: U64,
 ) -> None:
-    """Find the cheapest free pair of every row, among those with both rows in one stretch.
+    """Find the cheapest free pair of every row.
+
+    A stretch writes to its own rows alone: it shows them the pairs of its smaller rows, and those
+    of smaller rows before it whose larger row it has.
 
     Args:
         start: First stretch of the range.
@@ -139,10 +144,11 @@ def offer_pairs(
         seconds: (E,) the larger.
         costs: (E,) of the pairs; one that is NaN is no candidate.
         taken: (N,) rows that are not free.
-        bounds: (stretches + 1,) where the pairs of each stretch's rows begin.
+        bounds: (stretches + 1,) where the pairs of each stretch's smaller rows begin.
+        crossing: (C,) pairs whose rows are in two stretches, by that of the larger row.
+        reached: (stretches + 1,) where those of each stretch begin.
         size: Rows of a stretch.
-        bests: (N,) out, `_key` of the pair, or NONE; the smaller row has seen all its pairs with
-            larger ones, the larger one those within its stretch.
+        bests: (N,) out, `_key` of the pair, or NONE.
     """
     for stretch in range(start, min(stop, len(bounds) - 1)):
         end = min((stretch + 1) * size, len(bests))
@@ -154,20 +160,11 @@ def offer_pairs(
                 bests[i] = min(bests[i], key)
                 if j < end:
                     bests[j] = min(bests[j], key)
-
-
-@kernel
-def offer_crossing(
-    firsts: I32, seconds: I32, costs: F32, taken: Bool, crossing: I32, bests: U64
-) -> None:
-    """Show the larger rows of some pairs what they have not seen; arguments as `offer_pairs`.
-
-    crossing: (C,) pairs whose rows are in two stretches.
-    """
-    for edge in crossing:
-        i, j = firsts[edge], seconds[edge]
-        if not (taken[i] or taken[j] or np.isnan(costs[edge])):
-            bests[j] = min(bests[j], _key(costs, edge))
+        for place in range(reached[stretch], reached[stretch + 1]):
+            late = crossing[place]
+            i, j = firsts[late], seconds[late]
+            if not (taken[i] or taken[j] or np.isnan(costs[late])):
+                bests[j] = min(bests[j], _key(costs, late))
 
 
 @parallel_kernel("bests")

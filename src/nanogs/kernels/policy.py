@@ -45,7 +45,7 @@ def exact_kernel(function: Kernel) -> Kernel:
 
 def parallel_kernel(
     over: str, least: int = 1024, each: int = 8
-) -> Callable[[Ranged[P]], Callable[P, None]]:
+) -> Callable[[Ranged[P]], spread.Spread[P]]:
     """Compile a kernel whose ranges run on all threads, cached on disk.
 
     It takes the range [start, stop) first, which its callers leave to `nanogs.spread`. What it
@@ -58,7 +58,7 @@ def parallel_kernel(
         each: Ranges for each thread, so that none waits long for the others.
     """
 
-    def compiled(function: Ranged[P]) -> Callable[P, None]:
+    def compiled(function: Ranged[P]) -> spread.Spread[P]:
         return spread.Spread(function, kernel(function), over, least, each)
 
     return compiled
@@ -66,10 +66,10 @@ def parallel_kernel(
 
 def exact_parallel_kernel(
     over: str, least: int = 1024, each: int = 8
-) -> Callable[[Ranged[P]], Callable[P, None]]:
+) -> Callable[[Ranged[P]], spread.Spread[P]]:
     """As `parallel_kernel`; its floating-point operations are those written, as in IEEE."""
 
-    def compiled(function: Ranged[P]) -> Callable[P, None]:
+    def compiled(function: Ranged[P]) -> spread.Spread[P]:
         return spread.Spread(function, exact_kernel(function), over, least, each)
 
     return compiled

@@ -4,7 +4,7 @@ import numpy as np
 
 from nanogs import spread
 from nanogs._types import F32, F64, I32
-from nanogs.method.slices import slices
+from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 from nanogs.stored import unit
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F64
 from nanogs.kernels.project import DILATION
 from nanogs.kernels.surroundings import reach
@@ -63,7 +64,12 @@ def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilati
     anchors = np.ascontiguousarray(means[:: (len(means) - 1) // ANCHORS + 1])
     means, alphas = means[::step], alphas[::step]
     weights = alphas if alphas.sum() > 0 else np.ones(len(means))
-    radii = np.array([_radius(anchor, means, weights) for anchor in anchors])
+    radii = np.empty(len(anchors))
+
+    def measure(anchor: int) -> None:
+        radii[anchor] = _radius(anchors[anchor], means, weights)
+
+    spread.each(range(len(anchors)), measure)
     per_radius = 0.0 if mode is RenderMode.MIP else float(np.sqrt(DILATION)) * 2 / pixels
     return Dilation(anchors, radii, per_radius)
 

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, F64, I32
 from nanogs.clock import StageClock
 from nanogs.kernels.forest import log_determinants, merge_increments
@@ -16,9 +17,9 @@ from nanogs.method.graph import neighbour_pairs
 from nanogs.method.match import MergePlan, match
 from nanogs.method.nodes import Nodes, gather, gather_pairs
 from nanogs.method.parameters import ForestParameters
-from nanogs.method.slices import SLICE_PAIRS, slices
 from nanogs.progress import Parts
 from nanogs.report import PassReport, StopReason
+from nanogs.slices import SLICE_PAIRS, slices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +112,7 @@ def _one_pass(
     told(0.65)
     with clock.time("match"):
         plan = match(pairs, costs, count, count // 2)
-        chosen = _increments(plan.pairs, nodes, dets)
+        chosen = _increments_of_all(plan.pairs, nodes, dets)
     highest = float(plan.costs[-1]) if len(plan) else None
     left = count - len(plan)
     report = PassReport(
@@ -123,17 +124,31 @@ def _one_pass(
 def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) -> F32:
     """(E,) float32: increments weighed, slice by slice, since both are twice as large."""
     costs = np.empty(len(pairs), dtype=np.float32)
-    for part in slices(len(pairs), SLICE_PAIRS):
+
+    def weigh(part: slice) -> None:
         increments = _increments(np.ascontiguousarray(pairs[part]), nodes, dets)
         with np.errstate(over="ignore"):  # a pair that costs too much to be said comes last
             increments[:, 0] *= np.float32(parameters.lambda_app)
             np.add(increments[:, 0], increments[:, 1], out=costs[part])
+
+    spread.each(slices(len(pairs), SLICE_PAIRS), weigh)
     return costs
 
 
-def _increments(pairs: I32, nodes: Nodes, dets: F64) -> F32:
+def _increments_of_all(pairs: I32, nodes: Nodes, dets: F64) -> F32:
     increments = np.empty((len(pairs), 2), dtype=np.float32)
-    merge_increments(
+
+    def compute(part: slice) -> None:
+        increments[part] = _increments(pairs[part], nodes, dets)
+
+    spread.each(slices(len(pairs), SLICE_PAIRS), compute)
+    return increments
+
+
+def _increments(pairs: I32, nodes: Nodes, dets: F64) -> F32:
+    """(P, 2) float32, on this thread alone."""
+    increments = np.empty((len(pairs), 2), dtype=np.float32)
+    merge_increments.here(
         pairs, nodes.weights, nodes.means, nodes.covariances, dets,
         nodes.features, nodes.rows, nodes.seconds, nodes.shares, increments,
     )  # fmt: skip

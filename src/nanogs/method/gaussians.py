@@ -8,7 +8,7 @@ from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.kernels.mixed import mean_features
 from nanogs.method.activation import activated
 from nanogs.method.order import morton_order
-from nanogs.method.slices import slices
+from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 from nanogs.stored import alphas
 

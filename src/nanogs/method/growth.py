@@ -6,7 +6,7 @@ from nanogs._types import F32, F64, I32
 from nanogs.kernels.sheets import sheet_growths
 from nanogs.method.integrals import exponential_integral
 from nanogs.method.nodes import Nodes, member_lists
-from nanogs.method.slices import slices
+from nanogs.slices import slices
 
 SHEET_GROWTH = 1.8  # most that an axis of a group on a sheet may grow
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, I32, I64, U64, Bool
 from nanogs.errors import ModelError
 from nanogs.kernels.pairs import (
@@ -11,12 +12,11 @@ from nanogs.kernels.pairs import (
     collect_free,
     greedy_matching,
     join_pairs,
-    offer_crossing,
     offer_pairs,
     tally_free,
 )
 from nanogs.kernels.radix import radix_sort
-from nanogs.method.slices import SLICE_PAIRS, slices
+from nanogs.slices import slices
 
 # The pairs are sorted in batches, the cheapest first: those that an earlier batch made impossible
 # are never sorted, and the keys take little memory.
@@ -71,46 +71,78 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     taken = np.zeros(rows, dtype=bool)
     joined = _agree(firsts, seconds, costs, taken)
     left, without_cost = _match_sorted(firsts, seconds, costs, taken)
-    keys = np.concatenate((joined, left))
+    keys = np.concatenate((*joined, left))
     del joined, left
     keys.sort()
-    chosen = (keys[:limit] & np.uint64(0xFFFFFFFF)).astype(np.int64)
-    matched = np.stack((firsts[chosen], seconds[chosen]), axis=1)
-    return MergePlan(matched, costs[chosen], without_cost)
+    keys = keys[:limit]
+    matched, prices = np.empty((len(keys), 2), np.int32), np.empty(len(keys), np.float32)
+
+    def look_up(part: slice) -> None:
+        chosen = (keys[part] & np.uint64(0xFFFFFFFF)).astype(np.int64)
+        matched[part, 0], matched[part, 1] = firsts.take(chosen), seconds.take(chosen)
+        prices[part] = costs.take(chosen)
+
+    spread.each(slices(len(keys)), look_up)
+    return MergePlan(matched, prices, without_cost)
 
 
-def _agree(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> U64:
+def _agree(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> list[U64]:
     """Keys of the pairs that are the cheapest of both their rows, then of those left, and so on.
 
-    It ends when a round takes few: in a chain of ascending costs each round would take one.
+    They are in parts. It ends when a round takes few: in a chain of ascending costs each round
+    would take one.
     """
     rows = len(taken)
     stretches = -(-rows // STRETCH)
     starts = np.minimum(np.arange(stretches + 1) * STRETCH, rows)
     # Of the pairs' own type: they would be copied otherwise.
     bounds = np.searchsorted(firsts, starts.astype(np.int32))
-    crossing = _crossing(firsts, seconds)
+    crossing, reached = _crossing(seconds, starts, bounds)
     bests: U64 = np.empty(rows, dtype=np.uint64)
     joined: U64 = np.full(rows, NONE, dtype=np.uint64)
     before, now = -rows, 0
     while now - before > FEW * rows:
-        offer_pairs(firsts, seconds, costs, taken, bounds, STRETCH, bests)
-        offer_crossing(firsts, seconds, costs, taken, crossing, bests)
+        offer_pairs(
+            firsts, seconds, costs, taken, bounds, crossing, reached, STRETCH, bests
+        )  # fmt: skip
         join_pairs(firsts, seconds, bests, taken, joined)
         before, now = now, int(np.count_nonzero(taken))
     del bests
-    keys: U64 = joined[joined != NONE]
+    keys: list[U64] = [np.empty(0, np.uint64)] * stretches
+
+    def collect(stretch: int) -> None:
+        some = joined[starts[stretch] : starts[stretch + 1]]
+        keys[stretch] = some[some != NONE]
+
+    spread.each(range(stretches), collect)
     return keys
 
 
-def _crossing(firsts: I32, seconds: I32) -> I32:
-    """Rows of the pairs whose rows are in two stretches."""
-    found = [
-        np.flatnonzero(firsts[part] // STRETCH != seconds[part] // STRETCH).astype(np.int32)
-        + np.int32(part.start)
-        for part in slices(len(firsts), SLICE_PAIRS)
-    ]
-    return np.concatenate([*found, np.empty(0, np.int32)])
+def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
+    """Pairs whose rows are in two stretches, by the stretch of the larger row.
+
+    Args:
+        seconds: (E,) the larger row of each pair.
+        starts: (S + 1,) where the rows of each stretch begin.
+        bounds: (S + 1,) where the pairs of each stretch's smaller rows begin.
+
+    Returns:
+        (C,) int32 pairs, and (S + 1,) int64, where those of each stretch begin.
+    """
+    stretches = len(starts) - 1
+    found: list[I32] = [np.empty(0, np.int32)] * stretches
+
+    def find(stretch: int) -> None:
+        some = seconds[bounds[stretch] : bounds[stretch + 1]]
+        found[stretch] = np.flatnonzero(some >= starts[stretch + 1]).astype(np.int32)
+        found[stretch] += np.int32(bounds[stretch])
+
+    spread.each(range(stretches), find)
+    pairs = np.concatenate([*found, np.empty(0, np.int32)])
+    reached = (seconds.take(pairs) // STRETCH).astype(np.uint16)  # there are at most 2^15
+    order = np.argsort(reached, kind="stable")
+    ends = np.searchsorted(reached.take(order), np.arange(stretches + 1))
+    return pairs.take(order), ends
 
 
 def _match_sorted(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> tuple[U64, int]:

@@ -18,7 +18,7 @@ from nanogs.kernels.nodes import (
 )
 from nanogs.method.activation import activated
 from nanogs.method.extent import Dilation
-from nanogs.method.slices import slices
+from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 from nanogs.stored import alphas
 

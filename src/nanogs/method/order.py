@@ -2,10 +2,14 @@
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F64, I64, U64
 from nanogs.morton import spread_bits
+from nanogs.slices import slices
+from nanogs.sorting import stable_order
 
 _BITS = 21  # three axes in 63 bits
+_SLICE = 1 << 16  # rows, of which each step takes long enough for threads not to wait
 _TAIL = 0.01  # share of the centres on either side that does not set the size of the cells
 
 
@@ -28,11 +32,30 @@ def code_box(means: F64) -> tuple[F64, float]:
     Args:
         means: (N, 3) finite, scene units.
     """
-    low, high = np.quantile(means, (_TAIL, 1 - _TAIL), axis=0)
+    low, high = _quantiles(means, (_TAIL, 1 - _TAIL))
     if not (high > low).any():
         low, high = means.min(axis=0), means.max(axis=0)
     width = float((high - low).max())
     return low - width, 3 * width
+
+
+def _quantiles(means: F64, shares: tuple[float, ...]) -> F64:
+    """(S, 3) float64: quantiles along each axis, in the same bits as `np.quantile` has them.
+
+    One call of that would find all of them on one thread.
+    """
+    found = np.empty((len(shares), 3))
+    places = [(len(means) - 1) * share for share in shares]
+    starts = [min(int(place), max(len(means) - 2, 0)) for place in places]
+    needed = [rank for start in starts for rank in (start, start + 1) if rank < len(means)]
+
+    def find(axis: int) -> None:
+        column = np.partition(means[:, axis], needed)
+        for row, (start, place) in enumerate(zip(starts, places, strict=True)):
+            found[row, axis] = np.quantile(column[start : start + 2], place - start)
+
+    spread.each(range(3), find)
+    return found
 
 
 def codes_in(means: F64, low: F64, width: float) -> U64:
@@ -46,10 +69,14 @@ def codes_in(means: F64, low: F64, width: float) -> U64:
     codes: U64 = np.zeros(len(means), dtype=np.uint64)
     if width == 0:
         return codes
-    for axis in range(3):
-        cells = (means[:, axis] - low[axis]) * ((1 << _BITS) / width)
-        cells = np.clip(cells, 0, (1 << _BITS) - 1, out=cells)
-        codes |= spread_bits(cells.astype(np.uint64), axis)
+
+    def encode(part: slice) -> None:
+        for axis in range(3):
+            cells = (means[part, axis] - low[axis]) * ((1 << _BITS) / width)
+            cells = np.clip(cells, 0, (1 << _BITS) - 1, out=cells)
+            codes[part] |= spread_bits(cells.astype(np.uint64), axis)
+
+    spread.each(slices(len(means), _SLICE), encode)
     return codes
 
 
@@ -59,4 +86,4 @@ def morton_order(means: F64) -> I64:
     Args:
         means: (N, 3) finite, scene units.
     """
-    return np.argsort(morton_codes(means), kind="stable")
+    return stable_order(morton_codes(means))

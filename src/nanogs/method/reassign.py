@@ -1,5 +1,7 @@
 """Reassignment: move splats between neighbouring groups where they fit better (hard EM)."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from nanogs._types import F64, I32
@@ -70,10 +72,20 @@ def _refill(labels: I32, misfits: F64, groups: int) -> None:
     empty = np.flatnonzero(sizes == 0)
     if len(empty) == 0:
         return
-    worst = iter(np.argsort(np.negative(misfits, out=misfits), kind="stable"))
+    worst = _ascending(np.negative(misfits, out=misfits), 2 * len(empty))
     for group in empty:
         # There are at least as many splats as groups, so one is always left.
         row = next(row for row in worst if sizes[labels[row]] > 1)
         sizes[labels[row]] -= 1
         sizes[group] += 1
         labels[row] = group
+
+
+def _ascending(values: F64, first: int) -> Iterator[int]:
+    """Rows by ascending value, ties by row: the first few are sorted, and all only if asked for."""
+    if first >= len(values):
+        yield from np.argsort(values, kind="stable")
+        return
+    before = values < np.partition(values, first)[first]
+    for part in (np.flatnonzero(before), np.flatnonzero(~before)):
+        yield from part[np.argsort(values[part], kind="stable")]

@@ -10,7 +10,7 @@ from nanogs.method.extent import Dilation
 from nanogs.method.gaussians import LEAST_ALPHA, LEAST_SCALE
 from nanogs.method.growth import area_needs, blocked, widened
 from nanogs.method.nodes import Nodes, footprints, gather, stored_order
-from nanogs.method.slices import slices
+from nanogs.slices import slices
 from nanogs.splats import Splats
 
 MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads

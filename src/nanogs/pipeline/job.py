@@ -20,6 +20,7 @@ from nanogs.pipeline.presets import Parameters, parameters
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport, StopReason
+from nanogs.slices import slices
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from nanogs.raster.camera import Camera
 
 NanPolicy = Literal["drop", "error"]
+_SLICE = 1 << 16  # rows that are checked at a time
 Deliver = Callable[[int, StageClock, Tracker], Outcome]
 """The result of a count, the seconds of its stages added to the clock, each told."""
 
@@ -196,7 +198,14 @@ def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
     Raises:
         ModelError: None is, or one is not and the policy is "error".
     """
-    finite = splats.finite()
+    from nanogs import spread  # later, and Numba with it
+
+    finite = np.empty(len(splats), dtype=bool)
+
+    def check(part: slice) -> None:
+        finite[part] = splats.span(part.start, part.stop).finite()
+
+    spread.each(slices(len(splats), _SLICE), check)
     rows = np.flatnonzero(finite).astype(np.int32)
     if len(rows) == 0:
         raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")

@@ -1,10 +1,10 @@
 """Memory of the presets that grow a forest: bytes a splat, stage by stage."""
 
 from nanogs.method.parameters import ForestParameters
-from nanogs.method.slices import SLICE_PAIRS
 from nanogs.pipeline.presets import renders
 from nanogs.pipeline.weights import fit_parameters
 from nanogs.protocol import PIXELS, VIEWS
+from nanogs.slices import IN_HAND
 
 _F4, _F8, _I4, _I8 = 4, 8, 4, 8
 _BARE = _F8 + 3 * _F8 + 6 * _F8 + _I4  # weights, means, covariances, row: what growing needs
@@ -127,7 +127,7 @@ def _growing(count: int, features: int, k: int) -> dict[str, int]:
         h + x * lists + n for h, x, n in zip(held, left, nodes[1:], strict=False)
     )  # fmt: skip
     whole = {stage: int(count * most) for stage, most in stages.items()}
-    whole["cost"] += min(int(count * pairs_of(k)), SLICE_PAIRS) * _BATCH
+    whole["cost"] += min(int(count * pairs_of(k)), IN_HAND) * _BATCH
     return whole
 
 

@@ -5,6 +5,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from nanogs import spread
 from nanogs._types import F64, I32, Array, Bool
 from nanogs.fit.groups import Group, split
 from nanogs.fit.report import RefitReport
@@ -27,9 +30,11 @@ from nanogs.progress import Parts, untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render
 from nanogs.report import PassReport
+from nanogs.slices import slices
 from nanogs.source import InMemory
 from nanogs.splats import Splats, pick
 from nanogs.store.tables import Record
+from nanogs.stored import alphas
 
 
 class _Placed(NamedTuple):
@@ -136,12 +141,18 @@ class OneBlock(Scene):
 
     def survey(self, name: str) -> Record:
         """As `Scene` says."""
-        means = pick(self.splats.means, self.usable)
-        origin = scene_origin(means)
-        means = means - origin
-        alphas = pick(self.splats.opacities(), self.usable)
+        splats, usable = self.splats, self.usable
+        stored = splats.means if len(usable) == len(splats) else pick(splats.means, usable)
+        origin, opacities = scene_origin(stored), np.empty(len(usable))
+        means = np.empty((len(usable), 3))
+
+        def convert(part: slice) -> None:
+            np.subtract(stored[part], origin, out=means[part])
+            opacities[part] = alphas(pick(splats.opacity_logits, usable[part]))
+
+        spread.each(slices(len(usable)), convert)
         pixels = self.settings.parameters.pixels
-        added = dilation(means, alphas, self.splats.render_mode, pixels)
+        added = dilation(means, opacities, splats.render_mode, pixels)
         self._survey = _Placed(self.usable[morton_order(means)], origin, added)
         return self.write(name, {}, {})
 

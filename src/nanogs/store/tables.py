@@ -17,7 +17,7 @@ from numpy.lib import format as npy
 
 from nanogs._types import I64, Array
 from nanogs.errors import FormatError
-from nanogs.method.slices import slices
+from nanogs.slices import slices
 from nanogs.store.scratch import Scratch, hash_file
 
 _WINDOW = 1 << 15  # rows

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.cost import published_costs
 from nanogs.method.gaussians import Gaussians
 from nanogs.method.paper.parameters import PaperParameters
-from nanogs.method.slices import SLICE_PAIRS, slices
+from nanogs.slices import SLICE_PAIRS, slices
 
 # The published variance jitter, squared scene units: keeps flat splats' densities finite.
 JITTER = 1e-8
@@ -36,8 +37,9 @@ def pair_costs(gaussians: Gaussians, pairs: I32, masses: F64, parameters: PaperP
     """
     normals = np.random.default_rng(parameters.seed).standard_normal((parameters.samples, 3))
     costs = np.empty(len(pairs), dtype=np.float32)
-    for part in slices(len(pairs), SLICE_PAIRS):
-        published_costs(
+
+    def compute(part: slice) -> None:
+        published_costs.here(
             np.ascontiguousarray(pairs[part]),
             gaussians.means,
             gaussians.scales,
@@ -53,4 +55,6 @@ def pair_costs(gaussians: Gaussians, pairs: I32, masses: F64, parameters: PaperP
             float(parameters.lambda_app),
             costs[part],
         )
+
+    spread.each(slices(len(pairs), SLICE_PAIRS), compute)
     return costs

@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 
 SLICE = 1 << 14  # few, since each thread keeps what it once freed
-SLICE_PAIRS = 1 << 19  # more, since threads wait for each other after every slice
+SLICE_PAIRS = 1 << 15  # pairs, of which a kernel takes milliseconds
+IN_HAND = 16 * SLICE_PAIRS  # at once, by as many threads: what memory is planned with
 
 
 def slices(count: int, size: int = SLICE) -> Iterator[slice]:

@@ -1,0 +1,98 @@
+"""Print what a second thread is worth, stage by stage, of whole runs from file to file.
+
+    python benchmarks/cores.py [MODEL] [--count 1000000] [--rounds 5] [--ratio 0.1] [--presets fast]
+                               [--output out.ply]
+
+MODEL is a 3DGS file; without one, `nanogs demo` makes a scene of --count splats, SH degree 3. Every
+round runs each preset once with one thread and once with two, in turns, so that what else the
+machine does disturbs both. Rows are medians: the stages of the report, `rest` for what the call
+took beyond them, `start` for what the process took beyond the call, and `file to file`, the whole
+process. The last column is the serial share s by Amdahl's law, t2 / t1 = s + (1 - s) / 2; it is
+above 1 where a second thread makes a stage slower. After the table: the centres' query by scipy's
+cKDTree with two workers, as `benchmarks/speed.py` has it, in the same turns.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from statistics import median
+
+from speed import WORK, query, scene
+
+THREADS = (1, 2)
+WHOLE = "file to file"
+Seconds = dict[str, float]
+
+
+def main() -> None:
+    """A table for each preset."""
+    options = arguments()
+    WORK.mkdir(parents=True, exist_ok=True)
+    model = options.model or scene(options.count)
+    presets = options.presets.split(",")
+    for preset in presets:  # compile what is not in the cache, on a small scene
+        run(scene(2000), preset, max(THREADS), options)
+    taken: dict[tuple[str, int], list[Seconds]] = {}
+    ask, asked = query(model), []
+    for _ in range(options.rounds):
+        for preset in presets:
+            for threads in THREADS:
+                seconds = run(model, preset, threads, options)
+                taken.setdefault((preset, threads), []).append(seconds)
+                text = f"{preset}, {threads} threads: {seconds[WHOLE]:.2f} s"
+                print(text, file=sys.stderr, flush=True)
+        asked.append(ask()[0])
+    for preset in presets:
+        one, two = (middle(taken[preset, threads]) for threads in THREADS)
+        show(preset, one, two)
+        over = two[WHOLE] / median(asked)
+        print(
+            f"\nOne cKDTree query: {median(asked):.2f} s; two threads take {over:.2f} times that."
+        )
+
+
+def arguments() -> argparse.Namespace:
+    """What the caller wants."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("model", nargs="?", type=Path)
+    parser.add_argument("--count", type=int, default=1_000_000)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--ratio", type=float, default=0.1)
+    parser.add_argument("--presets", default="fast", help="with commas between")
+    parser.add_argument("--output", default="cores.ply", help="name of the file that is written")
+    return parser.parse_args()
+
+
+def run(model: Path, preset: str, threads: int, options: argparse.Namespace) -> Seconds:
+    """One run of the command: its seconds by stage, and those around them."""
+    command: list[str | Path] = [sys.executable, "-m", "nanogs", "simplify", model]
+    command += [WORK / options.output, "-w", "-q", "--json", "--no-measure", "--preset", preset]
+    command += ["--ratio", str(options.ratio), "--threads", str(threads)]
+    start = time.perf_counter()
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    whole = time.perf_counter() - start
+    report = json.loads(done.stdout)
+    call, stages = report["total_seconds"], report["seconds"]
+    return {**stages, "rest": call - sum(stages.values()), "start": whole - call, WHOLE: whole}
+
+
+def middle(runs: list[Seconds]) -> Seconds:
+    """The median of each row."""
+    return {name: median(each[name] for each in runs) for name in runs[0]}
+
+
+def show(preset: str, one: Seconds, two: Seconds) -> None:
+    """A preset's rows, as Markdown."""
+    print(f"\n| {preset} | 1 thread, s | 2 threads, s | times as fast | serial share |")
+    print("|---|--:|--:|--:|--:|")
+    for name, alone in one.items():
+        beside = two[name]
+        ratio, serial = (alone / beside, 2 * beside / alone - 1) if alone and beside else (1, 1)
+        print(f"| {name} | {alone:.3f} | {beside:.3f} | {ratio:.2f} | {serial:.2f} |")
+
+
+if __name__ == "__main__":
+    main()
