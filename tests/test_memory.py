@@ -13,7 +13,7 @@ COUNT = 300_000
 COLUMNS = 4 * 59  # bytes of a splat of SH degree 3
 MOST = {"fast": 2.0, "paper": 2.0, "default": 2.5}  # of the columns, beside libraries and views
 # A view's pixels while it is drawn and compared, and the pictures kept: of any model's size.
-VIEWS = {"fast": 0, "paper": 0, "default": 98_000_000}
+VIEWS = {"fast": 0, "paper": 0, "default": 150_000_000}
 # Of a process that has its kernels: what it had before, and the most that it took since.
 RUN = """
 import ctypes, re, sys

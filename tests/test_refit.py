@@ -145,6 +145,22 @@ def test_views_show_their_other_half_when_they_come_again():
     assert all({first[view], second[view]} == set(FIELDS) for view in first)
 
 
+def test_a_view_of_which_half_is_drawn_shows_that_half():
+    original, small = cloud_pair()
+    prepared, [camera] = prepare(original), automatic_cameras(original, 1, width=40, height=40)
+    whole = make_target(prepared, camera)
+    rows, columns = np.indices((40, 40)) // 4
+    for number, field in enumerate(FIELDS):
+        half = make_target(prepared, camera, wanted=field)
+        drawn = (rows + columns) % 2 == number
+        assert np.array_equal(half.image[drawn], whole.image[drawn])
+        assert not half.image[~drawn].any()
+        descent = Descent(small, Fitting([half]), dataclasses.replace(QUICK, halves=True))
+        assert [descent._next()[1] for _ in range(3)] == [field] * 3
+        taken = Fitting([], prepared, [camera]).take(0, field)
+        assert np.array_equal(taken.image, half.image)
+
+
 def test_pull_on_colours_is_the_adjoint_of_blending():
     splats, camera = make_splats(20, 3), make_camera()
     residual, precision = random_pixels(camera)

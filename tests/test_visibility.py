@@ -9,8 +9,9 @@ import nanogs
 from builders import random_splats
 from looking import judged, looked
 from nanogs.errors import ModelError
+from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method import visibility
-from nanogs.method.parameters import ForestParameters
+from nanogs.method.parameters import PICTURES, ForestParameters
 from nanogs.report import StopReason
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
@@ -18,7 +19,7 @@ from nanogs.views.automatic import automatic_cameras
 
 def looking(**given):
     """Parameters that views are chosen by."""
-    return ForestParameters(**({"views": 14, "view_size": 768} | given))
+    return ForestParameters(**({"views": 14, "view_size": 768, "further": 0} | given))
 
 
 def box_with_something_inside():
@@ -92,27 +93,45 @@ def test_the_users_cameras_are_the_ones_looked_through():
 
 def test_further_views_are_others_than_those_looked_at():
     splats = box_with_something_inside()
-    for cameras in (None, automatic_cameras(splats, 20, width=64, height=64)):
-        views = looked(splats, cameras, looking(views=6, view_size=48, further=9))
-        every = [view for group in views.groups for view in group.targets] + list(views.fitting)
-        cameras_of = [view.camera for view in every]
-        assert (len(cameras_of), len(views.views.further)) == (6, 9)
-        assert len({camera.name for camera in (*cameras_of, *views.views.further)}) == 15
-        assert {camera.width for camera in (*cameras_of, *views.views.further)} == {48}
+    for cameras in (None, automatic_cameras(splats, 90, width=64, height=64)):
+        for further in (9, PICTURES - 5):
+            given = looking(views=6, view_size=48, further=further)
+            views = looked(splats, cameras, given)
+            every = [view for group in views.groups for view in group.targets]
+            every += [view for view in views.fitting if view.blocks == ALL_BLOCKS]
+            cameras_of = [view.camera for view in every]
+            assert (len(cameras_of), len(views.views.further)) == (6, further)
+            names = {camera.name for camera in (*cameras_of, *views.views.further)}
+            assert len(names) == 6 + further
+            assert {camera.width for camera in (*cameras_of, *views.views.further)} == {48}
+            assert len(views.fit_views(0, 0).fitting) == 5 + further
     few = looked(splats, cameras[:7], looking(views=6, view_size=48, further=9))
     assert len(few.views.further) == 1
+
+
+def test_a_few_further_views_are_kept_by_halves_and_many_are_not():
+    splats = box_with_something_inside()
+    few = looked(splats, None, looking(views=6, view_size=48, further=4))
+    assert [view.blocks for view in few.fitting[5:]] == [*FIELDS, *FIELDS]
+    names = [view.camera.name for view in few.fitting[5:]]
+    assert names == [camera.name for camera in few.views.further]
+    whole = looked(splats, None, looking(views=6, view_size=48, further=4, halves=False))
+    assert [view.blocks for view in whole.fitting[5:]] == [ALL_BLOCKS] * 4
+    assert len(looked(splats, None, looking(views=6, view_size=48, further=60)).fitting) == 5
+    assert len(looked(splats, None, looking(views=6, steps=0, further=4)).fitting) == 5
 
 
 def test_a_lone_view_decides_and_nothing_is_fitted():
     splats = random_splats(300)
     assert len(looked(splats, None, looking(views=1)).groups) == 1
-    _, report = nanogs.simplify(splats, ratio=0.5, views=1)
+    _, report = nanogs.simplify(splats, ratio=0.5, views=1, further=0)
     assert report.refit is None
     assert any("not fitted" in note for note in report.notes)
 
 
 def test_the_report_of_the_fit_says_how_many_views_it_had():
-    _, report = nanogs.simplify(random_splats(300), ratio=0.5, views=8, view_size=48, steps=2)
+    given = {"views": 8, "further": 0, "view_size": 48, "steps": 2}
+    _, report = nanogs.simplify(random_splats(300), ratio=0.5, **given)
     said = report.refit.parameters
     assert said["views"] == len(report.refit.fit_views) == 7
     assert said["validation"] == len(report.refit.validation_views) == 1

@@ -105,7 +105,8 @@ class Descent:
             self._turns += 1
         index = self._queue.pop()
         wanted = FIELDS[(index + self._turns) % 2] if self.parameters.halves else ALL_BLOCKS
-        return self.views.take(index), wanted
+        target = self.views.take(index, wanted)
+        return target, wanted if target.blocks == ALL_BLOCKS else target.blocks
 
     def _follow(self, target: Target, wanted: int, rate: float) -> float:
         """Move what a view shows in some blocks, and return their error before that."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,11 +32,13 @@ class Target:
             a quarter of the memory of float32.
         footprint: Width of a pixel at the median depth of what is seen, scene units; infinite where
             nothing is seen, or where it is of no use.
+        blocks: Its set bits are the blocks of every tile that are drawn; the others are empty.
     """
 
     camera: Camera
     image: U8
     footprint: float
+    blocks: int = ALL_BLOCKS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,13 +66,13 @@ class Fitting:
     def __len__(self) -> int:
         return len(self.kept) + len(self.further)
 
-    def take(self, index: int) -> Target:
-        """One of the views, drawn now if it is not kept."""
+    def take(self, index: int, wanted: int = ALL_BLOCKS) -> Target:
+        """One of the views; one that is not kept is drawn now, in the wanted blocks alone."""
         if index < len(self.kept):
             return self.kept[index]
         assert self.original is not None  # noqa: S101 - whoever gives cameras gives what they show
         camera = self.further[index - len(self.kept)]
-        return make_target(self.original, camera, depth=False)
+        return make_target(self.original, camera, depth=False, wanted=wanted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,9 +90,19 @@ class Pull:
     error: float
 
 
-def make_target(original: PreparedSplats, camera: Camera, *, depth: bool = True) -> Target:
-    """Render the original from a camera; without depth the footprint stays unknown."""
-    return as_target(render(original, camera, depth=depth), camera)
+def make_target(
+    original: PreparedSplats, camera: Camera, *, depth: bool = True, wanted: int = ALL_BLOCKS
+) -> Target:
+    """Render the original from a camera; without depth the footprint stays unknown.
+
+    Args:
+        original: The model.
+        camera: Where to look from.
+        depth: Whether to find the footprint.
+        wanted: Its set bits are the blocks of every tile to draw; the others stay empty.
+    """
+    drawn = render(original, camera, depth=depth, wanted=wanted)
+    return replace(as_target(drawn, camera), blocks=wanted)
 
 
 def as_target(rendering: Rendering, camera: Camera) -> Target:

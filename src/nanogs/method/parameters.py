@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from nanogs.ranges import check_ranges, parameter
 
 USUAL_BALANCE = 0.8  # the safest where nothing is measured
+PICTURES = 64  # that are kept at most: 3 MB each at 896 pixels
 BALANCES = (0.5, 1.0)  # one between them is hardly ever better than both
 
 
@@ -33,7 +34,9 @@ class ForestParameters:
             rounds of about 32, so that it may take a few more; 0 fits nothing.
         views: Views of the original to look at, where it is rendered: for what is hidden, to choose
             by and to fit to; one in six of them decides.
-        further: More views to fit to, each drawn when its turn comes.
+        further: More views to fit to, few of which are kept, and many drawn when their turn comes.
+        halves: Whether a step of the fit follows half of its view's pixels, every other block of
+            4 x 4: half of the work, and less than 0.1 dB lost where steps are few.
         roaming: Small views from anywhere in free space, that only say what is hidden.
         view_size: Pixels along the longer side of a view.
     """
@@ -51,8 +54,9 @@ class ForestParameters:
     steps: int = parameter(
         28, help="Steps of fitting the result to renders of the original; 0 fits nothing."
     )
-    views: int = parameter(14, 1, views=True, help="Views of the original to render.")
-    further: int = parameter(0, views=True)
+    views: int = parameter(14, 1, views=True, help="Views of the original to look at.")
+    further: int = parameter(16, views=True)
+    halves: bool = True
     roaming: int = parameter(0, views=True)
     view_size: int = parameter(
         896, 16, 8192, unit=" pixels", views=True,
@@ -62,6 +66,14 @@ class ForestParameters:
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
         check_ranges(self)
+
+    @property
+    def pictured(self) -> int:
+        """How many of `further` are drawn beforehand and kept: all, or none where they are many.
+
+        What is drawn while a result is fitted takes memory beside all that the fit holds.
+        """
+        return self.further if self.steps and self.views + self.further <= PICTURES else 0
 
     @property
     def balances(self) -> tuple[float, ...]:

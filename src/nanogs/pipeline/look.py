@@ -51,7 +51,8 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     cameras = [*views.kept, *scene.closer_views(own)]
     drawn = together(prepare(own.splats), scene.hiding(number))
     looked, lights = Light(len(drawn)), []
-    total = len(cameras) + len(views.roaming)
+    pictured = scene.pictured
+    total = len(cameras) + len(pictured) + len(views.roaming)
     for done, camera in enumerate(cameras):
         scene.tell(done, total)
         view = scene.draw(drawn, camera)
@@ -59,7 +60,10 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
         assert view.contributions is not None  # noqa: S101 - asked for
         lights.append(Lit(camera, float(view.contributions[:count].sum())))
         del view
-    scene.tell(len(cameras), total)
+    for done, camera in enumerate(pictured, len(cameras)):
+        scene.tell(done, total)
+        scene.picture(drawn, camera)
+    scene.tell(len(cameras) + len(pictured), total)
     anywhere = light_in(drawn, views.roaming) if views.roaming else None
     del drawn
     visible, missed = visibility_of(looked, anywhere)

@@ -58,7 +58,8 @@ def forest_stages(
     looked = renders(parameters)
     drawn = looked or judged
     kept = count * (_I4 + (_F8 if looked else 0))  # which rows are used, what is visible of each
-    images = parameters.views * parameters.view_size**2 * 4 if looked else 0
+    pictures = parameters.views + parameters.pictured
+    images = pictures * parameters.view_size**2 * 4 if looked else 0
     images += _IMAGES if judged else 0
     pixels = parameters.view_size**2 if looked else 0
     kept += images
@@ -147,7 +148,7 @@ def _fit(count: int, target: int, features: int, parameters: ForestParameters) -
     The larger one of them: a view of the original, or one of the state with its pulls.
     """
     held, step = fit_state(target, features, parameters), target * FIT_STEP
-    if not parameters.further:
+    if not parameters.further or parameters.pictured:
         return held + step
     return held + count * PREPARED + max(step, count * DRAWN)
 

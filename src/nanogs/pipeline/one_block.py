@@ -11,7 +11,8 @@ from nanogs import spread
 from nanogs._types import F64, I32, Array, Bool
 from nanogs.fit.groups import Group, split
 from nanogs.fit.report import RefitReport
-from nanogs.fit.targets import Fitting, Target, as_target
+from nanogs.fit.targets import Fitting, Target, as_target, make_target
+from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method.cut import cut
 from nanogs.method.extent import Dilation, dilation
 from nanogs.method.forest import Forest, grow_forest
@@ -60,7 +61,8 @@ class OneBlock(Scene):
         visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
             which it lies; 1 for one that lies in none. None where nothing was looked at.
         missed: (N,) bool, the splats that lie in no view.
-        fitting: The original as views show it that are fitted to; none of those that decide.
+        fitting: The original as views show it that are fitted to, as far as these are kept; none
+            of those that decide.
         groups: Views that results are chosen by and a fit is judged by, in groups.
     """
 
@@ -74,6 +76,7 @@ class OneBlock(Scene):
     _records: dict[str, Record] = field(default_factory=dict)
     _views: Views | None = None
     _shots: list[Target] = field(default_factory=list)
+    _pictures: list[Target] = field(default_factory=list)
     fitting: tuple[Target, ...] = ()
     groups: tuple[Group, ...] = ()
     _survey: _Placed | None = None
@@ -195,11 +198,23 @@ class OneBlock(Scene):
         self._shots.append(as_target(view, camera))
         return view
 
+    @property
+    def pictured(self) -> Sequence[Camera]:
+        """As `Scene` says: a fit of few steps would draw them while it holds all that it needs."""
+        return self.views.further if self.settings.parameters.pictured else ()
+
+    def picture(self, drawn: PreparedSplats, camera: Camera) -> None:
+        """As `Scene` says; of a fit that follows half of a view, that half."""
+        halves = self.settings.parameters.halves
+        wanted = FIELDS[len(self._pictures) % 2] if halves else ALL_BLOCKS
+        self._pictures.append(make_target(drawn, camera, depth=False, wanted=wanted))
+
     def keep_look(self, name: str, own: Block, missed: Bool, lights: Sequence[Lit]) -> Record:
         """As `Scene` says."""
         self.visible, self.missed = own.visible, missed
-        self.fitting, self.groups = split(self._shots, max(1, len(self._shots) // DECIDING))
-        self._shots = []
+        looked, self.groups = split(self._shots, max(1, len(self._shots) // DECIDING))
+        self.fitting = (*looked, *self._pictures)
+        self._shots, self._pictures = [], []
         return self.write(name, {}, {})
 
     # Growing and cutting.
@@ -286,7 +301,8 @@ class OneBlock(Scene):
 
     def fit_views(self, block: int, level: int) -> FitViews | None:
         """As `Scene` says."""
-        further = self.views.further if self.settings.looks else ()
+        drawn = self.settings.looks and not self.settings.parameters.pictured
+        further = self.views.further if drawn else ()
         fitting = Fitting(self.fitting, prepare(self.splats) if further else None, further)
         return FitViews(fitting, self.groups, len(self.splats)) if len(fitting) else None
 

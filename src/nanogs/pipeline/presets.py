@@ -19,7 +19,7 @@ PRESETS: Mapping[str, Parameters] = MappingProxyType(
         "fast": ForestParameters(rounds=1, measure=False, steps=0),
         # It looks from anywhere, and so is surer of what is hidden.
         "best": ForestParameters(
-            hidden=0.01, steps=224, views=24, further=204, roaming=24, view_size=768
+            hidden=0.01, steps=224, views=24, further=204, halves=False, roaming=24, view_size=768
         ),
         "paper": PaperParameters(),
     }
@@ -83,6 +83,8 @@ def effective(chosen: Parameters) -> dict[str, Any]:
     if isinstance(chosen, ForestParameters) and not chosen.measure:
         views = {name for name, known in known_parameters(chosen).items() if known.views}
         unused = {"hidden"} if chosen.steps else {"hidden", "steps"} | views
+    if isinstance(chosen, ForestParameters) and not chosen.steps:
+        unused |= {"further", "halves"}
     return {name: value for name, value in dataclasses.asdict(chosen).items() if name not in unused}
 
 

@@ -176,6 +176,18 @@ class Scene(ABC):
     def draw(self, drawn: PreparedSplats, camera: Camera) -> Rendering:
         """A view that is looked from, with the contribution of each splat."""
 
+    @property
+    def pictured(self) -> Sequence[Camera]:
+        """Views that are fitted to and not looked at, where their pictures are few enough to keep.
+
+        Others are drawn when their turn comes.
+        """
+        return ()
+
+    def picture(self, drawn: PreparedSplats, camera: Camera) -> None:
+        """Keep the picture of one of these."""
+        raise NotImplementedError
+
     @abstractmethod
     def keep_look(self, name: str, own: Block, missed: Bool, lights: Sequence[Lit]) -> Record:
         """Keep how visible a block's splats are, and how much of it each view shows."""

@@ -41,14 +41,15 @@ def roaming_seconds(load: Load) -> float:
 
 def looking_seconds(load: Load) -> float:
     """Rendering the original from the views that are kept."""
-    return 2 * load.parameters.views * _render(load)
+    return (2 * load.parameters.views + load.parameters.pictured) * _render(load)
 
 
 def fitting_seconds(load: Load) -> float:
     """Fitting a result."""
     chosen, parameters = fit_parameters(load.parameters), load.parameters
     fit = refit_stages(chosen, round(1e6 * load.splats), round(1e6 * load.left))[-1]
-    return fit.weight + min(parameters.further, parameters.steps) * _render(load)
+    drawn = 0 if parameters.pictured else min(parameters.further, parameters.steps)
+    return fit.weight + drawn * _render(load)
 
 
 def fit_parameters(parameters: ForestParameters) -> RefitParameters:
@@ -59,7 +60,7 @@ def fit_parameters(parameters: ForestParameters) -> RefitParameters:
         size=parameters.view_size,
         rounds=rounds,
         steps=max(-(-parameters.steps // rounds), 1),  # also to plan with, where none is made
-        halves=not parameters.further,  # few views, which come again
+        halves=parameters.halves,
     )
 
 

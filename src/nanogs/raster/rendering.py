@@ -164,6 +164,7 @@ def render(
     depth: bool = False,
     contributions: bool = False,
     sh_degree: int | None = None,
+    wanted: int = ALL_BLOCKS,
 ) -> Rendering:
     """Render a model from one camera; the same bytes for any number of threads.
 
@@ -174,6 +175,7 @@ def render(
         depth: Also return the expected depth.
         contributions: Also return each splat's share of the image.
         sh_degree: Highest spherical-harmonic degree to evaluate; the model's own by default.
+        wanted: Its set bits are the blocks of every tile to draw; the others show the background.
 
     Returns:
         The images; see `Rendering`.
@@ -185,7 +187,7 @@ def render(
     behind = background_of(background, depth=depth)
     view = project(prepared, camera, sh_degree=sh_degree)
     probes = np.ones((1 if contributions else 0, camera.height, camera.width), np.float32)
-    image, left, totals = blend(view, camera, view.features, behind, probes)
+    image, left, totals = blend(view, camera, view.features, behind, probes, wanted)
     rendering = rendering_of(image, left, len(view.order), prepared.skipped, prepared.render_mode)
     if not contributions:
         return rendering
