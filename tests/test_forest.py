@@ -25,6 +25,7 @@ from nanogs.method.nodes import (
     footprints,
     gather,
     gather_pairs,
+    member_lists,
     normalised,
 )
 from nanogs.method.order import morton_order
@@ -87,7 +88,10 @@ def test_pairs_keep_the_features_of_splats_and_stand_for_their_means(n, seed):
     nodes, _ = nodes_of(random_splats(n, seed=seed), 0.01)
     labels = np.random.default_rng(seed).permutation(np.arange(n) % (2 * n // 3)).astype(np.int32)
     groups = 2 * n // 3
-    pairs, stored = (join(nodes, labels, groups) for join in (gather_pairs, gather))
+    pairs, stored = (
+        gather_pairs(nodes, *member_lists(labels, groups)),
+        gather(nodes, labels, groups),
+    )
     assert pairs.features is nodes.features
     own = own_features(pairs)
     for name in ("weights", "coverages", "means", "covariances"):
@@ -102,7 +106,7 @@ def test_growing_needs_no_coverages():
     nodes, _ = nodes_of(random_splats(50, seed=6), 0.01)
     bare = dataclasses.replace(nodes, coverages=nodes.weights)
     labels = (np.arange(50) // 2).astype(np.int32)
-    merged = gather_pairs(bare, labels, 25)
+    merged = gather_pairs(bare, *member_lists(labels, 25))
     assert merged.coverages is merged.weights
     assert np.array_equal(merged.weights, gather(nodes, labels, 25).weights)
     forests = [grow_forest(x, ForestParameters(k=8), 1, untold) for x in (nodes, bare)]

@@ -1,6 +1,7 @@
 """Each kernel against its plain float64 twin."""
 
 import dataclasses
+import itertools
 import math
 import os
 import subprocess
@@ -28,6 +29,7 @@ from nanogs.kernels.nodes import (
     gather_moments,
     group_members,
     heaviest_members,
+    join_pairs_of_nodes,
     principal_axes,
 )
 from nanogs.kernels.pairs import collect_free, count_pairs, fill_firsts, fill_seconds, tally_free
@@ -293,11 +295,32 @@ def test_pairs_of_a_row_that_all_others_have_as_their_neighbour():
     neighbours = np.stack([(np.arange(400) + 1) % 400, np.full(400, 200)], axis=1).astype(np.int32)
     neighbours[199:201, 1] = [5, 7]
     expected, starts = twins.pairs_of(neighbours), np.empty(401, dtype=np.int64)
-    count_pairs(neighbours, starts)
+    marked = count_pairs(neighbours, starts)
     firsts, seconds = np.empty((2, starts[-1]), dtype=np.int32)
-    fill_seconds(neighbours, starts, starts[:-1].copy(), seconds)
+    fill_seconds(neighbours, starts, starts[:-1].copy(), marked, seconds)
     fill_firsts(starts, firsts)
     assert list(zip(firsts.tolist(), seconds.tolist(), strict=True)) == expected
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_pairs_across_stretches(threads):
+    """Rows in no order in space: most pairs lead from one stretch of rows to another."""
+    means = np.random.default_rng(41).normal(size=(20_000, 3))
+    neighbours = nearest_neighbours(means, 4, threads)
+    pairs = neighbour_pairs(means, 4, threads)
+    assert list(map(tuple, pairs.tolist())) == twins.pairs_of(neighbours)
+
+
+def collected(firsts, seconds, costs, taken, end, keys):
+    """Keys of three stretches of pairs, counted first; how many, and how many have no cost."""
+    bounds = np.array([0, len(costs) // 3, len(costs) // 2, len(costs)])
+    counts, without = np.zeros((2, 3), np.int64)
+    none = np.empty(0, np.uint64)
+    collect_free(firsts, seconds, costs, taken, bounds, end, counts, without, none)
+    places = np.cumsum(counts) - counts
+    collect_free(firsts, seconds, costs, taken, bounds, end, places, without, keys)
+    assert places.tolist() == np.cumsum(counts).tolist()
+    return int(counts.sum()), int(without.sum())
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-3, 15.0])
@@ -306,8 +329,8 @@ def test_cost_keys_sort_like_costs_and_pairs(spread):
     costs = (rng.choice([-1, 1], 3000) * np.exp(spread * rng.normal(size=3000))).astype(np.float32)
     rows, free = np.arange(6000, dtype=np.int32).reshape(2, 3000), np.zeros(6000, dtype=bool)
     counts, keys = np.zeros(1 << 16, dtype=np.int64), np.empty(3000, dtype=np.uint64)
-    assert tally_free(*rows, costs, free, counts) == 0
-    assert counts.sum() == collect_free(*rows, costs, free, 1 << 16, keys) == 3000
+    tally_free(*rows, costs, free, counts)
+    assert counts.sum() == collected(*rows, costs, free, 1 << 16, keys)[0] == 3000
     other = np.empty_like(keys)
     found = other if radix_sort(keys, other) else keys
     assert (found & np.uint64(0xFFFFFFFF)).tolist() == np.argsort(costs, kind="stable").tolist()
@@ -326,10 +349,11 @@ def test_collected_are_the_free_pairs_below_a_bound(end, bound):
     taken = rng.random(60) < 0.3
     expected = np.flatnonzero((costs < bound) & ~taken[firsts] & ~taken[seconds])
     keys = np.empty(500, dtype=np.uint64)
-    count = collect_free(firsts, seconds, costs, taken, end, keys)
+    count, without_cost = collected(firsts, seconds, costs, taken, end, keys)
+    assert without_cost == np.isnan(costs).sum()
     assert (keys[:count] & np.uint64(0xFFFFFFFF)).tolist() == expected.tolist()
     counts = np.zeros(1 << 16, dtype=np.int64)
-    assert tally_free(firsts, seconds, costs, taken, counts) == np.isnan(costs).sum()
+    tally_free(firsts, seconds, costs, taken, counts)
     assert counts[:end].sum() == count
 
 
@@ -482,6 +506,27 @@ def test_group_members_and_heaviest_members():
         expected = np.flatnonzero(labels == group)
         assert members[starts[group] : starts[group + 1]].tolist() == expected.tolist()
         assert heaviest[group] == expected[np.argmax(weights[expected])]  # the first of equal ones
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 500])
+def test_pairs_are_joined_as_their_labels_say(count):
+    rng = np.random.default_rng(count)
+    rows = rng.permutation(count)[: 2 * rng.integers(0, count // 2 + 1)]
+    pairs = np.sort(rows.reshape(-1, 2), axis=1).astype(np.int32)
+    ids = rng.permutation(10_000)[:count].astype(np.int32)
+    children, left = np.empty_like(pairs), count - len(pairs)
+    starts, members = np.empty(left + 1, np.int64), np.empty(count, np.int32)
+    before, merges = ids.copy(), np.full(count, -1, np.int32)
+    join_pairs_of_nodes(pairs, 20_000, ids, merges, children, starts, members)
+    stays = np.ones(count, bool)
+    stays[pairs[:, 1]] = False
+    labels = (np.cumsum(stays) - 1).astype(np.int32)
+    labels[pairs[:, 1]] = labels[pairs[:, 0]]
+    expected = [np.flatnonzero(labels == group).tolist() for group in range(left)]
+    assert [members[a:b].tolist() for a, b in itertools.pairwise(starts)] == expected
+    assert np.array_equal(children, before[pairs])
+    before[pairs[:, 0]] = 20_000 + np.arange(len(pairs))
+    assert np.array_equal(ids[:left], before[stays])
 
 
 @pytest.mark.parametrize("own", [True, False])

@@ -56,6 +56,38 @@ def group_members(labels: I32, starts: I64, members: I32) -> None:
 
 
 @kernel
+def join_pairs_of_nodes(
+    pairs: I32, made: int, ids: I32, merges: I32, children: I32, starts: I64, members: I32
+) -> None:  # fmt: skip
+    """Give every pair of rows one row, in the place of its smaller one, and list their members.
+
+    pairs: (P, 2) rows, i < j, none twice; made: number of the node that the first pair makes; ids:
+    (N,) numbers of the rows' nodes, those of the N - P rows to come in their place afterwards;
+    merges: (N,) all -1, changed; children: (P, 2) out, numbers of what each pair joins; starts:
+    (N - P + 1,) and members: (N,) filled, as `group_members` does.
+    """
+    for merge in range(len(pairs)):
+        i, j = pairs[merge, 0], pairs[merge, 1]
+        children[merge, 0], children[merge, 1] = ids[i], ids[j]
+        merges[i], merges[j] = merge, -2
+    row = place = 0
+    for old in range(len(ids)):
+        merge = merges[old]
+        if merge != -2:
+            starts[row] = place
+            members[place] = old
+            place += 1
+            if merge >= 0:
+                members[place] = pairs[merge, 1]
+                place += 1
+                ids[row] = made + merge
+            else:
+                ids[row] = ids[old]
+            row += 1
+    starts[row] = place
+
+
+@kernel
 def heaviest_members(labels: I32, weights: F64, members: I64) -> None:
     """The first member of largest weight of every group.
 

@@ -5,6 +5,8 @@ import numpy as np
 from nanogs._types import F32, I32, I64, U64, Bool
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 
+_STRETCH = 1 << 13  # rows that one thread goes through; fixed, so that threads do not matter
+
 
 @inline
 def _lists(neighbours: I32, row: int, value: int) -> bool:
@@ -16,52 +18,83 @@ def _lists(neighbours: I32, row: int, value: int) -> bool:
     return hits != 0
 
 
-@parallel_kernel("neighbours")
-def _count_larger(start: int, stop: int, neighbours: I32, starts: I64) -> None:
-    """How many of each row's neighbours are larger; marks those of `count_pairs`."""
-    for i in range(start, stop):
-        larger = 0
-        for place in range(neighbours.shape[1]):
-            j = neighbours[i, place]
-            larger += i < j
-            if j < i and not _lists(neighbours, j, i):
-                neighbours[i, place] = ~j
-        starts[i + 1] = larger
+@inline
+def _rows_of(stretch: int, n: int) -> tuple[int, int]:
+    """The rows of a stretch, of n in all."""
+    return stretch * _STRETCH, min(n, (stretch + 1) * _STRETCH)
+
+
+@parallel_kernel("marks", least=1)
+def _count_larger(start: int, stop: int, neighbours: I32, starts: I64, marks: I64) -> None:
+    """How many of each row's neighbours are larger; marks those of `count_pairs`, and counts them.
+
+    marks: (stretches,), filled.
+    """
+    for stretch in range(start, stop):
+        first, end = _rows_of(stretch, len(neighbours))
+        marked = 0
+        for i in range(first, end):
+            larger = 0
+            for place in range(neighbours.shape[1]):
+                j = neighbours[i, place]
+                larger += i < j
+                if j < i and not _lists(neighbours, j, i):
+                    neighbours[i, place] = ~j
+                    marked += 1
+            starts[i + 1] = larger
+        marks[stretch] = marked
+
+
+@parallel_kernel("marks", least=1)
+def _list_marked(start: int, stop: int, neighbours: I32, marks: I64, marked: I32) -> None:
+    """The pairs that only their larger row lists, by that row.
+
+    marks: (stretches,) where those of each stretch end; marked: (2, M) smaller rows, larger rows.
+    """
+    for stretch in range(start, stop):
+        first, end = _rows_of(stretch, len(neighbours))
+        at = marks[stretch - 1] if stretch > 0 else 0
+        for i in range(first, end):
+            for place in range(neighbours.shape[1]):
+                if neighbours[i, place] < 0:
+                    marked[0, at], marked[1, at] = ~neighbours[i, place], i
+                    at += 1
 
 
 @kernel
-def _add_marked(neighbours: I32, starts: I64) -> None:
+def _add_marked(marked: I32, starts: I64) -> None:
     """Add the pairs that only their larger row lists, and sum up."""
-    n, k = neighbours.shape
-    for i in range(n):
-        for place in range(k):
-            if neighbours[i, place] < 0:
-                starts[~neighbours[i, place] + 1] += 1
     starts[0] = 0
-    for i in range(n):
+    for pair in range(marked.shape[1]):
+        starts[marked[0, pair] + 1] += 1
+    for i in range(len(starts) - 1):
         starts[i + 1] += starts[i]
 
 
-def count_pairs(neighbours: I32, starts: I64) -> None:
+def count_pairs(neighbours: I32, starts: I64) -> I32:
     """Find where the pairs of each row start; a pair belongs to its smaller row.
 
     neighbours: (N, k), those marked by their complement that are the smaller row and do not have
-    this row among their own; starts: (N + 1,), filled, the last is the number of pairs.
+    this row among their own; starts: (N + 1,), filled, the last is the number of pairs. Returns
+    (2, M), the pairs that are marked, by their larger row: smaller rows, larger rows.
     """
-    _count_larger(neighbours, starts)
-    _add_marked(neighbours, starts)
+    marks = np.empty(-(-len(neighbours) // _STRETCH), dtype=np.int64)
+    _count_larger(neighbours, starts, marks)
+    np.cumsum(marks, out=marks)
+    marked = np.empty((2, marks[-1] if len(marks) else 0), dtype=np.int32)
+    _list_marked(neighbours, marks, marked)
+    _add_marked(marked, starts)
+    return marked
 
 
-@kernel
-def _fill_marked(neighbours: I32, nexts: I64, seconds: I32) -> None:
-    """The pairs that only their larger row lists."""
-    n, k = neighbours.shape
-    for i in range(n):  # the rows i ascend, and so do those given to each j
-        for place in range(k):
-            if neighbours[i, place] < 0:
-                j = ~neighbours[i, place]
-                seconds[nexts[j]] = i
-                nexts[j] += 1
+@parallel_kernel("nexts", least=_STRETCH, each=1)
+def _fill_marked(start: int, stop: int, marked: I32, nexts: I64, seconds: I32) -> None:
+    """The larger rows of the pairs that only these list, for some smaller rows."""
+    for pair in range(marked.shape[1]):  # the larger rows ascend, and so do those of each smaller
+        j = marked[0, pair]
+        if start <= j < stop:
+            seconds[nexts[j]] = marked[1, pair]
+            nexts[j] += 1
 
 
 @parallel_kernel("neighbours")
@@ -82,13 +115,13 @@ def _fill_larger(
                 count += 1
 
 
-def fill_seconds(neighbours: I32, starts: I64, nexts: I64, seconds: I32) -> None:
+def fill_seconds(neighbours: I32, starts: I64, nexts: I64, marked: I32, seconds: I32) -> None:
     """The larger row of each unordered pair of the union of both directions, ascending.
 
-    neighbours, starts: from `count_pairs`; nexts: (N,) a copy of the starts, changed; seconds:
-    (E,), filled: those of row i from starts[i] to starts[i + 1].
+    neighbours, starts, marked: from `count_pairs`; nexts: (N,) a copy of the starts, changed;
+    seconds: (E,), filled: those of row i from starts[i] to starts[i + 1].
     """
-    _fill_marked(neighbours, nexts, seconds)
+    _fill_marked(marked, nexts, seconds)
     _fill_larger(neighbours, starts, nexts, seconds)
 
 
@@ -186,39 +219,44 @@ def join_pairs(
 
 
 @kernel
-def tally_free(firsts: I32, seconds: I32, costs: F32, taken: Bool, counts: I64) -> int:
+def tally_free(firsts: I32, seconds: I32, costs: F32, taken: Bool, counts: I64) -> None:
     """Count the pairs whose ends are both free by the upper half of their cost's bits.
 
     firsts, seconds, costs: (E,), those without a number left out; taken: (N,); counts: (65536,)
-    zeros, filled. Returns how many were left out.
+    zeros, filled.
     """
     bits = costs.view(np.uint32)
-    without = 0
     for edge in range(len(costs)):
-        if np.isnan(costs[edge]):
-            without += 1
-        elif not (taken[firsts[edge]] or taken[seconds[edge]]):
+        if not (taken[firsts[edge]] or taken[seconds[edge]] or np.isnan(costs[edge])):
             counts[_sortable(bits[edge]) >> np.uint32(16)] += 1
-    return without
 
 
-@kernel
+@parallel_kernel("bounds", least=1)
 def collect_free(
-    firsts: I32, seconds: I32, costs: F32, taken: Bool, end: int, keys: U64
-) -> int:  # fmt: skip
+    start: int, stop: int,
+    firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64, end: int,
+    places: I64, without: I64, keys: U64,
+) -> None:  # fmt: skip
     """Integers that sort like (cost, row of the pair), of pairs whose ends are both free.
 
-    firsts, seconds, costs, taken: as `tally_free` takes them; end: the first upper half that is too
-    high; keys: with room for all of them, filled by rows. Returns how many there are.
+    firsts, seconds, costs, taken, bounds: as `offer_pairs` takes them; end: the first upper half of
+    a cost's bits that is too high; places: (stretches,) where the keys of each stretch begin,
+    becomes where they end; without: (stretches,), filled: pairs that have no cost; keys: filled, or
+    empty, and they are only counted.
     """
     bits = costs.view(np.uint32)
-    count = 0
-    for edge in range(len(costs)):
-        free = not (taken[firsts[edge]] or taken[seconds[edge]] or np.isnan(costs[edge]))
-        if free and _sortable(bits[edge]) >> np.uint32(16) < end:
-            keys[count] = _key(costs, edge)
-            count += 1
-    return count
+    for stretch in range(start, min(stop, len(bounds) - 1)):
+        at, numberless = places[stretch], 0
+        for edge in range(bounds[stretch], bounds[stretch + 1]):
+            if np.isnan(costs[edge]):
+                numberless += 1
+                continue
+            free = not (taken[firsts[edge]] or taken[seconds[edge]])
+            if free and _sortable(bits[edge]) >> np.uint32(16) < end:
+                if len(keys) > 0:
+                    keys[at] = _key(costs, edge)
+                at += 1
+        places[stretch], without[stretch] = at, numberless
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F64, I32, Bool, F
 from nanogs.kernels.forest import (
     number_groups,
@@ -10,6 +11,7 @@ from nanogs.kernels.forest import (
     subtree_sums,
 )
 from nanogs.method.forest import Forest
+from nanogs.slices import slices
 
 # A unit of geometry (weight times nats) against one of squared colour.
 LAMBDA_GEO = 0.1
@@ -28,23 +30,33 @@ def merge_scores(forest: Forest, balance: float, typical: float | None = None) -
         typical: What takes the place of the median, so that scores of several forests compare.
     """
     first = forest.splats
-    increments = LAMBDA_GEO * forest.increments[:, 1].astype(np.float64)
-    increments += forest.increments[:, 0]
-    # Rounding can leave the increment of two equal splats a hair below zero.
-    np.maximum(increments, 0.0, out=increments)
+    increments = np.empty(len(forest.children))
+
+    def weigh(part: slice) -> None:
+        some = LAMBDA_GEO * forest.increments[part, 1].astype(np.float64)
+        some += forest.increments[part, 0]
+        # Rounding can leave the increment of two equal splats a hair below zero.
+        np.maximum(some, 0.0, out=increments[part])
+
+    spread.each(slices(len(increments)), weigh)
     sums = np.zeros(first + len(forest.children))
     subtree_sums(forest.children, increments, sums)
     errors = np.maximum(sums[first:], np.finfo(np.float64).tiny, out=increments)
     middle = np.log2(np.median(errors) if typical is None else typical)
     scores = sums  # in the same memory
     scores[:first] = -np.inf
-    scores[first:] = (1 - balance) * forest.levels
-    # A difference and not a ratio: that overflows where most merges cost nothing.
-    logs = np.log2(errors, out=errors)
-    logs -= middle
-    scores[first:] += np.multiply(balance, logs, out=logs)
+    above = scores[first:]
+
+    def score(part: slice) -> None:
+        # A difference and not a ratio: that overflows where most merges cost nothing.
+        logs = np.log2(errors[part])
+        logs -= middle
+        above[part] = (1 - balance) * forest.levels[part]
+        above[part] += np.multiply(balance, logs, out=logs)
+
+    spread.each(slices(len(above)), score)
     raise_to_children(forest.children, scores)  # log2 may round two errors the wrong way
-    return scores[first:]
+    return above
 
 
 def cut(forest: Forest, target: int, balance: float) -> I32:

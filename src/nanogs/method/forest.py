@@ -10,12 +10,13 @@ from functools import partial
 import numpy as np
 
 from nanogs import spread
-from nanogs._types import F32, F64, I32
+from nanogs._types import F32, F64, I32, I64
 from nanogs.clock import StageClock
 from nanogs.kernels.forest import log_determinants, merge_increments
+from nanogs.kernels.nodes import join_pairs_of_nodes
 from nanogs.method.graph import neighbour_pairs
 from nanogs.method.match import MergePlan, match
-from nanogs.method.nodes import Nodes, gather, gather_pairs
+from nanogs.method.nodes import Nodes, gather_groups, gather_pairs
 from nanogs.method.parameters import ForestParameters
 from nanogs.progress import Parts
 from nanogs.report import PassReport, StopReason
@@ -74,21 +75,24 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
         clock = StageClock()
         with clock.time("merge"):
             level = np.full(len(plan), len(passes) + 1, dtype=np.int32)
-            parts.append((ids[plan.pairs], level, increments))
-            first, second = plan.pairs.T
-            ids[first] = np.arange(made, made + len(plan))
+            children, ids, starts, members = _joined_pairs(plan.pairs, ids, made)
+            parts.append((children, level, increments))
             made += len(plan)
-            stays = np.ones(len(nodes), dtype=bool)
-            stays[second] = False
-            ids = ids[stays]
-            labels = (np.cumsum(stays) - 1).astype(np.int32)
-            labels[second] = labels[first]
             # The features of pairs of splats, half a model, are not stored but mixed when needed.
             told(0.9)
-            nodes = (gather if passes else gather_pairs)(nodes, labels, len(ids))
+            nodes = (gather_groups if passes else gather_pairs)(nodes, starts, members)
         passes.append(replace(report, seconds=report.seconds | clock.seconds))
     children, levels, errors = _joined(parts)
     return Forest(count, children, levels, errors, tuple(passes), stop)
+
+
+def _joined_pairs(pairs: I32, ids: I32, made: int) -> tuple[I32, I32, I64, I32]:
+    """Children of the merges, numbers of the nodes that are left, and which rows these are of."""
+    children, left = np.empty_like(pairs), len(ids) - len(pairs)
+    merges = np.full(len(ids), -1, dtype=np.int32)
+    starts, members = np.empty(left + 1, dtype=np.int64), np.empty(len(ids), dtype=np.int32)
+    join_pairs_of_nodes(pairs, made, ids, merges, children, starts, members)
+    return children, ids[:left].copy(), starts, members
 
 
 def _tell_within(tell: Parts, splats: int, nodes: int, share: float) -> None:

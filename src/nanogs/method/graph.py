@@ -23,10 +23,10 @@ def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
     neighbours = nearest_neighbours(means, k, threads)
     starts: I64 = np.empty(len(neighbours) + 1, dtype=np.int64)
     with use_threads(threads):
-        count_pairs(neighbours, starts)
+        marked = count_pairs(neighbours, starts)
         columns: I32 = np.empty((2, starts[-1]), dtype=np.int32)
-        fill_seconds(neighbours, starts, starts[:-1].copy(), columns[1])
-        del neighbours  # the other column takes no memory before it is written
+        fill_seconds(neighbours, starts, starts[:-1].copy(), marked, columns[1])
+        del neighbours, marked  # the other column takes no memory before it is written
         fill_firsts(starts, columns[0])
     return columns.T
 

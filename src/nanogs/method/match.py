@@ -15,15 +15,15 @@ from nanogs.kernels.pairs import (
     offer_pairs,
     tally_free,
 )
-from nanogs.kernels.radix import radix_sort
 from nanogs.slices import slices
 
 # The pairs are sorted in batches, the cheapest first: those that an earlier batch made impossible
 # are never sorted, and the keys take little memory.
 BATCH = 0.5  # pairs for each row
 SMALLEST_BATCH = 1 << 16
-STRETCH = 1 << 16  # rows that one thread goes through; fixed, so that threads do not matter
+STRETCH = 1 << 15  # rows that one thread goes through; fixed, so that threads do not matter
 MOST_PAIRS = (1 << 31) - 1
+ALL = 1 << 16  # upper halves of the bits of a cost
 FEW = 0.01  # share of the rows that is no longer worth a round
 
 
@@ -69,8 +69,12 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
         )
     firsts, seconds = pairs.T
     taken = np.zeros(rows, dtype=bool)
-    joined = _agree(firsts, seconds, costs, taken)
-    left, without_cost = _match_sorted(firsts, seconds, costs, taken)
+    stretches = -(-rows // STRETCH)
+    starts = np.minimum(np.arange(stretches + 1) * STRETCH, rows)
+    # Of the pairs' own type: they would be copied otherwise.
+    bounds = np.searchsorted(firsts, starts.astype(np.int32))
+    joined = _agree(firsts, seconds, costs, taken, starts, bounds)
+    left, without_cost = _match_sorted(firsts, seconds, costs, taken, bounds)
     keys = np.concatenate((*joined, left))
     del joined, left
     keys.sort()
@@ -86,17 +90,15 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     return MergePlan(matched, prices, without_cost)
 
 
-def _agree(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> list[U64]:
+def _agree(
+    firsts: I32, seconds: I32, costs: F32, taken: Bool, starts: I64, bounds: I64
+) -> list[U64]:  # fmt: skip
     """Keys of the pairs that are the cheapest of both their rows, then of those left, and so on.
 
     They are in parts. It ends when a round takes few: in a chain of ascending costs each round
     would take one.
     """
-    rows = len(taken)
-    stretches = -(-rows // STRETCH)
-    starts = np.minimum(np.arange(stretches + 1) * STRETCH, rows)
-    # Of the pairs' own type: they would be copied otherwise.
-    bounds = np.searchsorted(firsts, starts.astype(np.int32))
+    rows, stretches = len(taken), len(starts) - 1
     crossing, reached = _crossing(seconds, starts, bounds)
     bests: U64 = np.empty(rows, dtype=np.uint64)
     joined: U64 = np.full(rows, NONE, dtype=np.uint64)
@@ -145,20 +147,35 @@ def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
     return pairs.take(order), ends
 
 
-def _match_sorted(firsts: I32, seconds: I32, costs: F32, taken: Bool) -> tuple[U64, int]:
+def _match_sorted(
+    firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64
+) -> tuple[U64, int]:  # fmt: skip
     """Keys of the pairs that are taken of what is free, and how many pairs have no cost."""
     chosen: U64 = np.empty((len(taken) - np.count_nonzero(taken)) // 2, dtype=np.uint64)
     room = max(int(BATCH * len(taken)), SMALLEST_BATCH)
-    count = 0
-    while True:
-        counts = np.zeros(1 << 16, dtype=np.int64)
-        without_cost = tally_free(firsts, seconds, costs, taken, counts)
-        if not counts.any():
-            return chosen[:count], without_cost
-        end = _end_of_batch(counts, room)
-        keys = _sorted_keys(firsts, seconds, costs, taken, end, int(counts[:end].sum()))
+    count, end = 0, 0
+    while end < ALL:
+        end = ALL
+        free, without_cost = _count_free(firsts, seconds, costs, taken, bounds, end)
+        if free.sum() > room:
+            counts = np.zeros(ALL, dtype=np.int64)
+            tally_free(firsts, seconds, costs, taken, counts)
+            end = _end_of_batch(counts, room)
+            free, _ = _count_free(firsts, seconds, costs, taken, bounds, end)
+        keys = _sorted_keys(firsts, seconds, costs, taken, bounds, end, free)
         count = greedy_matching(firsts, seconds, keys, taken, chosen, count)
         del keys
+    return chosen[:count], without_cost
+
+
+def _count_free(
+    firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64, end: int
+) -> tuple[I64, int]:  # fmt: skip
+    """(S,) int64, the free pairs of each stretch below a bound, and how many have no cost."""
+    free, without = np.zeros((2, len(bounds) - 1), dtype=np.int64)
+    none: U64 = np.empty(0, dtype=np.uint64)
+    collect_free(firsts, seconds, costs, taken, bounds, end, free, without, none)
+    return free, int(without.sum())
 
 
 def _end_of_batch(counts: I64, room: int) -> int:
@@ -168,9 +185,11 @@ def _end_of_batch(counts: I64, room: int) -> int:
 
 
 def _sorted_keys(
-    firsts: I32, seconds: I32, costs: F32, taken: Bool, end: int, count: int
+    firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64, end: int, free: I64
 ) -> U64:  # fmt: skip
-    keys: U64 = np.empty(count, dtype=np.uint64)
-    other: U64 = np.empty(count, dtype=np.uint64)
-    collect_free(firsts, seconds, costs, taken, end, keys)
-    return other if radix_sort(keys, other) else keys
+    keys: U64 = np.empty(int(free.sum()), dtype=np.uint64)
+    if len(keys):
+        places, without = np.cumsum(free) - free, np.empty_like(free)
+        collect_free(firsts, seconds, costs, taken, bounds, end, places, without, keys)
+    keys.sort()
+    return keys

@@ -151,32 +151,39 @@ def gather(nodes: Nodes, labels: I32, groups: int) -> Nodes:
         labels: (N,) int32, each node's group in [0, groups); no group is empty.
         groups: Their number.
     """
-    starts, members = member_lists(labels, groups)
-    rows = np.arange(groups, dtype=np.int32)
+    return gather_groups(nodes, *member_lists(labels, groups))
+
+
+def gather_groups(nodes: Nodes, starts: I64, members: I32) -> Nodes:
+    """As `gather`, of groups as `member_lists` lists them."""
+    rows = np.arange(len(starts) - 1, dtype=np.int32)
     return _gathered(nodes, starts, members, nodes.features, rows)
 
 
-def gather_pairs(leaves: Nodes, labels: I32, groups: int) -> Nodes:
+def gather_pairs(leaves: Nodes, starts: I64, members: I32) -> Nodes:
     """Gather groups of one or two splats; their features stay those of the splats.
 
     Args:
         leaves: N nodes, one a splat.
-        labels: As `gather` takes them.
-        groups: Their number.
+        starts: (G + 1,) as `member_lists` lists them.
+        members: (N,) likewise.
     """
-    starts, members = member_lists(labels, groups)
     merged = _gathered(leaves, starts, members, np.empty((0, 0), np.float32), leaves.rows[:0])
-    first, last = members[starts[:-1]], members[starts[1:] - 1]
-    shares = np.empty((groups, 2))
-    shares[:, 0] = leaves.weights[first] / merged.weights
-    shares[:, 1] = np.where(first == last, 0.0, leaves.weights[last] / merged.weights)
+    groups = len(starts) - 1
+    rows, shares = np.empty((2, groups), np.int32), np.empty((groups, 2))
+
+    def share(part: slice) -> None:
+        first = members.take(starts[part])
+        last = members.take(starts[part.start + 1 : part.stop + 1] - 1)
+        rows[0, part], rows[1, part] = leaves.rows.take(first), leaves.rows.take(last)
+        weights = merged.weights[part]
+        shares[part, 0] = leaves.weights.take(first) / weights
+        shares[part, 1] = np.where(first == last, 0.0, leaves.weights.take(last) / weights)
+
+    spread.each(slices(groups), share)
     return replace(
-        merged,
-        features=leaves.features,
-        rows=leaves.rows[first],
-        seconds=leaves.rows[last],
-        shares=shares,
-    )
+        merged, features=leaves.features, rows=rows[0], seconds=rows[1], shares=shares
+    )  # fmt: skip
 
 
 def _gathered(nodes: Nodes, starts: I64, members: I32, features: F32, rows: I32) -> Nodes:
