@@ -769,8 +769,9 @@ from nanogs.datasets.synthetic import make_scene
 small, _ = nanogs.simplify(make_scene(1000), ratio=0.1, steps=2, views=2, view_size=64)
 for module in pkgutil.iter_modules(nanogs.kernels.__path__, "nanogs.kernels."):
     for name, value in vars(importlib.import_module(module.name)).items():
-        options = getattr(value, "targetoptions", {})
-        if len(getattr(value, "signatures", ())) > 1 and not options.get("forceinline"):
+        if isinstance(value, type) or getattr(value, "targetoptions", {}).get("forceinline"):
+            continue
+        if len(getattr(value, "signatures", ())) > 1:
             print(name, *value.signatures, sep="\\n  ")
 """
     run = subprocess.run(

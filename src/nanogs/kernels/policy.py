@@ -17,6 +17,7 @@ from numba.extending import overload
 from nanogs import spread
 from nanogs.kernels import compiling
 from nanogs.kernels.cached import cached
+from nanogs.kernels.inlined import OPTIONS, inlined
 from nanogs.kernels.simd.choice import Way, chosen
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -30,7 +31,6 @@ CALLED: dict[str, Any] = {
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
 }
-INLINE = CALLED | {"forceinline": True}
 
 
 def kernel(function: Kernel) -> Kernel:
@@ -77,12 +77,12 @@ def exact_parallel_kernel(
 
 def inline(function: Kernel) -> Kernel:
     """Compile a small function that LLVM is to inline into the kernels that call it."""
-    return cached(function, fastmath=FASTMATH, **INLINE)
+    return inlined(function, fastmath=FASTMATH, **CALLED)
 
 
 def exact_inline(function: Kernel) -> Kernel:
     """Compile a small function to be inlined, without any liberty: for the exact kernels."""
-    return cached(function, **INLINE)
+    return inlined(function, **CALLED)
 
 
 def two_ways(function: Kernel) -> Kernel:
@@ -91,16 +91,16 @@ def two_ways(function: Kernel) -> Kernel:
     The former is the function of the same name in the module of the same name there. Which it is,
     `simd/choice.py` says for all.
     """
-    return _two_ways(function, fastmath=FASTMATH, **INLINE)
+    return _two_ways(function, fastmath=FASTMATH, **CALLED)
 
 
 def exact_two_ways(function: Kernel) -> Kernel:
     """As `two_ways`; its floating-point operations are those written, as in IEEE."""
-    return _two_ways(function, **INLINE)
+    return _two_ways(function, **CALLED)
 
 
 def _two_ways(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba's own
-    given: Any = options  # of the type that Numba keeps for itself
+    given: Any = options | OPTIONS  # of the type that Numba keeps for itself
 
     @wraps(function)
     def python(*args: Any) -> Any:  # noqa: ANN401 - of any kernel

@@ -1,0 +1,92 @@
+"""Small functions of which Numba makes no machine code: they exist in the kernels that call them.
+
+What Numba compiles it optimises whole, turns into machine code and wraps for Python. For a function
+that is inlined wherever it is called all this is done again with its caller, and alone it is done
+for nobody: a quarter of what compiling took. What the caller gets is the code before all that, and
+it came out as the same machine code.
+"""
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, TypeVar, cast
+
+from numba.core import config, registry
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+
+from nanogs.kernels.cached import cached
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+
+class _Source(JITCodeLibrary):
+    """A function's code for LLVM to inline; nothing can run it."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:  # noqa: ANN401 - Numba's own
+        """Tidy up as Numba does, but not the many functions that are only named."""
+        codegen = self._codegen
+        ll_module.data_layout = codegen._data_layout  # noqa: SLF001
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes, builder = codegen._function_pass_manager()  # type: ignore[no-untyped-call] # noqa: SLF001
+                passes.run(function, builder)
+
+    def _optimize_final_module(self) -> None:
+        """Leave it to who inlines it."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """None: there is no machine code."""
+        del name
+        self._ensure_finalized()  # type: ignore[no-untyped-call]
+        return 0
+
+    @property
+    def codegen(self) -> "_Source":
+        """Who is told of the function's environment, which only machine code has."""
+        return self
+
+    def set_env(self, name: str, environment: object) -> None:
+        """Nobody looks for it."""
+
+
+class SourceCompiler(Compiler):
+    """Numba's compiler, up to the code for LLVM."""
+
+    def compile_extra(self, func: Callable[..., Any]) -> Any:  # noqa: ANN401
+        """Compile one function."""
+        codegen = self.state.targetctx.codegen()
+        self.state.library = _Source(codegen, func.__qualname__)  # type: ignore[no-untyped-call]
+        return super().compile_extra(func)  # type: ignore[no-untyped-call]
+
+
+# For Numba's decorators, of what is inlined.
+OPTIONS: dict[str, Any] = {
+    "forceinline": True,
+    "no_cpython_wrapper": True,
+    "pipeline_class": SourceCompiler,
+}
+
+
+class _Inlined(registry.CPUDispatcher):
+    """What kernels call; Python, which is to say a test, calls a function compiled for itself."""
+
+    @cached_property
+    def _alone(self) -> Callable[..., Any]:
+        options = self.targetoptions | {"no_cpython_wrapper": False}
+        del options["nopython"]
+        return cached(self.py_func, **options)
+
+    def __call__(self, *args: Any) -> Any:  # noqa: ANN401
+        return self._alone(*args)
+
+
+def inlined(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401
+    """Have a function inlined into the kernels that call it, and compiled nowhere else."""
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    given = options | OPTIONS | {"nopython": True, "boundscheck": None}
+    compiler = given.pop("pipeline_class")
+    return cast("Kernel", _Inlined(function, targetoptions=given, pipeline_class=compiler))
