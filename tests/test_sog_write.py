@@ -312,22 +312,6 @@ def test_nearest_entry_is_the_nearest():
     assert np.abs(values - book[indices]) == pytest.approx(every.min(axis=-1))
 
 
-def test_entries_in_all_cells_are_the_nearest():
-    from nanogs.kernels.kmeans import nearest_entries
-
-    rng = np.random.default_rng(3)
-    points = rng.normal(size=(200, 9)).astype(np.float32)
-    entries = rng.normal(size=(30, 9)).astype(np.float32)
-    cells = np.tile(np.array([2, 0, 1], np.int32), (200, 1))
-    labels, errors = np.empty(200, np.int32), np.empty(200, np.float32)
-    columns = np.ascontiguousarray(entries.T)
-    bounds, squares = np.array([0, 11, 20, 30]), (columns**2).sum(axis=0)
-    nearest_entries(points, cells, 3, bounds, columns, squares, labels, errors)
-    every = ((points[:, None] - entries) ** 2).sum(axis=-1)
-    assert np.array_equal(labels, every.argmin(axis=1))
-    assert errors == pytest.approx(every.min(axis=1), rel=1e-4)
-
-
 def lloyd(points, size, rounds=10):
     """The plain method, from random points on."""
     rng = np.random.default_rng(0)

@@ -11,6 +11,9 @@ ENTRIES_PER_CELL = 256
 _SAMPLES_PER_CELL = 64
 _CELL_ROUNDS = 6
 _TWINS = 2  # entries that start from the same point
+_PIECE = 512  # points of a cell that a thread takes at once
+_LINE = 16  # float32 in a line of the cache
+_TINY = np.float32(2.0**-126)  # more than what underflow loses
 _PROBES = (1, 1, 1, 1, 1, 1, 6, 6)  # cells that a point looks into, round by round
 
 
@@ -74,18 +77,37 @@ class _Search:
     def __init__(self, points: F32, weights: F32, centres: F32, cells: I32, bounds: I64) -> None:
         self.points, self.weights = points, weights
         self.cells, self.bounds = cells, bounds
-        self.columns = np.ascontiguousarray(centres.T)
-        self.squares = (self.columns**2).sum(axis=0)
+        self.columns = _apart(centres.T)
+        self.squares = (self.columns[:, : len(centres)] ** 2).sum(axis=0)
         self.labels = np.zeros(len(points), np.int32)
-        self._errors = np.zeros(len(points), np.float32)
+        self._lengths = np.einsum("ij,ij->i", points, points)
+        self._least, self._second = np.empty((2, len(points)), np.float32)
+        self._order = np.empty(len(points), np.int64)
+
+    @property
+    def centres(self) -> F32:
+        """(K, D) float32, as they are now."""
+        return np.ascontiguousarray(self.columns[:, : len(self.squares)].T)
 
     def assign(self, probes: int) -> None:
         """The nearest centre of each point, as far as it looks."""
-        from nanogs.kernels.kmeans import nearest_entries
+        from nanogs.kernels.kmeans import likely_entries, nearest_entries
 
+        # For distances of as many terms this bounds what rounding does, in any order of them.
+        rounding = np.float32((self.points.shape[1] + 8) * 2.0**-24)
+        self._least.fill(np.inf)
+        self._second.fill(np.inf)
+        for probe in range(probes):
+            starts = self._by_cell(probe)
+            likely_entries(
+                _pieces(starts), self._order, self.points, self.bounds, self.columns, self.squares,
+                4 * rounding, self.labels, self._least, self._second,
+            )  # fmt: skip
+        apart = rounding * (10 * self.squares[self.labels] + 6 * self._lengths) + _TINY
+        near = np.flatnonzero(~(self._second - self._least > apart))
         nearest_entries(
-            self.points, self.cells, probes, self.bounds, self.columns, self.squares, self.labels,
-            self._errors,
+            near, self.points, self.cells, probes, self.bounds, self.columns, self.squares,
+            self.labels,
         )  # fmt: skip
 
     def move(self) -> None:
@@ -99,12 +121,46 @@ class _Search:
         weighted_means(self.points, self.weights, starts, order, self.columns, self.squares)
 
     def _reseed(self, idle: I64) -> None:
-        own = self.cells[:, 0]
-        worst = np.lexsort((-self._errors * self.weights, own))
+        from nanogs.kernels.kmeans import squared_errors
+
+        errors = self._least  # which is written anew before it is read
+        squared_errors(self.points, self.columns, self.labels, errors)
+        errors *= -self.weights
+        starts = self._by_cell(0)
         cells = np.searchsorted(self.bounds, idle, side="right") - 1
-        rank = np.arange(len(idle)) - np.searchsorted(cells, cells)
-        first = np.searchsorted(own[worst], cells)
-        self.columns[:, idle] = self.points[worst[first + rank]].T
+        for cell, count in zip(*np.unique(cells, return_counts=True), strict=True):
+            rows = self._order[starts[cell] : starts[cell + 1]]
+            worst = rows[np.argsort(errors[rows], kind="stable")[:count]]
+            self.columns[:, idle[cells == cell]] = self.points[worst].T
+
+    def _by_cell(self, probe: int) -> I64:
+        """Where each cell begins in the order of points by the cell they look into."""
+        from nanogs.kernels.kmeans import group
+
+        starts = np.empty(len(self.bounds), np.int64)
+        group(np.ascontiguousarray(self.cells[:, probe]), starts, self._order)
+        return starts
+
+
+def _apart(columns: F32) -> F32:
+    """(D, K or more): the same, rows an odd number of cache lines long.
+
+    With rows of 2^18 bytes, the usual, parts of one entry would drive each other out of the cache.
+    """
+    lines = -(-columns.shape[1] // _LINE) | 1
+    wide = np.zeros((len(columns), lines * _LINE), np.float32)
+    wide[:, : columns.shape[1]] = columns
+    return wide
+
+
+def _pieces(starts: I64) -> I64:
+    """(Q, 3): cells, and from where to where points of each are, a share of a thread at most."""
+    counts = np.diff(starts)
+    parts = -(-counts // _PIECE)
+    cells = np.repeat(np.arange(len(counts)), parts)
+    number = np.arange(len(cells)) - np.repeat(np.cumsum(parts) - parts, parts)
+    first = starts[cells] + number * _PIECE
+    return np.stack([cells, first, np.minimum(first + _PIECE, starts[cells + 1])], axis=1)
 
 
 def _cluster(points: F32, weights: F32, size: int, tell: Parts) -> tuple[F32, I32]:
@@ -119,7 +175,7 @@ def _cluster(points: F32, weights: F32, size: int, tell: Parts) -> tuple[F32, I3
         search.assign(min(probes, count))
         search.move()
     search.assign(cells.shape[1])
-    return np.ascontiguousarray(search.columns.T), search.labels
+    return search.centres, search.labels
 
 
 def _cells(points: F32, count: int) -> I32:
@@ -134,7 +190,7 @@ def _cells(points: F32, count: int) -> I32:
         search.assign(1)
         search.move()
     cells = np.empty((len(points), min(max(_PROBES), count)), np.int32)
-    nearest_cells(points, search.columns, search.squares, cells)
+    nearest_cells(points, np.ascontiguousarray(search.centres.T), search.squares, cells)
     return cells
 
 

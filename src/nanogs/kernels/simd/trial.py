@@ -3,7 +3,7 @@
 import numpy as np
 
 from nanogs._types import F32, F64, I32, U32
-from nanogs.kernels import blending, blocks, lanes, pulls
+from nanogs.kernels import blending, blocks, closest, lanes, pulls
 from nanogs.kernels.policy import kernel
 
 
@@ -22,6 +22,7 @@ def _call_all(
     blending.probe_block(marks[0], 0, sums[0], planes, 0, sums)
     sums[0, 0, 0] = blending.total(sums, 0, 0)
     pulls.pull_blocks(1, 0, shapes, sums[0], left, planes, planes, left, sums[0], 1)
+    closest.closest(left, sums[0], sums[0, 0], 1, left, left, keys)
     return lanes.lowest_bit(mask | 1)
 
 
@@ -30,4 +31,4 @@ def run() -> None:
     shapes, sums = np.zeros((32, 8), np.float32), np.zeros((4, 32, 32), np.float32)
     left, planes = np.ones((16, 16), np.float32), np.zeros((4, 16, 16), np.float32)
     boxes, marks = np.zeros((1, 6)), np.zeros(16, np.uint32)
-    _call_all(np.zeros(48), boxes, np.zeros(32, np.int32), shapes, marks, left, planes, sums)
+    _call_all(np.zeros(48), boxes, np.zeros(64, np.int32), shapes, marks, left, planes, sums)

@@ -197,6 +197,30 @@ def each_bit(builder: Any, mark: Any, values: list[Any], body: Callable[..., lis
     return results
 
 
+def each_index(builder: Any, count: Any, values: list[Any], body: Callable[..., list[Any]]) -> Any:
+    """Carry values through the body for each int64 from 0 to before the count, which is positive.
+
+    The body takes the number and the values, and returns these anew. In registers, as `each_bit`.
+    """
+    before = builder.block
+    loop, after = (builder.append_basic_block(name) for name in ("turn", "turned"))
+    builder.branch(loop)
+    builder.position_at_end(loop)
+    number = builder.phi(INDEX)
+    carried = [builder.phi(value.type) for value in values]
+    found = body(number, *carried)
+    following = builder.add(number, index(1))
+    end = builder.block
+    builder.cbranch(builder.icmp_signed("<", following, count), loop, after)
+    for phi, first, later in zip(
+        [number, *carried], [index(0), *values], [following, *found], strict=True
+    ):
+        phi.add_incoming(first, before)
+        phi.add_incoming(later, end)
+    builder.position_at_end(after)
+    return found
+
+
 def sums(builder: Any, vectors: list[Any]) -> Any:
     """A vector of the sums of as many vectors as it has lanes."""
     count = len(vectors)

@@ -1,0 +1,46 @@
+"""The least of many sums, for 4 points and 16 columns at a time; `simd/closest.py` has vectors."""
+
+import numpy as np
+
+from nanogs._types import F32, I32
+from nanogs.kernels.policy import two_ways
+
+LANES = 16
+TOGETHER = 4
+
+
+@two_ways
+def closest(
+    factors: F32, columns: F32, squares: F32, tiles: int, least: F32, second: F32, places: I32
+) -> None:
+    """The least and the second least of square + factors . column, of each lane of the columns.
+
+    Lane l, from 0 to 15, has the columns l, 16 + l, 32 + l and so on, one of each tile.
+
+    Args:
+        factors: (4, D) of the points, D a multiple of three.
+        columns: (D, W), W a multiple of 16.
+        squares: (W,) what is added.
+        tiles: How many to look at, from 1 to W / 16.
+        least: (4, 16) out.
+        second: (4, 16) out; infinite where there is but one tile.
+        places: (4, 16) out, the tile of the least.
+    """
+    count = tiles * LANES
+    sums = np.empty(count, np.float32)
+    least[:] = np.inf
+    second[:] = np.inf
+    for point in range(TOGETHER):
+        for c in range(count):
+            sums[c] = squares[c]
+        for d in range(0, len(columns), 3):
+            x, y, z = factors[point, d], factors[point, d + 1], factors[point, d + 2]
+            for c in range(count):
+                sums[c] += x * columns[d, c] + y * columns[d + 1, c] + z * columns[d + 2, c]
+        for c in range(count):
+            lane = c % LANES
+            if sums[c] < least[point, lane]:
+                second[point, lane] = least[point, lane]
+                least[point, lane], places[point, lane] = sums[c], c // LANES
+            elif sums[c] < second[point, lane]:
+                second[point, lane] = sums[c]
