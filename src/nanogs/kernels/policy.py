@@ -80,6 +80,14 @@ def inline(function: Kernel) -> Kernel:
     return inlined(function, fastmath=FASTMATH, **CALLED)
 
 
+def optimised_inline(function: Kernel) -> Kernel:
+    """As `inline`, optimised before it is inlined, too.
+
+    Which operations are fused follows from that, and so the last bits of results, which must stay.
+    """
+    return cached(function, fastmath=FASTMATH, forceinline=True, **CALLED)
+
+
 def exact_inline(function: Kernel) -> Kernel:
     """Compile a small function to be inlined, without any liberty: for the exact kernels."""
     return inlined(function, **CALLED)
