@@ -88,6 +88,7 @@ def activate_nodes(
     origin: F64,
     dilation: Dilation,
     thinnest: float | None = None,
+    coverages: F64 | None = None,
 ) -> Nodes:
     """One node for each splat, all of the splat's footprint visible.
 
@@ -97,21 +98,29 @@ def activate_nodes(
         origin: (3,) taken off the centres, scene units.
         dilation: What rasterisers add, by where splats are from the origin.
         thinnest: Axis of any node, scene units, above 0; by default what `thinnest_axis` says.
+        coverages: (M,) float64 of the same nodes, where they are known from a call before.
 
     Returns:
         The nodes; their rows are those of the input.
     """
     rows = rows.astype(np.int32, copy=False)
     means, covariances = _shapes(splats, rows, origin, dilation.least, thinnest)
-    coverages = dilation.at(means)  # pixels, until what they cover takes their place
+    if coverages is None:
+        coverages = _coverages(splats, rows, covariances, dilation.at(means))
+    features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
+    return Nodes(normalised(coverages), coverages, means, covariances, features, rows)
+
+
+def _coverages(splats: Splats, rows: I32, covariances: F64, pixels: F64) -> F64:
+    """(M,) float64: alpha times footprint, in the memory of the pixels."""
+    coverages = pixels
 
     def cover(part: slice) -> None:
         opacities = alphas(pick(splats.opacity_logits, rows[part]))
-        coverages[part] = opacities * footprints(covariances[part], coverages[part])
+        coverages[part] = opacities * footprints(covariances[part], pixels[part])
 
     spread.each(slices(len(rows)), cover)
-    features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
-    return Nodes(normalised(coverages), coverages, means, covariances, features, rows)
+    return coverages
 
 
 def _shapes(

@@ -4,14 +4,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nanogs._types import F32, F64, I32, Bool
+from nanogs import spread
+from nanogs._types import F32, F64, I32, I64, Array, Bool
 from nanogs.kernels.nodes import principal_axes
 from nanogs.method.extent import Dilation
 from nanogs.method.gaussians import LEAST_ALPHA, LEAST_SCALE
 from nanogs.method.growth import area_needs, blocked, widened
 from nanogs.method.nodes import Nodes, footprints, gather, stored_order
 from nanogs.slices import slices
-from nanogs.splats import Splats
+from nanogs.splats import Splats, pick
 
 MOST_OPAQUE = 1 - 1e-6  # alpha 1 has an infinite logit, which not every viewer reads
 
@@ -80,12 +81,39 @@ def store_groups(
     needed, least = area_needs(merged, leaves, labels, areas, sheets=sheets)
     alphas = blocked(merged.coverages[new], areas[new]) / areas[new]
     alphas = np.clip(alphas, LEAST_ALPHA, MOST_OPAQUE)
-    stored = replace(splats, sh=splats.sh[:, :1]).take(sources)
+    sh = merged.features.reshape(groups, *splats.sh.shape[1:])
+    stored = _of_sources(splats, sources, sh)
     stored.means[new] = merged.means[new] + origin
     stored.quats[new] = quats
     stored.opacity_logits[new] = np.log(alphas) - np.log1p(-alphas)
-    sh = merged.features.reshape(groups, *splats.sh.shape[1:])
     alone = np.flatnonzero(~new)
-    for part in slices(len(alone)):
-        sh[alone[part]] = splats.sh[sources[alone[part]]]
-    return Groups(replace(stored, sh=sh), new, scales, needed[new], least[new])
+
+    def restore(part: slice) -> None:
+        sh[alone[part]] = pick(splats.sh, sources[alone[part]])
+
+    spread.each(slices(len(alone)), restore)
+    return Groups(stored, new, scales, needed[new], least[new])
+
+
+def _of_sources(splats: Splats, sources: I64, sh: F32) -> Splats:
+    """The given rows of all columns but the harmonics, which are these."""
+    return replace(
+        splats,
+        means=_taken(splats.means, sources),
+        log_scales=_taken(splats.log_scales, sources),
+        quats=_taken(splats.quats, sources),
+        opacity_logits=_taken(splats.opacity_logits, sources),
+        sh=sh,
+        extras={name: _taken(column, sources) for name, column in splats.extras.items()},
+    )
+
+
+def _taken(column: Array, rows: I64) -> Array:
+    """The given rows of a column, which lie anywhere: all threads wait for them together."""
+    found = np.empty((len(rows), *column.shape[1:]), column.dtype)
+
+    def take(part: slice) -> None:
+        found[part] = pick(column, rows[part])
+
+    spread.each(slices(len(rows)), take)
+    return found

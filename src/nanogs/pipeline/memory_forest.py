@@ -63,6 +63,7 @@ def forest_stages(
     images += _IMAGES if judged else 0
     pixels = parameters.view_size**2 if looked else 0
     kept += images
+    beside = kept + count * _F8  # the passes: the leaves' coverages
     leaves = kept + count * _NODE  # their features are the model's
     forest = leaves + count * _MERGE
     best = target * row if drawn else 0  # of those tried before
@@ -74,7 +75,7 @@ def forest_stages(
         if looked
         else 0,
         "activate": leaves,
-        **{stage: kept + held for stage, held in _growing(count, features, k).items()},
+        **{stage: beside + held for stage, held in _growing(count, features, k).items()},
         "cut": forest + count * _CUT + labels + best,
         "reassign": forest + labels + best + _reassign(count, target, features)
         if parameters.rounds

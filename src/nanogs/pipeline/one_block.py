@@ -222,20 +222,22 @@ class OneBlock(Scene):
     def grow(self, name: str, block: int) -> Record:
         """As `Scene` says."""
         start = time.perf_counter()
-        bare = [without_coverages(self._activated())]
+        bare = [self._activated()]
+        coverages = bare[0].coverages
+        bare[0] = without_coverages(bare[0])
         activating = time.perf_counter() - start
         # Made again for what follows: the passes are the most that is held, and they have no use
-        # for the leaves after the first.
+        # for the leaves after the first. The coverages, an eleventh of them, are kept.
         self._forest = grow_forest(bare.pop(), self.settings.parameters, self.threads, self.tell)
         start = time.perf_counter()
-        self._leaves = self._activated()
+        self._leaves = self._activated(coverages)
         seconds = [{"activate": activating + time.perf_counter() - start}]
         seconds += [each.seconds for each in self._forest.passes]
         return self.write(name, {}, {"seconds": seconds})
 
-    def _activated(self) -> Nodes:
+    def _activated(self, coverages: F64 | None = None) -> Nodes:
         rows, origin, added = self._placed
-        nodes = activate_nodes(self.splats, rows, origin, added)
+        nodes = activate_nodes(self.splats, rows, origin, added, coverages=coverages)
         if self.visible is None or not self.measures:
             return nodes
         hidden = self.settings.parameters.hidden
