@@ -16,7 +16,7 @@ from nanogs.progress import Tracker, untold
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import verified, write_table
 
-BRIEF = 28  # steps of the fit of results that are only held against each other
+BRIEF = 28  # steps at most of the fit of results that are only held against each other
 
 
 class Executor(Protocol):
@@ -188,13 +188,13 @@ def plain(settings: Settings, rounds: int | None = None) -> Settings:
 
 
 def brief(settings: Settings) -> Settings:
-    """Settings by which results are fitted in few steps, to be held against each other.
+    """Settings by which results are fitted in half of the steps or fewer, to be compared.
 
     Args:
         settings: Others.
     """
     given = settings.parameters
-    return replace(settings, parameters=replace(given, steps=min(given.steps, BRIEF)))
+    return replace(settings, parameters=replace(given, steps=min(-(-given.steps // 2), BRIEF)))
 
 
 def _do_here(
