@@ -75,6 +75,24 @@ def test_writer_longer_than_a_block(load, resave, monkeypatch):
     assert resave(model) == whole
 
 
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_parts_that_threads_read(load, monkeypatch, encoding):
+    """Columns of an array in the file's order, in another one, of another type, and extras."""
+    names = [*BASE[:2], "label", *BASE[2:], *rest(24)]
+    columns = vertex(100, names, {"label": "uchar", "scale_1": "double", "f_rest_3": "int"})
+    columns[-3] = (columns[-3][0], "double", np.where(np.arange(100) % 9, 0.5, 1e300))
+    columns[5] = (columns[5][0], "double", np.where(np.arange(100) % 7, 0.5, 1e300))
+    data = ply(("vertex", columns), ("more", [("f", "float", np.arange(40.0))]), encoding=encoding)
+    whole = load(data)
+    monkeypatch.setattr("nanogs.io.ply.read._PART_ROWS", 11)
+    monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 4)
+    parts = load(data)
+    assert_same(whole, parts)
+    assert whole.notes == parts.notes
+    assert any("15 values of" in str(note) for note in parts.notes)
+    assert any("12 values of" in str(note) for note in parts.notes)
+
+
 @pytest.mark.parametrize(("count", "degree"), [(0, 0), (9, 1), (24, 2), (45, 3), (72, 4)])
 def test_f_rest_is_channel_major(load, count, degree):
     columns = vertex(2, BASE) + [(n, "float", np.full(2, i)) for i, n in enumerate(rest(count))]

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 
 import numba
 import numpy as np
@@ -124,3 +125,23 @@ def test_a_part_that_fails_reaches_the_caller(threads):
 
     with use_threads(threads), pytest.raises(ZeroDivisionError):
         each(range(20), fail)
+
+
+def test_work_within_work_of_the_pool_stays_on_its_thread():
+    """Threads that all wait for work that none of them is free to do would wait for ever."""
+
+    def outer(number):
+        here = threading.current_thread()
+
+        def inner(part):
+            found.append((number, part))
+            alone.append(here is threading.main_thread() or threading.current_thread() is here)
+            time.sleep(0.001)
+
+        each(range(3), inner)
+
+    found, alone = [], []
+    with use_threads(None):
+        each(range(20), outer)
+    assert sorted(found) == [(a, b) for a in range(20) for b in range(3)]
+    assert all(alone)

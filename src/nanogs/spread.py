@@ -6,14 +6,14 @@ of each is optimised as a function of its own and again with all that surrounds 
 
 import inspect
 import os
+import sys
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from threading import Lock
-from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
+from threading import Lock, local
+from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar
 
-import numba
-from numba.core import config
+if TYPE_CHECKING:
+    from concurrent.futures import ThreadPoolExecutor
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -48,7 +48,7 @@ class Spread(Generic[P]):
         """Run the whole range; the arguments of the kernel but for the first two, by position."""
         assert not kwargs  # noqa: S101 - a kernel is called by position
         count = len(args[self._place])  # type: ignore[arg-type]
-        threads = int(numba.get_num_threads())
+        threads = _threads()
         parts = max(1, min(threads * self._each, count // self._least))
         threads = min(threads, parts)
         ranges = iter([(count * p // parts, count * (p + 1) // parts) for p in range(parts)])
@@ -83,12 +83,15 @@ def each(parts: Iterable[T], work: Callable[[T], None]) -> None:
                 return
             work(part)
 
-    _on(min(int(numba.get_num_threads()), len(every)), work_on)
+    _on(min(_threads(), len(every)), work_on)
 
 
 def _on(threads: int, work: Callable[[], None]) -> None:
-    """Call it on so many threads, this one among them."""
-    others = [_pool().submit(work) for _ in range(threads - 1)]
+    """Call it on so many threads, this one among them.
+
+    On this one alone, if it is of the pool: all that are would wait for each other.
+    """
+    others = [] if _own.of_pool else [_pool().submit(work) for _ in range(threads - 1)]
     try:
         work()
     finally:
@@ -96,9 +99,40 @@ def _on(threads: int, work: Callable[[], None]) -> None:
             other.result()
 
 
+class _Own(local):
+    """Of each thread: whether it is one of the pool's."""
+
+    of_pool = False
+
+    def join(self) -> None:
+        """Be one of them."""
+        self.of_pool = True
+
+
+_own = _Own()
+
+
 @cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(int(config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+def _pool() -> "ThreadPoolExecutor":
+    from concurrent.futures import ThreadPoolExecutor
+
+    return ThreadPoolExecutor(_most(), initializer=_own.join)
+
+
+def _threads() -> int:
+    """How many threads to use: as many as Numba, which files are read and written without."""
+    found = getattr(sys.modules.get("numba"), "get_num_threads", _most)()
+    return int(found)
+
+
+def _most() -> int:
+    """As Numba counts the threads that it has."""
+    asked = os.environ.get("NUMBA_NUM_THREADS", "")
+    if asked.isdecimal() and int(asked):
+        return int(asked)
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 # A forked process has the pool but none of its threads, for which it would wait for ever.

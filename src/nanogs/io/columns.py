@@ -1,8 +1,11 @@
 """How the columns of a 3DGS PLY vertex map onto the arrays of `Splats`."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import product
+from typing import Any
 
+from nanogs._types import Array
 from nanogs.errors import FormatError
 from nanogs.splats import MAX_SH_DEGREE
 
@@ -26,6 +29,18 @@ def sh_place(index: int, degree: int) -> tuple[int, int]:
     """(coefficient, channel) in `Splats.sh` of the column `f_rest_<index>`."""
     channel, coefficient = divmod(index, (degree + 1) ** 2 - 1)
     return coefficient + 1, channel
+
+
+def by_column(names: Sequence[str], array: Array) -> Iterator[tuple[str, Array]]:
+    """Each column of an array under its name.
+
+    Args:
+        names: Of all columns, the places of the last axis in turn.
+        array: (N,) or more axes, as many places in the others as there are names.
+    """
+    places: Iterator[Any] = product(*map(range, array.shape[1:]))
+    for name, place in zip(names, places, strict=True):
+        yield name, array[:, *place]
 
 
 def is_known(name: str) -> bool:

@@ -1,11 +1,13 @@
 """Reading 3DGS `.ply` files: any encoding, any column order, by name."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import Array
 from nanogs.errors import FormatError
 from nanogs.findings import Finding
@@ -17,9 +19,11 @@ from nanogs.io.parts import Column, ColumnReader, FileSource, Packed
 from nanogs.io.ply import compressed_read
 from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes, printable, read_header
 from nanogs.io.ply.rows import Block, check_body, iter_blocks, iter_span
+from nanogs.slices import slices
 from nanogs.splats import ExtraElement, Splats
 
 _WIDE = ("f8", "i4", "u4")  # types of a centre that float32 does not hold exactly
+_PART_ROWS = 8 * BLOCK_ROWS  # that a thread reads at once
 _TOKEN = 120  # bytes that a number of text takes while it is read: as text, number and value
 
 
@@ -69,7 +73,11 @@ class _Ply(FileSource):
         vertex = _Vertex(self._header, rows=count)
         for block in blocks:
             vertex.put(block)
-        return vertex.splats([ExtraElement(e.name, np.empty(0, e.dtype())) for e in self._kept])
+        return vertex.splats(self._no_rows())
+
+    def _no_rows(self) -> list[ExtraElement]:
+        """The further elements without their rows."""
+        return [ExtraElement(e.name, np.empty(0, e.dtype())) for e in self._kept]
 
     def _filled(self, elements: dict[str, Array]) -> Iterator[Block]:
         """The rows of all splats; those of elements go to arrays."""
@@ -98,8 +106,29 @@ class _Binary(_Ply):
 
     def _span(self, start: int, stop: int) -> Splats:
         """Some rows; see `Source`."""
-        blocks = iter_span(self._header, self._vertex.element, start, stop)
-        return self._rows(blocks, stop - start)
+        vertex, element = _Vertex(self._header, rows=stop - start), self._vertex.element
+
+        def read(part: slice) -> None:
+            for block in iter_span(self._header, element, start + part.start, start + part.stop):
+                rows = slice(part.start + block.rows.start, part.start + block.rows.stop)
+                vertex.put(replace(block, rows=rows))
+
+        spread.each(slices(stop - start, _PART_ROWS), read)
+        return vertex.splats(self._no_rows())
+
+    def load(self) -> Splats:
+        """The whole model."""
+        return replace(self._span(0, self.count), elements=self.read_elements())
+
+    def read_elements(self) -> tuple[ExtraElement, ...]:
+        """The further elements; see `Source`."""
+        found = []
+        for element in self._kept:
+            rows = np.empty(element.count, element.dtype())
+            for block in iter_span(self._header, element, 0, element.count):
+                rows[block.rows] = block.values
+            found.append(ExtraElement(element.name, rows))
+        return tuple(found)
 
 
 class _Text(_Ply, Packed):
@@ -162,8 +191,9 @@ class _Vertex:
         self.codes = {prop.name: str(prop.code) for prop in element.properties}
         wide = any(self.codes[name] in _WIDE for name in columns.MEANS)
         self.means_dtype = np.dtype(np.float64 if wide else np.float32)
-        self.overflowed: dict[str, int] = {}
+        self.overflowed: dict[tuple[str, int], int] = {}  # by column and first row
         self.targets: dict[str, Array] = {}
+        self.arrays: list[tuple[Sequence[str], Array]] = []  # and the names of their columns
         self._allocate(element.count if rows is None else rows)
 
     def _allocate(self, n: int) -> None:
@@ -181,29 +211,52 @@ class _Vertex:
 
     def _map_columns(self) -> None:
         """Name the view that each column of the file is copied to."""
-        targets = self.targets
-        for array, names in (
-            (self.means, columns.MEANS),
-            (self.log_scales, columns.SCALES),
-            (self.quats, columns.QUATS),
-            (self.sh[:, 0], columns.BASE_COLOUR),
-        ):
-            targets.update((name, array[:, i]) for i, name in enumerate(names))
-        targets[columns.OPACITY] = self.opacity_logits
-        for i, name in enumerate(columns.rest_names(self.degree)):
-            coefficient, channel = columns.sh_place(i, self.degree)
-            targets[name] = self.sh[:, coefficient, channel]
-        targets.update(self.extras)
+        self.arrays = [
+            (columns.MEANS, self.means),
+            (columns.SCALES, self.log_scales),
+            (columns.QUATS, self.quats),
+            (columns.BASE_COLOUR, self.sh[:, 0]),
+            (columns.rest_names(self.degree), self.sh[:, 1:].transpose(0, 2, 1)),
+        ]
+        for names, array in self.arrays:
+            self.targets.update(columns.by_column(names, array))
+        self.targets[columns.OPACITY] = self.opacity_logits
+        self.targets.update(self.extras)
+
+    def _together(self, rows: "np.dtype[Any]") -> Iterator[tuple[Sequence[str], Any, Array]]:
+        """Arrays whose columns follow each other in the rows, as they do in most files.
+
+        Yields:
+            Names of the columns, a type of the rows with all of them as the one field, and the
+            array.
+        """
+        fields: Any = rows.fields
+        for names, array in self.arrays:
+            if not names:
+                continue
+            kind, start = fields[names[0]][:2]
+            if kind.newbyteorder("=") == array.dtype and all(
+                fields[name][:2] == (kind, start + i * kind.itemsize)
+                for i, name in enumerate(names)
+            ):
+                row: Any = {"names": [names[0]], "formats": [(kind, array.shape[1:])]}
+                row |= {"offsets": [start], "itemsize": rows.itemsize}
+                yield names, np.dtype(row), array
 
     def put(self, block: Block) -> None:
-        for name, target in self.targets.items():
+        alone = dict(self.targets)
+        for names, row, array in self._together(block.values.dtype):
+            array[block.rows] = block.values.view(row)[names[0]]
+            for name in names:
+                del alone[name]
+        for name, target in alone.items():
             source = block.values[name]
             with np.errstate(over="ignore"):
                 target[block.rows] = source
             if self.codes[name] == "f8" and target.dtype == np.float32:
                 lost = np.isinf(target[block.rows]) & np.isfinite(source)
                 if lost.any():
-                    self.overflowed[name] = self.overflowed.get(name, 0) + int(lost.sum())
+                    self.overflowed[name, block.rows.start] = int(lost.sum())
 
     def splats(self, elements: list[ExtraElement]) -> Splats:
         comments = self.header.all_comments
@@ -232,11 +285,19 @@ class _Vertex:
             notes.append(
                 f"{counted(len(changed), f'{kinds} column')} became float: {_some(changed)}."
             )
-        for name, count in self.overflowed.items():
+        for name, count in self._overflows().items():
             quoted = repr(name).replace("{", "{{").replace("}", "}}")
             text = f"{{:value|values}} of {quoted} beyond float became infinite."
             notes.append(Finding(text, count))
         return notes
+
+    def _overflows(self) -> dict[str, int]:
+        """Values of each column that were lost, columns in the order in which they came."""
+        counts: dict[str, int] = {}
+        order = list(self.targets)
+        for name, start in sorted(self.overflowed, key=lambda at: (at[1], order.index(at[0]))):
+            counts[name] = counts.get(name, 0) + self.overflowed[name, start]
+        return counts
 
 
 def _some(names: list[str]) -> str:

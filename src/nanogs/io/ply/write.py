@@ -1,8 +1,8 @@
 """Writing 3DGS `.ply` files: binary little-endian, canonical column order, in bounded memory."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from nanogs.errors import OutputError
 from nanogs.io import columns, render_tag
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.ply.header import MAX_HEADER_BYTES, TYPE_NAMES, encode
+from nanogs.slices import slices
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
@@ -28,11 +29,16 @@ def write(model: Splats | Source, file: BinaryIO) -> None:
     first = replace(source.read(0, min(source.count, 1)), elements=source.read_elements())
     tables = _tables(first)
     file.write(_header(first, tables, source.count))
+    buffer = None
     for block in source.blocks(BLOCK_ROWS):
-        file.writelines(rows.data for rows in _blocks(_vertex(block)))
+        arrays = {names[0]: array for names, array in _arrays(block) if names}  # few long copies
+        if buffer is None:
+            buffer = np.empty(min(source.count, BLOCK_ROWS), _row(arrays))
+        file.write(_filled(buffer, arrays, slice(None)))
     for name, table in tables.items():
-        if name != "vertex":
-            file.writelines(rows.data for rows in _blocks(table))
+        if name != "vertex" and (count := len(next(iter(table.values())))):
+            buffer = np.empty(min(count, BLOCK_ROWS), _row(table))
+            file.writelines(_filled(buffer, table, part) for part in slices(count, BLOCK_ROWS))
 
 
 def file_bytes(splats: Splats, count: int) -> int:
@@ -69,19 +75,29 @@ def _tables(splats: Splats) -> dict[str, dict[str, Array]]:
 
 def _vertex(splats: Splats) -> dict[str, Array]:
     """The columns of the vertex rows, in the order they are written."""
+    return {
+        name: column
+        for names, array in _arrays(splats)
+        for name, column in columns.by_column(names, array)
+    }
+
+
+def _arrays(splats: Splats) -> list[tuple[Sequence[str], Array]]:
+    """The arrays that they are of, in that order, and the names of each one's columns."""
     if clash := [name for name in splats.extras if columns.is_known(name)]:
         raise OutputError(f"The extra column {clash[0]!r} has a splat's own name; rename it.")
-    table: dict[str, Array] = {name: splats.means[:, i] for i, name in enumerate(columns.MEANS)}
     extras = dict(splats.extras)
-    table |= {name: extras.pop(name) for name in columns.NORMALS if name in extras}
-    table |= {name: splats.sh[:, 0, i] for i, name in enumerate(columns.BASE_COLOUR)}
-    for i, name in enumerate(columns.rest_names(splats.sh_degree)):
-        coefficient, channel = columns.sh_place(i, splats.sh_degree)
-        table[name] = splats.sh[:, coefficient, channel]
-    table[columns.OPACITY] = splats.opacity_logits
-    table |= {name: splats.log_scales[:, i] for i, name in enumerate(columns.SCALES)}
-    table |= {name: splats.quats[:, i] for i, name in enumerate(columns.QUATS)}
-    return table | extras
+    normals = [((name,), extras.pop(name)) for name in columns.NORMALS if name in extras]
+    return [
+        (columns.MEANS, splats.means),
+        *normals,
+        (columns.BASE_COLOUR, splats.sh[:, 0]),
+        (columns.rest_names(splats.sh_degree), splats.sh[:, 1:].transpose(0, 2, 1)),
+        ((columns.OPACITY,), splats.opacity_logits),
+        (columns.SCALES, splats.log_scales),
+        (columns.QUATS, splats.quats),
+        *(((name,), column) for name, column in extras.items()),
+    ]
 
 
 def _header(splats: Splats, tables: Mapping[str, Mapping[str, Array]], splat_count: int) -> bytes:
@@ -147,13 +163,14 @@ def _type(name: str, column: Array) -> str:
     return known
 
 
-def _blocks(table: Mapping[str, Array]) -> Iterator[Array]:
-    """(R,) packed little-endian rows, one buffer reused for all of them."""
-    dtype = np.dtype([(n, "<" + c.dtype.str[1:]) for n, c in table.items()])
-    count = len(next(iter(table.values())))
-    buffer = np.empty(min(count, BLOCK_ROWS), dtype)
-    for start in range(0, count, BLOCK_ROWS):
-        block = buffer[: min(BLOCK_ROWS, count - start)]
-        for name, column in table.items():
-            block[name] = column[start : start + BLOCK_ROWS]
-        yield block.view(np.uint8)
+def _row(table: Mapping[str, Array]) -> "np.dtype[Any]":
+    """A packed little-endian row."""
+    return np.dtype([(n, "<" + c.dtype.str[1:], c.shape[1:]) for n, c in table.items()])
+
+
+def _filled(buffer: Array, table: Mapping[str, Array], part: slice) -> memoryview:
+    """The bytes of some rows, until the buffer is filled again."""
+    rows = buffer[: len(next(iter(table.values()))[part])]
+    for name, column in table.items():
+        rows[name] = column[part]
+    return rows.view(np.uint8).data
