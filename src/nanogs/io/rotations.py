@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, F64, I64, Array
+from nanogs.slices import slices
 from nanogs.splats import Splats
-
-_ROWS = 1 << 14
+from nanogs.stored import unit
 
 
 def whole_quats(small: F64, largest: I64) -> F64:
@@ -50,10 +51,12 @@ def least_turned(splats: Splats) -> tuple[F64, F32]:
         (N, 4) float64 rotations, unit wxyz with positive w, and (N, 3) float32 log-scales.
     """
     quats, scales = np.empty((len(splats), 4)), np.empty_like(splats.log_scales)
-    unit = splats.unit_quats()
-    for start in range(0, len(splats), _ROWS):  # so many at a time, for the sake of memory
-        rows = slice(start, start + _ROWS)
-        quats[rows], scales[rows] = _turned(unit[rows].astype(np.float64), splats.log_scales[rows])
+
+    def turn(rows: slice) -> None:
+        whole = unit(splats.quats[rows]).astype(np.float64)
+        quats[rows], scales[rows] = _turned(whole, splats.log_scales[rows])
+
+    spread.each(slices(len(splats)), turn)  # so many at a time, for the sake of memory, too
     return quats, scales
 
 

@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, F64, U8
+from nanogs.slices import slices
 
 SIZE = 256
 BINS = 4096  # about, since an outlier leaves few evenly spaced ones to the others
@@ -38,7 +40,13 @@ def nearest(values: F32, book: F32) -> U8:
     """
     book = book[: np.searchsorted(book, book[-1]) + 1]
     middles = (book[1:].astype(np.float64) + book[:-1]) / 2
-    indices: U8 = np.searchsorted(middles, values.ravel()).astype(np.uint8)
+    flat = values.reshape(-1)
+    indices = np.empty(len(flat), np.uint8)
+
+    def find(part: slice) -> None:
+        indices[part] = np.searchsorted(middles, flat[part])
+
+    spread.each(slices(len(flat)), find)
     return indices.reshape(values.shape)
 
 

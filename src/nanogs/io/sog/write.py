@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, F64, I64, U8, U16
 from nanogs._version import __version__
 from nanogs.errors import UnstorableError
@@ -32,6 +33,7 @@ from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.texture import MAX_SIDE, encode
 from nanogs.morton import spread_bits
 from nanogs.progress import Parts, untold
+from nanogs.slices import slices
 from nanogs.splats import RenderMode, Splats
 
 MAX_DEGREE = 3
@@ -143,19 +145,40 @@ def contents(
     Raises:
         OutputError: As for `write`.
     """
+    return begun(splats, groups, tell, packing)()
+
+
+def begun(
+    splats: Splats,
+    groups: I64 | None = None,
+    tell: Parts = untold,
+    packing: Packing = USUAL,
+) -> Callable[[], dict[str, bytes]]:
+    """As `contents`, which the result gives when called; until then textures are being packed.
+
+    Raises:
+        OutputError: As for `write`.
+    """
     import numba
 
     _refuse_unstorable(splats)
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        encoding: dict[str, Future[bytes]] = {}
+    encoding: dict[str, Future[bytes]] = {}
+    pool = ThreadPoolExecutor(numba.get_num_threads())
 
-        def submit(name: str, texels: U8) -> None:
-            encoding[name] = pool.submit(encode, texels)
+    def submit(name: str, texels: U8) -> None:
+        encoding[name] = pool.submit(encode, texels)
 
+    try:
         meta = _encode(splats, groups, packing, submit, tell)
-        files = {name: future.result() for name, future in encoding.items()}
+    finally:
+        pool.shutdown(wait=False)  # when it has done what was submitted
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
-    return files | {"meta.json": text.encode()}
+
+    def files() -> dict[str, bytes]:
+        done = {name: future.result() for name, future in encoding.items()}
+        return done | {"meta.json": text.encode()}
+
+    return files
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
@@ -212,9 +235,8 @@ def _encode(
     splats, fine = splats.take(rows), packing.precision
     quats, log_scales = least_turned(splats)
     submit("quats.webp", _picture(_quats(quats, fine.rotation_step)))
-    scales = codebook(log_scales, fine.scales)
+    scales, colours = _codebooks((log_scales, fine.scales), (splats.sh[:, 0], fine.colours))
     submit("scales.webp", _picture(nearest(log_scales, scales)))
-    colours = codebook(splats.sh[:, 0], fine.colours)
     rgba = np.column_stack([nearest(splats.sh[:, 0], colours), _alphas(splats, fine.alphas)])
     submit("sh0.webp", _picture(rgba))
     meta: dict[str, Any] = {
@@ -234,10 +256,26 @@ def _encode(
     return meta
 
 
+def _codebooks(*wanted: tuple[F32, int]) -> list[F32]:
+    """A codebook of each of some values, of so many entries."""
+    books: dict[int, F32] = {}
+
+    def find(number: int) -> None:
+        books[number] = codebook(*wanted[number])
+
+    spread.each(range(len(wanted)), find)
+    return [books[number] for number in range(len(wanted))]
+
+
 def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[float]]]:
     """(N, 3) codes of the coordinates' signed logarithms, and the bounds that they lie between."""
-    logarithms: F64 = np.log1p(np.abs(splats.means, dtype=np.float64))
-    np.copysign(logarithms, splats.means, out=logarithms)
+    logarithms = np.empty((len(splats), 3))
+
+    def take(rows: slice) -> None:
+        some, means = logarithms[rows], splats.means[rows]
+        np.copysign(np.log1p(np.abs(means, dtype=np.float64), out=some), means, out=some)
+
+    spread.each(slices(len(splats)), take)
     low, high = logarithms.min(axis=0), logarithms.max(axis=0)
     range_ = np.where(high > low, high - low, 1)
     apart = range_ / _LAST
@@ -246,7 +284,12 @@ def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[fl
         [splats], lambda s: (1 + np.abs(s.means, dtype=np.float64)) * apart
     )
     steps = _LAST // step  # the last code that is used stands for the highest
-    codes: U16 = (np.rint((logarithms - low) / range_ * steps) * step).astype(np.uint16)
+    codes = np.empty((len(splats), 3), np.uint16)
+
+    def encode_rows(rows: slice) -> None:
+        codes[rows] = np.rint((logarithms[rows] - low) / range_ * steps) * step
+
+    spread.each(slices(len(splats)), encode_rows)
     highest = low + range_ * (_LAST / (steps * step))
     return codes, {"mins": low.tolist(), "maxs": np.where(high > low, highest, high).tolist()}
 
@@ -261,11 +304,15 @@ def _morton_order(codes: U16, groups: I64 | None) -> I64:
 
 def _quats(quats: F64, step: int) -> U8:
     """(N, 4): the three smaller parts of wxyz, the sign such that the largest is positive."""
-    largest, small = split_quats(quats)
     out = np.empty((len(quats), 4), np.uint8)
-    codes = 255 * np.clip(small / math.sqrt(2) + 0.5, 0, 1)
-    out[:, :3] = np.minimum(np.rint(codes / step), 255 // step) * step
-    out[:, 3] = 252 + largest
+
+    def pack(rows: slice) -> None:
+        largest, small = split_quats(quats[rows])
+        codes = 255 * np.clip(small / math.sqrt(2) + 0.5, 0, 1)
+        out[rows, :3] = np.minimum(np.rint(codes / step), 255 // step) * step
+        out[rows, 3] = 252 + largest
+
+    spread.each(slices(len(quats)), pack)
     return out
 
 
