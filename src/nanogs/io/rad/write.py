@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F64, I64, Array
 from nanogs.io import limits, render_tag
 from nanogs.io.rad.header import (
@@ -164,8 +165,7 @@ def _chunks(
             columns += _links(counts, below)
             below += int(counts.sum())
         properties, payload, at = [], [], 0
-        for entry, plain in columns:
-            data = _deflated(plain)
+        for (entry, _), data in zip(columns, _deflated([c for _, c in columns]), strict=True):
             properties.append({"offset": at, "bytes": len(data), **entry, "compression": "gz"})
             payload.append(data.ljust(padded(len(data)), b"\0"))
             at += len(payload[-1])
@@ -182,9 +182,17 @@ def _chunks(
         yield b"".join((_described(CHUNK_MAGIC, head), PAYLOAD.pack(at), *payload))
 
 
-def _deflated(data: bytes) -> bytes:
-    packer = zlib.compressobj(_DEFLATE_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
-    return packer.compress(data) + packer.flush()
+def _deflated(columns: list[bytes]) -> list[bytes]:
+    """Each column deflated, side by side."""
+    done = [b""] * len(columns)
+
+    def deflate(number: int) -> None:
+        packer = zlib.compressobj(_DEFLATE_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+        done[number] = packer.compress(columns[number]) + packer.flush()
+
+    # The longest first, beside which the others fit.
+    spread.each(sorted(range(len(columns)), key=lambda n: -len(columns[n])), deflate)
+    return done
 
 
 def _columns(block: Splats, degree: int) -> Iterator[tuple[dict[str, Any], bytes]]:
