@@ -52,19 +52,33 @@ def searched(seed, step, scale, cells=3, points=400, dimensions=9):
     return search
 
 
+def counting(search, probes):
+    """Labels by the sums that count, all of them."""
+    labels = np.empty_like(search.labels)
+    nearest_entries(
+        np.arange(len(labels)), search.points, search.cells, probes, search.bounds, search.columns,
+        search.squares, labels,
+    )  # fmt: skip
+    return labels
+
+
 @given(st.integers(0, 99), st.sampled_from([0, 0.5, 2]), st.sampled_from([1, 1e-21, 1e-15, 1e17]))
 @example(0, 2, 1)
 @settings(deadline=None, max_examples=40)
 def test_labels_are_those_of_the_sums_that_count(seed, step, scale):
     """Where distances are equal, or all but equal, as where they are not."""
     search = searched(seed, step, scale)
-    labels = np.empty_like(search.labels)
-    every = np.arange(len(labels))
-    nearest_entries(
-        every, search.points, search.cells, search.cells.shape[1], search.bounds, search.columns,
-        search.squares, labels,
-    )  # fmt: skip
-    assert np.array_equal(search.labels, labels)
+    assert np.array_equal(search.labels, counting(search, search.cells.shape[1]))
+
+
+@given(st.integers(0, 99), st.sampled_from([0, 2]))
+@settings(deadline=None, max_examples=20)
+def test_rounds_that_look_at_moved_entries_alone_find_the_same(seed, step):
+    search = searched(seed, step, 1, points=300)
+    for probes in (1, 1, 1, 2, 3, 3, 3, 1):
+        search.move()
+        search.assign(probes)
+        assert np.array_equal(search.labels, counting(search, probes))
 
 
 @pytest.mark.parametrize("threads", [1, 2])

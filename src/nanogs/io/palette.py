@@ -11,6 +11,7 @@ ENTRIES_PER_CELL = 256
 _SAMPLES_PER_CELL = 64
 _CELL_ROUNDS = 6
 _TWINS = 2  # entries that start from the same point
+_MOST_MOVED = 0.5  # share of the entries beyond which all points look at all of their cells
 _PIECE = 512  # points of a cell that a thread takes at once
 _LINE = 16  # float32 in a line of the cache
 _TINY = np.float32(2.0**-126)  # more than what underflow loses
@@ -82,7 +83,12 @@ class _Search:
         self.labels = np.zeros(len(points), np.int32)
         self._lengths = np.einsum("ij,ij->i", points, points)
         self._least, self._second = np.empty((2, len(points)), np.float32)
-        self._order = np.empty(len(points), np.int64)
+        # Of the last round: which points it may not have settled, the cells that were looked into,
+        # and the entries as they were.
+        self._open = np.ones(len(points), bool)
+        self._probes = 0
+        self._before = np.zeros_like(self.columns)
+        self._squares_before = np.zeros_like(self.squares)
 
     @property
     def centres(self) -> F32:
@@ -91,23 +97,45 @@ class _Search:
 
     def assign(self, probes: int) -> None:
         """The nearest centre of each point, as far as it looks."""
-        from nanogs.kernels.kmeans import likely_entries, nearest_entries
+        from nanogs.kernels.kmeans import nearest_entries
 
-        # For distances of as many terms this bounds what rounding does, in any order of them.
-        rounding = np.float32((self.points.shape[1] + 8) * 2.0**-24)
-        self._least.fill(np.inf)
-        self._second.fill(np.inf)
+        count = len(self.squares)
+        moved = (self.columns != self._before)[:, :count].any(axis=0)  # the same bits stay
+        moved |= self.squares != self._squares_before
+        anew = self._open | moved[self.labels]
+        if moved.mean() > _MOST_MOVED or probes < self._probes:
+            anew[:] = True
+        self._least[anew] = self._second[anew] = np.inf
+        every, some, others = np.arange(count), np.flatnonzero(moved), np.flatnonzero(~anew)
         for probe in range(probes):
-            starts = self._by_cell(probe)
-            likely_entries(
-                _pieces(starts), self._order, self.points, self.bounds, self.columns, self.squares,
-                4 * rounding, self.labels, self._least, self._second,
-            )  # fmt: skip
-        apart = rounding * (10 * self.squares[self.labels] + 6 * self._lengths) + _TINY
-        near = np.flatnonzero(~(self._second - self._least > apart))
+            if probe < self._probes:  # an entry that stays is as near as it was
+                self._look(probe, others, some)
+                self._look(probe, np.flatnonzero(anew), every)
+            else:
+                self._look(probe, np.arange(len(self.points)), every)
+        # For distances of as many terms this bounds what rounding does, in any order of them.
+        apart = self._rounding * (10 * self.squares[self.labels] + 6 * self._lengths) + _TINY
+        self._open = ~(self._second - self._least > apart)
         nearest_entries(
-            near, self.points, self.cells, probes, self.bounds, self.columns, self.squares,
-            self.labels,
+            np.flatnonzero(self._open), self.points, self.cells, probes, self.bounds, self.columns,
+            self.squares, self.labels,
+        )  # fmt: skip
+        self._probes = probes
+        self._before[:], self._squares_before[:] = self.columns, self.squares
+
+    @property
+    def _rounding(self) -> np.float32:
+        return np.float32((self.points.shape[1] + 8) * 2.0**-24)
+
+    def _look(self, probe: int, rows: I64, entries: I64) -> None:
+        """Look for nearer entries in a cell of each of some points, among some of all entries."""
+        from nanogs.kernels.kmeans import likely_entries
+
+        starts, order = _by_label(self.cells[rows, probe], len(self.bounds) - 1)
+        likely_entries(
+            _pieces(starts), rows[order], self.points, np.searchsorted(entries, self.bounds),
+            entries, self.columns, self.squares, 4 * self._rounding, self.labels, self._least,
+            self._second,
         )  # fmt: skip
 
     def move(self) -> None:
@@ -123,23 +151,15 @@ class _Search:
     def _reseed(self, idle: I64) -> None:
         from nanogs.kernels.kmeans import squared_errors
 
-        errors = self._least  # which is written anew before it is read
+        errors = np.empty(len(self.points), np.float32)
         squared_errors(self.points, self.columns, self.labels, errors)
         errors *= -self.weights
-        starts = self._by_cell(0)
+        starts, order = _by_label(self.cells[:, 0], len(self.bounds) - 1)
         cells = np.searchsorted(self.bounds, idle, side="right") - 1
         for cell, count in zip(*np.unique(cells, return_counts=True), strict=True):
-            rows = self._order[starts[cell] : starts[cell + 1]]
+            rows = order[starts[cell] : starts[cell + 1]]
             worst = rows[np.argsort(errors[rows], kind="stable")[:count]]
             self.columns[:, idle[cells == cell]] = self.points[worst].T
-
-    def _by_cell(self, probe: int) -> I64:
-        """Where each cell begins in the order of points by the cell they look into."""
-        from nanogs.kernels.kmeans import group
-
-        starts = np.empty(len(self.bounds), np.int64)
-        group(np.ascontiguousarray(self.cells[:, probe]), starts, self._order)
-        return starts
 
 
 def _apart(columns: F32) -> F32:

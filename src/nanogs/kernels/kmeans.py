@@ -66,19 +66,19 @@ def nearest_cells(
 @parallel_kernel("pieces", least=1)
 def likely_entries(
     start: int, stop: int,
-    pieces: I64, order: I64, points: F32, starts: I64, columns: F32, squares: F32,
+    pieces: I64, order: I64, points: F32, starts: I64, entries: I64, columns: F32, squares: F32,
     share: np.float32, labels: I32, least: F32, second: F32,
 ) -> None:  # fmt: skip
-    """Look for the nearest entry of points in a cell, beside what was found in other cells.
+    """Look for the nearest entry of points among some of a cell, beside what was found before.
 
     Distances are rounded in another order than those of `nearest_entries`, which has the last word
     where a second entry is nearly as near.
 
     pieces: (Q, 3) a cell, and from where to where its points are in the order; order: of points by
-    the cell to look into; points: (N, D); starts: (C + 1,) the entries of a cell; columns: (D, K or
-    more) the entries; squares: (K,) their squared lengths, of which a share is taken off; labels,
-    least, second: (N,) in and out, the nearest entry, and the least and the second least distance
-    without the point's own square.
+    the cell to look into; points: (N, D); starts: (C + 1,) where in `entries` those of a cell are,
+    of the entries to look at; columns: (D, K or more) all entries; squares: (K,) their squared
+    lengths, of which a share is taken off; labels, least, second: (N,) in and out, the nearest
+    entry, and the least and the second least distance without the point's own square.
     """
     dimensions = points.shape[1]
     width = -(-np.max(starts[1:] - starts[:-1]) // LANES) * LANES
@@ -91,11 +91,15 @@ def likely_entries(
     for piece in range(start, stop):
         cell, at, end = pieces[piece, 0], pieces[piece, 1], pieces[piece, 2]
         first, count = starts[cell], starts[cell + 1] - starts[cell]
+        if count == 0:
+            continue
         lowered[:] = math.inf
         for c in range(count):
-            lowered[c] = squares[first + c] - share * squares[first + c]
+            square = squares[entries[first + c]]
+            lowered[c] = square - share * square
         for d in range(dimensions):
-            own[d, :count] = columns[d, first : first + count]
+            for c in range(count):
+                own[d, c] = columns[d, entries[first + c]]
         tiles = -(-count // LANES)
         while at < end:
             for j in range(TOGETHER):
@@ -109,7 +113,7 @@ def likely_entries(
                 for lane in range(LANES):
                     if lowest[j, lane] < nearest:
                         then, nearest = nearest, lowest[j, lane]
-                        label = first + places[j, lane] * LANES + lane
+                        label = entries[first + places[j, lane] * LANES + lane]
                     else:
                         then = min(then, lowest[j, lane])
                     then = min(then, next_lowest[j, lane])
