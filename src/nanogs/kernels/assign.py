@@ -38,7 +38,7 @@ def invert_covariances(
             inverses[g, entry] = inverse[entry]
 
 
-@parallel_kernel("labels")
+@parallel_kernel("labels", each=32)
 def assign_nearest(
     start: int, stop: int,
     labels: I32, candidates: I32, means: F64, covariances: F64, features: F32, rows: I32,

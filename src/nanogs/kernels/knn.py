@@ -167,7 +167,7 @@ def _write(found: I32, at: int, rows: I32, out: I32, row: int) -> None:
         out[row, place] = rows[found[at + place]]
 
 
-@exact_parallel_kernel("rows", least=64 * LANES)
+@exact_parallel_kernel("rows", least=64 * LANES, each=32)
 def search_tree(
     start: int, stop: int, points: F64, rows: I32, boxes: F64, out: I32, crowded: Bool
 ) -> None:

@@ -99,7 +99,7 @@ def heaviest_members(labels: I32, weights: F64, members: I64) -> None:
             members[labels[row]] = row
 
 
-@parallel_kernel("new_weights")
+@parallel_kernel("new_weights", each=32)
 def gather_moments(
     start: int, stop: int,
     starts: I64, members: I32,
