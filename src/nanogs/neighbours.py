@@ -8,10 +8,9 @@ from nanogs.kernels.knn import search_tree
 from nanogs.kernels.knn_tree import build_tree
 from nanogs.kernels.lanes import LANES
 from nanogs.kernels.nearest import find_nearest
-from nanogs.slices import slices
+from nanogs.slices import SLICE_STEPS, slices
 from nanogs.threads import use_threads
 
-_SLICE = 1 << 16  # rows that are scaled at a time
 _EXPONENT = 500  # coordinates are scaled to 2^500: their squares fit, and so do those of 2^-1000
 
 
@@ -84,7 +83,7 @@ def _scaled(means: F64) -> F64:
     def measure(part: slice) -> None:
         ends.append(max(-float(means[part].min()), float(means[part].max())))
 
-    spread.each(slices(len(means), _SLICE), measure)
+    spread.each(slices(len(means), SLICE_STEPS), measure)
     exponent = _EXPONENT - int(np.frexp(max(ends))[1])
     scaled = np.empty((3, len(means)))
 
@@ -92,7 +91,7 @@ def _scaled(means: F64) -> F64:
         for axis in range(3):
             np.ldexp(means[part, axis], exponent, out=scaled[axis, part])
 
-    spread.each(slices(len(means), _SLICE), scale)
+    spread.each(slices(len(means), SLICE_STEPS), scale)
     return scaled
 
 

@@ -151,7 +151,7 @@ def _key(costs: F32, edge: int) -> np.uint64:
     return np.uint64(bits) << np.uint64(32) | np.uint64(edge)
 
 
-@parallel_kernel("bounds", least=1)
+@parallel_kernel("bounds", least=1, each=32)
 def offer_pairs(
     start: int,
     stop: int,
@@ -231,7 +231,7 @@ def tally_free(firsts: I32, seconds: I32, costs: F32, taken: Bool, counts: I64) 
             counts[_sortable(bits[edge]) >> np.uint32(16)] += 1
 
 
-@parallel_kernel("bounds", least=1)
+@parallel_kernel("bounds", least=1, each=32)
 def collect_free(
     start: int, stop: int,
     firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64, end: int,

@@ -11,7 +11,7 @@ from nanogs.kernels.forest import (
     subtree_sums,
 )
 from nanogs.method.forest import Forest
-from nanogs.slices import slices
+from nanogs.slices import SLICE_STEPS, slices
 
 # A unit of geometry (weight times nats) against one of squared colour.
 LAMBDA_GEO = 0.1
@@ -38,7 +38,7 @@ def merge_scores(forest: Forest, balance: float, typical: float | None = None) -
         # Rounding can leave the increment of two equal splats a hair below zero.
         np.maximum(some, 0.0, out=increments[part])
 
-    spread.each(slices(len(increments)), weigh)
+    spread.each(slices(len(increments), SLICE_STEPS), weigh)
     sums = np.zeros(first + len(forest.children))
     subtree_sums(forest.children, increments, sums)
     errors = np.maximum(sums[first:], np.finfo(np.float64).tiny, out=increments)
@@ -54,7 +54,7 @@ def merge_scores(forest: Forest, balance: float, typical: float | None = None) -
         above[part] = (1 - balance) * forest.levels[part]
         above[part] += np.multiply(balance, logs, out=logs)
 
-    spread.each(slices(len(above)), score)
+    spread.each(slices(len(above), SLICE_STEPS), score)
     raise_to_children(forest.children, scores)  # log2 may round two errors the wrong way
     return above
 

@@ -15,7 +15,7 @@ from nanogs.kernels.pairs import (
     offer_pairs,
     tally_free,
 )
-from nanogs.slices import slices
+from nanogs.slices import SLICE_STEPS, slices
 
 # The pairs are sorted in batches, the cheapest first: those that an earlier batch made impossible
 # are never sorted, and the keys take little memory.
@@ -86,7 +86,7 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
         matched[part, 0], matched[part, 1] = firsts.take(chosen), seconds.take(chosen)
         prices[part] = costs.take(chosen)
 
-    spread.each(slices(len(keys)), look_up)
+    spread.each(slices(len(keys), SLICE_STEPS), look_up)
     return MergePlan(matched, prices, without_cost)
 
 

@@ -18,7 +18,7 @@ from nanogs.kernels.nodes import (
 )
 from nanogs.method.activation import activated
 from nanogs.method.extent import Dilation
-from nanogs.slices import slices
+from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats, pick
 from nanogs.stored import alphas
 
@@ -119,7 +119,7 @@ def _coverages(splats: Splats, rows: I32, covariances: F64, pixels: F64) -> F64:
         opacities = alphas(pick(splats.opacity_logits, rows[part]))
         coverages[part] = opacities * footprints(covariances[part], pixels[part])
 
-    spread.each(slices(len(rows)), cover)
+    spread.each(slices(len(rows), SLICE_STEPS), cover)
     return coverages
 
 
@@ -189,7 +189,7 @@ def gather_pairs(leaves: Nodes, starts: I64, members: I32) -> Nodes:
         shares[part, 0] = leaves.weights.take(first) / weights
         shares[part, 1] = np.where(first == last, 0.0, leaves.weights.take(last) / weights)
 
-    spread.each(slices(groups), share)
+    spread.each(slices(groups, SLICE_STEPS), share)
     return replace(
         merged, features=leaves.features, rows=rows[0], seconds=rows[1], shares=shares
     )  # fmt: skip

@@ -5,11 +5,10 @@ import numpy as np
 from nanogs import spread
 from nanogs._types import F64, I64, U64
 from nanogs.morton import spread_bits
-from nanogs.slices import slices
+from nanogs.slices import SLICE_STEPS, slices
 from nanogs.sorting import stable_order
 
 _BITS = 21  # three axes in 63 bits
-_SLICE = 1 << 16  # rows, of which each step takes long enough for threads not to wait
 _TAIL = 0.01  # share of the centres on either side that does not set the size of the cells
 
 
@@ -76,7 +75,7 @@ def codes_in(means: F64, low: F64, width: float) -> U64:
             cells = np.clip(cells, 0, (1 << _BITS) - 1, out=cells)
             codes[part] |= spread_bits(cells.astype(np.uint64), axis)
 
-    spread.each(slices(len(means), _SLICE), encode)
+    spread.each(slices(len(means), SLICE_STEPS), encode)
     return codes
 
 

@@ -20,7 +20,7 @@ from nanogs.pipeline.presets import Parameters, parameters
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport, StopReason
-from nanogs.slices import slices
+from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from nanogs.raster.camera import Camera
 
 NanPolicy = Literal["drop", "error"]
-_SLICE = 1 << 16  # rows that are checked at a time
 Deliver = Callable[[int, StageClock, Tracker], Outcome]
 """The result of a count, the seconds of its stages added to the clock, each told."""
 
@@ -205,7 +204,7 @@ def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
     def check(part: slice) -> None:
         finite[part] = splats.span(part.start, part.stop).finite()
 
-    spread.each(slices(len(splats), _SLICE), check)
+    spread.each(slices(len(splats), SLICE_STEPS), check)
     rows = np.flatnonzero(finite).astype(np.int32)
     if len(rows) == 0:
         raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")

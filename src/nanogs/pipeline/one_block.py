@@ -31,7 +31,7 @@ from nanogs.progress import Parts, untold
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, Rendering, prepare, render
 from nanogs.report import PassReport
-from nanogs.slices import slices
+from nanogs.slices import SLICE_STEPS, slices
 from nanogs.source import InMemory
 from nanogs.splats import Splats, pick
 from nanogs.store.tables import Record
@@ -153,7 +153,7 @@ class OneBlock(Scene):
             np.subtract(stored[part], origin, out=means[part])
             opacities[part] = alphas(pick(splats.opacity_logits, usable[part]))
 
-        spread.each(slices(len(usable)), convert)
+        spread.each(slices(len(usable), SLICE_STEPS), convert)
         pixels = self.settings.parameters.pixels
         added = dilation(means, opacities, splats.render_mode, pixels)
         self._survey = _Placed(self.usable[morton_order(means)], origin, added)
