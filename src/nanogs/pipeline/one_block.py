@@ -200,7 +200,7 @@ class OneBlock(Scene):
 
     @property
     def pictured(self) -> Sequence[Camera]:
-        """As `Scene` says: a fit of few steps would draw them while it holds all that it needs."""
+        """As `Scene` says; drawn before the forest is grown, so that the fit holds less."""
         return self.views.further if self.settings.parameters.pictured else ()
 
     def picture(self, drawn: PreparedSplats, camera: Camera) -> None:
