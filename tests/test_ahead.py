@@ -1,4 +1,4 @@
-"""The second process of a first run: it compiles what the first needs after the look."""
+"""The other processes of a first run: they compile what the first needs last."""
 
 import subprocess
 import sys
@@ -6,49 +6,18 @@ import sys
 import pytest
 
 from nanogs import ahead
-
-SIGNATURES = """
-import importlib, pkgutil
-import nanogs, nanogs.kernels
-from nanogs.ahead import compile_later_stages
-from nanogs.datasets.synthetic import make_scene
-
-def compiled():
-    found = {}
-    for module in pkgutil.iter_modules(nanogs.kernels.__path__, "nanogs.kernels."):
-        for name, value in vars(importlib.import_module(module.name)).items():
-            written = getattr(getattr(value, "_compiled", value), "py_func", None)
-            if getattr(written, "__module__", None) == module.name:
-                found[module.name, name] = set(map(str, value.signatures))
-    return found
-
-compile_later_stages()
-ahead = compiled()
-nanogs.simplify(make_scene(1000), ratio=0.1, steps=2, views=2, view_size=64)
-for (module, name), signatures in compiled().items():
-    if signatures - ahead[module, name]:
-        print(module.split(".")[-1])
-"""
+from nanogs.kernels import needed
 
 
-# Compiled last, when rendering has been; the rotations of a step are inlined there.
-FITTING = {"advance", "chain", "damped", "backward", "pulls", "quaternion"}
+@pytest.fixture(autouse=True)
+def forgotten():
+    ahead.compile_ahead.cache_clear()
+    yield
+    ahead.compile_ahead.cache_clear()
 
 
-@pytest.mark.slow
-def test_what_is_left_to_the_first_process_is_rendering():
-    run = subprocess.run(
-        [sys.executable, "-c", SIGNATURES], capture_output=True, text=True, check=True
-    )
-    left = set(run.stdout.split())
-    assert "raster" in left
-    assert left - FITTING <= {"raster", "listing", "project", "harmonics"}
-    fitted = SIGNATURES.replace("compile_later_stages", "compile_fitting")
-    run = subprocess.run([sys.executable, "-c", fitted], capture_output=True, text=True, check=True)
-    assert not FITTING & set(run.stdout.split())
-
-
-def test_it_is_started_once_and_only_where_there_is_a_processor_for_it(monkeypatch):
+@pytest.mark.parametrize(("processors", "others"), [(1, 0), (2, 1), (16, 3)])
+def test_they_are_started_once_and_only_where_there_are_processors(monkeypatch, processors, others):
     started, stopped = [], []
 
     class Process:
@@ -61,11 +30,75 @@ def test_it_is_started_once_and_only_where_there_is_a_processor_for_it(monkeypat
 
     monkeypatch.setattr(ahead.subprocess, "Popen", popen)
     monkeypatch.setattr(ahead.atexit, "register", stopped.append)
-    for processors, times in ((1, 0), (2, 1)):
-        monkeypatch.setattr(ahead.os, "cpu_count", lambda count=processors: count)
-        ahead.compile_ahead.cache_clear()
-        ahead.compile_ahead()
-        ahead.compile_ahead()
-        assert len(started) == len(stopped) == times
-    assert started[0][1:] == ["-m", "nanogs.ahead"]
-    ahead.compile_ahead.cache_clear()
+    monkeypatch.setattr(ahead, "processors", lambda: processors)
+    for _ in range(2):
+        ahead.compile_ahead("fast")
+    assert len(started) == len(stopped) == others
+    assert all(command[1:] == ["-m", "nanogs.ahead", "fast"] for command in started)
+
+
+def test_they_begin_at_the_end_and_wait_for_nobody(monkeypatch):
+    asked = []
+
+    class One:
+        def __init__(self, name):
+            self.name = name
+
+        def compile(self, *, wait):
+            asked.append((self.name, wait))
+            if self.name == "second":
+                raise TypeError("of a kernel that was changed")
+
+    monkeypatch.setattr(needed, "needed", lambda preset: [One("first"), One("second"), One(preset)])
+    ahead.compile_from_the_end("fast")
+    assert asked == [("fast", False), ("second", False), ("first", False)]
+
+
+def test_an_empty_place_of_kernels_is_known_without_numba(monkeypatch, tmp_path):
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert ahead.nothing_compiled()
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    assert not ahead.nothing_compiled()
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
+    (tmp_path / "kernels_1").mkdir()
+    (tmp_path / "kernels_1" / "one.nbi").touch()
+    assert not ahead.nothing_compiled()
+    code = "import sys, nanogs.ahead as a; a.nothing_compiled(); print('numba' in sys.modules)"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "False"
+
+
+HOLD = """
+import sys
+from nanogs.kernels.forest import log_determinants
+
+with log_determinants._compiled._cache.alone():
+    print(flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no process knows what others compile there")
+def test_what_another_process_compiles_is_left_to_it(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
+    ask = (
+        "from nanogs.kernels.needed import needed\n"
+        "[one] = [one for one in needed() if one.name == 'forest.log_determinants']\n"
+        "print(one.held(), one.compile(wait=False), one.held())"
+    )
+
+    def asked():
+        command = [sys.executable, "-c", ask]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    with holder:
+        holder.stdout.readline()
+        assert asked() == ["False", "False", "False"]
+        holder.communicate("")
+    assert asked() == ["False", "True", "True"]
+    assert asked() == ["True", "False", "True"]

@@ -290,7 +290,7 @@ def test_info_never_imports_numba(scene):
     assert "numba" not in modules_after("info", scene)
 
 
-COMMANDS = "simplify lod refit convert info presets render compare view bench demo".split()
+COMMANDS = "simplify lod refit convert info presets render compare view bench demo warm".split()
 
 
 @pytest.mark.parametrize("arguments", ["--help", "--version", *(f"{c} -h" for c in COMMANDS)])

@@ -1,63 +1,75 @@
-"""Compile ahead: on a first run, a second process compiles what the first will need later.
+"""Compile ahead: on a first run, other processes compile what the first will need later.
 
-Numba compiles one function at a time in a process, and half of what a preset that renders takes
-to compile is needed only once the original has been looked at. Both put what they compiled into
-the same cache on disk. Should the second be late or fail, the first compiles for itself.
+Numba compiles one function at a time in a process. So others begin with what is needed last, while
+the first compiles what it comes to, until they meet. All put what they compiled into the same cache
+on disk, and none compiles what another is at. Should one fail, the first compiles for itself.
 """
 
 import atexit
+import gc
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from functools import cache
+from pathlib import Path
 
 from nanogs.cleanup import clean_at_end, undisturbed
 
+_MOST = 3  # processes beside the first: more would wait for the longest kernel
+
 
 @cache
-def compile_ahead() -> None:
-    """Start the second process, where there is a processor for it; it ends with this one.
+def compile_ahead(preset: str) -> None:
+    """Start the others, where there are processors for them; they end with this process.
 
     Called again, it does nothing.
+
+    Args:
+        preset: See `nanogs.kernels.needed`.
     """
-    if (os.cpu_count() or 1) < 2:
-        return
-    with undisturbed():
-        process = subprocess.Popen(
-            [sys.executable, "-m", "nanogs.ahead"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        clean_at_end(process.kill)
-    atexit.register(process.kill)  # the cache's files are written beside their places and renamed
+    for _ in range(min(processors() - 1, _MOST)):
+        with undisturbed():
+            process = subprocess.Popen(  # noqa: S603 - itself
+                [sys.executable, "-m", "nanogs.ahead", preset],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            clean_at_end(process.kill)
+        atexit.register(process.kill)  # the cache's files are written beside their places, renamed
 
 
-def compile_later_stages() -> None:
-    """Run what follows the look at the original, on a model of no importance."""
-    import numpy as np
-
-    import nanogs
-    from nanogs.datasets.synthetic import make_scene
-    from nanogs.method.match import match
-    from nanogs.metrics import ssim
-
-    nanogs.simplify(make_scene(200), ratio=0.1, preset="fast", rounds=1)
-    chain = np.arange(1000, dtype=np.int32)  # of which rounds leave most to the sorted walk
-    match(np.stack((chain[:-1], chain[1:])).T, chain[1:].astype(np.float32), 1000, 500)
-    grey = np.zeros((16, 16), np.float32)
-    ssim(grey, grey)
+def processors() -> int:
+    """How many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
-def compile_fitting() -> None:
-    """Fit a model of no importance, once the first process has compiled how to render."""
-    import nanogs
-    from nanogs.datasets.synthetic import make_scene
+def nothing_compiled() -> bool:
+    """Whether surely no kernel is on the disk, told without Numba, whose import takes a while.
 
-    scene = make_scene(200)
-    nanogs.simplify(scene, ratio=0.1, preset="fast", steps=1, views=2, view_size=16)
+    Where kernels may lie elsewhere it is False; then the first that is missing tells.
+    """
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return False
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    if named:
+        return not any(Path(named).glob("kernels_*/*.nbi"))
+    folder = Path(__file__).parent / "kernels"
+    return os.access(folder, os.W_OK) and not any(folder.glob("__pycache__/*.nbi"))
+
+
+def compile_from_the_end(preset: str) -> None:
+    """Compile what nobody has compiled or is at, what is needed last first."""
+    from nanogs.kernels.needed import needed
+
+    for one in reversed(needed(preset)):
+        with suppress(Exception):  # whoever needs it says what is wrong
+            one.compile(wait=False)
 
 
 if __name__ == "__main__":
-    compile_later_stages()
-    compile_fitting()
+    gc.disable()  # what has been compiled stays
+    compile_from_the_end(sys.argv[1])

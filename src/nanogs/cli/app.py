@@ -18,6 +18,7 @@ from nanogs.cli.refit import refit
 from nanogs.cli.render import render
 from nanogs.cli.simplify import simplify
 from nanogs.cli.view import view
+from nanogs.cli.warm import warm
 
 app = typer.Typer(
     help="Make 3D Gaussian splatting models smaller: no training, no photographs, no GPU.",
@@ -46,6 +47,7 @@ def _nanogs(
 
 for _command in (
     simplify, lod, refit, convert, info, presets, render, compare, view, bench, demo,
+    warm,
 ):  # fmt: skip
     _examples = examples_text(EXAMPLES[_command.__name__])
     app.command(cls=Command, epilog=_examples)(_command)

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from os import cpu_count
 from typing import Any, TypeVar
 
-from nanogs.ahead import compile_ahead
+from nanogs.ahead import compile_ahead, nothing_compiled
 from nanogs.cli.console import err, key_value_table, show
 from nanogs.cli.filtering import parse_changes
 from nanogs.cli.importing import uncollected
@@ -23,7 +23,7 @@ from nanogs.pipeline.in_blocks import block_memory, count_of, plan_job
 from nanogs.pipeline.job import import_stages, usable_rows
 from nanogs.pipeline.memory import MemoryPlan
 from nanogs.pipeline.plan import ScalePlan
-from nanogs.pipeline.presets import effective, renders
+from nanogs.pipeline.presets import DEFAULT_PRESET, effective, renders
 from nanogs.pipeline.reading import inspect_parts, prepare, read_parts
 from nanogs.pipeline.request import Request, is_measured, memory_of, plan_files
 from nanogs.pipeline.settings import Settings
@@ -209,14 +209,25 @@ def plan_run(
 def carry_out(plan: Plan, do: Callable[[Request], T]) -> T:
     """Do what is asked of the library, in memory or with whoever does the tasks of blocks."""
     wish = plan.wish
+    if not plan.divided:
+        _prepare_kernels(wish)
     with uncollected():
         import_stages(wish.parameters)
     if plan.divided:
         with plan.executor() as executor:
             return do(replace(wish, executor=executor, max_memory=plan.process_memory))
-    if renders(wish.parameters) or is_measured(wish):
-        when_compiling(compile_ahead)
     return do(wish)
+
+
+def _prepare_kernels(wish: Request) -> None:
+    """Have other processes compile: at once where all is missing, or as soon as something is."""
+    preset = "paper" if isinstance(wish.parameters, PaperParameters) else "fast"
+    if renders(wish.parameters) or is_measured(wish):
+        preset = DEFAULT_PRESET
+    if nothing_compiled():
+        compile_ahead(preset)
+    else:
+        when_compiling(lambda: compile_ahead(preset))
 
 
 def show_plan(plan: Plan, text: str) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache, cached_property, wraps
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
@@ -27,6 +28,7 @@ except ImportError:  # Windows: each process compiles for itself
     fcntl = None  # type: ignore[assignment]
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+TWO_WAYS = "two_ways"  # set on functions of which `policy` makes vectors or plain code
 
 
 def cached(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Numba's own
@@ -63,6 +65,22 @@ def sources_digest(folder: Path = Path(__file__).parent) -> str:
     return digest.hexdigest()
 
 
+@cache
+def _has_two_ways(function: Callable[..., Any]) -> bool:
+    """Whether a kernel, or what it calls, is compiled in one of two ways; see `simd/choice.py`.
+
+    The others can be compiled before it is known which.
+    """
+    names, known = function.__code__.co_names, function.__globals__
+    called = [known[name] for name in names if name in known]
+    for module in [one for one in called if isinstance(one, ModuleType)]:
+        called += [getattr(module, name) for name in names if hasattr(module, name)]
+    return any(
+        getattr(one, TWO_WAYS, False) or (hasattr(one, "py_func") and _has_two_ways(one.py_func))
+        for one in called
+    )
+
+
 class _AsItIs:
     """Makes a locator find its folder where it cannot be written to: to load from it."""
 
@@ -96,7 +114,8 @@ class _Disk(caching.FunctionCache):
     def _index_key(self, sig: Any, codegen: Any) -> Any:  # noqa: ANN401
         """As Numba's; with checks of bounds or without, and each way of `simd`, are kept apart."""
         key = super()._index_key(sig, codegen)  # type: ignore[no-untyped-call]
-        return (*key, bool(config.BOUNDSCHECK), chosen().value)  # type: ignore[attr-defined]
+        way = chosen().value if _has_two_ways(self._py_func) else ""
+        return (*key, bool(config.BOUNDSCHECK), way)  # type: ignore[attr-defined]
 
     def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401
         """Keep a kernel; where that is impossible, the next process compiles it again."""
@@ -134,16 +153,36 @@ class _Cache:
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Be the only process that compiles this kernel; where that cannot be, one of several."""
-        place = zlib.crc32(f"{self._function.__module__}.{self._function.__qualname__}".encode())
         lock = None
         with suppress(OSError):
             self._disk._impl.locator.ensure_cache_path()  # noqa: SLF001
-            lock = _lock(Path(self._disk.cache_path), place)
+            lock = _lock(Path(self._disk.cache_path), self._place)
         try:
             yield
         finally:
             if lock is not None:
-                fcntl.lockf(lock, fcntl.LOCK_UN, 1, place)
+                fcntl.lockf(lock, fcntl.LOCK_UN, 1, self._place)
+
+    def free(self) -> bool:
+        """Whether no other process compiles this kernel just now, as far as can be told."""
+        if not fcntl:
+            return True
+        try:
+            self._disk._impl.locator.ensure_cache_path()  # noqa: SLF001
+            file = _lock_file(Path(self._disk.cache_path))
+        except OSError:
+            return True
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, self._place)
+        except OSError:
+            return False
+        fcntl.lockf(file, fcntl.LOCK_UN, 1, self._place)
+        return True
+
+    @property
+    def _place(self) -> int:
+        """The kernel's byte in the file of locks."""
+        return zlib.crc32(f"{self._function.__module__}.{self._function.__qualname__}".encode())
 
 
 @cache

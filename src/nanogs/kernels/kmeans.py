@@ -12,13 +12,13 @@ import numpy as np
 
 from nanogs._types import F32, I32, I64
 from nanogs.kernels.closest import LANES, TOGETHER, closest
-from nanogs.kernels.policy import kernel, optimised_inline, parallel_kernel
+from nanogs.kernels.policy import inline, kernel, parallel_kernel
 
 _ROWS = 64  # points that are worth a range of their own
 TWO = np.float32(2)
 
 
-@optimised_inline
+@inline
 def _distances(point: F32, columns: F32, squares: F32, start: int, stop: int, out: F32) -> None:
     """|c|² - 2 x.c to the centres from `start` to `stop`, which lie in the columns."""
     # Three rows a pass, and slices from zero on: this is what becomes vector instructions.

@@ -16,7 +16,7 @@ from numba.extending import overload
 
 from nanogs import spread
 from nanogs.kernels import compiling
-from nanogs.kernels.cached import cached
+from nanogs.kernels.cached import TWO_WAYS, cached
 from nanogs.kernels.inlined import OPTIONS, inlined
 from nanogs.kernels.simd.choice import Way, chosen
 
@@ -80,14 +80,6 @@ def inline(function: Kernel) -> Kernel:
     return inlined(function, fastmath=FASTMATH, **CALLED)
 
 
-def optimised_inline(function: Kernel) -> Kernel:
-    """As `inline`, optimised before it is inlined, too.
-
-    Which operations are fused follows from that, and so the last bits of results, which must stay.
-    """
-    return cached(function, fastmath=FASTMATH, forceinline=True, **CALLED)
-
-
 def exact_inline(function: Kernel) -> Kernel:
     """Compile a small function to be inlined, without any liberty: for the exact kernels."""
     return inlined(function, **CALLED)
@@ -127,6 +119,7 @@ def _two_ways(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401 - Num
 
         return body
 
+    setattr(python, TWO_WAYS, True)
     overload(python, jit_options=given, strict=False)(implementation)
     return cast("Kernel", python)
 

@@ -1,0 +1,125 @@
+"""Make `src/nanogs/kernels/signatures.txt`: what commands compile, for which types, in their order.
+
+    python benchmarks/signatures.py [--check]
+
+Runs commands and notes what they compile or take from the disk. To be run when a kernel is new, or
+takes other arguments: `tests/test_warm.py` says so. With --check it writes nothing, and fails where
+the table is another.
+"""
+
+import argparse
+import os
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from numba import types
+from numba.core import sigutils
+
+import nanogs
+import nanogs.ahead
+from nanogs.datasets.synthetic import make_scene
+from nanogs.kernels.cached import _Cache
+
+TABLE = Path(nanogs.__file__).parent / "kernels" / "signatures.txt"
+SMALL = "simplify scene.ply small.ply -w --ratio 0.1"
+# The commands of each mark; those after the presets' are for what is left.
+RUNS = {
+    "d": [SMALL],
+    "f": [f"{SMALL} --preset fast"],
+    "p": [f"{SMALL} --preset paper"],
+    "-": [
+        f"{SMALL} --preset best --steps 8",
+        "simplify scene.ply small.sog -w --psnr 20",
+        "convert scene.ply scene.sog -w",
+        "convert scene.ply scene.html -w",
+        "compare scene.ply small.ply --views 2",
+        "render scene.ply picture.png -w",
+        "info scene.ply --views 2",
+        "refit scene.ply small.ply better.ply -w --rounds 1 --views 4",
+        "lod scene.ply levels --format sog",
+        "lod scene.ply tiles/tileset.json",
+        "lod scene.ply tree.rad",
+        "simplify scene.ply small.ply -w --draw-cost 50%",
+    ],
+}
+HEAD = """\
+# Which kernels runs compile, and for which types, in the order in which a run needs them.
+# First which presets do: d(efault), f(ast), p(aper); - where only other commands do.
+# Made by `python benchmarks/signatures.py`.
+"""
+
+
+def main() -> None:
+    """Write the table, or compare it, or be one of the runs."""
+    if sys.argv[1:2] == ["--run"]:
+        take_note(Path(sys.argv[2]), sys.argv[3:])
+        return
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--check", action="store_true", help="write nothing")
+    check = parser.parse_args().check
+    text = made()
+    if check and text != TABLE.read_text(encoding="utf-8"):
+        sys.exit("The table is another: run python benchmarks/signatures.py.")
+    if not check:
+        TABLE.write_text(text, encoding="utf-8")
+
+
+def made() -> str:
+    """The table."""
+    marks: dict[str, str] = {}
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        nanogs.save(make_scene(20_000), folder / "scene.ply")
+        for mark, commands in RUNS.items():
+            for command in commands:
+                run(folder, command, mark)
+            for line in dict.fromkeys((folder / f"{mark}.txt").read_text().splitlines()):
+                marks[line] = marks.get(line, "") + mark
+    lines = [f"{found.replace('-', '') or '-'} {line}\n" for line, found in marks.items()]
+    return HEAD + "".join(lines)
+
+
+def run(folder: Path, command: str, mark: str) -> None:
+    """Run a command, and have noted what it needs."""
+    words = [sys.executable, __file__, "--run", folder / f"{mark}.txt", *command.split()]
+    environment = os.environ | {"NUMBA_NUM_THREADS": "1"}
+    done = subprocess.run(
+        words, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        sys.exit(f"nanogs {command}\n{done.stderr}")
+    print(command, file=sys.stderr, flush=True)
+
+
+def take_note(notes: Path, words: list[str]) -> None:
+    """Be the command, without other processes, and write a line for each kernel that it needs."""
+    load = _Cache.load_overload
+
+    def noted(self: _Cache, asked: Any, context: Any) -> Any:  # noqa: ANN401
+        function, (given, _) = self._function, sigutils.normalize_signature(asked)
+        module = function.__module__.removeprefix("nanogs.kernels.")
+        with notes.open("a", encoding="utf-8") as file:
+            file.write(f"{module}.{function.__qualname__}({', '.join(map(text_of, given))})\n")
+        return load(self, asked, context)
+
+    nanogs.ahead.compile_ahead = lambda *_: None  # type: ignore[assignment]
+    _Cache.load_overload = noted  # type: ignore[method-assign]
+    sys.argv = ["nanogs", *words]
+    runpy.run_module("nanogs", run_name="__main__", alter_sys=True)
+
+
+def text_of(kind: types.Type) -> str:
+    """A type as Numba reads it: float32[:, ::1] is an array whose rows lie one after the other."""
+    if not isinstance(kind, types.Array):
+        return {"bool": "boolean"}.get(str(kind), str(kind))
+    axes = [":"] * (kind.ndim - 1) + ["::1" if kind.layout == "C" else ":"]
+    assert kind.layout in "CA", kind
+    return f"{text_of(kind.dtype)}[{', '.join(axes)}]"
+
+
+if __name__ == "__main__":
+    main()

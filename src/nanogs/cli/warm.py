@@ -1,0 +1,35 @@
+"""`nanogs warm`."""
+
+from typing import Annotated
+
+import typer
+
+from nanogs.cli import options
+from nanogs.formatting import counted, time_text
+
+
+def warm(
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", min=1, metavar="N", help="Processes. By default all processors."),
+    ] = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Compile all that runs need, so that the first is as fast as the others."""
+    from dataclasses import asdict
+
+    from nanogs.cli.console import err, print_json
+    from nanogs.cli.progress import shown
+    from nanogs.warming import warm as warm_up
+
+    with shown(quiet=quiet or json) as watch:
+        found = warm_up(workers, progress=watch)
+    if json:
+        print_json(asdict(found))
+    elif not quiet:
+        took = f"{found.compiled} of them compiled in {time_text(found.seconds)}"
+        text = f"{counted(found.kernels, 'kernel')} for {found.processor} in {found.folders[0]}"
+        err.print(
+            f"{text}, {took if found.compiled else 'all there'}", markup=False, soft_wrap=True
+        )

@@ -1,0 +1,121 @@
+"""`nanogs warm`, and the table of kernels that it and first runs go by."""
+
+import importlib
+import inspect
+import json
+import os
+import pkgutil
+import subprocess
+import sys
+
+import pytest
+from numba.core import sigutils
+
+import nanogs.kernels
+from nanogs import warming
+from nanogs.errors import NanogsError
+from nanogs.kernels.cached import _Cache
+from nanogs.kernels.needed import needed
+from nanogs.spread import Spread
+
+REMEDY = "run `python benchmarks/signatures.py`"
+# What few runs need, and compile when they do.
+SELDOM = {
+    "listing.extent_of",  # pictures of models that are not held in memory
+    "listing.cut_boxes",
+    "pairs.tally_free",  # a matching of a million splats of which rounds leave most
+}
+
+
+def every_kernel():
+    """Name and Python function of all kernels, not of what is inlined."""
+    for module in pkgutil.walk_packages(nanogs.kernels.__path__, "nanogs.kernels."):
+        for name, value in vars(importlib.import_module(module.name)).items():
+            kernel = value._compiled if isinstance(value, Spread) else value
+            kept = isinstance(getattr(kernel, "_cache", None), _Cache)
+            if kept and kernel.py_func.__module__ == module.name:
+                yield f"{module.name.removeprefix('nanogs.kernels.')}.{name}", kernel.py_func
+
+
+compiled_only = pytest.mark.skipif(
+    os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="nothing is compiled"
+)
+
+
+@compiled_only
+def test_the_table_names_every_kernel_and_the_arguments_that_it_takes():
+    functions = dict(every_kernel())
+    assert set(functions) - {one.name for one in needed()} == SELDOM, REMEDY
+    for one in needed():
+        types, _ = sigutils.normalize_signature(one.types)
+        assert len(types) == len(inspect.signature(functions[one.name]).parameters), REMEDY
+
+
+@compiled_only
+def test_presets_need_a_part_of_the_table():
+    fast, default, paper, every = map(needed, ("fast", "default", "paper", None))
+    assert set(fast) | set(default) | set(paper) < set(every)
+    assert "advance.advance_splats" in {one.name for one in default} - {one.name for one in fast}
+    assert set(paper) - set(default)
+
+
+RUNS = """
+import sys
+from numba.core import event
+from nanogs.cli import main
+
+class Told(event.Listener):
+    def on_start(self, told):
+        print("compiled", told.data["dispatcher"])
+    def on_end(self, told):
+        pass
+
+event.register("numba:compile", Told())
+sys.argv = ["nanogs", *sys.argv[1:]]
+main()
+"""
+
+
+@compiled_only
+@pytest.mark.slow
+def test_after_it_no_preset_compiles_anything(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def run(*arguments):
+        command = [sys.executable, *arguments]
+        return subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
+
+    first = run("-m", "nanogs", "warm", "--json")
+    again = run("-m", "nanogs", "warm")
+    told = json.loads(first.stdout)
+    # To ask for a kernel may have compiled one: the trial of vectors.
+    assert len(needed()) - 1 <= told["compiled"] <= told["kernels"] == len(needed())
+    assert all(folder.startswith(str(tmp_path)) for folder in told["folders"])
+    assert f"{told['kernels']} kernels for {told['processor']}" in again.stderr
+    assert "all there" in again.stderr
+    run("-m", "nanogs", "demo", "scene.ply", "--count", "2000")
+    small = ("--steps", "2", "--views", "2", "--view-size", "64")
+    for further in (("fast",), ("default", *small), ("paper",)):
+        words = ("scene.ply", "small.ply", "-w", "--ratio", "0.1", "--preset", *further)
+        assert run("-c", RUNS, "simplify", *words).stdout == "", REMEDY
+    assert run("-c", RUNS, "convert", "scene.ply", "scene.sog").stdout == "", REMEDY
+
+
+def test_it_says_that_numba_is_told_to_compile_nothing():
+    told = subprocess.run(
+        [sys.executable, "-m", "nanogs", "warm"],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert told.returncode == 2
+    assert told.stderr.count("\n") == 1
+    assert "unset it" in told.stderr
+
+
+def test_kernels_that_cannot_be_kept_are_not_compiled(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(NanogsError, match="NUMBA_CACHE_DIR"):
+        warming._check_writable(tmp_path / "file" / "kernels")
+    warming._check_writable(tmp_path / "new" / "kernels")
+    assert not list((tmp_path / "new" / "kernels").iterdir())
