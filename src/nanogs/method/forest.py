@@ -61,7 +61,7 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
     count = made = len(leaves)
     nodes, ids = leaves, np.arange(count, dtype=np.int32)
     del leaves  # where the caller keeps none either, they make room for the passes to come
-    parts: list[tuple[I32, I32, F32]] = []
+    parts: list[tuple[I32, F32]] = []
     passes: list[PassReport] = []
     stop = StopReason.TARGET
     while len(nodes) > 1:
@@ -74,10 +74,10 @@ def grow_forest(leaves: Nodes, parameters: ForestParameters, threads: int, tell:
             break
         clock = StageClock()
         with clock.time("merge"):
-            level = np.full(len(plan), len(passes) + 1, dtype=np.int32)
             children, ids, starts, members = _joined_pairs(plan.pairs, ids, made)
-            parts.append((children, level, increments))
+            parts.append((children, increments))
             made += len(plan)
+            del plan  # makes room for the nodes to come
             # The features of pairs of splats, half a model, are not stored but mixed when needed.
             told(0.9)
             nodes = (gather_groups if passes else gather_pairs)(nodes, starts, members)
@@ -159,9 +159,10 @@ def _increments(pairs: I32, nodes: Nodes, dets: F64) -> F32:
     return increments
 
 
-def _joined(parts: list[tuple[I32, I32, F32]]) -> tuple[I32, I32, F32]:
+def _joined(parts: list[tuple[I32, F32]]) -> tuple[I32, I32, F32]:
     if not parts:
         empty = np.empty((0, 2), dtype=np.int32)
         return empty, empty[:, 0], empty.astype(np.float32)
-    children, levels, increments = zip(*parts, strict=True)
-    return np.concatenate(children), np.concatenate(levels), np.concatenate(increments)
+    children, increments = zip(*parts, strict=True)
+    levels = np.repeat(np.arange(1, len(parts) + 1, dtype=np.int32), list(map(len, children)))
+    return np.concatenate(children), levels, np.concatenate(increments)
