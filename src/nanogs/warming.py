@@ -91,6 +91,8 @@ def _check_writable(folder: Path) -> None:
 
 def _compile(number: int) -> None:
     """Compile one kernel of the table, in a process of its own."""
+    from nanogs.kernels.compiling import watching
     from nanogs.kernels.needed import needed
 
-    needed()[number].compile()
+    with watching(lambda _begun: None):  # or each process would say that it compiles
+        needed()[number].compile()
