@@ -8,9 +8,8 @@ more room.
 
 import json
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, ClassVar
@@ -67,17 +66,12 @@ class StreamedSog(ChunkLayout):
         from nanogs.io.sog import write as sog_write  # here, as `--help` does without
 
         runs = _runs(level.counts, self.chunks_a_file * self.most, self.least)
-        waiting: Callable[[], tuple[Any, Mapping[str, bytes]]] | None = None
         for number, (first, end) in enumerate(runs):
             part, leaves = level.take(first, end)
             folder, places = f"{prefix}{number}", list(_places(part, level.counts, first, end))
-            files = sog_write.begun(part, leaves)
-            if waiting:  # whose textures were packed meanwhile
-                yield waiting()
-            waiting = partial(_named, folder, places, files)
+            files = sog_write.contents(part, leaves)
             tell(level.counts[:end].sum(), level.counts.sum())
-        if waiting:
-            yield waiting()
+            yield [folder, places], {f"{folder}/{name}": data for name, data in files.items()}
 
     @property
     def fewest(self) -> int:
@@ -128,13 +122,6 @@ class StreamedSog(ChunkLayout):
             "tree": _joined([leaves.tree() for leaves in found])[0],
         }
         return json.dumps(data, separators=(",", ":"), allow_nan=False)
-
-
-def _named(
-    folder: str, places: Sequence[Any], files: Callable[[], Mapping[str, bytes]]
-) -> tuple[Any, Mapping[str, bytes]]:
-    """A model as the layout has it, and its files with their folder, as soon as they are packed."""
-    return [folder, places], {f"{folder}/{name}": data for name, data in files().items()}
 
 
 class _Leaves:

@@ -145,40 +145,19 @@ def contents(
     Raises:
         OutputError: As for `write`.
     """
-    return begun(splats, groups, tell, packing)()
-
-
-def begun(
-    splats: Splats,
-    groups: I64 | None = None,
-    tell: Parts = untold,
-    packing: Packing = USUAL,
-) -> Callable[[], dict[str, bytes]]:
-    """As `contents`, which the result gives when called; until then textures are being packed.
-
-    Raises:
-        OutputError: As for `write`.
-    """
     import numba
 
     _refuse_unstorable(splats)
-    encoding: dict[str, Future[bytes]] = {}
-    pool = ThreadPoolExecutor(numba.get_num_threads())
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        encoding: dict[str, Future[bytes]] = {}
 
-    def submit(name: str, texels: U8) -> None:
-        encoding[name] = pool.submit(encode, texels)
+        def submit(name: str, texels: U8) -> None:
+            encoding[name] = pool.submit(encode, texels)
 
-    try:
         meta = _encode(splats, groups, packing, submit, tell)
-    finally:
-        pool.shutdown(wait=False)  # when it has done what was submitted
+        files = {name: future.result() for name, future in encoding.items()}
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
-
-    def files() -> dict[str, bytes]:
-        done = {name: future.result() for name, future in encoding.items()}
-        return done | {"meta.json": text.encode()}
-
-    return files
+    return files | {"meta.json": text.encode()}
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
