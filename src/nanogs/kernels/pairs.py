@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nanogs._types import F32, I32, I64, U64, Bool
+from nanogs._types import F32, I32, I64, U32, U64, Bool
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 
 _STRETCH = 1 << 13  # rows that one thread goes through; fixed, so that threads do not matter
@@ -88,7 +88,7 @@ def count_pairs(neighbours: I32, starts: I64) -> I32:
 
 
 @parallel_kernel("nexts", least=_STRETCH, each=1)
-def _fill_marked(start: int, stop: int, marked: I32, nexts: I64, seconds: I32) -> None:
+def _fill_marked(start: int, stop: int, marked: I32, nexts: U32 | I64, seconds: I32) -> None:
     """The larger rows of the pairs that only these list, for some smaller rows."""
     for pair in range(marked.shape[1]):  # the larger rows ascend, and so do those of each smaller
         j = marked[0, pair]
@@ -99,11 +99,11 @@ def _fill_marked(start: int, stop: int, marked: I32, nexts: I64, seconds: I32) -
 
 @parallel_kernel("neighbours")
 def _fill_larger(
-    start: int, stop: int, neighbours: I32, starts: I64, nexts: I64, seconds: I32
+    start: int, stop: int, neighbours: I32, starts: I64, nexts: U32 | I64, seconds: I32
 ) -> None:
     """The other pairs, sorted in among those of their row."""
     for i in range(start, stop):
-        count = nexts[i]
+        count = np.int64(nexts[i])
         for place in range(neighbours.shape[1]):
             j = neighbours[i, place]
             if i < j:
@@ -115,7 +115,7 @@ def _fill_larger(
                 count += 1
 
 
-def fill_seconds(neighbours: I32, starts: I64, nexts: I64, marked: I32, seconds: I32) -> None:
+def fill_seconds(neighbours: I32, starts: I64, nexts: U32 | I64, marked: I32, seconds: I32) -> None:
     """The larger row of each unordered pair of the union of both directions, ascending.
 
     neighbours, starts, marked: from `count_pairs`; nexts: (N,) a copy of the starts, changed;

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nanogs._types import F64, I32, I64
+from nanogs._types import F64, I32, I64, U32
 from nanogs.kernels.pairs import count_pairs, fill_firsts, fill_seconds
 from nanogs.neighbours import nearest_neighbours
 from nanogs.threads import use_threads
@@ -25,8 +25,11 @@ def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
     with use_threads(threads):
         marked = count_pairs(neighbours, starts)
         columns: I32 = np.empty((2, starts[-1]), dtype=np.int32)
-        fill_seconds(neighbours, starts, starts[:-1].copy(), marked, columns[1])
-        del neighbours, marked  # the other column takes no memory before it is written
+        # Half as wide where their number allows: memory is scarcest here.
+        width: type = np.uint32 if starts[-1] < 1 << 32 else np.int64
+        nexts: U32 | I64 = starts[:-1].astype(width)
+        fill_seconds(neighbours, starts, nexts, marked, columns[1])
+        del neighbours, marked, nexts  # the other column takes no memory before it is written
         fill_firsts(starts, columns[0])
     return columns.T
 
