@@ -295,9 +295,9 @@ def test_pairs_of_a_row_that_all_others_have_as_their_neighbour():
     neighbours = np.stack([(np.arange(400) + 1) % 400, np.full(400, 200)], axis=1).astype(np.int32)
     neighbours[199:201, 1] = [5, 7]
     expected, starts = twins.pairs_of(neighbours), np.empty(401, dtype=np.int64)
-    marked = count_pairs(neighbours, starts)
+    count_pairs(neighbours, starts)
     firsts, seconds = np.empty((2, starts[-1]), dtype=np.int32)
-    fill_seconds(neighbours, starts, starts[:-1].copy(), marked, seconds)
+    fill_seconds(neighbours, starts, starts[:-1].copy(), seconds)
     fill_firsts(starts, firsts)
     assert list(zip(firsts.tolist(), seconds.tolist(), strict=True)) == expected
 

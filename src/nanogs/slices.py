@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 
 SLICE = 1 << 14  # few, since each thread keeps what it once freed
-SLICE_STEPS = (
-    1 << 16
-)  # of few and simple steps: each long enough for threads not to wait for Python
+# Of few and simple steps on few numbers a row: each long enough for threads not to wait for Python.
+SLICE_STEPS = 1 << 15
 SLICE_PAIRS = 1 << 15  # pairs, of which a kernel takes milliseconds
 IN_HAND = 16 * SLICE_PAIRS  # at once, by as many threads: what memory is planned with
 

@@ -5,7 +5,7 @@ import numpy as np
 from nanogs._types import F32, I32, I64, U32, U64, Bool
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 
-_STRETCH = 1 << 13  # rows that one thread goes through; fixed, so that threads do not matter
+_LEAST = 1 << 13  # smaller rows that a thread looks through all neighbours for
 
 
 @inline
@@ -18,83 +18,54 @@ def _lists(neighbours: I32, row: int, value: int) -> bool:
     return hits != 0
 
 
-@inline
-def _rows_of(stretch: int, n: int) -> tuple[int, int]:
-    """The rows of a stretch, of n in all."""
-    return stretch * _STRETCH, min(n, (stretch + 1) * _STRETCH)
+@parallel_kernel("neighbours")
+def _count_larger(start: int, stop: int, neighbours: I32, starts: I64) -> None:
+    """How many of each row's neighbours are larger; marks those of `count_pairs`."""
+    for i in range(start, stop):
+        larger = 0
+        for place in range(neighbours.shape[1]):
+            j = neighbours[i, place]
+            larger += i < j
+            if j < i and not _lists(neighbours, j, i):
+                neighbours[i, place] = ~j
+        starts[i + 1] = larger
 
 
-@parallel_kernel("marks", least=1)
-def _count_larger(start: int, stop: int, neighbours: I32, starts: I64, marks: I64) -> None:
-    """How many of each row's neighbours are larger; marks those of `count_pairs`, and counts them.
+@parallel_kernel("starts", least=_LEAST, each=1)
+def _add_marked(start: int, stop: int, starts: I64, neighbours: I32) -> None:
+    """Add the pairs that only their larger row lists, for some smaller rows.
 
-    marks: (stretches,), filled.
+    Every thread looks through all neighbours: a list of those that are marked would take memory
+    where it is scarcest.
     """
-    for stretch in range(start, stop):
-        first, end = _rows_of(stretch, len(neighbours))
-        marked = 0
-        for i in range(first, end):
-            larger = 0
-            for place in range(neighbours.shape[1]):
-                j = neighbours[i, place]
-                larger += i < j
-                if j < i and not _lists(neighbours, j, i):
-                    neighbours[i, place] = ~j
-                    marked += 1
-            starts[i + 1] = larger
-        marks[stretch] = marked
+    for i in range(len(neighbours)):
+        for place in range(neighbours.shape[1]):
+            j = ~neighbours[i, place]
+            if start <= j < stop:  # not marked is below 0
+                starts[j + 1] += 1
 
 
-@parallel_kernel("marks", least=1)
-def _list_marked(start: int, stop: int, neighbours: I32, marks: I64, marked: I32) -> None:
-    """The pairs that only their larger row lists, by that row.
-
-    marks: (stretches,) where those of each stretch end; marked: (2, M) smaller rows, larger rows.
-    """
-    for stretch in range(start, stop):
-        first, end = _rows_of(stretch, len(neighbours))
-        at = marks[stretch - 1] if stretch > 0 else 0
-        for i in range(first, end):
-            for place in range(neighbours.shape[1]):
-                if neighbours[i, place] < 0:
-                    marked[0, at], marked[1, at] = ~neighbours[i, place], i
-                    at += 1
-
-
-@kernel
-def _add_marked(marked: I32, starts: I64) -> None:
-    """Add the pairs that only their larger row lists, and sum up."""
-    starts[0] = 0
-    for pair in range(marked.shape[1]):
-        starts[marked[0, pair] + 1] += 1
-    for i in range(len(starts) - 1):
-        starts[i + 1] += starts[i]
-
-
-def count_pairs(neighbours: I32, starts: I64) -> I32:
+def count_pairs(neighbours: I32, starts: I64) -> None:
     """Find where the pairs of each row start; a pair belongs to its smaller row.
 
     neighbours: (N, k), those marked by their complement that are the smaller row and do not have
-    this row among their own; starts: (N + 1,), filled, the last is the number of pairs. Returns
-    (2, M), the pairs that are marked, by their larger row: smaller rows, larger rows.
+    this row among their own; starts: (N + 1,), filled, the last is the number of pairs.
     """
-    marks = np.empty(-(-len(neighbours) // _STRETCH), dtype=np.int64)
-    _count_larger(neighbours, starts, marks)
-    np.cumsum(marks, out=marks)
-    marked = np.empty((2, marks[-1] if len(marks) else 0), dtype=np.int32)
-    _list_marked(neighbours, marks, marked)
-    _add_marked(marked, starts)
-    return marked
+    _count_larger(neighbours, starts)
+    starts[0] = 0
+    _add_marked(starts, neighbours)
+    np.cumsum(starts, out=starts)
 
 
-@parallel_kernel("nexts", least=_STRETCH, each=1)
-def _fill_marked(start: int, stop: int, marked: I32, nexts: U32 | I64, seconds: I32) -> None:
+@parallel_kernel("nexts", least=_LEAST, each=1)
+def _fill_marked(start: int, stop: int, neighbours: I32, nexts: U32 | I64, seconds: I32) -> None:
     """The larger rows of the pairs that only these list, for some smaller rows."""
-    for pair in range(marked.shape[1]):  # the larger rows ascend, and so do those of each smaller
-        j = marked[0, pair]
-        if start <= j < stop:
-            seconds[nexts[j]] = marked[1, pair]
-            nexts[j] += 1
+    for i in range(len(neighbours)):  # the rows ascend, and so do those given to each smaller one
+        for place in range(neighbours.shape[1]):
+            j = ~neighbours[i, place]
+            if start <= j < stop:
+                seconds[nexts[j]] = i
+                nexts[j] += 1
 
 
 @parallel_kernel("neighbours")
@@ -115,13 +86,13 @@ def _fill_larger(
                 count += 1
 
 
-def fill_seconds(neighbours: I32, starts: I64, nexts: U32 | I64, marked: I32, seconds: I32) -> None:
+def fill_seconds(neighbours: I32, starts: I64, nexts: U32 | I64, seconds: I32) -> None:
     """The larger row of each unordered pair of the union of both directions, ascending.
 
-    neighbours, starts, marked: from `count_pairs`; nexts: (N,) a copy of the starts, changed;
+    neighbours, starts: from `count_pairs`; nexts: (N,) a copy of the starts, changed;
     seconds: (E,), filled: those of row i from starts[i] to starts[i + 1].
     """
-    _fill_marked(marked, nexts, seconds)
+    _fill_marked(neighbours, nexts, seconds)
     _fill_larger(neighbours, starts, nexts, seconds)
 
 

@@ -23,13 +23,13 @@ def neighbour_pairs(means: F64, k: int, threads: int) -> I32:
     neighbours = nearest_neighbours(means, k, threads)
     starts: I64 = np.empty(len(neighbours) + 1, dtype=np.int64)
     with use_threads(threads):
-        marked = count_pairs(neighbours, starts)
+        count_pairs(neighbours, starts)
         columns: I32 = np.empty((2, starts[-1]), dtype=np.int32)
         # Half as wide where their number allows: memory is scarcest here.
         width: type = np.uint32 if starts[-1] < 1 << 32 else np.int64
         nexts: U32 | I64 = starts[:-1].astype(width)
-        fill_seconds(neighbours, starts, nexts, marked, columns[1])
-        del neighbours, marked, nexts  # the other column takes no memory before it is written
+        fill_seconds(neighbours, starts, nexts, columns[1])
+        del neighbours, nexts  # the other column takes no memory before it is written
         fill_firsts(starts, columns[0])
     return columns.T
 

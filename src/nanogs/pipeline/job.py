@@ -20,7 +20,7 @@ from nanogs.pipeline.presets import Parameters, parameters
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport, StopReason
-from nanogs.slices import SLICE_STEPS, slices
+from nanogs.slices import slices
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
     def check(part: slice) -> None:
         finite[part] = splats.span(part.start, part.stop).finite()
 
-    spread.each(slices(len(splats), SLICE_STEPS), check)
+    spread.each(slices(len(splats)), check)
     rows = np.flatnonzero(finite).astype(np.int32)
     if len(rows) == 0:
         raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")

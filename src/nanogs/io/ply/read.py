@@ -23,7 +23,7 @@ from nanogs.slices import slices
 from nanogs.splats import ExtraElement, Splats
 
 _WIDE = ("f8", "i4", "u4")  # types of a centre that float32 does not hold exactly
-_PART_ROWS = 8 * BLOCK_ROWS  # that a thread reads at once
+_PART_ROWS = BLOCK_ROWS // 4  # that a thread reads at once: what it held stays with the thread
 _TOKEN = 120  # bytes that a number of text takes while it is read: as text, number and value
 
 
