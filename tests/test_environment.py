@@ -453,7 +453,8 @@ def test_the_viewer_draws_it_once_and_where_it_is(tmp_path):
     pose = look_at(np.array([-2.0, -1, 4]), np.zeros(3), np.array([0.0, -1, 0]))
     camera = Camera(320, 240, focal, focal, 160, 120, pose, near=0.01)
     shown, asked = in_supersplat(path, own, 900 + 700, **standing_at(camera))
-    assert asked[:2] == ["scene/lod-meta.json", "scene/env/meta.json"]
+    assert asked[0] == "scene/lod-meta.json"
+    assert "scene/env/meta.json" in asked[1:3]  # it may come beside the first of a level
     assert {"scene/0_0/meta.json", "scene/1_0/meta.json"} <= set(asked)
     assert len(asked) == len(set(asked))  # and nothing is fetched twice
     rendered = render(io.load(path), camera).shown()

@@ -149,17 +149,26 @@ LOAD = """
 import numpy as np
 from nanogs.kernels.compiling import when_compiling
 from nanogs.kernels.radix import radix_sort
+from nanogs.kernels.raster import blend_tiles
 told = []
 when_compiling(lambda: told.append(1))
-radix_sort(np.arange(4, dtype=np.uint64), np.empty(4, np.uint64))
+{call}
 print("compiled" if told else "loaded")
 """
+SORTS = "radix_sort(np.arange(4, dtype=np.uint64), np.empty(4, np.uint64))"
+BLENDS = """blend_tiles(
+    np.empty((0, 8)), np.empty((0, 4), np.float32), np.zeros(2, np.int64), np.empty(0, np.int32),
+    0xFFFF, np.zeros(3, np.float32), np.empty((16, 16, 3), np.float32),
+    np.empty((16, 16), np.float32), np.empty((0, 16, 16), np.float32), np.empty((0, 0), np.float32),
+)"""
 
 
-def test_kernels_of_each_way_are_kept_apart(tmp_path):
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path)}
-    said = [python(LOAD, NANOGS_SIMD=way, **cache)[0].strip() for way in "1001"]
-    assert said == ["compiled", "compiled", "loaded", "loaded"]
+@pytest.mark.parametrize(("call", "second"), [(SORTS, "loaded"), (BLENDS, "compiled")])
+def test_kernels_of_each_way_are_kept_apart(tmp_path, call, second):
+    """Those that have vectors; of the others there is one way."""
+    cache, code = {"NUMBA_CACHE_DIR": str(tmp_path)}, LOAD.format(call=call)
+    said = [python(code, NANOGS_SIMD=way, **cache)[0].strip() for way in "1001"]
+    assert said == ["compiled", second, "loaded", "loaded"]
 
 
 def test_who_insists_gets_the_vectors_of_any_version():

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-SLICE = 1 << 14  # few, since each thread keeps what it once freed
+SLICE = 1 << 13  # few, since each thread keeps what it once freed
 # Of few and simple steps on few numbers a row: each long enough for threads not to wait for Python.
 SLICE_STEPS = 1 << 15
 SLICE_PAIRS = 1 << 15  # pairs, of which a kernel takes milliseconds

@@ -37,6 +37,6 @@ EXAMPLES = {
         "nanogs bench scene.ply --ratios 0.1,0.01 --out results/",
         "nanogs bench scene.ply --sizes-of-files 0.5MB,1MB,2MB --format sog --out results/",
     ),
-    "warm": ("nanogs warm", "NUMBA_CACHE_DIR=/var/cache/nanogs nanogs warm --json"),
+    "warm": ("nanogs warm", "nanogs warm --workers 2 --json"),
     "demo": ("nanogs demo scene.ply", "nanogs demo scene.ply --count 100k"),
 }

@@ -35,11 +35,14 @@ def simplify_as_published(
     with clock.time("prune"):
         pruning = prune(splats.opacities()[rows], parameters.tau, target)
         kept = rows[pruning.keep]
+        pruned, threshold, limited = len(rows) - len(kept), pruning.threshold, pruning.limited
+        del pruning  # and its rows: what follows is the most that is held
     progress.begin("activate")
     with clock.time("activate"):
         origin = scene_origin(splats.means[kept])
         # A list, so that no name here keeps the full set alive while the passes shrink it.
         working = [activate(splats, kept, origin)]
+        del kept
     progress.begin("merge")
     result = merge_to_count(working.pop(), target, parameters, threads, progress.part)
     for one_pass in result.passes:
@@ -51,7 +54,7 @@ def simplify_as_published(
         splats=small,
         passes=result.passes,
         stop=result.stop,
-        pruned=len(rows) - len(kept),
-        prune_threshold=pruning.threshold,
-        prune_limited=pruning.limited,
+        pruned=pruned,
+        prune_threshold=threshold,
+        prune_limited=limited,
     )
