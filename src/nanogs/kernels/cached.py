@@ -73,7 +73,8 @@ def _has_two_ways(function: Callable[..., Any]) -> bool:
     """
     names, known = function.__code__.co_names, function.__globals__
     called = [known[name] for name in names if name in known]
-    for module in [one for one in called if isinstance(one, ModuleType)]:
+    modules = [one for one in called if isinstance(one, ModuleType)]
+    for module in [one for one in modules if one.__name__.startswith("nanogs.")]:
         called += [getattr(module, name) for name in names if hasattr(module, name)]
     return any(
         getattr(one, TWO_WAYS, False) or (hasattr(one, "py_func") and _has_two_ways(one.py_func))
