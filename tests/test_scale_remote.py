@@ -2,6 +2,7 @@
 
 import http.server
 import json
+import os
 import re
 import socket
 import subprocess
@@ -254,8 +255,10 @@ def store():
     """The address of a store that speaks S3, with a bucket."""
     pytest.importorskip("s3fs")
     pytest.importorskip("moto.server")
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    # Ports that no system gives away by itself, others for each worker: one that was free a moment
+    # ago may be another's by now, which would answer and be gone later.
+    first = 21_000 + 100 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+    port = next(port for port in range(first, first + 100) if not answers(port))
     command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
     child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     address = f"http://127.0.0.1:{port}"
