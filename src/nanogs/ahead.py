@@ -15,6 +15,7 @@ from functools import cache
 from pathlib import Path
 
 from nanogs.cleanup import clean_at_end, undisturbed
+from nanogs.threads import processors
 
 _MOST = 3  # processes beside the first: more would wait for the longest kernel
 
@@ -38,13 +39,6 @@ def compile_ahead(preset: str) -> None:
             )
             clean_at_end(process.kill)
         atexit.register(process.kill)  # the cache's files are written beside their places, renamed
-
-
-def processors() -> int:
-    """How many processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def nothing_compiled() -> bool:

@@ -10,7 +10,6 @@ Three things count, and the least decides:
 No NumPy here: a process that has too little for NumPy can still be told so.
 """
 
-import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from pathlib import Path, PurePosixPath
 
 from nanogs.errors import NotEnoughMemoryError
 from nanogs.formatting import bytes_text
+from nanogs.threads import most_threads
 
 LIBRARIES = 210_000_000  # bytes, measured, that Python and its libraries take at the most
 _PLAIN = 70_000_000  # the same without Numba
@@ -137,7 +137,7 @@ def refuse_without_numpy() -> None:
         NotEnoughMemoryError: `ulimit -v` is too low.
     """
     for limit, option in set_ulimits():
-        least = _NUMPY + _NUMPY_THREAD * (min(_threads(), _BLAS_THREADS) - 1)
+        least = _NUMPY + _NUMPY_THREAD * (min(most_threads(), _BLAS_THREADS) - 1)
         if option == "-v" and limit < least:
             raise NotEnoughMemoryError(
                 f"`ulimit -v` allows {limit / 1e6:,.0f} MB of address space, and loading NumPy"
@@ -153,7 +153,7 @@ def _ulimits(mapped: int, data: int, compiled: bool) -> Iterator[tuple[int, str,
         data: Bytes of it that are writable and its own.
         compiled: Whether the work needs Numba.
     """
-    more = min(_threads(), _BLAS_THREADS) - 1
+    more = min(most_threads(), _BLAS_THREADS) - 1
     libraries = {"-v": _MAPPED + more * _MAPPED_THREAD, "-d": _DATA + more * _DATA_THREAD}
     if not compiled:
         libraries = {"-v": _PLAIN_MAPPED + more * _PLAIN_THREAD, "-d": _PLAIN}
@@ -171,15 +171,6 @@ def set_ulimits() -> Iterator[tuple[int, str]]:
             limit = resource.getrlimit(kind)[0]
             if limit != resource.RLIM_INFINITY:
                 yield limit, option
-
-
-def _threads() -> int:
-    """Threads that Numba and OpenBLAS are going to start."""
-    given = os.environ.get("NUMBA_NUM_THREADS", "")
-    if given.isdigit() and int(given):
-        return int(given)
-    allowed = getattr(os, "sched_getaffinity", None)  # not on every system
-    return len(allowed(0)) if allowed else os.cpu_count() or 1
 
 
 def _group_limits(proc: Path, groups: Path) -> Iterator[tuple[int, int]]:

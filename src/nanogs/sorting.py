@@ -25,14 +25,13 @@ def stable_order(keys: U64) -> I64:
         return _order(keys)
     sample = np.sort(keys[:: len(keys) // _SAMPLE + 1])
     bounds = sample[len(sample) * np.arange(1, parts) // parts]
-    orders: list[I64] = [np.empty(0, np.int64)] * parts
 
-    def order(part: int) -> None:
+    def order(part: int) -> I64:
         rows = np.flatnonzero(_between(keys, bounds, part))
-        orders[part] = rows.take(_order(keys.take(rows)))
+        ordered: I64 = rows.take(_order(keys.take(rows)))
+        return ordered
 
-    spread.each(range(parts), order)
-    return np.concatenate(orders)
+    return np.concatenate(spread.results(range(parts), order))
 
 
 def _between(keys: U64, bounds: U64, part: int) -> Bool:

@@ -12,11 +12,14 @@ from functools import cache
 from threading import Lock, local
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar
 
+from nanogs.threads import most_threads
+
 if TYPE_CHECKING:
     from concurrent.futures import ThreadPoolExecutor
 
 P = ParamSpec("P")
 T = TypeVar("T")
+R = TypeVar("R")
 
 
 class Spread(Generic[P]):
@@ -86,6 +89,18 @@ def each(parts: Iterable[T], work: Callable[[T], None]) -> None:
     _on(min(_threads(), len(every)), work_on)
 
 
+def results(parts: Iterable[T], work: Callable[[T], R]) -> list[R]:
+    """What some work makes of each part, in the order of the parts; see `each`."""
+    every = list(parts)
+    found: dict[int, R] = {}
+
+    def keep(number: int) -> None:
+        found[number] = work(every[number])
+
+    each(range(len(every)), keep)
+    return [found[number] for number in range(len(every))]
+
+
 def _on(threads: int, work: Callable[[], None]) -> None:
     """Call it on so many threads, this one among them.
 
@@ -116,23 +131,13 @@ _own = _Own()
 def _pool() -> "ThreadPoolExecutor":
     from concurrent.futures import ThreadPoolExecutor
 
-    return ThreadPoolExecutor(_most(), initializer=_own.join)
+    return ThreadPoolExecutor(most_threads(), initializer=_own.join)
 
 
 def _threads() -> int:
     """How many threads to use: as many as Numba, which files are read and written without."""
-    found = getattr(sys.modules.get("numba"), "get_num_threads", _most)()
+    found = getattr(sys.modules.get("numba"), "get_num_threads", most_threads)()
     return int(found)
-
-
-def _most() -> int:
-    """As Numba counts the threads that it has."""
-    asked = os.environ.get("NUMBA_NUM_THREADS", "")
-    if asked.isdecimal() and int(asked):
-        return int(asked)
-    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 # A forked process has the pool but none of its threads, for which it would wait for ever.

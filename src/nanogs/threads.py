@@ -1,9 +1,23 @@
-"""How many threads the kernels use."""
+"""How many threads there are, and how many of them the kernels use."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from nanogs.errors import OptionError
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def most_threads() -> int:
+    """How many threads Numba has, told without its import, which takes a while."""
+    asked = os.environ.get("NUMBA_NUM_THREADS", "")
+    return int(asked) if asked.isdecimal() and int(asked) else processors()
 
 
 @contextmanager

@@ -4,10 +4,14 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import TYPE_CHECKING
 
-from nanogs.ahead import processors
 from nanogs.errors import NanogsError, OptionError
 from nanogs.progress import Progress, Stage, Tracker
+from nanogs.threads import processors
+
+if TYPE_CHECKING:
+    from nanogs.kernels.needed import Needed
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +48,7 @@ def warm(workers: int | None = None, progress: Progress | None = None) -> Warmth
 
     from numba.core import config
 
-    from nanogs.kernels.needed import needed, processor
+    from nanogs.kernels.needed import needed
     from nanogs.pipeline.cluster import processes
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
@@ -57,12 +61,12 @@ def warm(workers: int | None = None, progress: Progress | None = None) -> Warmth
     tracker = Tracker(progress, [Stage("compile", 1.0)])
     tracker.begin("compile")
     # What is needed last takes longest.
-    missing = [number for number, one in reversed(list(enumerate(every))) if not one.held()]
+    missing = [one for one in reversed(every) if not one.held()]
     if missing:
         for folder in folders:
             _check_writable(Path(folder))
         with processes(min(count, len(missing))) as pool:
-            done = as_completed([pool.submit(_compile, number) for number in missing])
+            done = as_completed([pool.submit(_compile, one) for one in missing])
             for number, future in enumerate(done, start=1):
                 future.result()
                 tracker.part(number, len(missing))
@@ -71,7 +75,7 @@ def warm(workers: int | None = None, progress: Progress | None = None) -> Warmth
         kernels=len(every),
         compiled=len(missing),
         seconds=time.perf_counter() - start,
-        processor=processor(),
+        processor=every[0].processor,
         folders=folders,
     )
 
@@ -89,10 +93,9 @@ def _check_writable(folder: Path) -> None:
         ) from None
 
 
-def _compile(number: int) -> None:
+def _compile(one: "Needed") -> None:
     """Compile one kernel of the table, in a process of its own."""
     from nanogs.kernels.compiling import watching
-    from nanogs.kernels.needed import needed
 
     with watching(lambda _begun: None):  # or each process would say that it compiles
-        needed()[number].compile()
+        one.compile()

@@ -34,10 +34,15 @@ class Needed:
         return getattr(value, "_compiled", value)
 
     @property
-    def target(self) -> tuple[str, str, str]:
-        """System, processor and the processor's features: kernels for others are kept apart."""
-        system, name, features = self._kernel.targetctx.codegen().magic_tuple()
-        return system, name, features
+    def _signature(self) -> Any:  # noqa: ANN401 - as above
+        types, _ = sigutils.normalize_signature(self.types)  # type: ignore[no-untyped-call]
+        return types
+
+    @property
+    def processor(self) -> str:
+        """Which it is compiled for, as LLVM names it: kernels for others are kept apart."""
+        _system, name, _features = self._kernel.targetctx.codegen().magic_tuple()
+        return str(name)
 
     @property
     def folder(self) -> str:
@@ -47,8 +52,7 @@ class Needed:
     def held(self) -> bool:
         """Whether it is on the disk."""
         kernel = self._kernel
-        types, _ = sigutils.normalize_signature(self.types)  # type: ignore[no-untyped-call]
-        return bool(kernel._cache.holds(types, kernel.targetctx.codegen()))  # noqa: SLF001
+        return bool(kernel._cache.holds(self._signature, kernel.targetctx.codegen()))  # noqa: SLF001
 
     def compile(self, *, wait: bool = True) -> bool:
         """Compile it and keep it, unless it is on the disk.
@@ -62,8 +66,7 @@ class Needed:
         kernel = self._kernel
         if self.held() or not (wait or kernel._cache.free()):  # noqa: SLF001
             return False
-        types, _ = sigutils.normalize_signature(self.types)  # type: ignore[no-untyped-call]
-        kernel.compile(types)
+        kernel.compile(self._signature)
         return not kernel.stats.cache_hits
 
 
@@ -78,8 +81,3 @@ def needed(preset: str | None = None) -> list[Needed]:
             presets = frozenset(PRESETS[mark] for mark in marks if mark in PRESETS)
             found.append(Needed(name, opened + types, presets))
     return [one for one in found if preset is None or preset in one.presets]
-
-
-def processor() -> str:
-    """The processor that kernels are compiled for, as LLVM names it."""
-    return str(needed()[0].target[1])

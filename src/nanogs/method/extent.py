@@ -64,12 +64,7 @@ def dilation(means: F64, alphas: F64, mode: RenderMode, pixels: float) -> Dilati
     anchors = np.ascontiguousarray(means[:: (len(means) - 1) // ANCHORS + 1])
     means, alphas = means[::step], alphas[::step]
     weights = alphas if alphas.sum() > 0 else np.ones(len(means))
-    radii = np.empty(len(anchors))
-
-    def measure(anchor: int) -> None:
-        radii[anchor] = _radius(anchors[anchor], means, weights)
-
-    spread.each(range(len(anchors)), measure)
+    radii = np.array(spread.results(anchors, lambda anchor: _radius(anchor, means, weights)))
     per_radius = 0.0 if mode is RenderMode.MIP else float(np.sqrt(DILATION)) * 2 / pixels
     return Dilation(anchors, radii, per_radius)
 

@@ -116,7 +116,7 @@ def _one_pass(
     told(0.65)
     with clock.time("match"):
         plan = match(pairs, costs, count, count // 2)
-        chosen = _increments_of_all(plan.pairs, nodes, dets)
+        chosen = _increments(merge_increments, plan.pairs, nodes, dets)
     highest = float(plan.costs[-1]) if len(plan) else None
     left = count - len(plan)
     report = PassReport(
@@ -130,7 +130,8 @@ def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) ->
     costs = np.empty(len(pairs), dtype=np.float32)
 
     def weigh(part: slice) -> None:
-        increments = _increments(np.ascontiguousarray(pairs[part]), nodes, dets)
+        some = np.ascontiguousarray(pairs[part])
+        increments = _increments(merge_increments.here, some, nodes, dets)
         with np.errstate(over="ignore"):  # a pair that costs too much to be said comes last
             increments[:, 0] *= np.float32(parameters.lambda_app)
             np.add(increments[:, 0], increments[:, 1], out=costs[part])
@@ -139,20 +140,10 @@ def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) ->
     return costs
 
 
-def _increments_of_all(pairs: I32, nodes: Nodes, dets: F64) -> F32:
+def _increments(call: Callable[..., None], pairs: I32, nodes: Nodes, dets: F64) -> F32:
+    """(P, 2) float32, by the kernel on all threads, or on this one alone."""
     increments = np.empty((len(pairs), 2), dtype=np.float32)
-
-    def compute(part: slice) -> None:
-        increments[part] = _increments(pairs[part], nodes, dets)
-
-    spread.each(slices(len(pairs), SLICE_PAIRS), compute)
-    return increments
-
-
-def _increments(pairs: I32, nodes: Nodes, dets: F64) -> F32:
-    """(P, 2) float32, on this thread alone."""
-    increments = np.empty((len(pairs), 2), dtype=np.float32)
-    merge_increments.here(
+    call(
         pairs, nodes.weights, nodes.means, nodes.covariances, dets,
         nodes.features, nodes.rows, nodes.seconds, nodes.shares, increments,
     )  # fmt: skip

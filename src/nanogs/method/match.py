@@ -110,14 +110,13 @@ def _agree(
         join_pairs(firsts, seconds, bests, taken, joined)
         before, now = now, int(np.count_nonzero(taken))
     del bests
-    keys: list[U64] = [np.empty(0, np.uint64)] * stretches
 
-    def collect(stretch: int) -> None:
+    def collect(stretch: int) -> U64:
         some = joined[starts[stretch] : starts[stretch + 1]]
-        keys[stretch] = some[some != NONE]
+        found: U64 = some[some != NONE]
+        return found
 
-    spread.each(range(stretches), collect)
-    return keys
+    return spread.results(range(stretches), collect)
 
 
 def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
@@ -132,14 +131,13 @@ def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
         (C,) int32 pairs, and (S + 1,) int64, where those of each stretch begin.
     """
     stretches = len(starts) - 1
-    found: list[I32] = [np.empty(0, np.int32)] * stretches
 
-    def find(stretch: int) -> None:
+    def find(stretch: int) -> I32:
         some = seconds[bounds[stretch] : bounds[stretch + 1]]
-        found[stretch] = np.flatnonzero(some >= starts[stretch + 1]).astype(np.int32)
-        found[stretch] += np.int32(bounds[stretch])
+        rows = np.flatnonzero(some >= starts[stretch + 1]).astype(np.int32)
+        return rows + np.int32(bounds[stretch])
 
-    spread.each(range(stretches), find)
+    found = spread.results(range(stretches), find)
     pairs = np.concatenate([*found, np.empty(0, np.int32)])
     reached = (seconds.take(pairs) // STRETCH).astype(np.uint16)  # there are at most 2^15
     order = np.argsort(reached, kind="stable")

@@ -184,15 +184,15 @@ def _chunks(
 
 def _deflated(columns: list[bytes]) -> list[bytes]:
     """Each column deflated, side by side."""
-    done = [b""] * len(columns)
 
-    def deflate(number: int) -> None:
+    def deflate(number: int) -> bytes:
         packer = zlib.compressobj(_DEFLATE_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
-        done[number] = packer.compress(columns[number]) + packer.flush()
+        return packer.compress(columns[number]) + packer.flush()
 
     # The longest first, beside which the others fit.
-    spread.each(sorted(range(len(columns)), key=lambda n: -len(columns[n])), deflate)
-    return done
+    order = sorted(range(len(columns)), key=lambda n: -len(columns[n]))
+    done = dict(zip(order, spread.results(order, deflate), strict=True))
+    return [done[number] for number in range(len(columns))]
 
 
 def _columns(block: Splats, degree: int) -> Iterator[tuple[dict[str, Any], bytes]]:

@@ -237,13 +237,7 @@ def _encode(
 
 def _codebooks(*wanted: tuple[F32, int]) -> list[F32]:
     """A codebook of each of some values, of so many entries."""
-    books: dict[int, F32] = {}
-
-    def find(number: int) -> None:
-        books[number] = codebook(*wanted[number])
-
-    spread.each(range(len(wanted)), find)
-    return [books[number] for number in range(len(wanted))]
+    return spread.results(wanted, lambda values: codebook(*values))
 
 
 def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[float]]]:
