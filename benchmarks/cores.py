@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 from statistics import median
 
-from speed import WORK, query, scene
+from speed import WORK, query, scene, simplify_command
 
 THREADS = (1, 2)
 WHOLE = "file to file"
@@ -68,11 +68,9 @@ def arguments() -> argparse.Namespace:
 
 def run(model: Path, preset: str, threads: int, options: argparse.Namespace) -> Seconds:
     """One run of the command: its seconds by stage, and those around them."""
-    command: list[str | Path] = [sys.executable, "-m", "nanogs", "simplify", model]
-    command += [WORK / options.output, "-w", "-q", "--json", "--no-measure", "--preset", preset]
-    command += ["--ratio", str(options.ratio), "--threads", str(threads)]
+    command = simplify_command(model, WORK / options.output, preset, options.ratio, threads)
     start = time.perf_counter()
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    done = subprocess.run([*command, "--json"], check=True, stdout=subprocess.PIPE, text=True)
     whole = time.perf_counter() - start
     report = json.loads(done.stdout)
     call, stages = report["total_seconds"], report["seconds"]

@@ -77,11 +77,17 @@ def scene(count: int) -> Path:
 
 def ours(model: Path, preset: str, options: argparse.Namespace, threads: int | None = None) -> Run:
     """One run of the command."""
-    command: list[str | Path] = [sys.executable, "-m", "nanogs", "simplify", model]
-    command += [WORK / "out.ply", "-w", "-q", "--ratio", str(options.ratio), "--preset", preset]
-    command += ["--no-measure"]  # the other tool does not look at what it has made
-    command += [] if threads is None else ["--threads", str(threads)]
+    command = simplify_command(model, WORK / "out.ply", preset, options.ratio, threads)
     return lambda: timed(command, {})
+
+
+def simplify_command(
+    model: Path, output: Path, preset: str, ratio: float, threads: int | None = None
+) -> list[str | Path]:
+    """The words of a run that does not look at what it has made, as other tools do not."""
+    command: list[str | Path] = [sys.executable, "-m", "nanogs", "simplify", model, output]
+    command += ["-w", "-q", "--no-measure", "--preset", preset, "--ratio", str(ratio)]
+    return command + ([] if threads is None else ["--threads", str(threads)])
 
 
 def other(model: Path, flag: str, ratio: float) -> Run:

@@ -25,12 +25,6 @@ def rest_names(degree: int) -> list[str]:
     return [f"f_rest_{i}" for i in range(3 * ((degree + 1) ** 2 - 1))]
 
 
-def sh_place(index: int, degree: int) -> tuple[int, int]:
-    """(coefficient, channel) in `Splats.sh` of the column `f_rest_<index>`."""
-    channel, coefficient = divmod(index, (degree + 1) ** 2 - 1)
-    return coefficient + 1, channel
-
-
 def by_column(names: Sequence[str], array: Array) -> Iterator[tuple[str, Array]]:
     """Each column of an array under its name.
 

@@ -80,11 +80,14 @@ def refuse_search(preset: str, wish: str) -> None:
 def effective(chosen: Parameters) -> dict[str, Any]:
     """The parameters that have an effect, by name: without views, none that is about views."""
     unused: set[str] = set()
-    if isinstance(chosen, ForestParameters) and not chosen.measure:
-        views = {name for name, known in known_parameters(chosen).items() if known.views}
-        unused = {"hidden"} if chosen.steps else {"hidden", "steps"} | views
-    if isinstance(chosen, ForestParameters) and not chosen.steps:
-        unused |= {"further", "halves"}
+    if isinstance(chosen, ForestParameters):
+        if not chosen.measure:
+            unused |= {"hidden"}
+        if not chosen.steps:
+            unused |= {"further", "halves"}
+        if not chosen.measure and not chosen.steps:
+            views = {name for name, known in known_parameters(chosen).items() if known.views}
+            unused |= {"steps"} | views
     return {name: value for name, value in dataclasses.asdict(chosen).items() if name not in unused}
 
 

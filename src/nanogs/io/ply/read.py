@@ -68,16 +68,52 @@ class _Ply(FileSource):
             comments=header.printable_comments(),
         )
 
+    def _no_rows(self) -> list[ExtraElement]:
+        """The further elements without their rows."""
+        return [ExtraElement(e.name, np.empty(0, e.dtype())) for e in self._kept]
+
+
+class _Binary(_Ply):
+    """The rows of a binary file."""
+
+    def _span(self, start: int, stop: int) -> Splats:
+        """Some rows; see `Source`."""
+        vertex, element = _Vertex(self._header, rows=stop - start), self._vertex.element
+
+        def read(part: slice) -> None:
+            for block in iter_span(self._header, element, start + part.start, start + part.stop):
+                rows = slice(part.start + block.rows.start, part.start + block.rows.stop)
+                vertex.put(replace(block, rows=rows))
+
+        spread.each(slices(stop - start, _PART_ROWS), read)
+        return vertex.splats(self._no_rows())
+
+    def read_elements(self) -> tuple[ExtraElement, ...]:
+        """The further elements; see `Source`."""
+        found = []
+        for element in self._kept:
+            rows = np.empty(element.count, element.dtype())
+            for block in iter_span(self._header, element, 0, element.count):
+                rows[block.rows] = block.values
+            found.append(ExtraElement(element.name, rows))
+        return tuple(found)
+
+
+class _Text(_Ply, Packed):
+    """The rows of a file of text, which are unpacked to binary ones."""
+
+    def __init__(self, header: Header) -> None:
+        super().__init__(header)
+        self._row = self._vertex.element.dtype()
+        self.stored = {"vertex": Column("|u1", (self.count, self._row.itemsize))}
+        self.memory = BLOCK_ROWS * max(len(e.properties) for e in header.elements) * _TOKEN
+
     def _rows(self, blocks: Iterable[Block], count: int) -> Splats:
         """The splats of blocks with so many rows in all; elements come without theirs."""
         vertex = _Vertex(self._header, rows=count)
         for block in blocks:
             vertex.put(block)
         return vertex.splats(self._no_rows())
-
-    def _no_rows(self) -> list[ExtraElement]:
-        """The further elements without their rows."""
-        return [ExtraElement(e.name, np.empty(0, e.dtype())) for e in self._kept]
 
     def _filled(self, elements: dict[str, Array]) -> Iterator[Block]:
         """The rows of all splats; those of elements go to arrays."""
@@ -99,46 +135,6 @@ class _Ply(FileSource):
         for _ in self._filled(found) if found else ():
             pass
         return tuple(ExtraElement(name, rows) for name, rows in found.items())
-
-
-class _Binary(_Ply):
-    """The rows of a binary file."""
-
-    def _span(self, start: int, stop: int) -> Splats:
-        """Some rows; see `Source`."""
-        vertex, element = _Vertex(self._header, rows=stop - start), self._vertex.element
-
-        def read(part: slice) -> None:
-            for block in iter_span(self._header, element, start + part.start, start + part.stop):
-                rows = slice(part.start + block.rows.start, part.start + block.rows.stop)
-                vertex.put(replace(block, rows=rows))
-
-        spread.each(slices(stop - start, _PART_ROWS), read)
-        return vertex.splats(self._no_rows())
-
-    def load(self) -> Splats:
-        """The whole model."""
-        return replace(self._span(0, self.count), elements=self.read_elements())
-
-    def read_elements(self) -> tuple[ExtraElement, ...]:
-        """The further elements; see `Source`."""
-        found = []
-        for element in self._kept:
-            rows = np.empty(element.count, element.dtype())
-            for block in iter_span(self._header, element, 0, element.count):
-                rows[block.rows] = block.values
-            found.append(ExtraElement(element.name, rows))
-        return tuple(found)
-
-
-class _Text(_Ply, Packed):
-    """The rows of a file of text, which are unpacked to binary ones."""
-
-    def __init__(self, header: Header) -> None:
-        super().__init__(header)
-        self._row = self._vertex.element.dtype()
-        self.stored = {"vertex": Column("|u1", (self.count, self._row.itemsize))}
-        self.memory = BLOCK_ROWS * max(len(e.properties) for e in header.elements) * _TOKEN
 
     def unpack(self, _notes: list[str]) -> Iterator[Array]:
         """The one column; see `Packed`."""
