@@ -18,6 +18,7 @@ DISTRIBUTIONS = {
     "moto": "moto[s3]",
     "pxr": "usd-core",
     "skimage": "scikit-image",
+    "warp": "warp-lang",
 }
 STANDARD = {"pty", "resource"}  # on Unix
 

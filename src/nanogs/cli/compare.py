@@ -1,5 +1,6 @@
 """`nanogs compare`."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -86,6 +87,7 @@ def compare(
             show_default="levels by distance alone",
         ),
     ] = None,
+    device: options.Device = "cpu",
     run: options.Running,
 ) -> None:
     """Score models against the original, on views that no method has used."""
@@ -105,6 +107,7 @@ def compare(
         if not run.quiet:
             warn("The page has no interactive part; this installation was built without a viewer.")
         interactive = False
+    from nanogs.card.device import device_notes, use_device
     from nanogs.scoring.run import compare_files
     from nanogs.threads import use_threads
 
@@ -116,9 +119,11 @@ def compare(
             named, run, budget=budget, cameras=cameras, views=views, pixels=pixels, up=up,
             background=color or BLACK, report=report, photos=photos, images=images,
             metrics=metrics, packed=packed, render_mode=render_mode,
+            device="" if device == "cpu" else device,
         )  # fmt: skip
         return
     with (
+        use_device(device) as used,
         fetched([path for _, path in named], quiet=run.hushed) as files,
         shown(quiet=run.hushed) as progress,
         use_threads(run.threads),
@@ -132,6 +137,7 @@ def compare(
             packed=formats, format_options=of_format, render_mode=render_mode,
             max_memory=run.max_memory,
         )  # fmt: skip
+    comparison = replace(comparison, notes=(*comparison.notes, *device_notes(device, used)))
     run.tell(comparison.to_dict(), partial(_show, comparison, report), comparison.all_notes)
 
 

@@ -221,6 +221,15 @@ MaxMemory = Annotated[
 ]
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads to use.", show_default="all")]
 
+Device = Annotated[
+    str,
+    typer.Option(
+        metavar="cpu|cuda|auto",
+        help="Where pictures are made: cuda for a graphics card, auto for one where there is one;"
+        " takes pip install 'nanogs[cuda]'.",
+    ),
+]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Telling:

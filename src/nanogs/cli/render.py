@@ -52,6 +52,7 @@ def render(
         bool, typer.Option(help="Also write depth as 16-bit PNG, near is bright.")
     ] = False,
     render_mode: options.AsMode = None,
+    device: options.Device = "cpu",
     run: options.Running,
 ) -> None:
     """Render a model to PNG files."""
@@ -66,6 +67,7 @@ def render(
     width, height = options.parse_pixels(pixels)
     # Straight alpha is taken from a rendering over black.
     color = options.parse_background("black" if transparent else background)
+    from nanogs.card.device import device_notes, use_device
     from nanogs.progress import Stage, Tracker
     from nanogs.threads import use_threads
     from nanogs.views.cameras import cameras_for
@@ -75,6 +77,7 @@ def render(
     stages = [Stage("read", 1.0), Stage("cameras", 0.5), Stage("render", 0.3 * count)]
     refuse_address(target, "pictures are written to a folder or file: name one")
     with (
+        use_device(device) as used,
         fetched([source], quiet=run.hushed) as [file],
         open_model(file, render_mode=render_mode) as opened,
     ):
@@ -90,7 +93,8 @@ def render(
                 overwrite=run.overwrite, room=room, progress=progress.passing(),
             )  # fmt: skip
     said = f"{target}: {counted(len(written), 'image')}"
-    report = {"input": str(source), "images": written, "notes": [*opened.remarks, *notes]}
+    report = {"input": str(source), "images": written, "device": used}
+    report["notes"] = [*opened.remarks, *notes, *device_notes(device, used)]
     run.tell(report, partial(say, said), report["notes"])
 
 

@@ -6,7 +6,7 @@ from nanogs.errors import ExistsError, NanogsError
 
 # Arguments of Python, as the library's sentences name them, that the command has as options.
 _ARGUMENT = re.compile(
-    r"`(cameras|chunk|count|draw_cost|environment|format|frame|images|interactive|job|k|level|max_memory|model_pattern|nan|pixels|psnr"
+    r"`(cameras|chunk|count|device|draw_cost|environment|format|frame|images|interactive|job|k|level|max_memory|model_pattern|nan|pixels|psnr"
     r"|ratio|render_mode|resume|scheduler|scratch|size|up|views)(?:=([^`]+))?`"
 )
 

@@ -7,10 +7,12 @@ Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 20
 """
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Bool, F
+from nanogs.card.device import engine_in_use
 from nanogs.errors import OptionError
 from nanogs.kernels import listing, raster
 from nanogs.kernels import project as projection
@@ -20,10 +22,13 @@ from nanogs.raster.camera import Camera
 from nanogs.splats import RenderMode, Splats, padded, refuse_other
 from nanogs.stored import rotations
 
+if TYPE_CHECKING:
+    from nanogs.card.engine import Engine, Model, View
+
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class PreparedSplats:
     """A model activated once, to be rendered from many cameras.
 
@@ -165,8 +170,11 @@ def render(
     contributions: bool = False,
     sh_degree: int | None = None,
     wanted: int = ALL_BLOCKS,
+    here: bool = False,
 ) -> Rendering:
     """Render a model from one camera; the same bytes for any number of threads.
+
+    It is done on the device in use (see `nanogs.card.device.use_device`).
 
     Args:
         splats: The model, or `prepare(model)` when several views of it are wanted.
@@ -176,6 +184,7 @@ def render(
         contributions: Also return each splat's share of the image.
         sh_degree: Highest spherical-harmonic degree to evaluate; the model's own by default.
         wanted: Its set bits are the blocks of every tile to draw; the others show the background.
+        here: Whether to do it on the CPU, whatever the device in use.
 
     Returns:
         The images; see `Rendering`.
@@ -185,6 +194,11 @@ def render(
     """
     prepared = splats if isinstance(splats, PreparedSplats) else prepare(splats)
     behind = background_of(background, depth=depth)
+    engine = None if here else engine_in_use()
+    if engine is not None:
+        return _render_on(
+            engine, prepared, camera, behind, wanted, sh_degree, contributions=contributions
+        )
     view = project(prepared, camera, sh_degree=sh_degree)
     probes = np.ones((1 if contributions else 0, camera.height, camera.width), np.float32)
     image, left, totals = blend(view, camera, view.features, behind, probes, wanted)
@@ -193,6 +207,62 @@ def render(
         return rendering
     shares, unhidden = totals[:, 0].copy(), _unhidden(view, camera)
     return replace(rendering, contributions=shares, unhidden=unhidden)
+
+
+def _render_on(
+    engine: "Engine",
+    prepared: PreparedSplats,
+    camera: Camera,
+    background: F32,
+    wanted: int,
+    sh_degree: int | None,
+    *,
+    contributions: bool,
+) -> Rendering:
+    """Render on a device; `background` has as many channels as are asked for."""
+    view = view_on(engine, prepared, camera, sh_degree=sh_degree)
+    image, left = view.blend(view.features, background, wanted)
+    channels = image.numpy()[:, :, : len(background)]
+    rendering = rendering_of(
+        channels, left.numpy(), view.drawn, prepared.skipped, prepared.render_mode
+    )
+    if not contributions:
+        return rendering
+    return replace(rendering, contributions=view.contributions(wanted), unhidden=view.unhidden())
+
+
+def view_on(
+    engine: "Engine", prepared: PreparedSplats, camera: Camera, *, sh_degree: int | None = None
+) -> "View":
+    """`project` on a device, where the model stays for as long as it is held here.
+
+    The arguments but for the engine are those of `project`, and so are its errors.
+    """
+    check_camera(camera)
+    degree = _degree(prepared, sh_degree)
+    model = engine.held(prepared, lambda: _uploaded(engine, prepared))
+    return model.view(*seen_by(camera), degree)
+
+
+def seen_by(camera: Camera) -> tuple[F64, F64, F64]:
+    """(3, 3) rotation, (3,) position and (11,) intrinsics of a camera, as kernels take them."""
+    rotation = np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64)
+    return rotation, camera.position, camera.intrinsics
+
+
+def _uploaded(engine: "Engine", prepared: PreparedSplats) -> "Model":
+    from nanogs.card.engine import Model
+
+    return Model(
+        engine,
+        prepared.means,
+        prepared.factors,
+        prepared.opacities,
+        prepared.reaches,
+        prepared.keep,
+        prepared.sh,
+        mip=prepared.render_mode is RenderMode.MIP,
+    )
 
 
 def rendering_of(image: F32, left: F32, drawn: int, skipped: int, mode: RenderMode) -> Rendering:

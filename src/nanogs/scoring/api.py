@@ -41,6 +41,7 @@ def compare(
     metrics: Sequence[str] = (),
     packed: Sequence[str] = (),
     format_options: "FormatOptions | None" = None,
+    device: str | None = None,
     threads: int | None = None,
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
@@ -65,6 +66,7 @@ def compare(
         packed: Suffixes of formats, such as [".sog"]: each model is written as such a file, read
             back and scored too, with what packing alone cost in `packed` of its score.
         format_options: Of these formats, as `save` takes them; each gets those that it has.
+        device: Where pictures are made, as `render` takes it; the notes name another than the CPU.
         threads: Threads to use; all by default. The result does not depend on it.
         max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
             what is free, less a tenth. Models that do not fit are read some rows at a time, as
@@ -80,7 +82,7 @@ def compare(
         FormatError: A model or the cameras cannot be read.
         ModelError: The original is seen in none of the views.
         NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
-        OptionError: An argument is out of range, or no model is given.
+        OptionError: An argument is out of range, there is no such device, or no model is given.
     """
     called, asked = _names(models, names), asked_views(cameras, pixels)
     largest, most = asked.pictures(views)
@@ -95,10 +97,11 @@ def compare(
         looking = largest, most * (2 if packing else 1), limit
         room = room_for_comparison(given, sources, *looking)
         # Here and not above: these bring Numba.
+        from nanogs.card.device import device_notes, use_device
         from nanogs.scoring.on_sets import compare_on_sets
         from nanogs.threads import use_threads
 
-        with use_threads(threads), drawn(progress) as tell:
+        with use_device(device) as used, use_threads(threads), drawn(progress) as tell:
             first, *tests = zip(names, sources, strict=True)
             entries: list[tuple[str, Splats | Source, str]] = [(*test, "") for test in tests]
             files = files_of(sources[1:], packing)
@@ -116,6 +119,7 @@ def compare(
             tracker.finish()
             remarks = remarks_on([*zip(names, sources, strict=True)])
             notes = (*remarks, *notes_beside(tests, packing), *comparison.notes)
+            notes = (*notes, *device_notes(device, used))
     return replace(comparison, notes=notes)
 
 

@@ -23,6 +23,7 @@ def render(
     up: Sequence[float] | None = None,
     background: Background = BLACK,
     transparent: bool = False,
+    device: str | None = None,
     threads: int | None = None,
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
@@ -39,6 +40,8 @@ def render(
         up: (3,) direction of automatic views, scene units; found from the model by default.
         background: RGB in [0, 1].
         transparent: Give straight alpha too, and no background.
+        device: Where pictures are made: "cpu", which is the default; "cuda" for a graphics card,
+            "auto" for one where there is one. They differ by rounding.
         threads: Threads to use; all by default.
         max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
             what is free, less a tenth. A model that does not fit is read some rows at a time, as
@@ -55,7 +58,7 @@ def render(
         FormatError: The model or the cameras cannot be read.
         ModelError: Nothing of the model is visible, so that no views are found.
         NotEnoughMemoryError: It takes more memory than is free or allowed, however it is done.
-        OptionError: An argument is out of range.
+        OptionError: An argument is out of range, or there is no such device.
     """
     wanted = known_cameras(cameras)
     with opened(model) as source:
@@ -63,12 +66,13 @@ def render(
         room = room_for_pictures(model, source, *pictures_of(wanted, views, pixels), most)
         some = source_of(source).load() if room is None else source
         # Here and not above: these bring Numba.
+        from nanogs.card.device import use_device
         from nanogs.raster.images import straight
         from nanogs.threads import use_threads
         from nanogs.views.streamed import drawable, renderings
 
         behind = BLACK if transparent else background  # straight alpha is taken from one over black
-        with use_threads(threads), drawn(progress) as tell:
+        with use_device(device), use_threads(threads), drawn(progress) as tell:
             chosen, _ = chosen_cameras(some, wanted, views, pixels, up)
             tracker = Tracker(tell, [Stage("render", 1.0)])
             shown = renderings(drawable(some, room), chosen, background=behind, tell=tracker.part)

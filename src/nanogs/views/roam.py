@@ -186,7 +186,7 @@ def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str)
         split="test" if split == "test" else "fit",
     )  # fmt: skip
     for camera in automatic:
-        view = render(scene.splats, camera, contributions=True, sh_degree=0)
+        view = render(scene.splats, camera, contributions=True, sh_degree=0, here=True)
         assert view.contributions is not None  # noqa: S101 - asked for
         _add(known, camera.position, view.contributions)
     return known

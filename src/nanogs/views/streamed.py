@@ -14,7 +14,8 @@ from itertools import groupby
 import numpy as np
 
 from nanogs._types import F32, F64, I64
-from nanogs.errors import NotEnoughMemoryError
+from nanogs.card.device import engine_in_use
+from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.formatting import bytes_text
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.listing import cut_boxes, extent_of
@@ -61,8 +62,16 @@ def drawable(model: Splats | Source, room: int | None) -> PreparedSplats | Strea
     Args:
         model: The model.
         room: Bytes for the splats of pictures, to read it some rows at a time; None to hold it.
+
+    Raises:
+        OptionError: It is to be read so, and pictures are made on another device than the CPU.
     """
     if room is not None:
+        if engine_in_use() is not None:
+            raise OptionError(
+                "A model that does not fit into memory is drawn on the CPU alone: take"
+                ' `device="cpu"`, or allow more with `max_memory`.'
+            )
         return Streamed(source_of(model), room)
     return prepare(model if isinstance(model, Splats) else model.load())
 

@@ -1,0 +1,46 @@
+"""Blending the splats of each tile, one thread a pixel; see `nanogs.kernels.raster`."""
+
+import warp as wp
+
+from nanogs.card.shading import TILE, first_light, offset, shade_pixel
+
+
+@wp.kernel(enable_backward=False)
+def blend_tiles(
+    shapes: wp.array2d[wp.float32],
+    features: wp.array2d[wp.float32],
+    starts: wp.array[wp.int32],
+    entries: wp.array[wp.int32],
+    wanted: wp.int32,
+    background: wp.vec4f,
+    size: wp.vec2i,
+    image: wp.array3d[wp.float32],
+    left: wp.array2d[wp.float32],
+) -> None:
+    """Blend every tile's splats front to back, four channels; see `raster.blend_tiles`.
+
+    shapes: (E, 6); features: (N, 4); image: (H, W, 4) out; left: (H, W) out, transmittance.
+    """
+    tile, pixel = wp.tid()
+    tiles_x = (size[0] + TILE - 1) / TILE
+    x = tile % tiles_x * TILE + pixel % TILE
+    y = tile / tiles_x * TILE + pixel / TILE
+    if x >= size[0] or y >= size[1]:
+        return
+    at = offset(pixel)
+    sums = wp.vec4f()
+    light = first_light(x, y, size, wanted)
+    e, end = wp.int32(starts[tile]), starts[tile + 1]
+    while e < end and light > 0.0:
+        shade = shade_pixel(shapes, e, at[0], at[1], light)
+        if shade.weight > 0.0:
+            i = entries[e]
+            sums += shade.weight * wp.vec4f(
+                features[i, 0], features[i, 1], features[i, 2], features[i, 3]
+            )
+        light = shade.after
+        e += 1
+    light = wp.abs(light)
+    left[y, x] = light
+    for c in range(4):
+        image[y, x, c] = sums[c] + light * background[c]

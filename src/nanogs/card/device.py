@@ -1,0 +1,103 @@
+"""Which device pictures are made on, and what is said where one cannot be had."""
+
+import ctypes
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING
+
+from nanogs.errors import OptionError
+
+if TYPE_CHECKING:
+    from nanogs.card.engine import Engine
+
+CPU, CUDA, AUTO = "cpu", "cuda", "auto"
+DEVICES = (CPU, CUDA, AUTO)
+WARP_CPU = "warp-cpu"  # the card's kernels without a card, one thread, slow: for tests
+
+_NONE = "no graphics card that CUDA can use, with nanogs[cuda] installed, was found"
+
+_engine: "ContextVar[Engine | None]" = ContextVar("engine", default=None)
+
+
+@contextmanager
+def use_device(name: str | None) -> Iterator[str]:
+    """Make the block's pictures on a device.
+
+    Args:
+        name: "cpu"; "cuda" for a graphics card; "auto" for one where there is one that can be
+            used, or else the CPU; "warp-cpu" to try the card's kernels on the CPU. None stays with
+            the device in use.
+
+    Yields:
+        The device in use: "cpu", "warp-cpu" or "cuda" with the card's name.
+
+    Raises:
+        OptionError: There is no such device, no card, or not the package that it takes.
+    """
+    if name is None:
+        engine = _engine.get()
+        yield CPU if engine is None else engine.name
+        return
+    engine = _found(name)
+    token = _engine.set(engine)
+    try:
+        yield CPU if engine is None else engine.name
+    finally:
+        _engine.reset(token)
+
+
+def device_notes(asked: str | None, used: str) -> tuple[str, ...]:
+    """What a report says of the device: nothing of the CPU, unless a card was hoped for.
+
+    Args:
+        asked: What `use_device` was asked for.
+        used: What it gave.
+    """
+    if used == CPU:
+        return (f"{_NONE}: pictures were made on the CPU",) if asked == AUTO else ()
+    return (f"pictures were made on {used}",)
+
+
+def engine_in_use() -> "Engine | None":
+    """The device that pictures are made on; None for the CPU's own kernels."""
+    return _engine.get()
+
+
+def _found(name: str) -> "Engine | None":
+    if name not in (*DEVICES, WARP_CPU):
+        raise OptionError(f"A device is {', '.join(DEVICES[:-1])} or {AUTO}, not {name!r}.")
+    if name == CPU or (name == AUTO and not (_driver() and _installed())):
+        return None
+    if name == CUDA and not _driver():
+        raise OptionError(
+            "There is no graphics card here that CUDA can use, or its driver is not installed; take"
+            ' `device="cpu"`, or `device="auto"`, which uses a card where there is one.'
+        )
+    if not _installed():
+        raise OptionError(f"`device={name}` takes the package Warp: pip install 'nanogs[cuda]'.")
+    from nanogs.card.engine import engine_of
+
+    engine = engine_of("cpu" if name == WARP_CPU else CUDA)
+    if engine is None and name == CUDA:
+        raise OptionError(
+            "Warp finds no graphics card that it can use, although there is a driver; is"
+            ' CUDA_VISIBLE_DEVICES hiding it? Otherwise take `device="cpu"`.'
+        )
+    return engine
+
+
+def _installed() -> bool:
+    from importlib.util import find_spec
+
+    return find_spec("warp") is not None
+
+
+def _driver() -> bool:
+    """Whether there is a CUDA driver, asked without Warp, which would complain aloud of none."""
+    name = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
+    try:
+        return int(ctypes.CDLL(name).cuInit(0)) == 0
+    except (OSError, AttributeError):
+        return False

@@ -1,0 +1,268 @@
+"""A Warp device that pictures are made on: models that lie there, and views of them."""
+
+from functools import cache
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import warp as wp
+
+from nanogs._types import F32, F64, U8, Array, Bool, F
+from nanogs.card.blending import blend_tiles
+from nanogs.card.listing import count_tiles, find_starts, write_tiles
+from nanogs.card.projecting import project_splats
+from nanogs.card.pulling import gather_slots, pull_kernel, share_kernel, tint, weigh_pixels
+from nanogs.card.shading import PIXELS, SHAPE, shape_entries
+from nanogs.errors import ModelError
+from nanogs.kernels.blocks import ALL_BLOCKS, TILE
+from nanogs.kernels.pulls import CHANNELS, SUMS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_MOST = 2**30  # entries of a view: the card counts them in 32 bits, and sorts in twice the room
+
+
+@cache
+def engine_of(name: str) -> "Engine | None":
+    """The engine of a device, "cpu" or "cuda"; None where there is no such card."""
+    wp.config.log_level = wp.LOG_ERROR  # the library says nothing by itself
+    wp.init()
+    if name == "cuda" and not wp.is_cuda_available():
+        return None
+    return Engine(wp.get_device("cuda:0" if name == "cuda" else "cpu"))
+
+
+class Engine:
+    """A Warp device.
+
+    Attributes:
+        name: What reports call it.
+    """
+
+    def __init__(self, device: wp.Device) -> None:
+        self.device = device
+        self.name = f"cuda, {device.name}" if device.is_cuda else "warp-cpu"
+        self._lanes = PIXELS if device.is_cuda else 1
+        self._models: WeakKeyDictionary[object, Model] = WeakKeyDictionary()
+
+    def held(self, owner: object, upload: "Callable[[], Model]") -> "Model":
+        """The model that was uploaded for an object, which is done once; gone when that is."""
+        model = self._models.get(owner)
+        if model is None:
+            model = self._models[owner] = upload()
+        return model
+
+    def put(self, values: Array, kind: type | None = None) -> wp.array:
+        """An array on the device, of this type if one is named."""
+        values = np.ascontiguousarray(values) if kind is None else np.asarray(values, kind)
+        return wp.array(values, device=self.device)
+
+    def empty(self, shape: tuple[int, ...], kind: type) -> wp.array:
+        """An array of junk on the device."""
+        return wp.empty(shape, dtype=kind, device=self.device)
+
+    def launch(self, kernel: wp.Kernel, dim: int | tuple[int, ...], *args: object) -> None:
+        """Run a kernel, a thread for each index."""
+        wp.launch(kernel, dim=dim, inputs=list(args), device=self.device)
+
+    def launch_tiles(self, make: "Callable[[int], wp.Kernel]", tiles: int, *args: object) -> None:
+        """Run a kernel, a block of threads for each tile."""
+        wp.launch_tiled(
+            make(self._lanes), dim=[tiles], inputs=list(args), block_dim=PIXELS, device=self.device
+        )
+
+
+class Model:
+    """A model on a device; the arguments are those of `kernels.project.project_splats`."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        means: F,
+        factors: F32,
+        opacities: F32,
+        reaches: F32,
+        keep: Bool,
+        sh: F32,
+        *,
+        mip: bool,
+    ) -> None:
+        self.engine = engine
+        self.count, self.mip = len(means), mip
+        self.means = engine.put(means, np.float64)
+        self.factors, self.sh = engine.put(factors), engine.put(sh)
+        self.opacities, self.reaches = engine.put(opacities), engine.put(reaches)
+        self.keep = engine.put(keep)
+
+    def view(self, rotation: F64, position: F64, lens: F64, degree: int) -> "View":
+        """The model as a camera sees it; the arguments are those of `project_splats`."""
+        return View(self, rotation, position, lens, degree)
+
+
+class View:
+    """A model as one camera sees it: projected, sorted by depth and listed by tile.
+
+    Attributes:
+        geometry: (N, 8) float64, as `nanogs.kernels.project` has it.
+        features: (N, 4) float32, red, green, blue and depth; junk where not drawn.
+        drawn: Splats that can reach a pixel.
+    """
+
+    def __init__(self, model: Model, rotation: F64, position: F64, lens: F64, degree: int) -> None:
+        engine, n = model.engine, model.count
+        self.engine, self.count = engine, n
+        self.size = wp.vec2i(int(lens[4]), int(lens[5]))
+        self.tiles = -(-int(lens[4]) // TILE) * -(-int(lens[5]) // TILE)
+        self.rotation, self.position = wp.mat33d(*rotation.ravel()), wp.vec3d(*position)
+        self.lens, self.degree = engine.put(lens, np.float64), degree
+        self.geometry = engine.empty((n, 8), wp.float64)
+        self.features = engine.empty((n, CHANNELS), wp.float32)
+        boxes, drawn = engine.empty((n,), wp.vec4i), wp.zeros(1, wp.int32, device=engine.device)
+        self.depths = engine.empty((2 * n,), wp.float32)  # sorting takes twice the room
+        self.starts = wp.zeros(self.tiles + 1, dtype=wp.int32, device=engine.device)
+        self.entries = self.slots = self.order = engine.empty((0,), wp.int32)
+        self.ends = engine.empty((0,), wp.int64)
+        self.shapes = engine.empty((0, SHAPE), wp.float32)
+        self.drawn = 0
+        if n == 0:
+            return
+        engine.launch(
+            project_splats, n, model.means, model.factors, model.opacities, model.reaches,
+            model.keep, model.sh, self.rotation, self.position, self.lens, model.mip, degree,
+            self.geometry, self.features, boxes, self.depths, drawn,
+        )  # fmt: skip
+        self.drawn = int(drawn.numpy()[0])
+        self._list(boxes)
+
+    def _list(self, boxes: wp.array) -> None:
+        """List the splats of each tile, nearest first."""
+        engine, n = self.engine, self.count
+        keys = wp.clone(self.depths)
+        self.order = engine.put(np.arange(2 * n, dtype=np.int32))
+        wp.utils.radix_sort_pairs(keys, self.order, n)
+        counts, self.ends = engine.empty((n,), wp.int64), engine.empty((n,), wp.int64)
+        engine.launch(count_tiles, n, self.geometry, boxes, self.order, self.size, counts)
+        wp.utils.array_scan(counts, self.ends, inclusive=True)
+        count = int(self.ends[n - 1 :].numpy()[0])
+        if count > _MOST:
+            raise ModelError(
+                f"A view has {count:,} splats and tiles that meet, more than a card can list;"
+                ' take fewer pixels, or `device="cpu"`.'
+            )
+        self.entries = engine.empty((count,), wp.int32)
+        tiles, self.slots = (engine.empty((2 * count,), wp.int32) for _ in range(2))
+        owners = engine.empty((count,), wp.int32)
+        self.shapes = engine.empty((count, SHAPE), wp.float32)
+        if count == 0:
+            return
+        engine.launch(
+            write_tiles, n, self.geometry, boxes, self.order, self.size, self.ends, tiles,
+            self.slots, owners,
+        )  # fmt: skip
+        wp.utils.radix_sort_pairs(tiles, self.slots, count)
+        engine.launch(
+            find_starts, count, tiles, self.slots, owners, count, self.starts, self.entries
+        )
+        across = -(-self.size[0] // TILE)
+        engine.launch(shape_entries, count, self.geometry, self.entries, tiles, across, self.shapes)
+
+    def blend(
+        self, features: wp.array, background: F32, wanted: int = ALL_BLOCKS
+    ) -> tuple[wp.array, wp.array]:
+        """Blend four features of each splat front to back.
+
+        Args:
+            features: (N, 4) on the device.
+            background: (up to 4,) float32, seen through what is left.
+            wanted: Its set bits are the blocks of every tile to blend.
+
+        Returns:
+            The image (H, W, 4) and the transmittance (H, W), on the device.
+        """
+        width, height = self.size
+        image = self.engine.empty((height, width, CHANNELS), wp.float32)
+        left = self.engine.empty((height, width), wp.float32)
+        behind = wp.vec4f(*[*background.tolist(), 0.0, 0.0, 0.0, 0.0][:CHANNELS])
+        self.engine.launch(
+            blend_tiles, (self.tiles, PIXELS), self.shapes, features, self.starts, self.entries,
+            wanted, behind, self.size, image, left,
+        )  # fmt: skip
+        return image, left
+
+    def contributions(self, wanted: int = ALL_BLOCKS) -> F64:
+        """(N,) float64, sums over the pixels of each splat's T alpha."""
+        if not len(self.entries):
+            return np.zeros(self.count)
+        partial = wp.zeros((len(self.entries), 1), dtype=wp.float32, device=self.engine.device)
+        self.engine.launch_tiles(
+            share_kernel, self.tiles, self.shapes, self.starts, self.slots, wanted, self.size,
+            partial,
+        )  # fmt: skip
+        totals: F64 = self._gathered(partial, 1).numpy()[:, 0].astype(np.float64)
+        return totals
+
+    def _gathered(self, partial: wp.array, columns: int) -> wp.array:
+        """(N, K) sums over the slots of each splat."""
+        totals = self.engine.empty((self.count, columns), wp.float32)
+        self.engine.launch(
+            gather_slots, (self.count, columns), self.order, self.ends, partial, totals
+        )
+        return totals
+
+    def unhidden(self) -> F64:
+        """(N,) float64, 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image."""
+        rows = self.geometry.numpy()
+        seen = np.isfinite(self.depths.numpy()[: self.count])
+        width, height = self.size
+        seen &= (rows[:, 0] >= 0) & (rows[:, 0] <= width)
+        seen &= (rows[:, 1] >= 0) & (rows[:, 1] <= height)
+        rows = rows[seen]
+        totals = np.zeros(self.count)
+        totals[seen] = rows[:, 6] * 2 * np.pi / (rows[:, 2] * np.sqrt(rows[:, 4]))
+        return totals
+
+    def tinted(self, white: float, alpha: float) -> wp.array:
+        """(N, 4) colours less `white`, and `alpha` in place of the depth: what a fit blends."""
+        features = self.engine.empty((self.count, CHANNELS), wp.float32)
+        self.engine.launch(tint, self.count, self.features, self.depths, white, alpha, features)
+        return features
+
+    def weigh(
+        self, image: wp.array, goal: U8, white: float, alpha: float, wanted: int
+    ) -> tuple[wp.array, wp.array, float]:
+        """The wanted change of an image, its alpha, and the mean squared error of a channel.
+
+        The arguments are those of `nanogs.kernels.backward.weigh_pixels`.
+        """
+        width, height = self.size
+        residual = self.engine.empty((height, width, CHANNELS), wp.float32)
+        precision = self.engine.empty((height, width), wp.float32)
+        errors = self.engine.empty((height, 2), wp.float64)
+        self.engine.launch(
+            weigh_pixels, height, image, self.engine.put(goal), white, alpha, wanted, self.size,
+            residual, precision, errors,
+        )  # fmt: skip
+        total, pixels = errors.numpy().sum(axis=0)
+        return residual, precision, float(total) / (3 * max(float(pixels), 1))
+
+    def pulls(
+        self,
+        features: wp.array,
+        image: wp.array,
+        residual: wp.array,
+        precision: wp.array,
+        wanted: int,
+    ) -> wp.array:
+        """(N, 25) float32 as `nanogs.kernels.backward.gather_entries` has it, unscaled.
+
+        The arguments are those of `nanogs.kernels.backward.pull_tiles`.
+        """
+        if not len(self.entries):
+            return wp.zeros((self.count, SUMS), dtype=wp.float32, device=self.engine.device)
+        partial = wp.zeros((len(self.entries), SUMS), dtype=wp.float32, device=self.engine.device)
+        self.engine.launch_tiles(
+            pull_kernel, self.tiles, self.shapes, features, self.starts, self.entries, self.slots,
+            wanted, self.size, image, residual, precision, partial,
+        )  # fmt: skip
+        return self._gathered(partial, SUMS)

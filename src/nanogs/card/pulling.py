@@ -1,0 +1,256 @@
+"""Sums over the pixels of each tile for each of its splats; see `nanogs.kernels.backward`.
+
+The threads of a block share a tile's pixels: on a card one thread has one, on the CPU device, whose
+blocks are a single thread, it has all. Their sums are added up by the block, in an order that is
+fixed, so that a device gives the same numbers every time.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from nanogs.card.shading import (
+    BATCH,
+    CHANNELS,
+    PIXELS,
+    TILE,
+    first_light,
+    offset,
+    shade_pixel,
+    starts_open,
+)
+from nanogs.kernels import pulls
+
+SUMS = wp.constant(pulls.SUMS)
+_SATURATED = wp.constant(wp.float32(pulls.SATURATED))
+Sums = wp.types.vector(pulls.SUMS, wp.float32)
+SCALES = wp.constant(Sums(*pulls.SCALES.tolist()))
+# A few turns of a loop are written out; more would only take longer to compile.
+_OPTIONS = {"max_unroll": 4}
+
+
+@wp.func
+def place(tile: wp.int32, pixel: wp.int32, width: wp.int32) -> wp.vec2i:
+    """Column and row of a tile's pixel in the image."""
+    tiles_x = (width + TILE - 1) / TILE
+    return wp.vec2i(tile % tiles_x * TILE + pixel % TILE, tile / tiles_x * TILE + pixel / TILE)
+
+
+@wp.func
+def most_light(light: Any) -> wp.float32:  # noqa: ANN401 - a vector of any length
+    """The largest transmittance of a thread's pixels, at most 0 where all are full."""
+    most = wp.float32(-1.0)
+    for k in range(len(light)):
+        most = wp.max(most, light[k])
+    return most
+
+
+@wp.func
+def with_moments(
+    sums: Any,  # noqa: ANN401 - `Sums`
+    pull: wp.float32,
+    bend: wp.float32,
+    p: wp.float32,
+    q: wp.float32,
+) -> Sums:  # type: ignore[valid-type]
+    """The sums and a pixel's pull and bend times the powers of p and q, from place 4 on."""
+    sums[4] += pull
+    sums[5] += pull * p
+    sums[6] += pull * q
+    sums[7] += pull * p * p
+    sums[8] += pull * p * q
+    sums[9] += pull * q * q
+    at, column = wp.int32(10), wp.float32(bend)
+    for a in range(5):
+        moment = wp.float32(column)
+        for _b in range(5 - a):
+            sums[at] += moment
+            moment *= q
+            at += 1
+        column *= p
+    return sums  # type: ignore[no-any-return]
+
+
+@cache
+def share_kernel(lanes: int) -> wp.Kernel:
+    """The kernel that sums up each entry's T alpha over its tile, for blocks of so many threads."""
+    each = PIXELS // lanes
+    lights = wp.types.vector(each, wp.float32)
+
+    @wp.kernel(enable_backward=False, module="unique", module_options=_OPTIONS)
+    def share_tiles(
+        shapes: wp.array2d[wp.float32],
+        starts: wp.array[wp.int32],
+        slots: wp.array[wp.int32],
+        wanted: wp.int32,
+        size: wp.vec2i,
+        partial: wp.array2d[wp.float32],
+    ) -> None:
+        """Sum up; partial: (E, 1) in, zeros, and out, by slot."""
+        tile, lane = wp.tid()
+        light = lights()
+        for k in range(each):
+            at = place(tile, lane + k * lanes, size[0])
+            light[k] = first_light(at[0], at[1], size, wanted)
+        start, end = starts[tile], starts[tile + 1]
+        for e in range(start, end):
+            if (e - start) % BATCH == 0:  # noqa: SIM102 - `and` would ask the block each time
+                if wp.tile_max(wp.tile(most_light(light)))[0] <= 0.0:
+                    break
+            total = wp.float32(0.0)
+            for k in range(each):
+                if light[k] > 0.0:
+                    middle = offset(lane + k * lanes)
+                    shade = shade_pixel(shapes, e, middle[0], middle[1], light[k])
+                    light[k] = shade.after
+                    total += shade.weight
+            wp.tile_store(partial[slots[e]], wp.tile_sum(wp.tile(total)))
+
+    return share_tiles
+
+
+@cache
+def pull_kernel(lanes: int) -> wp.Kernel:  # noqa: C901 - of a single kernel
+    """The kernel that sums up how pixels pull at splats, for blocks of so many threads."""
+    each = PIXELS // lanes
+    lights = wp.types.vector(each, wp.float32)
+    planes = wp.types.matrix((each, pulls.CHANNELS), wp.float32)
+
+    @wp.kernel(enable_backward=False, module="unique", module_options=_OPTIONS)
+    def pull_tiles(
+        shapes: wp.array2d[wp.float32],
+        features: wp.array2d[wp.float32],
+        starts: wp.array[wp.int32],
+        entries: wp.array[wp.int32],
+        slots: wp.array[wp.int32],
+        wanted: wp.int32,
+        size: wp.vec2i,
+        image: wp.array3d[wp.float32],
+        residual: wp.array3d[wp.float32],
+        precision: wp.array2d[wp.float32],
+        partial: wp.array2d[wp.float32],
+    ) -> None:
+        """Sum up as `nanogs.kernels.backward.pull_tiles` does, but for `pulls.SCALES`.
+
+        partial: (E, 25) in, zeros, and out, by slot.
+        """
+        tile, lane = wp.tid()
+        light, behind = lights(), planes()
+        for k in range(each):
+            at = place(tile, lane + k * lanes, size[0])
+            light[k] = first_light(at[0], at[1], size, wanted)
+            for c in range(CHANNELS):
+                behind[k, c] = image[wp.min(at[1], size[1] - 1), wp.min(at[0], size[0] - 1), c]
+        start, end = starts[tile], starts[tile + 1]
+        for e in range(start, end):
+            if (e - start) % BATCH == 0:  # noqa: SIM102 - `and` would ask the block each time
+                if wp.tile_max(wp.tile(most_light(light)))[0] <= 0.0:
+                    break
+            sums = Sums()
+            i = entries[e]
+            for k in range(each):
+                if light[k] > 0.0:
+                    middle = offset(lane + k * lanes)
+                    shade = shade_pixel(shapes, e, middle[0], middle[1], light[k])
+                    light[k] = shade.after
+                    weight, after = shade.weight, wp.abs(shade.after)
+                    if weight > 0.0:
+                        xy = place(tile, lane + k * lanes, size[0])
+                        pull, bend = wp.float32(0.0), wp.float32(0.0)
+                        for c in range(CHANNELS):
+                            value = wp.float32(features[i, c])
+                            wish = wp.float32(residual[xy[1], xy[0], c])
+                            back = behind[k, c] - weight * value
+                            behind[k, c] = back
+                            change = value - back / after
+                            pull += change * wish
+                            bend += change * change
+                            if c < 3:
+                                sums[c] += weight * wish
+                        shared = weight * precision[xy[1], xy[0]]
+                        sums[3] += shared
+                        if weight < _SATURATED * after:
+                            pull, bend = weight * pull, shared * bend
+                            sums = with_moments(sums, pull, bend, shade.p, shade.q)
+            wp.tile_store(partial[slots[e]], wp.tile_sum(wp.tile(sums), axis=1))
+
+    return pull_tiles
+
+
+@wp.kernel(enable_backward=False)
+def gather_slots(
+    order: wp.array[wp.int32],
+    ends: wp.array[wp.int64],
+    partial: wp.array2d[wp.float32],
+    totals: wp.array2d[wp.float32],
+) -> None:
+    """Add up each splat's slots, in the order of its tiles.
+
+    order: (N,) splats by depth; ends: (N,) where the slots of each end; partial: (E, K) by slot;
+    totals: (N, K) out, 0 for a splat of no tile.
+    """
+    m, k = wp.tid()
+    slot = wp.int32(0)
+    if m > 0:
+        slot = wp.int32(ends[m - 1])
+    total = wp.float32(0.0)
+    while slot < wp.int32(ends[m]):
+        total += partial[slot, k]
+        slot += 1
+    totals[order[m], k] = total
+
+
+@wp.kernel(enable_backward=False)
+def weigh_pixels(
+    image: wp.array3d[wp.float32],
+    goal: wp.array3d[wp.uint8],
+    white: wp.float32,
+    alpha_scale: wp.float32,
+    wanted: wp.int32,
+    size: wp.vec2i,
+    residual: wp.array3d[wp.float32],
+    precision: wp.array2d[wp.float32],
+    errors: wp.array2d[wp.float64],
+) -> None:
+    """How far each row is from its goal, as `nanogs.kernels.backward.weigh_pixels` has it.
+
+    errors: (H, 2) out, of each row the sum of the squared residuals, and how many pixels count.
+    """
+    y = wp.tid()
+    total, count = wp.float64(0.0), wp.float64(0.0)
+    for x in range(size[0]):
+        if starts_open(x, y, size, wanted):
+            count += wp.float64(1.0)
+            alpha = image[y, x, 3] / alpha_scale
+            change = wp.float32(goal[y, x, 3]) / 255.0 - alpha
+            precision[y, x] = alpha
+            residual[y, x, 3] = change * alpha_scale
+            total += wp.float64(change * change * alpha_scale * alpha_scale)
+            for c in range(3):
+                colour = wp.min(image[y, x, c] + white * alpha, 1.0)
+                error = wp.float32(goal[y, x, c]) / 255.0 - colour - white * change
+                residual[y, x, c] = error
+                total += wp.float64(error * error)
+    errors[y, 0] = total
+    errors[y, 1] = count
+
+
+@wp.kernel(enable_backward=False)
+def tint(
+    features: wp.array2d[wp.float32],
+    depths: wp.array[wp.float32],
+    white: wp.float32,
+    alpha_scale: wp.float32,
+    tinted: wp.array2d[wp.float32],
+) -> None:
+    """What a fit blends: colours less `white`, and `alpha_scale` in place of the depth.
+
+    features: (N, 4); depths: (N,) infinite for splats that are not drawn; tinted: (N, 4) out.
+    """
+    i = wp.tid()
+    for c in range(3):
+        tinted[i, c] = wp.float32(0.0)
+        if depths[i] < wp.inf:
+            tinted[i, c] = features[i, c] - white
+    tinted[i, 3] = alpha_scale

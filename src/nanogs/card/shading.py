@@ -1,0 +1,126 @@
+"""How a splat shades a pixel, and its numbers in a tile; see `nanogs.kernels.blocks`."""
+
+import math
+
+import warp as wp
+
+from nanogs.kernels import blocks, project, pulls
+
+TILE = wp.constant(blocks.TILE)
+SIDE = wp.constant(blocks.SIDE)
+PIXELS = blocks.TILE * blocks.TILE  # of a tile: the threads that blend it
+BATCH = wp.constant(blocks.BATCH)
+CHANNELS = wp.constant(pulls.CHANNELS)  # of what is blended: three colours, and depth or alpha
+
+_START, _ACROSS, _ALONG = (wp.constant(at) for at in (blocks.START, blocks.ACROSS, blocks.ALONG))
+_HEIGHT, _RISE, _FAINT = (wp.constant(at) for at in (blocks.HEIGHT, blocks.RISE, blocks.FAINT))
+SHAPE = 6
+_MIDDLE = wp.constant(wp.float32(blocks.MIDDLE))
+_HALF = wp.constant(wp.float64(0.5 * blocks.TILE))
+_UNIT = wp.constant(wp.float64(blocks.UNIT))
+_LOG_255, _SLACK = wp.constant(wp.float64(math.log(255.0))), wp.constant(wp.float64(project.SLACK))
+_FAINTEST = wp.constant(wp.float32(blocks.FAINTEST))
+_MAX_ALPHA = wp.constant(wp.float32(blocks.MAX_ALPHA))
+_LEAST = wp.constant(wp.float32(blocks.MIN_TRANSMITTANCE))
+_C0, _C1, _C2, _C3, _C4, _C5 = (wp.constant(wp.float32(one)) for one in blocks.POLYNOMIAL)
+
+
+@wp.struct
+class Shade:
+    """A splat's part in a pixel.
+
+    Attributes:
+        weight: T alpha, 0 where it takes no part.
+        after: T behind it; negative once the pixel is full.
+        p: The first root of the squares in the exponent, over `blocks.UNIT`.
+        q: The second.
+    """
+
+    weight: wp.float32
+    after: wp.float32
+    p: wp.float32
+    q: wp.float32
+
+
+@wp.func
+def shade_pixel(
+    shapes: wp.array2d[wp.float32], e: wp.int32, x: wp.float32, y: wp.float32, before: wp.float32
+) -> Shade:
+    """Take a splat's light from a pixel, as `nanogs.kernels.blocks.shade_pixel` does.
+
+    shapes: (E, 6) by entry; e: the entry; (x, y): from the tile's middle, pixels; before: T.
+    """
+    shade = Shade()
+    p = shapes[e, _START] + shapes[e, _ACROSS] * x + shapes[e, _ALONG] * y
+    q = shapes[e, _HEIGHT] + shapes[e, _RISE] * y
+    s = shapes[e, _FAINT] + p * p + q * q
+    shade.p = p
+    shade.q = q
+    shade.after = before
+    if s <= _FAINTEST:
+        power = _C0 + s * (_C1 + s * (_C2 + s * (_C3 + s * (_C4 + s * _C5))))
+        power = power * power
+        power = power * power
+        power = power * power
+        power = power * power
+        weight = before * wp.min(power, _MAX_ALPHA)
+        if before - weight < _LEAST:
+            shade.after = -wp.abs(before)
+        else:
+            shade.weight = weight
+            shade.after = before - weight
+    elif before < _LEAST:
+        shade.after = -wp.abs(before)
+    return shade
+
+
+@wp.func
+def offset(pixel: wp.int32) -> wp.vec2f:
+    """From the middle of a tile to one of its pixels, which are numbered row by row."""
+    return wp.vec2f(
+        wp.float32(pixel % TILE) - _MIDDLE,
+        wp.float32(pixel / TILE) - _MIDDLE,
+    )
+
+
+@wp.func
+def starts_open(x: wp.int32, y: wp.int32, size: wp.vec2i, wanted: wp.int32) -> wp.bool:
+    """Whether a pixel is on the image, (width, height), and in a block that is wanted."""
+    block = (y % TILE) / SIDE * SIDE + (x % TILE) / SIDE
+    return x < size[0] and y < size[1] and ((wanted >> block) & 1) == 1
+
+
+@wp.func
+def first_light(x: wp.int32, y: wp.int32, size: wp.vec2i, wanted: wp.int32) -> wp.float32:
+    """The transmittance that a pixel begins with: 1, or -1 for one that takes no light."""
+    light = wp.float32(-1.0)
+    if starts_open(x, y, size, wanted):
+        light = 1.0
+    return light
+
+
+@wp.kernel(enable_backward=False)
+def shape_entries(
+    geometry: wp.array2d[wp.float64],
+    entries: wp.array[wp.int32],
+    tiles: wp.array[wp.int32],
+    tiles_x: wp.int32,
+    shapes: wp.array2d[wp.float32],
+) -> None:
+    """Write the shape of each entry's splat in its tile, as `nanogs.kernels.raster.fetch` does.
+
+    geometry: (N, 8); entries and tiles: (E,) splat and tile of each; shapes: (E, 6) out.
+    """
+    e = wp.tid()
+    i, tile = entries[e], tiles[e]
+    u = geometry[i, 0] - (wp.float64(tile % tiles_x * TILE) + _HALF)
+    v = geometry[i, 1] - (wp.float64(tile / tiles_x * TILE) + _HALF)
+    across, slope = geometry[i, 2] / _UNIT, geometry[i, 3]
+    rise = wp.sqrt(geometry[i, 4]) / _UNIT
+    faint = (_LOG_255 - wp.float64(0.5) * (geometry[i, 5] - _SLACK)) / wp.float64(16.0)
+    shapes[e, _ACROSS] = wp.float32(across)
+    shapes[e, _ALONG] = wp.float32(-across * slope)
+    shapes[e, _START] = wp.float32(-across * (u - slope * v))
+    shapes[e, _RISE] = wp.float32(rise)
+    shapes[e, _HEIGHT] = wp.float32(-rise * v)
+    shapes[e, _FAINT] = wp.float32(faint)

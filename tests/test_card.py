@@ -1,0 +1,162 @@
+"""The card's kernels, on Warp's CPU device, against those of the CPU."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import nanogs
+from conftest import scene_path
+from launch import run
+from nanogs.card.device import engine_in_use, use_device
+from nanogs.datasets.plant import load_plant
+from nanogs.fit.targets import ALPHA, WHITE, make_target, pull
+from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
+from nanogs.kernels.pulls import SCALES
+from nanogs.metrics import psnr
+from nanogs.raster.rendering import prepare, render, view_on
+from nanogs.splats import RenderMode
+from nanogs.views.automatic import automatic_cameras
+from test_raster import make_camera, make_splats, one_splat
+
+pytest.importorskip("warp", reason="pip install 'nanogs[cuda]'")
+
+CLOSE = 100  # dB between the two, where no splat is at a threshold
+
+
+@pytest.fixture(autouse=True)
+def card():
+    """The device of a test; `render(..., here=True)` is the CPU's picture."""
+    with use_device("warp-cpu") as name:
+        yield name
+
+
+def check(splats, camera, **options):
+    """Hold a picture of the card against the CPU's; the former."""
+    prepared = prepare(splats)
+    behind = (0.2, 0.5, 0.9)
+    options = {"background": behind, "depth": True, "contributions": True} | options
+    ours = render(prepared, camera, **options)
+    cpu = render(prepared, camera, here=True, **options)
+    assert psnr(ours.color, cpu.color) > CLOSE
+    assert np.abs(ours.alpha - cpu.alpha).max() < 1e-4
+    assert ours.drawn == cpu.drawn
+    assert (np.isinf(ours.depth) == np.isinf(cpu.depth)).all()
+    seen = cpu.alpha > 0.01
+    np.testing.assert_allclose(ours.depth[seen], cpu.depth[seen], rtol=1e-4)
+    np.testing.assert_allclose(ours.contributions, cpu.contributions, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(ours.unhidden, cpu.unhidden, rtol=1e-9)
+    return ours
+
+
+@pytest.mark.parametrize("degree", range(5))
+def test_matches_with_harmonics(degree):
+    check(make_splats(200, degree=degree, seed=degree), make_camera(137, 91, 90.0))
+
+
+@pytest.mark.parametrize(
+    ("size", "spread"), [(-2, 2.5), (1.5, 0.5), (-6, 0.5)], ids=["needles", "huge", "tiny"]
+)
+def test_matches_for_every_size(size, spread):
+    check(make_splats(300, size=size, spread=spread), make_camera(50, 33))
+
+
+@pytest.mark.parametrize("mode", [RenderMode.MIP, RenderMode.SURFEL])
+def test_matches_in_other_render_modes(mode):
+    check(make_splats(80, size=-3, render_mode=mode), make_camera())
+
+
+@pytest.mark.parametrize("width", [1, 15, 16, 17, 100])
+@pytest.mark.parametrize("height", [1, 16, 31])
+def test_matches_for_pictures_of_any_size(width, height):
+    check(make_splats(80), make_camera(width, height))
+
+
+def test_matches_where_nothing_or_next_to_nothing_is_seen():
+    for splats in (make_splats(0), one_splat(), one_splat(mean=(0, 0, -4)), one_splat(logit=-9)):
+        check(splats, make_camera())
+    broken = make_splats(30)
+    broken.means[3] = np.nan
+    assert check(broken, make_camera()).skipped == 1
+
+
+def test_matches_in_double_precision_and_in_a_part_of_a_picture():
+    splats = make_splats(80)
+    far = dataclasses.replace(splats, means=splats.means.astype(np.float64) + [5e6, 0, 0])
+    pose = np.eye(4)
+    pose[0, 3] = -5e6
+    camera = make_camera(world_to_camera=pose)
+    check(far, camera)
+    check(far, camera.cropped(5, 3, 20, 11))
+
+
+def test_blocks_that_are_not_wanted_show_the_background():
+    picture = check(make_splats(80, size=0), make_camera(64, 48), wanted=FIELDS[0])
+    assert (picture.alpha[:4, 4:8] == 0).all() != (picture.alpha[:4, :4] == 0).all()
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10**6), st.integers(1, 90), st.floats(-4, 1))
+def test_pictures_agree_whatever_the_model(seed, count, size):
+    check(make_splats(count, seed, size=size), make_camera())
+
+
+@pytest.mark.parametrize("wanted", [ALL_BLOCKS, *FIELDS])
+def test_pulls_of_pixels_agree(wanted):
+    camera, small = make_camera(137, 91, 90.0), prepare(make_splats(100, seed=5, degree=2))
+    target = make_target(prepare(make_splats(400, seed=3, degree=2)), camera)
+    cpu = pull(small, target, wanted)
+    view = view_on(engine_in_use(), small, camera)
+    features = view.tinted(WHITE, ALPHA)
+    image, _ = view.blend(features, np.zeros(4, np.float32), wanted)
+    residual, precision, error = view.weigh(image, target.image, WHITE, ALPHA, wanted)
+    totals = view.pulls(features, image, residual, precision, wanted).numpy() * SCALES
+    assert error == pytest.approx(cpu.error, rel=1e-6)
+    rows = cpu.view.order
+    largest = np.abs(cpu.totals[rows]).max(axis=0)
+    assert (largest > 0).all()
+    assert (np.abs(totals[rows] - cpu.totals[rows]).max(axis=0) < 1e-5 * largest).all()
+
+
+def test_a_view_gives_the_same_bytes_every_time():
+    prepared, camera = prepare(make_splats(200)), make_camera()
+    one, other = (render(prepared, camera, contributions=True) for _ in range(2))
+    assert one.color.tobytes() == other.color.tobytes()
+    assert one.contributions.tobytes() == other.contributions.tobytes()
+
+
+def test_a_model_stays_on_the_device_for_as_long_as_it_is_held():
+    prepared, models = prepare(make_splats(20)), engine_in_use()._models
+    before = len(models)
+    render(prepared, make_camera())
+    render(prepared, make_camera())
+    assert len(models) == before + 1
+    del prepared
+    assert len(models) == before
+
+
+@pytest.mark.parametrize("name", ["plant", "guitar.compressed.ply"])
+def test_pictures_of_real_scenes_agree(name):
+    splats = load_plant() if name == "plant" else nanogs.load(scene_path(name))
+    prepared = prepare(splats)
+    for camera in automatic_cameras(splats, 2, width=96, height=72):
+        ours, cpu = render(prepared, camera), render(prepared, camera, here=True)
+        assert psnr(ours.color, cpu.color) > 80  # a few splats are at a threshold
+        assert abs(ours.drawn - cpu.drawn) <= 1
+
+
+def test_the_command_says_which_device_it_used(tmp_path):
+    nanogs.save(make_splats(60), tmp_path / "a.ply")
+    arguments = (tmp_path / "a.ply", "--device", "warp-cpu", "--json")
+    done = run("render", *arguments[:1], tmp_path / "out", "--views", 1, "--pixels", 32,
+               *arguments[1:])  # fmt: skip
+    report = json.loads(done.stdout)
+    assert report["device"] == "warp-cpu"
+    assert "pictures were made on warp-cpu" in report["notes"]
+    done = run("compare", *arguments[:1], *arguments, "--views", 2, "--pixels", 32)
+    report = json.loads(done.stdout)
+    assert report["models"][0]["psnr"] == "inf"
+    assert "pictures were made on warp-cpu" in report["notes"]

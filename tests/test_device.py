@@ -1,0 +1,113 @@
+"""`--device`: what is said of devices that cannot be had, and that nothing imports Warp unasked."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+import types
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from launch import run_here
+from nanogs.card import device
+from nanogs.card.device import device_notes, use_device
+from nanogs.errors import OptionError
+from nanogs.views.streamed import drawable
+
+
+@pytest.fixture(scope="module")
+def splats():
+    return random_splats(60)
+
+
+def without_warp(patch):
+    find = importlib.util.find_spec
+    patch.setattr(
+        importlib.util, "find_spec", lambda name, *more: None if name == "warp" else find(name)
+    )
+
+
+@pytest.fixture
+def no_card(monkeypatch):
+    monkeypatch.setattr(device, "_driver", lambda: False)
+
+
+def refused(capsys, *arguments):
+    """What the command says of an error, whose exit code is 2."""
+    assert run_here(*arguments) == 2
+    return " ".join(capsys.readouterr().err.split())
+
+
+def test_a_card_that_is_not_there_is_refused_before_anything_is_made(
+    scene, tmp_path, capsys, no_card
+):
+    said = refused(capsys, "render", scene, tmp_path / "out", "--device", "cuda")
+    assert "no graphics card" in said
+    assert "--device auto" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_warp_it_is_said_what_to_install(scene, tmp_path, capsys, monkeypatch):
+    without_warp(monkeypatch)
+    monkeypatch.setattr(device, "_driver", lambda: True)
+    said = refused(capsys, "render", scene, tmp_path / "out", "--device", "cuda")
+    assert "pip install 'nanogs[cuda]'" in said
+    with use_device("auto") as used:
+        assert used == "cpu"
+
+
+def test_unknown_devices_are_refused_by_name(scene, tmp_path, capsys):
+    said = refused(capsys, "compare", scene, scene, "--device", "gpu")
+    assert "cpu, cuda or auto, not 'gpu'" in said
+    with pytest.raises(OptionError, match="not 'tpu'"):
+        nanogs.render(scene, device="tpu")
+
+
+def test_auto_without_a_card_is_the_cpu_and_says_so(scene, tmp_path, capsys, no_card):
+    arguments = ("--pixels", "24", "--json", "-w")
+    assert run_here("render", scene, tmp_path / "a.png", *arguments) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert plain["device"] == "cpu"
+    assert not any("CPU" in note for note in plain["notes"])
+    assert run_here("render", scene, tmp_path / "b.png", *arguments, "--device", "auto") == 0
+    hoped = json.loads(capsys.readouterr().out)
+    assert hoped["device"] == "cpu"
+    assert any("made on the CPU" in note for note in hoped["notes"])
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_the_device_ends_with_its_block(no_card):
+    with use_device("cpu") as outer, use_device(None) as inner:
+        assert outer == inner == "cpu"
+    assert device.engine_in_use() is None
+    assert device_notes("cpu", "cpu") == ()
+    assert device_notes("cuda", "cuda, A Card") == ("pictures were made on cuda, A Card",)
+
+
+def test_models_that_are_not_held_are_drawn_on_the_cpu_alone(splats, monkeypatch):
+    token = device._engine.set(types.SimpleNamespace(name="a card"))
+    try:
+        with pytest.raises(OptionError, match="max_memory"):
+            drawable(splats, 10**9)
+    finally:
+        device._engine.reset(token)
+
+
+def test_warp_is_imported_when_it_is_asked_for_and_not_before():
+    code = (
+        "import sys, numpy as np\n"
+        "sys.modules['warp'] = None\n"
+        "import nanogs, nanogs.raster.rendering, nanogs.fit.api, nanogs.cli.app\n"
+        "from nanogs.card.device import use_device\n"
+        "with use_device('cpu'): pass\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_a_python_call_takes_a_device(splats):
+    (one,) = nanogs.render(splats, views=1, pixels=16)
+    (other,) = nanogs.render(splats, views=1, pixels=16, device="cpu")
+    assert np.array_equal(one, other)
