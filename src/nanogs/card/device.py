@@ -48,6 +48,12 @@ def use_device(name: str | None) -> Iterator[str]:
         _engine.reset(token)
 
 
+def check_device(name: str | None) -> None:
+    """Refuse a device that cannot be had; the argument and errors are those of `use_device`."""
+    with use_device(name):
+        pass
+
+
 def device_notes(asked: str | None, used: str) -> tuple[str, ...]:
     """What a report says of the device: nothing of the CPU, unless a card was hoped for.
 

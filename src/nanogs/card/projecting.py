@@ -19,7 +19,7 @@ Basis = wp.types.vector(25, wp.float32)
 
 
 @wp.func
-def sh_basis(x: wp.float32, y: wp.float32, z: wp.float32, degree: wp.int32) -> Basis:  # type: ignore[valid-type]
+def sh_basis(x: wp.float32, y: wp.float32, z: wp.float32, degree: wp.int32) -> Basis:
     """Spherical harmonics of a unit vector, as `nanogs.kernels.harmonics.sh_basis` has them."""
     basis = Basis()
     basis[0] = _C0
@@ -52,7 +52,7 @@ def sh_basis(x: wp.float32, y: wp.float32, z: wp.float32, degree: wp.int32) -> B
         basis[22] = _C45 * (xx - yy) * (7.0 * zz - 1.0)
         basis[23] = -_C41 * x * z * (xx - 3.0 * yy)
         basis[24] = _C46 * (xx * (xx - 3.0 * yy) - yy * (3.0 * xx - yy))
-    return basis  # type: ignore[no-any-return]
+    return basis
 
 
 @wp.func

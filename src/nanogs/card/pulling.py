@@ -48,12 +48,12 @@ def most_light(light: Any) -> wp.float32:  # noqa: ANN401 - a vector of any leng
 
 @wp.func
 def with_moments(
-    sums: Any,  # noqa: ANN401 - `Sums`
+    sums: Sums,
     pull: wp.float32,
     bend: wp.float32,
     p: wp.float32,
     q: wp.float32,
-) -> Sums:  # type: ignore[valid-type]
+) -> Sums:
     """The sums and a pixel's pull and bend times the powers of p and q, from place 4 on."""
     sums[4] += pull
     sums[5] += pull * p
@@ -69,7 +69,7 @@ def with_moments(
             moment *= q
             at += 1
         column *= p
-    return sums  # type: ignore[no-any-return]
+    return sums
 
 
 @cache

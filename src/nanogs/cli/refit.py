@@ -49,6 +49,7 @@ def refit(
     up: options.Up = None,
     given: Annotated[dict[str, Any], _PARAMETERS],
     render_mode: options.AsMode = None,
+    device: options.Device = "cpu",
     run: options.Running,
     verbose: Annotated[
         bool,
@@ -59,6 +60,7 @@ def refit(
 ) -> None:
     """Fit a small model to renders of the original: no photographs, no training data."""
     # What only a run needs is imported here, and not for `--help`.
+    from nanogs.card.device import check_device
     from nanogs.cli.fetching import DOWNLOAD, a_bar
     from nanogs.io import check_writable, inspect
     from nanogs.io.stand_ins import at_hand
@@ -66,6 +68,7 @@ def refit(
 
     chosen = RefitParameters(**given)
     check_writable(target, overwrite=run.overwrite)
+    check_device(device)
     bar = a_bar(quiet=run.hushed)
     with at_hand(
         [original, small], target, overwrite=run.overwrite, telling=bar, remedy=DOWNLOAD
@@ -76,7 +79,9 @@ def refit(
             refit_bytes(inspect(first), inspect(second), chosen.size**2, chosen.kept + chosen.held),
             "free some, or take fewer or smaller views (--views, --pixels)",
         )
-        report = _refit_files(first, second, made or target, cameras, up, chosen, render_mode, run)
+        report = _refit_files(
+            first, second, made or target, cameras, up, chosen, render_mode, device, run
+        )
     files = {"original": str(original), "input": str(small), "output": str(target)}
     show = partial(_print_report, report, target, verbose=verbose)
     run.tell(report.to_dict() | files, show, report.notes)
@@ -90,6 +95,7 @@ def _refit_files(
     up: options.Direction | None,
     parameters: RefitParameters,
     mode: str | None,
+    device: str,
     run: options.Running,
 ) -> "RefitReport":
     """Read, fit and write; the report with the seconds of I/O."""
@@ -116,6 +122,7 @@ def _refit_files(
             model,
             cameras=views,
             parameters=parameters,
+            device=device,
             threads=run.threads,
             progress=progress.passing(),
         )

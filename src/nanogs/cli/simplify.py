@@ -60,6 +60,7 @@ def simplify(
         ),
     ] = None,
     of_format: options.OfFormat,
+    device: options.Device = "cpu",
     overwrite: options.Overwrite = False,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show how it was done: stages, passes, probes.")
@@ -81,7 +82,7 @@ def simplify(
     wishes = simplify_run.Wishes(
         wish=plan.wish_of(
             method, Goal(ratio, count, size, psnr, draw_cost), overwrite=overwrite,
-            format_options=of_format,
+            format_options=of_format, device=device,
         ),
         method=method,
         joined=joined,

@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from nanogs.bar import drawn
+from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.errors import ModelError
 from nanogs.fit.parameters import RefitParameters
@@ -27,6 +28,7 @@ def refit(
     *,
     cameras: Sequence["Camera"] | None = None,
     parameters: RefitParameters | None = None,
+    device: str | None = None,
     threads: int | None = None,
     progress: Progress | bool | None = None,
 ) -> tuple[Splats, RefitReport]:
@@ -43,6 +45,7 @@ def refit(
         cameras: Views of the scene, of any sizes and distances; by default they are chosen from the
             original.
         parameters: See `RefitParameters`.
+        device: Where it is rendered and fitted, as `nanogs.simplify` takes it.
         threads: Threads to use; all by default. The result does not depend on it.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`, from "render" and "fit" to the last, whose
@@ -53,7 +56,8 @@ def refit(
 
     Raises:
         FormatError: A path cannot be read as a model.
-        OptionError: An option is out of range, or there are fewer than two cameras.
+        OptionError: An option is out of range, there are fewer than two cameras, or there is no
+            such device.
         ModelError: A model holds nothing that can be seen, or the two are not of one scene.
     """
     begin, clock = time.perf_counter(), StageClock()
@@ -66,7 +70,7 @@ def refit(
     from nanogs.raster.lens import lens_notes
     from nanogs.threads import use_threads
 
-    with use_threads(threads) as threads_used, drawn(progress) as tell:
+    with use_device(device) as used, use_threads(threads) as threads_used, drawn(progress) as tell:
         tracker = Tracker(tell, refit_stages(chosen, len(large), len(given)))
         tracker.begin("render")
         with clock.time("targets"):
@@ -80,7 +84,7 @@ def refit(
         report,
         seconds=clock.seconds | report.seconds,
         total_seconds=time.perf_counter() - begin,
-        notes=(*lens_notes(cameras or ()), *report.notes),
+        notes=(*lens_notes(cameras or ()), *report.notes, *device_notes(device, used)),
     )
 
 

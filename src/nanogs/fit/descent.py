@@ -62,15 +62,20 @@ class Descent:
         self._turns = 0  # how often all views have come
         self.begin(start(splats))
 
+    @property
+    def state(self) -> State:
+        """The splats as they are now; further steps move the same arrays."""
+        return self._state
+
     def begin(self, state: State) -> None:
         """Go on from a state, which stays as it is, with no memory of any view."""
         n = len(self.splats)
-        self.state = state.copy()
-        self._active = activate(self.state, self.splats, self.finite)
+        self._state = state.copy()
+        self._active = activate(self._state, self.splats, self.finite)
         if self.views.surroundings is not None:
             model = together(self._active.model, self.views.surroundings)
             self._active = replace(self._active, model=model)
-            self.state = replace(self.state, sh=model.sh[:n])  # one array for both, as it was
+            self._state = replace(self._state, sh=model.sh[:n])  # one array for both, as it was
         self._seen = np.zeros(n, np.int32)
         self._blocks = np.zeros((n, PACKED), np.float32)
         self._weights = np.zeros(n, np.float32)
@@ -78,7 +83,7 @@ class Descent:
 
     def rest(self) -> None:
         """Give back the memory that only steps need: none follow, or `begin` comes first."""
-        del self.state, self._active, self._seen, self._blocks, self._weights
+        del self._state, self._active, self._seen, self._blocks, self._weights
 
     def step(self, rate: float, share: float) -> float:
         """Move the state by one step.
@@ -95,8 +100,12 @@ class Descent:
         rate *= SLOWEST + (1 - SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
         error = self._follow(*self._next(), rate)
         if self.shared is not None:
-            self.shared.level(self.state.sh)
+            self._level(self.shared)
         return error
+
+    def _level(self, shared: "Shared") -> None:
+        """Give the splats of each entry of a palette the same harmonics."""
+        shared.level(self._state.sh)
 
     def _next(self) -> tuple[Target, int]:
         """A view, and the blocks of its tiles that the step follows."""
@@ -110,7 +119,7 @@ class Descent:
 
     def _follow(self, target: Target, wanted: int, rate: float) -> float:
         """Move what a view shows in some blocks, and return their error before that."""
-        state, active, model = self.state, self._active, self._active.model
+        state, active, model = self._state, self._active, self._active.model
         view = pull(model, target, wanted)
         camera = target.camera
         rows = np.sort(view.view.order)  # as they lie in memory, not by depth

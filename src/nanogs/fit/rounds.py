@@ -10,6 +10,7 @@ import numpy as np
 
 from nanogs.fit.descent import FITTED, Descent
 from nanogs.fit.groups import Group
+from nanogs.fit.on_card import descent_for
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import GroupReport, RefitStop, RoundReport
 from nanogs.fit.state import MeanState, State, start, store
@@ -105,7 +106,7 @@ def fit(
         The fitted model, or the input itself where nothing helped, and what happened.
     """
     guard = Guard(small, deciding, fitting.surroundings)
-    descent = Descent(small, fitting, parameters, shared)
+    descent = descent_for(small, fitting, parameters, shared)
     best: State | None = None  # the input, which is its own state
     rate = parameters.rate
     reports: list[RoundReport] = []

@@ -8,10 +8,19 @@ import numpy as np
 
 from nanogs import spread
 from nanogs._types import F32, U8
+from nanogs.card.device import engine_in_use
 from nanogs.kernels import backward, pulls
 from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, Projection, Rendering, blend, project, render
+from nanogs.raster.rendering import (
+    PreparedSplats,
+    Projection,
+    Rendering,
+    blend,
+    project,
+    render,
+    view_on,
+)
 
 # Viewers show a model over any background. Over black and white alike the mean squared error of
 # a pixel with errors dc in its colours and da in its alpha is, for each channel,
@@ -154,6 +163,11 @@ def _weigh(target: Target, image: F32, wanted: int = ALL_BLOCKS) -> tuple[F32, F
 
 def squared_error(model: PreparedSplats, target: Target) -> float:
     """Mean squared error of one view over black and white alike, a channel."""
+    engine = engine_in_use()
+    if engine is not None:
+        view = view_on(engine, model, target.camera)
+        image, _ = view.blend(view.tinted(WHITE, ALPHA), np.zeros(4, np.float32))
+        return view.weigh(image, target.image, WHITE, ALPHA, ALL_BLOCKS)[2]
     return _weigh(target, _blend(model, target.camera)[2])[2]
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
+from nanogs.card.device import AUTO, CPU, device_notes, use_device
 from nanogs.clock import StageClock
+from nanogs.errors import OptionError
 from nanogs.frames import change_between, change_frame
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions
@@ -49,6 +51,7 @@ def simplify(
     frame: tuple[str, str] | None = None,
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
+    device: str | None = None,
     threads: int | None = None,
     max_memory: int | None = None,
     progress: Progress | bool | None = None,
@@ -83,6 +86,9 @@ def simplify(
         cameras: Views that matter, for presets that render; by default automatic.
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise.
+        device: Where presets that render look and fit: "cpu", which is the default; "cuda" for a
+            graphics card, "auto" for one where there is one. What is merged is merged on the CPU.
+            Results differ in the last digits; the notes name another device than the CPU.
         threads: Threads to use; all by default. The result does not depend on it.
         max_memory: Bytes that this process may take; by default what is free, less a tenth. More
             is refused before anything is computed.
@@ -97,7 +103,8 @@ def simplify(
     Raises:
         FormatError: The path cannot be read as a model.
         OptionError: An option is out of range, or the size is less than one splat takes, or the
-            draw cost less than the fewest splats that the model can be made of.
+            draw cost less than the fewest splats that the model can be made of; or there is no such
+            device, or nothing for it to do.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
         ModelError: No splat is usable, `nan="error"` and one is not, or a PSNR or a draw cost is
             asked for and nothing is visible.
@@ -108,6 +115,7 @@ def simplify(
     chosen, given = parameters(preset, overrides), format_options or {}
     path = Path(f"model{registry.suffix_of(format)}")
     refuse_searches(goal, preset, path)
+    refuse_idle(device, preset, chosen, goal)
     check_degree(sh_degree)
     if frame:
         change_between(*frame)  # which refuses other names
@@ -119,7 +127,7 @@ def simplify(
     from nanogs.pipeline.held_files import HeldFiles
     from nanogs.threads import use_threads
 
-    with use_threads(threads) as threads_used, drawn(progress) as tell:
+    with use_device(device) as used, use_threads(threads) as threads_used, drawn(progress) as tell:
         with clock.time("check"):
             job = prepare_job(splats, preset, overrides, cameras, nan, sh_degree)
             target = target_of(goal, splats, len(job.rows), path, job.parameters, sh_degree)
@@ -146,7 +154,8 @@ def simplify(
     if size is not None:
         outcome = _with_size_notes(outcome, size, len(job.rows), path)
     small = change_frame(outcome.splats, *frame) if frame else outcome.splats
-    return small, job.report(goal, target, outcome, threads_used, clock, start)
+    report = job.report(goal, target, outcome, threads_used, clock, start)
+    return small, replace(report, notes=(*report.notes, *device_notes(device, used)))
 
 
 def _with_size_notes(outcome: Outcome, size: int, available: int, path: Path) -> Outcome:
@@ -159,6 +168,26 @@ def _with_size_notes(outcome: Outcome, size: int, available: int, path: Path) ->
         known = file_bytes
         notes = notes_on_known(size, len(small), available, lambda count: known(small, count))
     return replace(outcome, notes=(*outcome.notes, *notes))
+
+
+def refuse_idle(device: str | None, preset: str, chosen: Parameters, goal: Goal) -> None:
+    """Refuse a card where nothing is rendered, so that it would have nothing to do.
+
+    Args:
+        device: What was asked for; "auto" asks for none where there is none.
+        preset: Name of the preset.
+        chosen: Its parameters.
+        goal: What is asked.
+
+    Raises:
+        OptionError: It is so.
+    """
+    looks = renders(chosen) or goal.psnr is not None
+    if device not in (None, CPU, AUTO) and not looks:
+        raise OptionError(
+            f"The preset {preset} renders nothing, so that a card has nothing to do; take"
+            ' `device="cpu"`, or another preset.'
+        )
 
 
 def refuse_searches(goal: Goal, preset: str, path: Path) -> None:

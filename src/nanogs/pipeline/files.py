@@ -69,6 +69,7 @@ def simplify_blocks(
     render_mode: str | None = None,
     cameras: "Cameras | None" = None,
     up: Sequence[float] | None = None,
+    device: str | None = None,
     threads: int | None = None,
     executor: "Client | Executor | None" = None,
     patience: float = PATIENCE,
@@ -118,6 +119,7 @@ def simplify_blocks(
         cameras: Views that matter, for presets that look: "auto", "orbit", "inside", "roam", a file
             or folder of cameras, or cameras; by default automatic.
         up: Up direction of views that are found, scene coordinates.
+        device: As `simplify` takes it; of blocks the CPU alone.
         threads: Threads to use in a process; all of its machine by default.
         executor: Whose workers do the work: a Dask client, or a `concurrent.futures.Executor` such
             as a ProcessPoolExecutor. It is used as it is, and not closed.
@@ -144,8 +146,8 @@ def simplify_blocks(
         max_memory=None if max_memory is None else as_bytes(max_memory), block=block,
         job=None if job is None else Path(job), scratch=scratch, resume=resume,
         overwrite=overwrite, nan=nan, filters=filters, sh_degree=sh_degree, frame=frame,
-        render_mode=render_mode, cameras=cameras, up=up, threads=threads, executor=executor,
-        patience=patience,
+        render_mode=render_mode, cameras=cameras, up=up, device=device, threads=threads,
+        executor=executor, patience=patience,
         format_options=registry.framed(Path(output), format_options, frame),
     )  # fmt: skip
     request.check_addresses()
@@ -169,6 +171,8 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     options, notes = stated_frame(request, request.output)
     request = replace(request, format_options=options)
     plan = plan_files(request)
+    if plan.divided:
+        request.refuse_device()
     report = _in_blocks(request, told) if plan.divided else _in_memory(request, plan, told)
     return replace(report, notes=(*report.notes, *notes))
 
@@ -227,7 +231,7 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
         splats, ratio=goal.ratio, count=goal.count, size=goal.size, psnr=goal.psnr,
         draw_cost=goal.draw_cost,
         format=request.suffix, preset=request.preset, sh_degree=request.sh_degree,
-        frame=request.frame, nan=request.nan, threads=request.threads,
+        frame=request.frame, nan=request.nan, device=request.device, threads=request.threads,
         cameras=cameras_of(request, splats), max_memory=request.max_memory,
         progress=tracker.passing(), format_options=options, **request.overrides,
     )  # fmt: skip

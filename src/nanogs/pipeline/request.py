@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.block_layouts import Chunked, Linked
+from nanogs.card.device import CPU, check_device
 from nanogs.defaults import PATIENCE
+from nanogs.errors import OptionError
 from nanogs.filters import Filter
 from nanogs.io import registry
 from nanogs.io.files import splat_bytes
@@ -14,7 +16,7 @@ from nanogs.io.format import Sizer
 from nanogs.io.retag import checked_mode
 from nanogs.io.stand_ins import refuse_address
 from nanogs.memory import Memory, allowed_memory
-from nanogs.pipeline.api import refuse_searches
+from nanogs.pipeline.api import refuse_idle, refuse_searches
 from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
@@ -67,6 +69,7 @@ class Request:
     render_mode: str | None = None
     cameras: "Cameras | None" = None
     up: Sequence[float] | None = None
+    device: str | None = None
     threads: int | None = None
     executor: "Client | Executor | None" = None
     patience: float = PATIENCE
@@ -135,11 +138,25 @@ class Request:
         """Refuse, before anything is read, what cannot be had together.
 
         Raises:
-            OptionError: A search is asked of a preset that has none, or there is no such degree or
-                format to write.
+            OptionError: A search is asked of a preset that has none, or there is no such degree,
+                device or format to write, or the device would have nothing to do.
         """
+        refuse_idle(self.device, self.preset, self.parameters, self.goal)
+        check_device(self.device)
         refuse_searches(self.goal, self.preset, self.output)
         check_degree(self.sh_degree)
+
+    def refuse_device(self) -> None:
+        """Refuse another device than the CPU, for what is made in blocks.
+
+        Raises:
+            OptionError: There is one.
+        """
+        if self.device not in (None, CPU):
+            raise OptionError(
+                'A model in blocks is looked at and fitted on the CPU alone: take `device="cpu"`,'
+                " or leave out what asks for blocks, and allow more with `max_memory`."
+            )
 
     def check_addresses(self) -> None:
         """Refuse URLs of models in jobs that have to find them again, later or elsewhere.

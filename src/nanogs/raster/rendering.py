@@ -240,7 +240,7 @@ def view_on(
     """
     check_camera(camera)
     degree = _degree(prepared, sh_degree)
-    model = engine.held(prepared, lambda: _uploaded(engine, prepared))
+    model = engine.held(prepared, lambda: uploaded(engine, prepared))
     return model.view(*seen_by(camera), degree)
 
 
@@ -250,7 +250,8 @@ def seen_by(camera: Camera) -> tuple[F64, F64, F64]:
     return rotation, camera.position, camera.intrinsics
 
 
-def _uploaded(engine: "Engine", prepared: PreparedSplats) -> "Model":
+def uploaded(engine: "Engine", prepared: PreparedSplats) -> "Model":
+    """A copy of a model on a device."""
     from nanogs.card.engine import Model
 
     return Model(

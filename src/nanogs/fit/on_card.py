@@ -1,0 +1,82 @@
+"""Steps of a refit on a graphics card, where the splats stay from one step to the next."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nanogs.card.device import engine_in_use
+from nanogs.fit.descent import Descent
+from nanogs.fit.parameters import RefitParameters
+from nanogs.fit.state import State
+from nanogs.fit.targets import ALPHA, WHITE, Fitting, Target
+from nanogs.raster.rendering import seen_by, uploaded
+from nanogs.splats import Splats
+
+if TYPE_CHECKING:
+    from nanogs.card.engine import Engine
+    from nanogs.fit.shared import Shared
+
+
+class CardDescent(Descent):
+    """Moves a state, view by view, on a device; see `Descent`."""
+
+    def __init__(
+        self,
+        engine: "Engine",
+        splats: Splats,
+        views: Fitting,
+        parameters: RefitParameters,
+        shared: "Shared | None" = None,
+    ) -> None:
+        self._engine = engine
+        super().__init__(splats, views, parameters, shared)
+
+    @property
+    def state(self) -> State:
+        """The splats as they are now, fetched from the device."""
+        return State(*self._moving.columns())
+
+    def begin(self, state: State) -> None:
+        """Go on from a state, which is brought to the device."""
+        from nanogs.card.fitting import MovingModel, Pace
+
+        super().begin(state)
+        model, begun = self._active.model, self._state
+        self._moving = MovingModel(
+            uploaded(self._engine, model),
+            [begun.means, begun.log_scales, begun.quats, begun.logits, begun.touched],
+            self._given,
+            self._active.axes,
+            self._active.scales,
+            Pace(
+                damping=self.parameters.damping,
+                floor=self.parameters.floor,
+                memory=len(self.views),
+                limits=self._limits,
+                bands=self._bands,
+                single=model.means.dtype == np.float32,
+            ),
+        )
+
+    def _level(self, shared: "Shared") -> None:
+        sh = self.state.sh.copy()
+        shared.level(sh)
+        self._moving.recolour(sh)
+
+    def _follow(self, target: Target, wanted: int, rate: float) -> float:
+        degree, shares = self._active.model.sh_degree, (WHITE, ALPHA)
+        camera = seen_by(target.camera)
+        return self._moving.step(camera, degree, target.image, shares, wanted, rate)
+
+
+def descent_for(
+    splats: Splats,
+    views: Fitting,
+    parameters: RefitParameters,
+    shared: "Shared | None" = None,
+) -> Descent:
+    """Begin a fit on the device in use; the arguments are those of `Descent`."""
+    engine = engine_in_use()
+    if engine is None:
+        return Descent(splats, views, parameters, shared)
+    return CardDescent(engine, splats, views, parameters, shared)

@@ -1,0 +1,157 @@
+"""Fits and whole runs with the card's kernels, on Warp's CPU device, against the CPU's."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import cloud_pair, model_bytes
+from launch import run
+from nanogs.card.device import use_device
+from nanogs.fit.on_card import CardDescent, descent_for
+from nanogs.fit.parameters import RefitParameters
+from nanogs.fit.shared import Shared
+from nanogs.fit.targets import Fitting, make_target, squared_error
+from nanogs.raster.rendering import prepare
+from nanogs.splats import RenderMode
+from nanogs.views.automatic import automatic_cameras
+
+pytest.importorskip("warp", reason="pip install 'nanogs[cuda]'")
+
+CARD = "warp-cpu"
+STEPS, CLOSE = 6, 0.02  # dB between results of the two devices
+QUICK = RefitParameters(views=6, validation=2, size=64, rounds=2, steps=12)
+COLUMNS = ("means", "log_scales", "quats", "logits", "sh")
+
+
+def scene(degree=1, mode=RenderMode.DEFAULT):
+    """A small model to fit, the original, and four views of it."""
+    original, small = cloud_pair(degree=degree)
+    small = dataclasses.replace(small, render_mode=mode)
+    cameras = automatic_cameras(original, 4, width=64, height=48)
+    return original, small, [make_target(prepare(original), camera) for camera in cameras]
+
+
+def check_steps(small, views, parameters=QUICK, shared=None):
+    """Make the same steps on both, and hold the states against each other."""
+    cpu = descent_for(small, views, parameters, shared)
+    with use_device(CARD):
+        card = descent_for(small, views, parameters, shared)
+        assert isinstance(card, CardDescent)
+        assert not isinstance(cpu, CardDescent)
+        for number in range(STEPS):
+            share = number / STEPS
+            ours = card.step(1.0, share)
+            with use_device("cpu"):
+                assert ours == pytest.approx(cpu.step(1.0, share), rel=1e-4)
+    ours, theirs = card.state, cpu.state
+    assert (ours.touched == theirs.touched).all()
+    assert theirs.touched.any()
+    start = descent_for(small, views, parameters).state
+    for name in COLUMNS:
+        one, other = getattr(ours, name), getattr(theirs, name)
+        way = np.abs(other - getattr(start, name)).max()
+        assert way > 0.01, name
+        assert np.abs(one - other).max() < 1e-3 * way, name
+    return ours, theirs
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_steps_agree_with_harmonics(degree):
+    _, small, targets = scene(degree)
+    check_steps(small, Fitting(targets))
+
+
+def test_steps_agree_with_mip_halves_and_double_precision():
+    _, small, targets = scene(mode=RenderMode.MIP)
+    small = dataclasses.replace(small, means=small.means.astype(np.float64))
+    check_steps(small, Fitting(targets), dataclasses.replace(QUICK, halves=True))
+
+
+def test_steps_agree_with_surroundings_and_views_that_are_drawn_when_asked_for():
+    original, small, targets = scene()
+    part = np.flatnonzero(small.means[:, 0] < 0)
+    rest = prepare(small.take(np.flatnonzero(small.means[:, 0] >= 0)))
+    more = [target.camera for target in targets[2:]]
+    views = Fitting(targets[:2], prepare(original), more, surroundings=rest)
+    ours, _ = check_steps(small.take(part), views)
+    assert len(ours.means) == len(part)
+
+
+def test_steps_agree_where_splats_share_their_harmonics():
+    _, small, targets = scene(2)
+    labels = (np.arange(len(small)) % 7).astype(np.int32)
+    sh = small.sh.copy()
+    sh[:, 1:] = sh[:7][labels, 1:]
+    shared = Shared.of(labels, 7, np.ones(len(small)))
+    ours, _ = check_steps(dataclasses.replace(small, sh=sh), Fitting(targets), shared=shared)
+    assert len(np.unique(ours.sh[:, 1:].reshape(len(small), -1), axis=0)) == 7
+
+
+def test_errors_of_views_agree():
+    _, small, targets = scene()
+    model = prepare(small)
+    for target in targets:
+        with use_device(CARD):
+            ours = squared_error(model, target)
+        assert ours == pytest.approx(squared_error(model, target), rel=1e-6)
+
+
+def test_a_refit_is_as_good_and_the_same_every_time():
+    original, small, _ = scene()
+    _, cpu = nanogs.refit(original, small, parameters=QUICK)
+    fitted, card = nanogs.refit(original, small, parameters=QUICK, device=CARD)
+    assert card.psnr_after == pytest.approx(cpu.psnr_after, abs=CLOSE)
+    assert card.improved
+    assert f"pictures were made on {CARD}" in card.notes
+    assert cpu.notes == ()
+    again, _ = nanogs.refit(original, small, parameters=QUICK, device=CARD)
+    assert model_bytes(again) == model_bytes(fitted)
+
+
+@pytest.mark.parametrize("preset", ["default", "best"])
+def test_presets_are_as_good(small_views, preset):
+    original, _, _ = scene(2)
+    seen = []
+    for device in ("cpu", CARD):
+        small, report = nanogs.simplify(original, ratio=0.2, preset=preset, device=device)
+        assert len(small) == report.achieved_count == 80
+        seen.append(nanogs.compare(original, small, views=4, pixels=64).models[0].psnr)
+    assert seen[0] == pytest.approx(seen[1], abs=CLOSE)
+    assert f"pictures were made on {CARD}" in report.notes
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "a.ply"
+    nanogs.save(cloud_pair()[0], path)
+    return path
+
+
+def test_the_command_fits_on_the_device_and_says_so(file, tmp_path):
+    quick = ("--views", 4, "--view-size", 32, "--steps", 4, "--no-measure", "--json")
+    done = run("simplify", file, tmp_path / "b.ply", "-r", "0.25", *quick, "--device", CARD)
+    assert done.returncode == 0, done.stderr
+    assert f"pictures were made on {CARD}" in json.loads(done.stdout)["notes"]
+    quick = ("--views", 4, "--pixels", 32, "--rounds", 1, "--json")
+    done = run("refit", file, tmp_path / "b.ply", tmp_path / "c.ply", *quick, "--device", CARD)
+    assert done.returncode == 0, done.stderr
+    assert f"pictures were made on {CARD}" in json.loads(done.stdout)["notes"]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--preset", "fast"), "preset fast renders nothing"),
+        (("--job", "work"), "--device cpu"),
+    ],
+)
+def test_the_command_refuses_what_a_card_does_not_do(file, tmp_path, options, said):
+    out = tmp_path / "b.ply"
+    result = run("simplify", file, out, "-r", "0.25", *options, "--device", CARD, cwd=tmp_path)
+    assert result.returncode == 2
+    assert said in result.stderr.splitlines()[-1]
+    assert not out.exists()
+    assert not (tmp_path / "work").exists()
