@@ -1,7 +1,9 @@
 """The card's kernels, on Warp's CPU device, against those of the CPU."""
 
 import dataclasses
+import importlib
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from conftest import scene_path
 from launch import run
 from nanogs.card.device import engine_in_use, use_device
 from nanogs.datasets.plant import load_plant
+from nanogs.errors import NotEnoughMemoryError
 from nanogs.fit.targets import ALPHA, WHITE, make_target, pull
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.pulls import SCALES
@@ -22,7 +25,11 @@ from nanogs.splats import RenderMode
 from nanogs.views.automatic import automatic_cameras
 from test_raster import make_camera, make_splats, one_splat
 
-pytest.importorskip("warp", reason="pip install 'nanogs[cuda]'")
+wp = pytest.importorskip("warp", reason="pip install 'nanogs[cuda]'")
+advancing, blending, listing, projecting, pulling, shading = (
+    importlib.import_module(f"nanogs.card.{name}")
+    for name in ("advancing", "blending", "listing", "projecting", "pulling", "shading")
+)
 
 CLOSE = 100  # dB between the two, where no splat is at a threshold
 
@@ -146,6 +153,29 @@ def test_pictures_of_real_scenes_agree(name):
         ours, cpu = render(prepared, camera), render(prepared, camera, here=True)
         assert psnr(ours.color, cpu.color) > 80  # a few splats are at a threshold
         assert abs(ours.drawn - cpu.drawn) <= 1
+
+
+def test_a_card_whose_memory_is_full_is_said_in_one_sentence():
+    with (
+        pytest.raises(NotEnoughMemoryError, match='take `device="cpu"`'),
+        use_device("warp-cpu"),
+    ):
+        raise RuntimeError("Failed to allocate 4 bytes on device 'cuda:0'")
+    with pytest.raises(RuntimeError, match="something else"), use_device("warp-cpu"):
+        raise RuntimeError("something else")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "darwin", reason="Warp has no compiler for cards there")
+def test_kernels_compile_for_a_card_without_one(tmp_path):
+    """As far as can be told without a card: in blocks of 256 threads, for the oldest one known."""
+    modules = [shading, projecting, listing, blending, pulling, advancing]
+    made = [wp.get_module(module.__name__) for module in modules]
+    made += [make(shading.PIXELS).module for make in (pulling.share_kernel, pulling.pull_kernel)]
+    for module in made:
+        module.options["block_dim"] = shading.PIXELS
+        [binary] = wp.compile_aot_module(module, arch=75, module_dir=tmp_path)
+        assert binary.stat().st_size > 1000
 
 
 def test_the_command_says_which_device_it_used(tmp_path):

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
-from nanogs.errors import OptionError
+from nanogs.errors import NotEnoughMemoryError, OptionError
 
 if TYPE_CHECKING:
     from nanogs.card.engine import Engine
@@ -17,6 +17,7 @@ DEVICES = (CPU, CUDA, AUTO)
 WARP_CPU = "warp-cpu"  # the card's kernels without a card, one thread, slow: for tests
 
 _NONE = "no graphics card that CUDA can use, with nanogs[cuda] installed, was found"
+_FULL = "Failed to allocate"  # of Warp's error where a card has no memory left
 
 _engine: "ContextVar[Engine | None]" = ContextVar("engine", default=None)
 
@@ -34,6 +35,7 @@ def use_device(name: str | None) -> Iterator[str]:
         The device in use: "cpu", "warp-cpu" or "cuda" with the card's name.
 
     Raises:
+        NotEnoughMemoryError: What the block does takes more memory than the card has.
         OptionError: There is no such device, no card, or not the package that it takes.
     """
     if name is None:
@@ -44,6 +46,13 @@ def use_device(name: str | None) -> Iterator[str]:
     token = _engine.set(engine)
     try:
         yield CPU if engine is None else engine.name
+    except RuntimeError as error:
+        if engine is None or _FULL not in str(error):
+            raise
+        raise NotEnoughMemoryError(
+            f"The memory of {engine.name} is too small for this model; take"
+            ' `device="cpu"`, or fewer pixels.'
+        ) from error
     finally:
         _engine.reset(token)
 
