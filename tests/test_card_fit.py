@@ -123,6 +123,18 @@ def test_presets_are_as_good(small_views, preset):
     assert f"pictures were made on {CARD}" in report.notes
 
 
+def test_levels_are_those_of_simplify_and_their_notes_say_so(small_views, tmp_path):
+    original, _, _ = scene()
+    [(level, report)] = nanogs.levels(original, [0.2], device=CARD)
+    small, _ = nanogs.simplify(original, ratio=0.2, device=CARD)
+    assert model_bytes(level) == model_bytes(small)
+    assert f"pictures were made on {CARD}" in report.notes
+    manifest, _ = nanogs.write_levels(original, tmp_path / "out", [0.2], device=CARD)
+    assert any(CARD in note for note in manifest.notes)
+    written = nanogs.load(tmp_path / "out/level_0.ply")
+    assert np.array_equal(written.sh, small.sh)
+
+
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     path = tmp_path_factory.mktemp("models") / "a.ply"
@@ -141,6 +153,7 @@ def test_the_command_fits_on_the_device_and_says_so(file, tmp_path):
     assert f"pictures were made on {CARD}" in json.loads(done.stdout)["notes"]
 
 
+@pytest.mark.parametrize("command", ["simplify", "lod"])
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -148,9 +161,10 @@ def test_the_command_fits_on_the_device_and_says_so(file, tmp_path):
         (("--job", "work"), "--device cpu"),
     ],
 )
-def test_the_command_refuses_what_a_card_does_not_do(file, tmp_path, options, said):
-    out = tmp_path / "b.ply"
-    result = run("simplify", file, out, "-r", "0.25", *options, "--device", CARD, cwd=tmp_path)
+def test_the_command_refuses_what_a_card_does_not_do(file, tmp_path, command, options, said):
+    out = tmp_path / ("b.ply" if command == "simplify" else "b")
+    wish = ("-r", "0.25") if command == "simplify" else ("--levels", "0.25")
+    result = run(command, file, out, *wish, *options, "--device", CARD, cwd=tmp_path)
     assert result.returncode == 2
     assert said in result.stderr.splitlines()[-1]
     assert not out.exists()

@@ -26,6 +26,7 @@ from nanogs.lod.layout import Layout, chunks_of
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
 from nanogs.lod.usual import usual_ratios
+from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.files import cameras_of, stated_frame
 from nanogs.pipeline.foreseen import levels_stages
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -190,7 +191,10 @@ def write_levels_of_files(
     Raises:
         NanogsError: It cannot be done.
     """
+    refuse_device(request.device, request.preset, request.parameters, request.goal)
     plan = plan_files(request)
+    if plan.divided:
+        request.refuse_device_in_blocks()
     options, unstated = stated_frame(request, Path(f"level{_suffix(sink)}"))
     if isinstance(sink, LevelsFolder) and sink.chunks is None:
         sink = replace(sink, format_options=options)
@@ -246,8 +250,9 @@ def _whole(
     tracker = Tracker(told, _stages(request, len(splats), sink))
     made = judged_levels(
         splats, request.ratios, judged=is_measured(request), preset=request.preset,
-        cameras=cameras_of(request, splats), nan=request.nan, threads=request.threads,
-        max_memory=request.max_memory, progress=tracker.passing(), **request.overrides,
+        cameras=cameras_of(request, splats), nan=request.nan, device=request.device,
+        threads=request.threads, max_memory=request.max_memory, progress=tracker.passing(),
+        **request.overrides,
     )  # fmt: skip
     judge, reports = None, []
     if is_measured(request):

@@ -96,6 +96,7 @@ def lod(
         ),
     ] = None,
     placing: Placing,
+    device: options.Device = "cpu",
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show how each level was made.")
     ] = False,
@@ -131,7 +132,7 @@ def lod(
     wishes = lod_run.Wishes(
         wish=plan.wish_of(
             method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder, frame=turn,
-            overwrite=overwrite, ratios=ratios,
+            overwrite=overwrite, ratios=ratios, device=device,
             chunks=chunks_of(
                 output.layout, chunk, chunk_min, plain=plain, place=placing.place
             ),

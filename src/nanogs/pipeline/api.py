@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
-from nanogs.card.device import AUTO, CPU, device_notes, use_device
+from nanogs.card.device import AUTO, CPU, check_device, device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.frames import change_between, change_frame
@@ -115,7 +115,7 @@ def simplify(
     chosen, given = parameters(preset, overrides), format_options or {}
     path = Path(f"model{registry.suffix_of(format)}")
     refuse_searches(goal, preset, path)
-    refuse_idle(device, preset, chosen, goal)
+    refuse_device(device, preset, chosen, goal)
     check_degree(sh_degree)
     if frame:
         change_between(*frame)  # which refuses other names
@@ -170,8 +170,8 @@ def _with_size_notes(outcome: Outcome, size: int, available: int, path: Path) ->
     return replace(outcome, notes=(*outcome.notes, *notes))
 
 
-def refuse_idle(device: str | None, preset: str, chosen: Parameters, goal: Goal) -> None:
-    """Refuse a card where nothing is rendered, so that it would have nothing to do.
+def refuse_device(device: str | None, preset: str, chosen: Parameters, goal: Goal) -> None:
+    """Refuse a device that cannot be had, or a card where nothing is rendered, for nothing to do.
 
     Args:
         device: What was asked for; "auto" asks for none where there is none.
@@ -180,7 +180,7 @@ def refuse_idle(device: str | None, preset: str, chosen: Parameters, goal: Goal)
         goal: What is asked.
 
     Raises:
-        OptionError: It is so.
+        OptionError: It is one of these.
     """
     looks = renders(chosen) or goal.psnr is not None
     if device not in (None, CPU, AUTO) and not looks:
@@ -188,6 +188,7 @@ def refuse_idle(device: str | None, preset: str, chosen: Parameters, goal: Goal)
             f"The preset {preset} renders nothing, so that a card has nothing to do; take"
             ' `device="cpu"`, or another preset.'
         )
+    check_device(device)
 
 
 def refuse_searches(goal: Goal, preset: str, path: Path) -> None:

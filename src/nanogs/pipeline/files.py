@@ -172,7 +172,7 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     request = replace(request, format_options=options)
     plan = plan_files(request)
     if plan.divided:
-        request.refuse_device()
+        request.refuse_device_in_blocks()
     report = _in_blocks(request, told) if plan.divided else _in_memory(request, plan, told)
     return replace(report, notes=(*report.notes, *notes))
 

@@ -2,13 +2,16 @@
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
+from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
+from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.job import Deliver, Job, NanPolicy, prepare_job
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
 from nanogs.pipeline.target import Goal, target_count
@@ -28,6 +31,7 @@ def levels(
     preset: str = DEFAULT_PRESET,
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
+    device: str | None = None,
     threads: int | None = None,
     max_memory: int | None = None,
     progress: Progress | bool | None = None,
@@ -44,6 +48,7 @@ def levels(
         preset: Name of a preset; `paper` grows no forest, so that each level is a run of its own.
         cameras: Views that matter, for presets that render; by default automatic ones.
         nan: As `simplify` takes it.
+        device: As `simplify` takes it.
         threads: Threads to use; all by default. The result does not depend on it.
         max_memory: As `simplify` takes it.
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
@@ -56,13 +61,13 @@ def levels(
 
     Raises:
         FormatError: The path cannot be read as a model.
-        OptionError: An option is out of range.
+        OptionError: An option is out of range, or there is no such device, or nothing for it to do.
         ModelError: No splat is usable, or `nan="error"` and one is not.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
     return judged_levels(
-        model, ratios, judged=False, preset=preset, cameras=cameras, nan=nan, threads=threads,
-        max_memory=max_memory, progress=progress, **overrides,
+        model, ratios, judged=False, preset=preset, cameras=cameras, nan=nan, device=device,
+        threads=threads, max_memory=max_memory, progress=progress, **overrides,
     )  # fmt: skip
 
 
@@ -74,6 +79,7 @@ def judged_levels(
     preset: str = DEFAULT_PRESET,
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
+    device: str | None = None,
     threads: int | None = None,
     max_memory: int | None = None,
     progress: Progress | bool | None = None,
@@ -88,13 +94,14 @@ def judged_levels(
         preset: See there.
         cameras: See there.
         nan: See there.
+        device: See there.
         threads: See there.
         max_memory: See there.
         progress: See there.
         **overrides: See there.
     """
     check_ratios(ratios)
-    parameters(preset, overrides)
+    refuse_device(device, preset, parameters(preset, overrides), Goal(ratio=ratios[0]))
     splats = as_splats(model)
     job = prepare_job(splats, preset, overrides, cameras, nan)
     refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
@@ -103,7 +110,7 @@ def judged_levels(
     from nanogs.pipeline.foreseen import levels_stages
 
     stages = levels_stages(job.parameters, len(job.rows), counts)
-    return _drawn(job, tuple(ratios), threads, progress, stages)
+    return _drawn(job, tuple(ratios), device, threads, progress, stages)
 
 
 def check_ratios(ratios: Sequence[float]) -> None:
@@ -129,16 +136,21 @@ def check_ratios(ratios: Sequence[float]) -> None:
 def _drawn(
     job: Job,
     ratios: Sequence[float],
+    device: str | None,
     threads: int | None,
     progress: Progress | bool | None,
     stages: Sequence[Stage],
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
     with drawn(progress) as tell:
-        yield from _deliver(job, ratios, threads, Tracker(tell, stages))
+        yield from _deliver(job, ratios, device, threads, Tracker(tell, stages))
 
 
 def _deliver(
-    job: Job, ratios: Sequence[float], threads: int | None, progress: Tracker
+    job: Job,
+    ratios: Sequence[float],
+    device: str | None,
+    threads: int | None,
+    progress: Tracker,
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
     deliver: Deliver | None = None
     for number, ratio in enumerate(ratios):
@@ -147,15 +159,16 @@ def _deliver(
         # number of threads is the caller's own between two levels.
         from nanogs.threads import use_threads
 
-        with use_threads(threads) as threads_used:
+        with use_device(device) as used, use_threads(threads) as threads_used:
             smallest = target_count(len(job.rows), ratios[-1], None)
             deliver = deliver or job.deliverer(smallest, threads_used, clock, progress)
             progress.begin(level_stage(number))
-            result = _level(job, deliver, ratio, threads_used, clock, start, progress)
+            small, report = _level(job, deliver, ratio, threads_used, clock, start, progress)
+        report = replace(report, notes=(*report.notes, *device_notes(device, used)))
         if number == len(ratios) - 1:
             progress.finish()
-        yield result
-        del result  # or it would be kept while the next one is made
+        yield small, report
+        del small  # or it would be kept while the next one is made
 
 
 def _level(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.block_layouts import Chunked, Linked
-from nanogs.card.device import CPU, check_device
+from nanogs.card.device import CPU
 from nanogs.defaults import PATIENCE
 from nanogs.errors import OptionError
 from nanogs.filters import Filter
@@ -16,7 +16,7 @@ from nanogs.io.format import Sizer
 from nanogs.io.retag import checked_mode
 from nanogs.io.stand_ins import refuse_address
 from nanogs.memory import Memory, allowed_memory
-from nanogs.pipeline.api import refuse_idle, refuse_searches
+from nanogs.pipeline.api import refuse_device, refuse_searches
 from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
@@ -141,12 +141,11 @@ class Request:
             OptionError: A search is asked of a preset that has none, or there is no such degree,
                 device or format to write, or the device would have nothing to do.
         """
-        refuse_idle(self.device, self.preset, self.parameters, self.goal)
-        check_device(self.device)
+        refuse_device(self.device, self.preset, self.parameters, self.goal)
         refuse_searches(self.goal, self.preset, self.output)
         check_degree(self.sh_degree)
 
-    def refuse_device(self) -> None:
+    def refuse_device_in_blocks(self) -> None:
         """Refuse another device than the CPU, for what is made in blocks.
 
         Raises:
