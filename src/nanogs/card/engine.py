@@ -10,7 +10,7 @@ import warp as wp
 from nanogs._types import F32, F64, U8, Array, Bool, F
 from nanogs.card.blending import blend_tiles
 from nanogs.card.listing import count_tiles, find_starts, write_tiles
-from nanogs.card.projecting import project_splats
+from nanogs.card.projecting import add_unhidden, project_splats
 from nanogs.card.pulling import gather_slots, pull_kernel, share_kernel, tint, weigh_pixels
 from nanogs.card.shading import PIXELS, SHAPE, shape_entries
 from nanogs.errors import ModelError
@@ -106,7 +106,6 @@ class View:
     Attributes:
         geometry: (N, 8) float64, as `nanogs.kernels.project` has it.
         features: (N, 4) float32, red, green, blue and depth; junk where not drawn.
-        drawn: Splats that can reach a pixel.
     """
 
     def __init__(self, model: Model, rotation: F64, position: F64, lens: F64, degree: int) -> None:
@@ -119,28 +118,33 @@ class View:
         self.geometry = engine.empty((n, 8), wp.float64)
         self.features = engine.empty((n, CHANNELS), wp.float32)
         boxes, drawn = engine.empty((n,), wp.vec4i), wp.zeros(1, wp.int32, device=engine.device)
-        self.depths = engine.empty((2 * n,), wp.float32)  # sorting takes twice the room
+        # Sorting takes twice the room.
+        self.depths, order = (engine.empty((2 * n,), kind) for kind in (wp.float32, wp.int32))
         self.starts = wp.zeros(self.tiles + 1, dtype=wp.int32, device=engine.device)
         self.entries = self.slots = self.order = engine.empty((0,), wp.int32)
         self.ends = engine.empty((0,), wp.int64)
         self.shapes = engine.empty((0, SHAPE), wp.float32)
-        self.drawn = 0
+        self._drawn = drawn
         if n == 0:
             return
         engine.launch(
             project_splats, n, model.means, model.factors, model.opacities, model.reaches,
             model.keep, model.sh, self.rotation, self.position, self.lens, model.mip, degree,
-            self.geometry, self.features, boxes, self.depths, drawn,
+            self.geometry, self.features, boxes, self.depths, order, drawn,
         )  # fmt: skip
-        self.drawn = int(drawn.numpy()[0])
-        self._list(boxes)
+        self._list(boxes, order)
 
-    def _list(self, boxes: wp.array) -> None:
+    @property
+    def drawn(self) -> int:
+        """Splats that can reach a pixel."""
+        return int(self._drawn.numpy()[0])
+
+    def _list(self, boxes: wp.array, order: wp.array) -> None:
         """List the splats of each tile, nearest first."""
         engine, n = self.engine, self.count
         keys = wp.clone(self.depths)
-        self.order = engine.put(np.arange(2 * n, dtype=np.int32))
-        wp.utils.radix_sort_pairs(keys, self.order, n)
+        self.order = order
+        wp.utils.radix_sort_pairs(keys, order, n)
         counts, self.ends = engine.empty((n,), wp.int64), engine.empty((n,), wp.int64)
         engine.launch(count_tiles, n, self.geometry, boxes, self.order, self.size, counts)
         wp.utils.array_scan(counts, self.ends, inclusive=True)
@@ -212,15 +216,10 @@ class View:
 
     def unhidden(self) -> F64:
         """(N,) float64, 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image."""
-        rows = self.geometry.numpy()
-        seen = np.isfinite(self.depths.numpy()[: self.count])
-        width, height = self.size
-        seen &= (rows[:, 0] >= 0) & (rows[:, 0] <= width)
-        seen &= (rows[:, 1] >= 0) & (rows[:, 1] <= height)
-        rows = rows[seen]
-        totals = np.zeros(self.count)
-        totals[seen] = rows[:, 6] * 2 * np.pi / (rows[:, 2] * np.sqrt(rows[:, 4]))
-        return totals
+        totals = self.engine.empty((self.count,), wp.float64)
+        self.engine.launch(add_unhidden, self.count, self.geometry, self.depths, self.size, totals)
+        found: F64 = totals.numpy()
+        return found
 
     def tinted(self, white: float, alpha: float) -> wp.array:
         """(N, 4) colours less `white`, and `alpha` in place of the depth: what a fit blends."""

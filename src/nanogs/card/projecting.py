@@ -1,5 +1,7 @@
 """Projecting splats to the screen; formulas and sources in `nanogs.kernels.project`."""
 
+import math
+
 import warp as wp
 
 from nanogs.kernels import blocks, harmonics, project
@@ -9,6 +11,7 @@ _GUARD = wp.constant(wp.float64(project.GUARD))
 _MIN_ALPHA = wp.constant(wp.float64(project.MIN_ALPHA))
 _SLACK = wp.constant(wp.float64(project.SLACK))
 TILE = wp.constant(blocks.TILE)
+_TURN = wp.constant(wp.float64(2.0 * math.pi))
 
 _C0, _C1 = wp.constant(wp.float32(harmonics.C0)), wp.constant(wp.float32(harmonics.C1))
 _C20, _C21, _C22 = (wp.constant(wp.float32(one)) for one in harmonics.C2)
@@ -102,16 +105,19 @@ def project_splats(
     features: wp.array2d[wp.float32],
     boxes: wp.array[wp.vec4i],
     depths: wp.array[wp.float32],
+    order: wp.array[wp.int32],
     drawn: wp.array[wp.int32],
 ) -> None:
     """Project N splats and evaluate their colour, as `nanogs.kernels.project.project_splats` does.
 
     Its arguments, but for boxes: (N,) out, first column and row of tiles, columns and rows, no
-    rows for one that reaches no pixel; depths: (N,) out, infinite there; drawn: (1,) counted up.
+    rows for one that reaches no pixel; depths: (N,) out, infinite there; order: (N,) out, 0 to
+    N - 1; drawn: (1,) counted up.
     """
     i = wp.tid()
     boxes[i] = wp.vec4i(0, 0, 0, 0)
     depths[i] = wp.inf
+    order[i] = i
     if not keep[i]:
         return
     way = wp.vec3d(means[i, 0], means[i, 1], means[i, 2]) - position
@@ -168,3 +174,23 @@ def project_splats(
     for c in range(3):
         features[i, c] = wp.max(colour[c], 0.0)
     features[i, 3] = wp.float32(z)
+
+
+@wp.kernel(enable_backward=False)
+def add_unhidden(
+    geometry: wp.array2d[wp.float64],
+    depths: wp.array[wp.float32],
+    size: wp.vec2i,
+    totals: wp.array[wp.float64],
+) -> None:
+    """2 pi alpha sqrt(det) of each Gaussian whose centre is on the image; see `kernels.raster`.
+
+    geometry: (N, 8); depths: (N,) infinite where not drawn; totals: (N,) out, else 0.
+    """
+    i = wp.tid()
+    totals[i] = wp.float64(0.0)
+    if depths[i] < wp.inf:
+        u, v, none = geometry[i, 0], geometry[i, 1], wp.float64(0.0)
+        if u >= none and u <= wp.float64(size[0]) and v >= none and v <= wp.float64(size[1]):
+            root = geometry[i, 2] * wp.sqrt(geometry[i, 4])
+            totals[i] = geometry[i, 6] * _TURN / root
