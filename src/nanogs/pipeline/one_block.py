@@ -36,6 +36,7 @@ from nanogs.source import InMemory
 from nanogs.splats import Splats, pick
 from nanogs.store.tables import Record
 from nanogs.stored import alphas
+from nanogs.views.stand_in import AFAR, stand_in
 
 
 class _Placed(NamedTuple):
@@ -164,8 +165,8 @@ class OneBlock(Scene):
         return self.splats
 
     def from_afar(self) -> Splats:
-        """The model."""
-        return self.splats
+        """The model; where it has many splats, some of them."""
+        return stand_in(self.splats, AFAR)
 
     def given_cameras(self, some: Splats) -> Sequence[Camera] | None:
         """As `Scene` says."""

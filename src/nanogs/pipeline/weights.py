@@ -11,6 +11,7 @@ from nanogs.fit.stages import refit_stages
 from nanogs.method.parameters import ForestParameters
 from nanogs.progress import Stage
 from nanogs.protocol import VIEWS
+from nanogs.views.stand_in import AFAR
 
 ROUND = 32  # steps of the fit, about: what each of its rounds makes
 SIZES, RESULTS = 4, 2  # files that a search for a size writes: of plain cuts, and of results
@@ -36,7 +37,7 @@ class Load:
 
 def roaming_seconds(load: Load) -> float:
     """Choosing views: roaming ones are found by trying."""
-    return 0.05 + load.parameters.roaming * (0.01 + 0.3 * load.splats)
+    return 0.05 + load.parameters.roaming * (0.01 + 0.3 * min(load.splats, AFAR / _MILLION))
 
 
 def looking_seconds(load: Load) -> float:

@@ -9,18 +9,23 @@ from nanogs.source import Source, joined_rows
 from nanogs.splats import Splats
 
 LIMIT = 600_000  # splats; models of more are stood for by so many at the most
+AFAR = 200_000  # where nothing is judged by what is found: roaming views that only say what hides
 
 
-def stand_in(model: Splats | Source) -> Splats:
-    """A model without higher harmonics; one of more than `LIMIT` splats by evenly spread rows.
+def stand_in(model: Splats | Source, limit: int | None = None) -> Splats:
+    """A model without higher harmonics; one of more splats than a limit by evenly spread rows.
 
     These are larger by the root of how many each stands for, so that together they cover as much.
     Models in memory and sources, which are read once, give the same rows.
 
+    Args:
+        model: The model.
+        limit: Splats at most; `LIMIT` by default.
+
     Raises:
         FormatError: The source cannot be read.
     """
-    every = -(-len(model) // LIMIT)
+    every = -(-len(model) // (limit or LIMIT))
     some = joined_rows(list(_rows(model, every)))
     if every == 1:
         return some
