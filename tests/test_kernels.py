@@ -332,10 +332,21 @@ def test_cost_keys_sort_like_costs_and_pairs(spread):
     tally_free(*rows, costs, free, counts)
     assert counts.sum() == collected(*rows, costs, free, 1 << 16, keys)[0] == 3000
     other = np.empty_like(keys)
-    found = other if radix_sort(keys, other) else keys
+    found = radix_sort(keys, other)
     assert (found & np.uint64(0xFFFFFFFF)).tolist() == np.argsort(costs, kind="stable").tolist()
     upper = found >> np.uint64(48)
     assert counts.tolist() == np.bincount(upper.astype(np.int64), minlength=1 << 16).tolist()
+
+
+@pytest.mark.parametrize("count", [0, 1, 1000, 5 << 14])
+@pytest.mark.parametrize("threads", [1, None])
+def test_keys_are_sorted_by_their_upper_halves_for_any_number_of_threads(count, threads):
+    upper = np.random.default_rng(count).integers(0, 1 << 32, count, dtype=np.uint64)
+    upper[::3] = 1 << 20  # ties, which the lower halves break
+    keys = upper << np.uint64(32) | np.arange(count, dtype=np.uint64)
+    with use_threads(threads):
+        found = radix_sort(keys.copy(), np.empty_like(keys))
+    assert (found == np.sort(keys)).all()
 
 
 @pytest.mark.parametrize(

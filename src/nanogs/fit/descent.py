@@ -122,9 +122,8 @@ class Descent:
         state, active, model = self._state, self._active, self._active.model
         view = pull(model, target, wanted)
         camera = target.camera
-        rows = np.sort(view.view.order)  # as they lie in memory, not by depth
         advance_splats(
-            rows[: np.searchsorted(rows, len(self.splats))],  # the others are surroundings
+            np.flatnonzero(view.view.boxes[: len(self.splats)]),  # HIDDEN is 0; no surroundings
             view.view.geometry,
             view.view.features,
             view.totals,

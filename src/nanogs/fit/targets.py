@@ -144,8 +144,8 @@ def _blend(
 ) -> tuple[Projection, F32, F32]:
     """The projection, what is blended (N, 4), and the image (H, W, 4)."""
     view = project(model, camera)
-    features = np.zeros_like(view.features)  # rows that are not drawn hold junk
-    features[view.order, :3] = view.features[view.order, :3] - np.float32(WHITE)
+    with np.errstate(invalid="ignore"):  # rows that are not drawn hold junk
+        features = view.features - np.array([WHITE, WHITE, WHITE, 0], np.float32)
     features[:, 3] = ALPHA
     image, _, _ = blend(view, camera, features, np.zeros(4, np.float32), wanted=wanted)
     return view, features, image

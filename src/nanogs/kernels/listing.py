@@ -7,10 +7,12 @@ import math
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, F64, I32, I64, U64
 from nanogs.kernels.blocks import TILE, prefetch
 from nanogs.kernels.policy import exact_inline, kernel, parallel_kernel
 from nanogs.kernels.project import HIDDEN, pack_box, unpack_box
+from nanogs.slices import SLICE_STEPS, slices
 
 CHUNKS = 16  # runs of the depth order listed independently; fixed, so that threads do not matter
 SMALL = 2  # tiles along a side of a box that is listed whole: what lies beside it draws nothing
@@ -54,20 +56,28 @@ def _lowest(row: F64) -> float:
     return height
 
 
-@kernel
-def depth_keys(features: F32, boxes: I64, keys: U64) -> int:
-    """Sort keys of the splats that are drawn: depth above, index below; returns their number.
+@parallel_kernel("places", least=1)
+def depth_keys(
+    start: int, stop: int, features: F32, boxes: I64, bounds: I64, places: I64, keys: U64
+) -> None:
+    """Write sort keys of the splats that are drawn: depth above, index below.
 
-    features: (N, 4), the last one the depth, above 0, whose bits sort as its values do; boxes: (N,)
-    from `project_splats`; keys: (N,) out.
+    Args:
+        start: First run of rows of the range.
+        stop: The run after its last.
+        features: (N, 4), the last one the depth, above 0, whose bits sort as its values do.
+        boxes: (N,) from `project_splats`.
+        bounds: (runs + 1,) where each run begins.
+        places: (runs,) where the keys of each run begin.
+        keys: (M,) out.
     """
     bits = features.view(np.uint32)
-    count = 0
-    for i in range(len(boxes)):
-        if boxes[i] != HIDDEN:
-            keys[count] = np.uint64(bits[i, 3]) << np.uint64(32) | np.uint64(i)
-            count += 1
-    return count
+    for run in range(start, stop):
+        place = places[run]
+        for i in range(bounds[run], bounds[run + 1]):
+            if boxes[i] != HIDDEN:
+                keys[place] = np.uint64(bits[i, 3]) << np.uint64(32) | np.uint64(i)
+                place += 1
 
 
 @kernel
@@ -239,7 +249,7 @@ def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -
     """
     tiles = (-(-width // TILE)) * (-(-height // TILE))
     counts = np.empty((CHUNKS, tiles), np.int64)
-    boxes = boxes[order]  # at once: reads of far memory then wait at the same time
+    boxes = _taken(boxes, order)  # at once: reads of far memory then wait at the same time
     spans = np.empty(len(order), np.uint64)
     span_tiles(geometry, boxes, order, width, height, spans, counts)
     ends = np.cumsum(counts.T).reshape(tiles, CHUNKS)
@@ -248,3 +258,14 @@ def list_tiles(geometry: F64, boxes: I64, order: I64, width: int, height: int) -
     entries = np.empty(starts[-1], np.int32)
     list_runs(geometry, boxes, order, width, height, spans, cursors, entries)
     return starts, entries
+
+
+def _taken(boxes: I64, order: I64) -> I64:
+    """(M,) int64, the boxes of these rows."""
+    taken = np.empty(len(order), np.int64)
+
+    def take(part: slice) -> None:
+        taken[part] = boxes.take(order[part])
+
+    spread.each(slices(len(order), SLICE_STEPS), take)
+    return taken

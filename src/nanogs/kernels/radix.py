@@ -1,35 +1,73 @@
-"""Sort 64-bit keys by their upper halves."""
+"""Sort 64-bit keys by their upper halves, on all threads."""
 
+import numba
 import numpy as np
 
-from nanogs._types import U64
-from nanogs.kernels.policy import kernel
+from nanogs._types import I64, U64
+from nanogs.kernels.policy import parallel_kernel
+
+DIGITS, VALUES = 3, 2048  # of 11 bits each
+_LEAST = 1 << 14  # keys that are worth a run of their own
 
 
-@kernel
-def radix_sort(keys: U64, other: U64) -> bool:
+@parallel_kernel("counts", least=1)
+def count_digits(start: int, stop: int, keys: U64, bounds: I64, digit: int, counts: I64) -> None:
+    """Count the values of a digit in each run of keys.
+
+    Args:
+        start: First run of the range.
+        stop: The run after its last.
+        keys: (E,).
+        bounds: (runs + 1,) where each run begins.
+        digit: From 0, the lowest of the upper half.
+        counts: (runs, VALUES) out.
+    """
+    shift = np.uint64(32 + 11 * digit)
+    for run in range(start, stop):
+        counts[run] = 0
+        for e in range(bounds[run], bounds[run + 1]):
+            counts[run, (keys[e] >> shift) & np.uint64(VALUES - 1)] += 1
+
+
+@parallel_kernel("places", least=1)
+def move_keys(
+    start: int, stop: int, keys: U64, bounds: I64, digit: int, places: I64, moved: U64
+) -> None:
+    """Move each run of keys to where their digits belong, those of equal digits as they come.
+
+    Args:
+        start: First run of the range.
+        stop: The run after its last.
+        keys: (E,).
+        bounds: (runs + 1,) where each run begins.
+        digit: From 0, the lowest of the upper half.
+        places: (runs, VALUES) where the first key of each value goes; moved to the end.
+        moved: (E,) out.
+    """
+    shift = np.uint64(32 + 11 * digit)
+    for run in range(start, stop):
+        for e in range(bounds[run], bounds[run + 1]):
+            value = (keys[e] >> shift) & np.uint64(VALUES - 1)
+            moved[places[run, value]] = keys[e]
+            places[run, value] += 1
+
+
+def radix_sort(keys: U64, other: U64) -> U64:
     """Sort by the upper 32 bits, in three stable passes from the lowest digit (Knuth 5.2.5).
 
-    keys: (E,), whose lower halves ascend: they break ties; other: (E,) scratch. Returns whether
-    the result is in `other`.
+    Args:
+        keys: (E,) whose lower halves ascend: they break ties. Overwritten.
+        other: (E,) overwritten, too.
+
+    Returns:
+        The one of the two that holds the result, which is the same for any number of runs.
     """
-    counts = np.zeros((3, 2048), dtype=np.int64)
-    for key in keys:
-        for digit in range(3):
-            counts[digit, (key >> np.uint64(32 + 11 * digit)) & np.uint64(2047)] += 1
-    source, target = keys, other
-    moved = False
-    for digit in range(3):
-        shift = np.uint64(32 + 11 * digit)
-        total = 0
-        for value in range(2048):
-            count = counts[digit, value]
-            counts[digit, value] = total
-            total += count
-        for key in source:
-            value = (key >> shift) & np.uint64(2047)
-            target[counts[digit, value]] = key
-            counts[digit, value] += 1
-        source, target = target, source
-        moved = not moved
-    return moved
+    runs = max(1, min(2 * int(numba.get_num_threads()), len(keys) // _LEAST))
+    bounds = len(keys) * np.arange(runs + 1) // runs
+    for digit in range(DIGITS):
+        counts = np.empty((runs, VALUES), np.int64)
+        count_digits(keys, bounds, digit, counts)
+        ends = np.cumsum(counts.T).reshape(VALUES, runs)
+        move_keys(keys, bounds, digit, np.ascontiguousarray(ends.T) - counts, other)
+        keys, other = other, keys
+    return keys

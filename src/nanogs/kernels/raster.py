@@ -24,7 +24,7 @@ from nanogs.kernels.blocks import (
     TILE,
     UNIT,
 )
-from nanogs.kernels.policy import inline, kernel, parallel_kernel
+from nanogs.kernels.policy import inline, parallel_kernel
 from nanogs.kernels.project import HIDDEN, SLACK
 
 LOG_255 = math.log(255.0)
@@ -208,27 +208,40 @@ def blend_tiles(
         _write_tile(x0, y0, left, planes, background, image, transmittance)
 
 
-@kernel
-def sum_entries(entries: I32, partial: F32, totals: F64) -> None:
+@parallel_kernel("totals", each=1)
+def sum_entries(start: int, stop: int, entries: I32, partial: F32, totals: F64) -> None:
     """Add each entry's partial sums to its splat's totals, in the order of the tiles.
 
     Args:
+        start: First splat of the range.
+        stop: The splat after its last.
         entries: (E,) from `list_tiles`.
         partial: (E, P) from `blend_tiles`.
         totals: (N, P) in and out.
     """
     for e in range(len(entries)):
-        for p in range(partial.shape[1]):
-            totals[entries[e], p] += partial[e, p]
+        i = entries[e]
+        if start <= i < stop:
+            for p in range(partial.shape[1]):
+                totals[i, p] += partial[e, p]
 
 
-@kernel
-def add_unhidden(geometry: F64, boxes: I64, width: int, height: int, totals: F64) -> None:
+@parallel_kernel("totals")
+def add_unhidden(
+    start: int, stop: int, geometry: F64, boxes: I64, width: int, height: int, totals: F64
+) -> None:
     """Add 2 pi alpha sqrt(det) of each Gaussian whose centre is on the image, in pixels.
 
-    geometry: (N, 8) and boxes: (N,) from `project_splats`; totals: (N,) in and out.
+    Args:
+        start: First splat of the range.
+        stop: The splat after its last.
+        geometry: (N, 8) from `project_splats`.
+        boxes: (N,) from `project_splats`.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        totals: (N,) in and out.
     """
-    for i in range(len(boxes)):
+    for i in range(start, stop):
         if boxes[i] == HIDDEN:
             continue
         u, v = geometry[i, 0], geometry[i, 1]

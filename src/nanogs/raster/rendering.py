@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.card.device import engine_in_use
 from nanogs.errors import OptionError
@@ -19,6 +20,7 @@ from nanogs.kernels import project as projection
 from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.kernels.radix import radix_sort
 from nanogs.raster.camera import Camera
+from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import RenderMode, Splats, padded, refuse_other
 from nanogs.stored import rotations
 
@@ -411,11 +413,15 @@ def _rows_of_a_line(n: int) -> F64:
 
 def _depth_order(features: F32, boxes: I64) -> I64:
     """Indices of the drawn splats, nearest first, ties by index."""
-    keys = np.empty(len(boxes), np.uint64)
-    keys = keys[: listing.depth_keys(features, boxes, keys)]
-    other = np.empty_like(keys)
-    keys = other if radix_sort(keys, other) else keys
-    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
+    runs = list(slices(len(boxes), SLICE_STEPS))
+    counts = spread.results(runs, lambda rows: np.count_nonzero(boxes[rows]))  # HIDDEN is 0
+    ends = np.cumsum([0, *counts])
+    bounds = np.array([0, *(rows.stop for rows in runs)])
+    keys = np.empty(ends[-1], np.uint64)
+    listing.depth_keys(features, boxes, bounds, ends[:-1], keys)
+    keys = radix_sort(keys, np.empty_like(keys))
+    keys &= np.uint64(0xFFFFFFFF)
+    return keys.view(np.int64)
 
 
 def _unhidden(view: Projection, camera: Camera) -> F64:

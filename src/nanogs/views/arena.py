@@ -86,7 +86,7 @@ class Arena:
         keys <<= np.uint64(32)
         keys |= np.arange(count, dtype=np.uint64)
         other = np.empty_like(keys)
-        keys = other if radix_sort(keys, other) else keys
+        keys = radix_sort(keys, other)
         del other
         keys &= np.uint64(0xFFFFFFFF)
         order = places[keys.view(np.int64)]
