@@ -60,7 +60,7 @@ ALONE = {
         "splats",
         "spread",
         "stored",
-    },  # fmt: skip
+    },
     "metrics": {"_types", "errors", "kernels"},
 }
 

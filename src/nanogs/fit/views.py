@@ -36,7 +36,7 @@ def view_targets(
         )
     kept, more = parameters.kept + parameters.held, parameters.views - parameters.kept
     chosen, further = choose_cameras(original, cameras, kept, more, parameters.size)
-    prepared = prepare(original)
+    prepared = prepare(original).in_turn()
     targets = [make_target(prepared, camera) for camera in each(chosen, tell)]
     targets = [target for target in targets if target.image[..., 3].any()]
     if len(targets) < 2:

@@ -125,7 +125,7 @@ def fit_views(work: "Work", block: int, level: int) -> FitViews | None:
     if not seen.fitting:
         return None
     others = work.surroundings(block)
-    original = together(own, others)
+    original = together(own, others).in_turn()
     del own
     fitting = Fitting(
         [make_target(original, camera, depth=False) for camera in seen.fitting],

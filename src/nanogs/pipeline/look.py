@@ -49,7 +49,7 @@ def look_at_block(scene: Scene, name: str, number: int) -> Record:
     own, views = scene.bare(number), scene.views
     count = len(own.splats)
     cameras = [*views.kept, *scene.closer_views(own)]
-    drawn = together(prepare(own.splats), scene.hiding(number))
+    drawn = together(prepare(own.splats), scene.hiding(number)).in_turn()
     looked, lights = Light(len(drawn)), []
     pictured = scene.pictured
     total = len(cameras) + len(pictured) + len(views.roaming)

@@ -79,7 +79,7 @@ def block_stages(
     fit = alone + scene + kept * row
     fitted = scene + kept * row + parameters.views * views + pixels * COMPARED
     fitted += rough * (12 + features + PREPARED) + fit_state(kept, features, parameters)
-    fitted += max((kept + rough) * FIT_STEP, (block + rough) * DRAWN if parameters.further else 0)
+    fitted += (kept + rough) * FIT_STEP + ((block + rough) * DRAWN if parameters.further else 0)
     return {
         "grow": grown + 8 * block,
         "coarse": coarse,

@@ -144,14 +144,11 @@ def _store(count: int, target: int) -> int:
 
 
 def _fit(count: int, target: int, features: int, parameters: ForestParameters) -> int:
-    """The state and what a step takes; where views are drawn now, two things after each other.
-
-    The larger one of them: a view of the original, or one of the state with its pulls.
-    """
+    """The state and what a step takes; and the original, where its views are drawn now."""
     held, step = fit_state(target, features, parameters), target * FIT_STEP
     if not parameters.further or parameters.pictured:
         return held + step
-    return held + count * PREPARED + max(step, count * DRAWN)
+    return held + step + count * (PREPARED + DRAWN)
 
 
 def fit_state(target: int, features: int, parameters: ForestParameters) -> int:

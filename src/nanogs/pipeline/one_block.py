@@ -306,7 +306,8 @@ class OneBlock(Scene):
         """As `Scene` says."""
         drawn = self.settings.looks and not self.settings.parameters.pictured
         further = self.views.further if drawn else ()
-        fitting = Fitting(self.fitting, prepare(self.splats) if further else None, further)
+        original = prepare(self.splats).in_turn() if further else None
+        fitting = Fitting(self.fitting, original, further)
         return FitViews(fitting, self.groups, len(self.splats)) if len(fitting) else None
 
     def part(self, block: int, level: int) -> Splats:

@@ -30,6 +30,15 @@ if TYPE_CHECKING:
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """Arrays for the projected splats of one view, N rows of each, as `Projection` has them."""
+
+    geometry: F64
+    features: F32
+    boxes: I64
+
+
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class PreparedSplats:
     """A model activated once, to be rendered from many cameras.
@@ -44,6 +53,8 @@ class PreparedSplats:
         sh_degree: 0 to 4.
         render_mode: The rasteriser the model was trained for.
         skipped: Rows that hold NaN, or an infinity elsewhere than in the opacity's logit.
+        room: Where each view's projection takes the place of the one before; None where each gets
+            memory of its own, which the system clears first.
     """
 
     means: F
@@ -55,9 +66,14 @@ class PreparedSplats:
     sh_degree: int
     render_mode: RenderMode
     skipped: int
+    room: Room | None = None
 
     def __len__(self) -> int:
         return len(self.means)
+
+    def in_turn(self) -> "PreparedSplats":
+        """The same splats, to be rendered from one camera after the other in the same memory."""
+        return replace(self, room=_room(len(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -324,10 +340,7 @@ def project_rows(
     """
     check_camera(camera)
     degree = _degree(prepared, sh_degree)
-    n = len(prepared)
-    geometry = _rows_of_a_line(n)
-    features = np.empty((n, 4), np.float32)
-    boxes = np.empty(n, np.int64)
+    room = prepared.room or _room(len(prepared))
     projection.project_splats(
         prepared.means,
         prepared.factors,
@@ -340,11 +353,11 @@ def project_rows(
         camera.intrinsics,
         prepared.render_mode is RenderMode.MIP,
         degree,
-        geometry,
-        features,
-        boxes,
+        room.geometry,
+        room.features,
+        room.boxes,
     )
-    return geometry, features, boxes
+    return room.geometry, room.features, room.boxes
 
 
 def blend(
@@ -403,6 +416,10 @@ def probe(view: Projection, camera: Camera, probes: F32) -> F64:
         probes: (P, H, W) float32.
     """
     return blend(view, camera, view.features, np.empty(0, np.float32), probes)[2]
+
+
+def _room(n: int) -> Room:
+    return Room(_rows_of_a_line(n), np.empty((n, 4), np.float32), np.empty(n, np.int64))
 
 
 def _rows_of_a_line(n: int) -> F64:
