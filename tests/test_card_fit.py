@@ -13,6 +13,7 @@ from nanogs.card.device import use_device
 from nanogs.fit.on_card import CardDescent, descent_for
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.shared import Shared
+from nanogs.fit.state import MeanState
 from nanogs.fit.targets import Fitting, make_target, squared_error
 from nanogs.raster.rendering import prepare
 from nanogs.splats import RenderMode
@@ -88,6 +89,25 @@ def test_steps_agree_where_splats_share_their_harmonics():
     shared = Shared.of(labels, 7, np.ones(len(small)))
     ours, _ = check_steps(dataclasses.replace(small, sh=sh), Fitting(targets), shared=shared)
     assert len(np.unique(ours.sh[:, 1:].reshape(len(small), -1), axis=0)) == 7
+
+
+def test_means_of_states_agree():
+    _, small, targets = scene(2)
+    views = Fitting(targets)
+    with use_device(CARD):
+        card = descent_for(small, views, QUICK)
+        mean = card.averaging()
+        plain = MeanState()
+        for _ in range(4):
+            card.step(1.0, 0.0)
+            mean.add()
+            plain.add(card.state)
+        ours, theirs, last = mean.state(), plain.state(), card.state
+    for name in COLUMNS:
+        one, other = getattr(ours, name), getattr(theirs, name)
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)
+        assert np.abs(getattr(last, name) - other).max() > 1e-3, name
+    assert (ours.touched == theirs.touched).all()
 
 
 def test_errors_of_views_agree():

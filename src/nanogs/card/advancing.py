@@ -387,3 +387,24 @@ def advance_splats(
     step = damped_step(block, pull, rules.damping, rules.floor, rules.limits)
     if wp.length_sq(step) > ZERO:
         reshape(moving, rules, i, step)
+
+
+@wp.kernel
+def average(share: wp.float64, moving: Moving, means: Moving) -> None:
+    """Bring mean states nearer to the state by a share of the way; see `fit.state.MeanState`.
+
+    means: its means, log_scales, quats, logits and sh, in and out.
+    """
+    i = wp.tid()
+    rest = ONE - share
+    for k in range(3):
+        means.means[i, k] = rest * means.means[i, k] + share * moving.means[i, k]
+        scale = rest * means.log_scales[i, k]
+        means.log_scales[i, k] = scale + share * moving.log_scales[i, k]
+    for k in range(4):
+        means.quats[i, k] = rest * means.quats[i, k] + share * moving.quats[i, k]
+    means.logits[i] = rest * means.logits[i] + share * moving.logits[i]
+    for k in range(means.sh.shape[1]):
+        for c in range(3):
+            colour = wp.float32(rest) * means.sh[i, k, c]
+            means.sh[i, k, c] = colour + wp.float32(share) * moving.sh[i, k, c]

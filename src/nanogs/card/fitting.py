@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from nanogs._types import F32, F64, U8, Bool
-from nanogs.card.advancing import Moving, Rules, advance_splats
+from nanogs.card.advancing import Moving, Rules, advance_splats, average
 from nanogs.card.engine import Model
 from nanogs.kernels.chain import PACKED
 
@@ -103,13 +103,28 @@ class MovingModel:
         )  # fmt: skip
         return error
 
-    def columns(self) -> tuple[F64, F64, F64, F64, F32, Bool]:
-        """Means, log_scales, quats, logits, sh and touched, as `fit.state.State` has them."""
-        moving, n = self._moving, self._count
+    def columns(self, of: "Moving | None" = None) -> tuple[F64, F64, F64, F64, F32, Bool]:
+        """Means, log_scales, quats, logits, sh and touched, as `fit.state.State` has them.
+
+        Args:
+            of: The mean states from `begin_mean` in place of the splats as they are.
+        """
+        held, n = of or self._moving, self._count
         return (
-            moving.means.numpy(), moving.log_scales.numpy(), moving.quats.numpy(),
-            moving.logits.numpy(), moving.sh.numpy()[:n], moving.touched.numpy(),
+            held.means.numpy(), held.log_scales.numpy(), held.quats.numpy(), held.logits.numpy(),
+            held.sh.numpy()[:n], self._moving.touched.numpy(),
         )  # fmt: skip
+
+    def begin_mean(self) -> Moving:
+        """The splats as they are, to become mean states."""
+        mean = Moving()
+        for name in ("means", "log_scales", "quats", "logits", "sh"):
+            setattr(mean, name, wp.clone(getattr(self._moving, name)))
+        return mean
+
+    def add_to_mean(self, mean: Moving, share: float) -> None:
+        """Bring mean states nearer to the splats as they are, by a share of the way."""
+        self._model.engine.launch(average, self._count, share, self._moving, mean)
 
     def recolour(self, sh: F32) -> None:
         """Give the splats other coefficients, (N, K, 3)."""

@@ -7,13 +7,13 @@ are those of a separable surrogate (see `nanogs.kernels.backward`).
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.fit.parameters import RefitParameters
-from nanogs.fit.state import HIGHEST_LOGIT, LOWEST_LOGIT, State, activate, start
+from nanogs.fit.state import HIGHEST_LOGIT, LOWEST_LOGIT, MeanState, State, activate, start
 from nanogs.fit.targets import Fitting, Target, pull
 from nanogs.kernels.advance import advance_splats
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
@@ -80,6 +80,10 @@ class Descent:
         self._blocks = np.zeros((n, PACKED), np.float32)
         self._weights = np.zeros(n, np.float32)
         self._count = 0
+
+    def averaging(self) -> "Averaging":
+        """What takes the mean of states as they are when told to."""
+        return MeanOf(self)
 
     def rest(self) -> None:
         """Give back the memory that only steps need: none follow, or `begin` comes first."""
@@ -158,6 +162,31 @@ class Descent:
             self._weights,
         )
         return view.error
+
+
+class Averaging(Protocol):
+    """The mean of states that a descent comes by."""
+
+    def add(self) -> None:
+        """Count the state as it is."""
+
+    def state(self) -> State:
+        """The mean, with unit quaternions; of at least one state."""
+
+
+class MeanOf:
+    """The mean of states of a descent; see `Averaging`."""
+
+    def __init__(self, descent: Descent) -> None:
+        self._descent, self._mean = descent, MeanState()
+
+    def add(self) -> None:
+        """Count the state as it is."""
+        self._mean.add(self._descent.state)
+
+    def state(self) -> State:
+        """The mean, with unit quaternions; of at least one state."""
+        return self._mean.state()
 
 
 def _bands(degree: int, parameters: RefitParameters) -> F64:

@@ -1,5 +1,6 @@
 """Steps of a refit on a graphics card, where the splats stay from one step to the next."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,9 @@ from nanogs.raster.rendering import seen_by, uploaded
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
+    from nanogs.card.advancing import Moving
     from nanogs.card.engine import Engine
+    from nanogs.card.fitting import MovingModel
     from nanogs.fit.shared import Shared
 
 
@@ -58,6 +61,10 @@ class CardDescent(Descent):
             ),
         )
 
+    def averaging(self) -> "CardAveraging":
+        """What takes the mean of states as they are when told to, on the device."""
+        return CardAveraging(self._moving)
+
     def _level(self, shared: "Shared") -> None:
         sh = self.state.sh.copy()
         shared.level(sh)
@@ -67,6 +74,30 @@ class CardDescent(Descent):
         degree, shares = self._active.model.sh_degree, (WHITE, ALPHA)
         camera = seen_by(target.camera)
         return self._moving.step(camera, degree, target.image, shares, wanted, rate)
+
+
+class CardAveraging:
+    """The mean of states that a descent comes by, on a device; see `fit.state.MeanState`."""
+
+    def __init__(self, moving: "MovingModel") -> None:
+        self._moving = moving
+        self._mean: Moving | None = None
+        self._count = 0
+
+    def add(self) -> None:
+        """Count the state as it is."""
+        self._count += 1
+        if self._mean is None:
+            self._mean = self._moving.begin_mean()
+        else:
+            self._moving.add_to_mean(self._mean, 1 / self._count)
+
+    def state(self) -> State:
+        """The mean, with unit quaternions; of at least one state."""
+        assert self._mean is not None  # noqa: S101 - whoever asks has added some
+        mean = State(*self._moving.columns(self._mean))
+        lengths = np.linalg.norm(mean.quats, axis=1, keepdims=True)
+        return replace(mean, quats=mean.quats / lengths)
 
 
 def descent_for(

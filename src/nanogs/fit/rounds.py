@@ -13,7 +13,7 @@ from nanogs.fit.groups import Group
 from nanogs.fit.on_card import descent_for
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import GroupReport, RefitStop, RoundReport
-from nanogs.fit.state import MeanState, State, start, store
+from nanogs.fit.state import State, start, store
 from nanogs.fit.targets import Fitting
 from nanogs.progress import Parts
 from nanogs.raster.rendering import PreparedSplats, prepare, together
@@ -166,13 +166,13 @@ def _round(descent: Descent, rate: float, number: int, tell: Parts) -> tuple[Sta
     steps = descent.parameters.steps
     total = steps * descent.parameters.rounds
     averaged = max((1 - AVERAGED) * total, total - steps)
-    errors, mean = [], None
+    errors, mean = list[float](), None
     for i in range(number * steps, (number + 1) * steps):
         tell(i, total)
         errors.append(descent.step(rate, i / total))
         if i >= averaged:
-            mean = mean or MeanState()
-            mean.add(descent.state)
+            mean = mean or descent.averaging()
+            mean.add()
     return mean.state() if mean else descent.state, errors
 
 
