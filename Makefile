@@ -48,7 +48,9 @@ demo: $(STAMP) ## simplify a real scene to 10 % in two ways, and show all in dem
 	$(BIN)/nanogs simplify demo/scene.ply demo/best.sog --ratio 0.1 --preset best -w
 	$(BIN)/nanogs compare demo/scene.ply demo/small.sog demo/best.sog --report demo/report.html -w
 
+# Kernels first, on all processors: otherwise several tests wait for the same ones at a time.
 test: $(STAMP) ## run the tests
+	$(BIN)/python -m nanogs warm
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 # Each index of each kernel is checked as it is used: one that is out of its array raises, where a
