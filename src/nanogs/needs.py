@@ -22,6 +22,7 @@ _SHOWN = 16  # a pixel of a picture alone, with alpha
 _PHOTO = 12  # a pixel of a photograph
 _PACKED = 160  # a splat on a page: packed, as text, and in the page
 _FITTED, _FITTING = 450, 1_900  # a splat of the original, and of the model that is fitted to it
+_ROOM = 88  # a splat of the original, kept for its next view while a step is made
 _FIT_KEPT = 8  # a pixel of each view that is fitted to
 _READ = 1.4  # the model and what a reader of a packed file holds beside it, over the model
 # What writing holds beside the model, over the model; palettes take most.
@@ -134,8 +135,8 @@ def refit_bytes(original: FileInfo, small: FileInfo, pixels: int, views: int) ->
         views: To fit to, and to decide by.
     """
     held = model_bytes(original) + 2 * model_bytes(small)
-    working = max(original.splats * _FITTED, small.splats * _FITTING)
-    working += original.splats * _PREPARED
+    stepping = original.splats * _ROOM + small.splats * _FITTING
+    working = original.splats * _PREPARED + max(original.splats * _FITTED, stepping)
     return held + working + pixels * (_PICTURE + _FIT_KEPT * views)
 
 
