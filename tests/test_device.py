@@ -79,6 +79,14 @@ def test_auto_without_a_card_is_the_cpu_and_says_so(scene, tmp_path, capsys, no_
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
+def test_auto_without_a_card_is_the_cpu_for_blocks_too(splats, tmp_path, no_card):
+    path, out = tmp_path / "a.ply", tmp_path / "b.ply"
+    nanogs.save(splats, path)
+    report = nanogs.simplify_blocks(path, out, count=9, preset="fast", block=40, device="auto")
+    assert report.blocks is not None
+    assert any("made on the CPU" in note for note in report.notes)
+
+
 def test_the_device_ends_with_its_block(no_card):
     with use_device("cpu") as outer, use_device(None) as inner:
         assert outer == inner == "cpu"

@@ -11,6 +11,7 @@ from typing import Any
 
 from nanogs._types import F64
 from nanogs.bar import drawn
+from nanogs.card.device import CPU, device_notes
 from nanogs.clock import StageClock
 from nanogs.environments import AUTO, NOTHING, Surroundings, surroundings, without_environment
 from nanogs.errors import OptionError
@@ -193,9 +194,10 @@ def write_levels_of_files(
     """
     refuse_device(request.device, request.preset, request.parameters, request.goal)
     plan = plan_files(request)
+    options, unstated = stated_frame(request, Path(f"level{_suffix(sink)}"))
     if plan.divided:
         request.refuse_device_in_blocks()
-    options, unstated = stated_frame(request, Path(f"level{_suffix(sink)}"))
+        unstated = (*unstated, *device_notes(request.device, CPU))
     if isinstance(sink, LevelsFolder) and sink.chunks is None:
         sink = replace(sink, format_options=options)
     manifest, reports = _written(request, plan, sink, told, sky)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
+from nanogs.card.device import CPU, device_notes
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
@@ -173,6 +174,7 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     plan = plan_files(request)
     if plan.divided:
         request.refuse_device_in_blocks()
+        notes = (*notes, *device_notes(request.device, CPU))
     report = _in_blocks(request, told) if plan.divided else _in_memory(request, plan, told)
     return replace(report, notes=(*report.notes, *notes))
 

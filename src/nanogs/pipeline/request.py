@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.block_layouts import Chunked, Linked
-from nanogs.card.device import CPU
+from nanogs.card.device import CPU, use_device
 from nanogs.defaults import PATIENCE
 from nanogs.errors import OptionError
 from nanogs.filters import Filter
@@ -149,9 +149,11 @@ class Request:
         """Refuse another device than the CPU, for what is made in blocks.
 
         Raises:
-            OptionError: There is one.
+            OptionError: There is one; "auto" is none where there is no card.
         """
-        if self.device not in (None, CPU):
+        with use_device(self.device) as used:
+            if used == CPU:
+                return
             raise OptionError(
                 'A model in blocks is looked at and fitted on the CPU alone: take `device="cpu"`,'
                 " or leave out what asks for blocks, and allow more with `max_memory`."
