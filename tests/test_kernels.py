@@ -46,6 +46,10 @@ from nanogs.method.paper.parameters import PaperParameters
 from nanogs.neighbours import coincident_groups, nearest_neighbours
 from nanogs.threads import use_threads
 
+compiled_only = pytest.mark.skipif(
+    os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="the uncompiled run shows nothing of it"
+)
+
 
 def random_quats(count, seed=0):
     quats = np.random.default_rng(seed).normal(size=(count, 4))
@@ -302,6 +306,7 @@ def test_pairs_of_a_row_that_all_others_have_as_their_neighbour():
     assert list(zip(firsts.tolist(), seconds.tolist(), strict=True)) == expected
 
 
+@compiled_only  # a minute without
 @pytest.mark.parametrize("threads", [1, 2])
 def test_pairs_across_stretches(threads):
     """Rows in no order in space: most pairs lead from one stretch of rows to another."""
@@ -715,11 +720,6 @@ def test_equal_clusters_keep_their_own():
     )
     assert moved.tolist() == labels.tolist()
     assert least == pytest.approx([1.5] * 3)  # half the trace of the identity
-
-
-compiled_only = pytest.mark.skipif(
-    os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="the uncompiled run shows nothing of it"
-)
 
 
 @compiled_only

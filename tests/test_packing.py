@@ -28,7 +28,7 @@ from nanogs.report import PackingReport
 from nanogs.scoring.held_out import held_out
 
 SIZE = 100_000
-FEW = {"views": 3, "view_size": 48, "roaming": 0, "steps": 2}
+FEW = {"views": 3, "further": 2, "view_size": 48, "roaming": 0, "steps": 2}
 BITS = {"bits": Bits(7, range(4, 9))}
 SHARES = (*LARGER, FIRST_SHARE, *SMALLER)
 

@@ -17,6 +17,7 @@ from nanogs.scoring.file_judge import file_judge
 SPLATS, BLOCK = 3000, 1100
 QUICK = {"preset": "fast", "block": BLOCK}
 LOOKS = {"preset": "default", "views": 2, "view_size": 48, "roaming": 0, "block": BLOCK}
+LOOKS |= {"further": 2, "steps": 4}
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +61,8 @@ def test_one_that_is_out_of_reach_gives_the_whole_model(scene, tmp_path):
 @pytest.mark.parametrize("suffix", [".spz", ".sog"])
 def test_a_size_that_only_writing_tells_is_kept(scene, tmp_path, suffix):
     size, out = 40_000, tmp_path / f"a{suffix}"
-    report = nanogs.simplify_blocks(scene, out, size=size, **LOOKS)
+    # Of fewer steps one splat more takes 1,500 bytes more at this size, which a note says.
+    report = nanogs.simplify_blocks(scene, out, size=size, **LOOKS | {"further": 16, "steps": 28})
     assert out.stat().st_size == report.achieved_size <= size
     assert report.achieved_size >= ENOUGH * size
     assert report.achieved_count == nanogs.open(out).count
