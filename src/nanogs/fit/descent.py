@@ -19,7 +19,7 @@ from nanogs.kernels.advance import advance_splats
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.chain import PACKED
 from nanogs.kernels.damped import LANES
-from nanogs.raster.rendering import together
+from nanogs.raster.rendering import seen_by, together
 from nanogs.splats import RenderMode, Splats
 
 if TYPE_CHECKING:
@@ -125,15 +125,12 @@ class Descent:
         """Move what a view shows in some blocks, and return their error before that."""
         state, active, model = self._state, self._active, self._active.model
         view = pull(model, target, wanted)
-        camera = target.camera
         advance_splats(
             np.flatnonzero(view.view.boxes[: len(self.splats)]),  # HIDDEN is 0; no surroundings
             view.view.geometry,
             view.view.features,
             view.totals,
-            np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64),
-            camera.position,
-            camera.intrinsics,
+            *seen_by(target.camera),
             model.render_mode is RenderMode.MIP,
             model.sh_degree,
             rate,

@@ -71,3 +71,10 @@ def radix_sort(keys: U64, other: U64) -> U64:
         move_keys(keys, bounds, digit, np.ascontiguousarray(ends.T) - counts, other)
         keys, other = other, keys
     return keys
+
+
+def sorted_rows(keys: U64) -> I64:
+    """(E,) int64, the lower halves of keys in the order of `radix_sort`, which overwrites them."""
+    found = radix_sort(keys, np.empty_like(keys))
+    found &= np.uint64(0xFFFFFFFF)
+    return found.view(np.int64)

@@ -18,7 +18,7 @@ from nanogs.errors import OptionError
 from nanogs.kernels import listing, raster
 from nanogs.kernels import project as projection
 from nanogs.kernels.blocks import ALL_BLOCKS
-from nanogs.kernels.radix import radix_sort
+from nanogs.kernels.radix import sorted_rows
 from nanogs.raster.camera import Camera
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import RenderMode, Splats, padded, refuse_other
@@ -348,9 +348,7 @@ def project_rows(
         prepared.reaches,
         prepared.keep,
         prepared.sh,
-        np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64),
-        camera.position,
-        camera.intrinsics,
+        *seen_by(camera),
         prepared.render_mode is RenderMode.MIP,
         degree,
         room.geometry,
@@ -436,9 +434,7 @@ def _depth_order(features: F32, boxes: I64) -> I64:
     bounds = np.array([0, *(rows.stop for rows in runs)])
     keys = np.empty(ends[-1], np.uint64)
     listing.depth_keys(features, boxes, bounds, ends[:-1], keys)
-    keys = radix_sort(keys, np.empty_like(keys))
-    keys &= np.uint64(0xFFFFFFFF)
-    return keys.view(np.int64)
+    return sorted_rows(keys)
 
 
 def _unhidden(view: Projection, camera: Camera) -> F64:

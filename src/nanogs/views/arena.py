@@ -7,7 +7,7 @@ import numpy as np
 
 from nanogs._types import F32, F64, I64
 from nanogs.kernels.listing import list_tiles
-from nanogs.kernels.radix import radix_sort
+from nanogs.kernels.radix import sorted_rows
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import Projection
 
@@ -85,11 +85,7 @@ class Arena:
         keys = self._features[places, 3].view(np.uint32).astype(np.uint64)
         keys <<= np.uint64(32)
         keys |= np.arange(count, dtype=np.uint64)
-        other = np.empty_like(keys)
-        keys = radix_sort(keys, other)
-        del other
-        keys &= np.uint64(0xFFFFFFFF)
-        order = places[keys.view(np.int64)]
+        order = places[sorted_rows(keys)]
         del keys, places
         starts, entries = list_tiles(
             self._geometry, self._boxes, order, camera.width, camera.height
