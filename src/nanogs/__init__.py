@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from nanogs.model_info import info
     from nanogs.pipeline.api import simplify
     from nanogs.pipeline.files import simplify_blocks
+    from nanogs.pipeline.grown import Grown, Measured, grow
     from nanogs.pipeline.levels import levels
     from nanogs.pipeline.presets import PRESETS as presets  # noqa: N811 - read like a module
     from nanogs.place import Place
@@ -36,6 +37,8 @@ __all__ = [
     "Camera",
     "ConvertReport",
     "DrawCost",
+    "Grown",
+    "Measured",
     "MixedComparison",
     "ModeEvidence",
     "NanogsError",
@@ -52,6 +55,7 @@ __all__ = [
     "convert",
     "draw_cost",
     "filters",
+    "grow",
     "info",
     "levels",
     "load",
@@ -73,6 +77,8 @@ _HOMES = {
     "Camera": "raster.camera",
     "ConvertReport": "conversion",
     "DrawCost": "costs",
+    "Grown": "pipeline.grown",
+    "Measured": "pipeline.grown",
     "MixedComparison": "scoring.mixed",
     "ModeEvidence": "scoring.modes",
     "NanogsError": "errors",
@@ -87,6 +93,7 @@ _HOMES = {
     "compare_mixed": "scoring.mixed",
     "convert": "conversion",
     "draw_cost": "views.costing",
+    "grow": "pipeline.grown",
     "info": "model_info",
     "levels": "pipeline.levels",
     "load": "io",

@@ -95,6 +95,13 @@ class Job:
         build(scene, clock, progress)
         return scene
 
+    def whole(self) -> Outcome:
+        """Deliver all usable splats as they are, of which nothing is merged."""
+        kept = self.splats.take(self.rows)
+        if self.sh_degree is not None:
+            kept = kept.with_sh_degree(self.sh_degree)
+        return Outcome(kept, (), StopReason.TARGET)
+
     def deliverer(
         self, smallest: int, threads: int, clock: StageClock, progress: Tracker
     ) -> Deliver:
@@ -117,10 +124,7 @@ class Job:
         from nanogs.pipeline.run import deliver
 
         if smallest == len(self.rows):
-            kept = self.splats.take(self.rows)
-            if self.sh_degree is not None:
-                kept = kept.with_sh_degree(self.sh_degree)
-            whole = Outcome(kept, (), StopReason.TARGET)
+            whole = self.whole()
             return lambda _target, _clock, _progress: whole
         scene = self.build(threads, clock, progress)
         return lambda target, clock, progress: deliver(scene, target, clock, progress)

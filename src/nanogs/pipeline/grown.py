@@ -1,0 +1,256 @@
+"""`nanogs.grow`: a model whose merges are known, so that any count is a moment away."""
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nanogs.bar import drawn
+from nanogs.card.device import device_notes, use_device
+from nanogs.clock import StageClock
+from nanogs.io import as_packed, encoded_bytes, registry
+from nanogs.io.format import FormatOptions
+from nanogs.io.models import Model, as_splats
+from nanogs.pipeline.api import refuse_device
+from nanogs.pipeline.job import Job, NanPolicy, prepare_job
+from nanogs.pipeline.outcome import Outcome
+from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search, renders
+from nanogs.pipeline.rows import check_degree
+from nanogs.pipeline.target import Goal
+from nanogs.progress import Progress, Stage, Tracker
+from nanogs.protocol import Judged
+from nanogs.report import SimplifyReport
+from nanogs.splats import Splats, refuse_misaligned_elements
+
+if TYPE_CHECKING:
+    from nanogs.pipeline.one_block import OneBlock
+    from nanogs.raster.camera import Camera
+    from nanogs.scoring.held_out import HeldOut
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What a result is as a file.
+
+    Attributes:
+        bytes: Of the file; of all files where the format is a folder.
+        judged: The file, read back, against the model it was made of.
+    """
+
+    bytes: int
+    judged: Judged
+
+
+class Grown:
+    """A model that has been looked at and whose forest of merges is grown; see `nanogs.grow`.
+
+    Attributes:
+        available: Splats that results are made of: those that are finite.
+        fewest: The smallest count that can be had.
+        seconds: Time that growing took, by stage.
+    """
+
+    def __init__(
+        self,
+        original: Splats,
+        job: Job,
+        scene: "OneBlock",
+        clock: StageClock,
+        device: str | None,
+        threads: int | None,
+    ) -> None:
+        """Keep what `grow` has made.
+
+        Args:
+            original: The model with all of its harmonics, which results are held against.
+            job: The model and the method.
+            scene: The same, looked at and grown.
+            clock: The seconds that took.
+            device: Where results are looked at and fitted.
+            threads: To use; None for all.
+        """
+        from nanogs.pipeline.results import HeldResults
+
+        self._original, self._job, self._scene = original, job, scene
+        self._device, self._threads = device, threads
+        self._plain = HeldResults(scene, StageClock()).plain(rounds=0)
+        self.available = len(job.rows)
+        self.fewest = scene.forest.fewest
+        self.seconds = dict(clock.seconds)
+
+    def draft(self, count: int) -> Splats:
+        """A quick model of a count: one cut of the forest; nothing is looked at or fitted.
+
+        Args:
+            count: Splats; where the forest does not go as far, there are `fewest`.
+
+        Returns:
+            The model, its rows in the order of the input.
+
+        Raises:
+            OptionError: There are not as many splats, or the count is below 1.
+        """
+        self._check(count)
+        if count == self.available:
+            return self._job.whole().splats
+        with _on(self._device, self._threads):
+            return self._plain.make(count, Tracker(None, ())).splats
+
+    def simplify(
+        self, count: int, *, progress: Progress | bool | None = None
+    ) -> tuple[Splats, SimplifyReport]:
+        """What `nanogs.simplify` makes of the model for a count, without growing anew.
+
+        Args:
+            count: Splats to deliver.
+            progress: As `nanogs.simplify` takes it.
+
+        Returns:
+            The same model, and its report, in which growing takes no time.
+
+        Raises:
+            OptionError: There are not as many splats, or the count is below 1.
+            ModelError: Elements of the file have a row for each splat.
+        """
+        from nanogs.pipeline.foreseen import delivery_stages
+
+        self._check(count)
+        job, start, clock = self._job, time.perf_counter(), StageClock()
+        refuse_misaligned_elements(job.splats, count)
+        stages = delivery_stages(job.parameters, self.available, count)
+        with drawn(progress) as tell, _on(self._device, self._threads) as (device, threads):
+            tracker = Tracker(tell, stages)
+            outcome = self._delivered(count, clock, tracker)
+            tracker.finish()
+        report = job.report(Goal(count=count), count, outcome, threads, clock, start)
+        notes = device_notes(self._device, device)
+        return outcome.splats, replace(report, notes=(*report.notes, *notes))
+
+    def measure(
+        self,
+        splats: Splats,
+        *,
+        format: str = ".ply",  # noqa: A002 - as `nanogs.simplify` calls it
+        format_options: FormatOptions | None = None,
+        progress: Progress | bool | None = None,
+    ) -> Measured:
+        """Hold a result, as its file gives it back, against the model as `nanogs compare` does.
+
+        The views of the model are rendered when they are first needed, and kept: 3 MB each.
+
+        Args:
+            splats: The result.
+            format: Suffix of the file.
+            format_options: Of the format, as `nanogs.save` takes them.
+            progress: As `nanogs.simplify` takes it.
+
+        Raises:
+            OptionError: The format is not written, or there is no such option.
+            ModelError: Nothing of the model is visible.
+        """
+        path = Path(f"model{registry.suffix_of(format)}")
+        stages = [Stage("measure", 1.0), Stage("encode", 0.2), Stage("score", 1.0)]
+        with drawn(progress) as tell, _on(self._device, self._threads):
+            tracker = Tracker(tell, stages)
+            tracker.begin("measure")
+            views = self._views
+            tracker.begin("encode")
+            if registry.writable(path).readable:
+                stored, size = as_packed(splats, path, format_options)
+            else:
+                stored, size = splats, encoded_bytes(splats, path, format_options)
+            tracker.begin("score")
+            judged = views.judge(stored)
+            tracker.finish()
+        return Measured(size, judged)
+
+    @cached_property
+    def _views(self) -> "HeldOut":
+        """The model on the views of `compare`, from which nothing is learnt."""
+        from nanogs.scoring.held_out import held_out
+
+        return held_out(self._original)
+
+    def _delivered(self, count: int, clock: StageClock, progress: Tracker) -> Outcome:
+        from nanogs.pipeline.run import deliver
+
+        if count == self.available:
+            return self._job.whole()
+        return deliver(self._scene, count, clock, progress)
+
+    def _check(self, count: int) -> None:
+        """Refuse a count that there is not.
+
+        Raises:
+            OptionError: It is below 1, or above that of the usable splats.
+        """
+        Goal(count=count).target(self.available, lambda _count: 0)
+
+
+def grow(
+    model: Model,
+    *,
+    preset: str = DEFAULT_PRESET,
+    sh_degree: int | None = None,
+    cameras: Sequence["Camera"] | None = None,
+    nan: NanPolicy = "drop",
+    device: str | None = None,
+    threads: int | None = None,
+    max_memory: int | None = None,
+    progress: Progress | bool | None = None,
+    **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
+) -> Grown:
+    """Look at a model and grow its forest, from which results of any count are made.
+
+    That is what nearly all time of `nanogs.simplify` with a preset that does not fit goes into. A
+    `Grown` is for who wants to try counts; for ratios that are known, there is `nanogs.levels`.
+
+    Args:
+        model: The model, which is not changed, or a path.
+        preset: Name of a preset that grows a forest: any but `paper`.
+        sh_degree: As `nanogs.simplify` takes it.
+        cameras: As `nanogs.simplify` takes it.
+        nan: As `nanogs.simplify` takes it.
+        device: As `nanogs.simplify` takes it.
+        threads: Threads to use; all by default. Results do not depend on it.
+        max_memory: As `nanogs.simplify` takes it.
+        progress: As `nanogs.simplify` takes it.
+        **overrides: Parameters of the preset to replace, such as `k=8`.
+
+    Raises:
+        FormatError: The path cannot be read as a model.
+        OptionError: An option is out of range, the preset grows no forest, or there is no such
+            device, or nothing for it to do.
+        ModelError: No splat is usable, or `nan="error"` and one is not.
+        NotEnoughMemoryError: It takes more memory than is free or allowed.
+    """
+    refuse_search(preset, "several counts")
+    chosen, clock = parameters(preset, overrides), StageClock()
+    # Any result may be measured, which is what a card can do for a preset that renders nothing.
+    refuse_device(device, preset, chosen, Goal(psnr=1.0))
+    check_degree(sh_degree)
+    original = splats = as_splats(model)
+    if sh_degree is not None and not renders(chosen):
+        splats = splats.with_sh_degree(min(sh_degree, splats.sh_degree))
+    from nanogs.pipeline.foreseen import build_stages
+
+    with drawn(progress) as tell, _on(device, threads) as (_, used):
+        with clock.time("check"):
+            job = prepare_job(splats, preset, overrides, cameras, nan, sh_degree)
+            job.refuse_too_large(None, max_memory, judged=True)
+        tracker = Tracker(tell, build_stages(job.parameters, len(job.rows)))
+        scene = job.build(used, clock, tracker)
+        tracker.finish()
+    return Grown(original, job, scene, clock, device, threads)
+
+
+@contextmanager
+def _on(device: str | None, threads: int | None) -> Iterator[tuple[str, int]]:
+    """The device and the number of threads in use."""
+    from nanogs.threads import use_threads  # here and not above: this brings Numba
+
+    with use_device(device) as used, use_threads(threads) as threads_used:
+        yield used, threads_used
