@@ -22,6 +22,17 @@ export function makeLabels(host, scene, { choose, reset }) {
   host.append(help, bar);
 }
 
+// Words of both sides that a page sets, and sets again.
+export function makeSideLabels(host, names) {
+  const boxes = ["nv-left", "nv-right"].map((side, index) =>
+    label({ name: names[index], facts: [] }, side),
+  );
+  host.append(...boxes);
+  const set = (side, name, lines) =>
+    boxes[side].replaceChildren(element("strong", "", name), ...facts({ facts: lines }));
+  return { set };
+}
+
 function label(model, side) {
   const box = element("div", `nv-label ${side}`);
   box.append(element("strong", "", model.name), ...facts(model));

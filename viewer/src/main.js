@@ -10,6 +10,8 @@ import { makeNavigation } from "./navigation.js";
 import { makeStage } from "./stage.js";
 import css from "./style.css";
 
+export { mountStudio, SCALE } from "./studio.js";
+
 export async function mount(host, scene, unpack) {
   host.classList.add("nanogs-view");
   host.replaceChildren();

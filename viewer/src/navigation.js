@@ -1,6 +1,6 @@
 // One camera that turns about a point: mouse, touch and keys.
 
-import { MathUtils, PerspectiveCamera } from "three";
+import { MathUtils, PerspectiveCamera, Quaternion, Vector3 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 
 const FAR = 1e5; // the models of a page are scaled so that the camera starts at a distance of 8
@@ -15,13 +15,19 @@ export function makeNavigation(canvas, start, invalidate) {
   const camera = new PerspectiveCamera(50, 1, 0.1, FAR);
   camera.up.fromArray(start.up);
   camera.position.fromArray(start.position);
-  const controls = new OrbitControls(camera, canvas);
-  controls.target.fromArray(start.target);
-  controls.minDistance = NEAREST;
-  controls.maxDistance = FARTHEST;
-  controls.update();
-  controls.saveState();
-  controls.addEventListener("change", invalidate);
+  let controls = begin(new Vector3().fromArray(start.target));
+
+  // They take the camera's up but once, so another up needs others; here is their first view.
+  function begin(target) {
+    const made = new OrbitControls(camera, canvas);
+    made.target.copy(target);
+    made.minDistance = NEAREST;
+    made.maxDistance = FARTHEST;
+    made.update();
+    made.saveState();
+    made.addEventListener("change", invalidate);
+    return made;
+  }
   // Before each drawing: what is culled at the lens follows the distance.
   function update() {
     camera.near = start.near * controls.getDistance();
@@ -39,6 +45,19 @@ export function makeNavigation(canvas, start, invalidate) {
 
   function reset() {
     controls.reset();
+    invalidate();
+  }
+
+  // Another direction is up: the first view turns with it, so that the picture tips over.
+  function setUp(vector) {
+    controls.reset();
+    const up = new Vector3().fromArray(vector).normalize();
+    const turn = new Quaternion().setFromUnitVectors(camera.up, up);
+    const { target } = controls;
+    camera.position.sub(target).applyQuaternion(turn).add(target);
+    camera.up.copy(up);
+    controls.dispose();
+    controls = begin(target);
     invalidate();
   }
 
@@ -66,5 +85,5 @@ export function makeNavigation(canvas, start, invalidate) {
     if (action) action();
     return Boolean(action);
   }
-  return { camera, update, resize, reset, key };
+  return { camera, update, resize, reset, setUp, key };
 }

@@ -2,7 +2,9 @@
 
 import { SparkRenderer, SplatFileType, SplatMesh } from "@sparkjsdev/spark";
 import { Scene, WebGLRenderer } from "three";
+import { makeBox } from "./box.js";
 import { rewriteHarmonics } from "./harmonics.js";
+import { makeHeat } from "./heat.js";
 
 // As nanogs.render has it, so that the page shows what the figures were measured on: a splat
 // reaches to alpha 1/255, the variance on screen grows by 0.3, nearest means least depth.
@@ -41,6 +43,21 @@ export function makeStage(host, canvas, scene, sides) {
     share = value;
     stage.invalidate();
   };
+  // A box of lines, made when it is first asked for; without corners it goes.
+  let box = null;
+  stage.box = (low, high) => {
+    box ??= makeBox(panes);
+    box.set(low, high);
+    stage.invalidate();
+  };
+  // Whether the right side shows where the two differ.
+  let heat = null;
+  let hot = false;
+  stage.heat = (on) => {
+    hot = on && sides > 1;
+    if (hot) heat ??= makeHeat(renderer);
+    stage.invalidate();
+  };
   stage.show = async (side, bytes, mip) => {
     await panes[side].show(bytes, mip);
     if (panes.every((pane) => pane.mesh)) host.dataset.state = "busy";
@@ -52,12 +69,22 @@ export function makeStage(host, canvas, scene, sides) {
     stage.beforeDraw();
     const edge = Math.round(share * size.width);
     renderer.setScissorTest(true);
+    box?.among(!hot);
     panes.forEach((pane, side) => {
-      const [left, right] = side === 0 ? [0, edge] : [edge, size.width];
+      // A difference needs both pictures wherever it is seen.
+      const [left, right] = side === 0 ? [0, hot ? size.width : edge] : [edge, size.width];
       if (right <= left) return;
       renderer.setScissor(left, 0, right - left, size.height);
       renderer.render(pane.scene, stage.camera);
+      if (hot) heat.keep(side);
     });
+    if (hot && edge < size.width) heat.paint();
+    if (box?.shown) {
+      renderer.setScissor(0, 0, size.width, size.height);
+      renderer.autoClear = false;
+      renderer.render(box.above, stage.camera);
+      renderer.autoClear = true;
+    }
     const busy = panes.some((pane) => pane.busy);
     if (!requested && !busy && host.dataset.state === "busy") host.dataset.state = "still";
   }

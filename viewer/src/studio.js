@@ -1,0 +1,53 @@
+// The interactive part of `nanogs studio`: two models that a page replaces, under one camera.
+//
+// `host` is an empty element with a size; `scene` has `camera` and `background` as nanogs.view.scene
+// describes them, and `names` of the two sides. The host's data-state is that of `mount`. What
+// comes back moves nothing but what it says:
+//
+//   show(side, bytes, mip)     another model (.spz) on side 0 or 1; the camera stays
+//   label(side, name, facts)   what the side is called, and lines below that
+//   setUp(vector)              turn the camera so that this is up, and begin from there from now on
+//   box(low, high)             a box of lines in units of the page; null takes it away
+//   heat(on)                   the right side shows where the two differ, in the colours of SCALE
+//   reset()                    back to the first view
+//   key(event)                 move by a key as the canvas does; whether it had a meaning
+
+import { makeDivider } from "./divider.js";
+import { makeSideLabels } from "./labels.js";
+import { makeNavigation } from "./navigation.js";
+import { makeStage } from "./stage.js";
+import css from "./style.css";
+
+export { SCALE } from "./heat.js";
+
+export function mountStudio(host, scene) {
+  host.classList.add("nanogs-view");
+  host.replaceChildren();
+  const style = Object.assign(document.createElement("style"), { textContent: css });
+  const canvas = document.createElement("canvas");
+  canvas.tabIndex = 0;
+  canvas.setAttribute("role", "application");
+  canvas.setAttribute("aria-label", scene.names.join(" and "));
+  host.append(canvas, style);
+  host.dataset.state = "loading";
+  const stage = makeStage(host, canvas, scene, 2);
+  const navigation = makeNavigation(canvas, scene.camera, stage.invalidate);
+  stage.camera = navigation.camera;
+  stage.beforeDraw = navigation.update;
+  stage.onResize = navigation.resize;
+  stage.onLost = () => scene.onLost?.();
+  const divider = makeDivider(host, scene.names.map((name) => ({ name })), stage.divide);
+  const labels = makeSideLabels(host, scene.names);
+  return {
+    show: stage.show,
+    label: labels.set,
+    setUp: navigation.setUp,
+    box: stage.box,
+    heat: stage.heat,
+    reset: navigation.reset,
+    key: (event) => navigation.key(event) || divider.key(event),
+    get state() {
+      return host.dataset.state;
+    },
+  };
+}
