@@ -18,7 +18,7 @@ from nanogs.frames import change_frame
 from nanogs.source import Filtered, InMemory, Reduced, Source, Turned
 
 ENDS = [".ply", ".splat", ".npz", ".spz", ".glb", ".compressed.ply"]
-COUNT = 800_000
+COUNT = 500_000
 MOST = 100e6  # bytes of the whole process
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 # Of a process: the most that it ever took.
@@ -142,7 +142,7 @@ def assert_peaks(runs, folder, most):
 
 @LINUX
 @pytest.mark.slow
-def test_eight_hundred_thousand_splats_are_converted_within_a_hundred_megabytes(large, tmp_path):
+def test_half_a_million_splats_are_converted_within_a_hundred_megabytes(large, tmp_path):
     """From each format to the next; .splat apart, which has no colours of degree 3 to pass on."""
     others = [f"b{end}" for end in ENDS if end not in (".ply", ".splat")]
     runs = [["convert", large, "b.splat"], ["convert", "b.splat", "c.ply"]]
@@ -154,7 +154,7 @@ def test_eight_hundred_thousand_splats_are_converted_within_a_hundred_megabytes(
 @LINUX
 @pytest.mark.slow
 def test_splats_that_are_chosen_and_turned_are_not_held_either(tmp_path):
-    """Fewer, in as little less: held whole, with the libraries, they would take 120 MB."""
+    """Half as many: held whole, with the libraries, they would take 120 MB."""
     nanogs.save(make_scene(250_000, sh_degree=3), tmp_path / "a.ply")
     changes = ["--crop", "sphere:0,0,0,1000", "--min-opacity", "0.01", "--frame", "rub:rdf"]
     turned = [end for end in ENDS if end != ".glb"]  # whose frame is its own
@@ -167,6 +167,6 @@ def test_splats_that_are_chosen_and_turned_are_not_held_either(tmp_path):
 def test_a_model_is_rendered_and_compared_within_what_is_allowed(large, tmp_path):
     """Held whole, rendering it takes half as much again, and comparing it twice as much."""
     render = ["render", large, "a", "--views", "2", "--pixels", "400", "-q", "--max-memory"]
-    assert_peaks([[*render, "340MB"]], tmp_path, 340e6)
-    compare = ["compare", large, large, "--views", "1", "--sizes", "400", "--max-memory", "350MB"]
-    assert_peaks([compare], tmp_path, 350e6)
+    assert_peaks([[*render, "320MB"]], tmp_path, 320e6)
+    compare = ["compare", large, large, "--views", "1", "--sizes", "400", "--max-memory", "330MB"]
+    assert_peaks([compare], tmp_path, 330e6)
