@@ -35,7 +35,9 @@ summary
 view scoring
 store lod
 pipeline environments levels_of_detail model_info conversion
-ahead warming bench cli __main__
+ahead warming
+studio
+bench cli __main__
 """.split()
 
 # Imports that go up, each when something is called and not before; why.

@@ -69,8 +69,20 @@ def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[Filt
     Raises:
         ModelError: Nothing is left, or an element has one row a splat.
     """
+    left, _, reports = sift(splats, filters)
+    return left, reports
+
+
+def sift(
+    splats: Splats, filters: Sequence[Filter]
+) -> tuple[Splats, Bool, tuple[FilterReport, ...]]:
+    """As `apply`, and which splats stay, (N,) bool, between the model and the reports.
+
+    Raises:
+        ModelError: As for `apply`.
+    """
     refuse_other(splats)
-    reports = []
+    reports, stays = [], np.ones(len(splats), np.bool_)
     for each in filters:
         keep = each.keep(splats)
         left = int(keep.sum())
@@ -79,7 +91,8 @@ def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[Filt
         if left < len(splats):
             refuse_misaligned_elements(splats, left)
             splats = splats.take(keep)
-    return splats, tuple(reports)
+            stays[stays] = keep
+    return splats, stays, tuple(reports)
 
 
 def refuse_empty(given: Filter, before: int, left: int) -> None:

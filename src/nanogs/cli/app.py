@@ -17,6 +17,7 @@ from nanogs.cli.presets import presets
 from nanogs.cli.refit import refit
 from nanogs.cli.render import render
 from nanogs.cli.simplify import simplify
+from nanogs.cli.studio import studio
 from nanogs.cli.view import view
 from nanogs.cli.warm import warm
 
@@ -46,7 +47,7 @@ def _nanogs(
 
 
 for _command in (
-    simplify, lod, refit, convert, info, presets, render, compare, view, bench, demo,
+    simplify, lod, refit, convert, info, presets, render, compare, view, studio, bench, demo,
     warm,
 ):  # fmt: skip
     _examples = examples_text(EXAMPLES[_command.__name__])

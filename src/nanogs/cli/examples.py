@@ -33,6 +33,7 @@ EXAMPLES = {
         "nanogs compare scene.ply small.ply --packed .sog",
     ),
     "view": ("nanogs view scene.ply", "nanogs view scene.ply small.ply -o page.html"),
+    "studio": ("nanogs studio scene.ply", "nanogs studio scene.ply --preset fast --port 8000"),
     "bench": (
         "nanogs bench scene.ply --ratios 0.1,0.01 --out results/",
         "nanogs bench scene.ply --sizes-of-files 0.5MB,1MB,2MB --format sog --out results/",

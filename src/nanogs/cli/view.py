@@ -95,7 +95,7 @@ def view(
     measured = "" if report.judged is None else f"; {report.judged.text}"
     said = f"{page}: {bytes_text(report.output_bytes)}{measured}"
     run.tell(report.to_dict(), partial(say, said), notes)
-    wanted = open_page if open_page is not None else not run.json and _has_screen()
+    wanted = open_page if open_page is not None else not run.json and has_screen()
     if wanted and not webbrowser.open(page.resolve().as_uri()):
         warn(f"No browser could be started; open {page} in one.")
 
@@ -112,7 +112,7 @@ def _threads(asked: int | None, measured: bool) -> Iterator[None]:
         yield
 
 
-def _has_screen() -> bool:
+def has_screen() -> bool:
     """Whether someone sits at a terminal whose browser would have a window."""
     from nanogs.cli.console import err, out
 

@@ -40,7 +40,7 @@ def temporary(target: Path, make: Callable[[Path], None]) -> Iterator[Path]:
     Raises:
         OSError: It cannot be made.
     """
-    _sweep(target)
+    sweep(target)
     path = name_beside(target)
     with cleaned_up(partial(_remove, path)):
         make(path)
@@ -92,7 +92,7 @@ def locked(path: Path) -> Iterator[None]:
             os.close(held)
 
 
-def _sweep(target: Path) -> None:
+def sweep(target: Path) -> None:
     """Take away what killed runs have left beside a target."""
     for path in left_beside(target, ".tmp"):
         _remove(path)

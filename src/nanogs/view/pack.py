@@ -24,6 +24,7 @@ DISTANCE = 8.0  # from the first camera to its target, units of the page
 # Units of the page. What lies farther is drawn at this distance, as large as it looks from the
 # target: turning about it moves nothing there by as much as the eye could tell.
 FARTHEST = 128 * DISTANCE
+_QUICK = 1  # of gzip's levels
 MAX_DEGREE = 3  # of spherical harmonics, in the viewer
 
 
@@ -42,12 +43,13 @@ class Packed:
     notes: tuple[str, ...]
 
 
-def pack(splats: Splats, start: Opening) -> Packed:
+def pack(splats: Splats, start: Opening, *, quick: bool = False) -> Packed:
     """Encode a model for a page.
 
     Args:
         splats: The model.
         start: Where the page begins; all models of a page share it.
+        quick: Pack hardly anything, for a page of a server on the same machine.
 
     Raises:
         ModelError: No splat is finite.
@@ -69,7 +71,7 @@ def pack(splats: Splats, start: Opening) -> Packed:
             " distance, shown at that."
         )
     file = io.BytesIO()
-    spz_write.write(placed, file)
+    spz_write.write(placed, file, gzip_level=_QUICK if quick else spz_write.GZIP_LEVEL)
     mip = splats.render_mode is RenderMode.MIP
     return Packed(file.getvalue(), mip, (*notes, *spz_write.losses(placed)))
 

@@ -54,7 +54,7 @@ _FIXED_MAX = (1 << 23) - 1
 _SIGNIFICANT_BITS = 16
 _BYTE = 255
 _ROTATION_STEP = 4  # of the magnitudes, for 8 bits with the sign
-_GZIP_LEVEL, _ZSTD_LEVEL = 6, 12  # the reference writer's
+GZIP_LEVEL, _ZSTD_LEVEL = 6, 12  # the reference writer's
 
 
 def write(
@@ -67,6 +67,7 @@ def write(
     bits: int = MOST_BITS,
     sh_bits: int = SH_BITS,
     frame: str | None = None,
+    gzip_level: int = GZIP_LEVEL,
 ) -> None:
     """Write a model, axes as they are; `losses` says what does not go in.
 
@@ -85,6 +86,7 @@ def write(
         sh_bits: Of a coefficient of degree 1, 2 to 8; higher ones have one less.
         frame: The frame of the axes, which the file then states; of version 4 alone, since readers
             of older ones expect nothing after the columns.
+        gzip_level: 0, which packs nothing, to 9; of versions 2 and 3.
 
     Raises:
         OptionError: A frame or a record is to be in a file of another version.
@@ -111,7 +113,7 @@ def write(
     buckets = _buckets(degree, sh_bits)[:, None]
     columns = encoded_columns(source, _encoders(fraction, version, precision, buckets))
     if version in (2, 3):
-        with gzip.GzipFile("", "wb", _GZIP_LEVEL, file, mtime=0) as stream:
+        with gzip.GzipFile("", "wb", gzip_level, file, mtime=0) as stream:
             stream.write(LEGACY_HEADER.pack(*start, 0))
             for column in columns:
                 for block in column:

@@ -1,0 +1,74 @@
+"""`nanogs studio`."""
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from nanogs.cli import options
+from nanogs.cli.groups import with_options
+
+
+@with_options
+def studio(
+    *,
+    model: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENE", parser=options.parse_place, help="Model to make smaller, a file."
+        ),
+    ],
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port to listen on.", show_default="any free one")
+    ] = 0,
+    open_page: Annotated[
+        bool | None,
+        typer.Option(
+            "--open/--no-open", help="Open the page in a browser.", show_default="on a terminal"
+        ),
+    ] = None,
+    idle: Annotated[
+        float,
+        typer.Option(
+            min=0, help="Seconds to wait for another page once the last is closed; 0 for ever."
+        ),
+    ] = 60.0,
+    preset: Annotated[
+        str,
+        typer.Option(help="The method to begin with: fast, default or best.", metavar="NAME"),
+    ] = "default",
+    up: options.Up = None,
+    render_mode: options.AsMode = None,
+    device: options.Device = "cpu",
+    threads: options.Threads = None,
+    max_memory: options.MaxMemory = None,
+    telling: options.Telling,
+) -> None:
+    """Choose a smaller model in a browser: see every count, size and PSNR before it is saved.
+
+    The page is of this machine alone. It reads and saves files below the folder in which the
+    command was started; Ctrl-C ends it, and so does closing the page.
+    """
+    # What only a run needs is imported here, and not for `--help`.
+    import webbrowser
+
+    from nanogs.cli.console import say, warn
+    from nanogs.cli.view import has_screen
+    from nanogs.studio.scene import Manner, scene_of
+    from nanogs.studio.server import Studio
+    from nanogs.studio.turning import axis_of
+    from nanogs.view.bundle import check_built
+
+    check_built()
+    manner = Manner(
+        preset=preset, render_mode=render_mode, up=None if up is None else axis_of(up),
+        threads=threads, max_memory=max_memory, device=device,
+    )  # fmt: skip
+    serving = Studio(scene_of(model), manner, folder=Path.cwd(), port=port, idle=idle)
+    told = {"url": serving.url, "input": str(model), "folder": str(Path.cwd())}
+    telling.tell(told, partial(say, f"{model}: {serving.url} (Ctrl-C ends it)"))
+    wanted = open_page if open_page is not None else not telling.json and has_screen()
+    if wanted and not webbrowser.open(serving.url):
+        warn("No browser could be started; open the address in one.")
+    serving.run()

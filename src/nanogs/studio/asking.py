@@ -1,0 +1,169 @@
+"""Answers to what a page asks: what filters take, a coarse model at once, the measured one."""
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Any, Protocol
+
+from nanogs.pipeline.target import Goal
+from nanogs.progress import Progress
+from nanogs.splats import Splats
+from nanogs.studio.choice import Choice
+from nanogs.studio.curve import Curve, Point
+from nanogs.studio.held import Held, grown_key
+from nanogs.studio.showing import MOST_SHOWN, Shown, few, marked, show
+
+if TYPE_CHECKING:
+    from nanogs.pipeline.grown import Grown
+    from nanogs.views.opening import Opening
+
+Event = dict[str, Any]
+TRIES = 3  # results that are made for a PSNR, each nearer to it
+NEAR = 0.3  # dB above a wish that a search of the command comes within, too
+NEAR_SIZE = 0.03  # of the size, below it
+
+
+class Telling(Protocol):
+    """How a job speaks."""
+
+    def __call__(self, event: Event, shown: Shown | None = None) -> None:
+        """Send an event to the page of the job, with a model that it names."""
+
+    def progress(self, kind: str) -> Progress:
+        """A function that takes the steps of something, and raises where it is cancelled."""
+
+    def shielded(self, useful: Callable[[Choice], bool]) -> AbstractContextManager[None]:
+        """Go on in the block although a newer request came, if it is useful to that too."""
+
+
+class Answers:
+    """What answers requests for a scene that is open."""
+
+    def __init__(self, held: Held, start: "Opening") -> None:
+        """Take what opening the scene has found.
+
+        Args:
+            held: The scene.
+            start: Where the page begins.
+        """
+        self._held, self._start = held, start
+        self._curve_told: Curve | None = None
+
+    def ask(self, choice: Choice, tell: Telling) -> None:
+        """Answer a request: `filtered` where filters changed, `draft`, `measured` and `point`.
+
+        Raises:
+            NanogsError: It cannot be had.
+        """
+        begun = time.perf_counter()
+        self._filter(choice, tell)
+        grown = self._held.roughly(choice)
+        if grown is None:
+            grown = self._grow(choice, tell)
+        curve = self._curve(choice, grown, tell)
+        count = curve.count_for(choice.goal)
+        self._draft(grown, curve, count, choice, tell)
+        grown = self._grow(choice, tell)
+        for _ in range(TRIES):
+            event, shown, point = self._made(grown, count, choice, tell)
+            curve.add(point)
+            tell(_point(point, choice))
+            before, count = count, curve.count_for(choice.goal)
+            if count == before or _near(choice.goal, point):
+                break
+        event |= {"seconds": time.perf_counter() - begun}
+        tell({"type": "measured"} | event, shown)
+
+    def explore(self, choice: Choice, tell: Telling) -> None:
+        """Measure plain cuts of several counts, for the plot.
+
+        Raises:
+            NanogsError: It cannot be done.
+        """
+        if not self._held.is_grown(choice):
+            return
+        grown = self._held.fully(choice, tell.progress("curve"))
+        curve = self._held.curve(choice, grown)
+        while (count := curve.missing()) is not None:
+            measured = grown.measure(
+                grown.draft(count), format=choice.format, progress=tell.progress("curve")
+            )
+            curve.add(Point(count, measured.bytes, measured.judged.psnr, coarse=True))
+            tell(_point(curve.points[count, True], choice))
+
+    def _filter(self, choice: Choice, tell: Telling) -> None:
+        """Leave out splats, and say how many each filter took, where that is another than last."""
+        held = self._held
+        if held.is_shown(choice):
+            return
+        tell.progress("filters")  # which says what goes on
+        whole = held.whole(choice.render_mode)
+        found = held.sifted(choice)
+        took = [
+            {"name": each.name, "argument": each.argument, "removed": each.removed,
+             "left": each.left}
+            for each in found.reports
+        ]  # fmt: skip
+        shown = show(marked(whole, found.stays), self._start, len(whole))
+        tell({"type": "filtered", "took": took, "left": len(found.splats)}, shown)
+
+    def _grow(self, choice: Choice, tell: Telling) -> "Grown":
+        with tell.shielded(lambda newer: grown_key(newer) == grown_key(choice)):
+            return self._held.fully(choice, tell.progress("draft"))
+
+    def _curve(self, choice: Choice, grown: "Grown", tell: Telling) -> Curve:
+        """The curve of a choice; where it is another than before, its points are told again."""
+        curve = self._held.curve(choice, grown)
+        if curve is not self._curve_told:
+            self._curve_told = curve
+            for point in curve.points.values():
+                tell(_point(point, choice))
+        return curve
+
+    def _draft(
+        self, grown: "Grown", curve: Curve, count: int, choice: Choice, tell: Telling
+    ) -> None:
+        splats = grown.draft(min(count, MOST_SHOWN) if count <= grown.available else count)
+        if choice.sh_degree is not None:
+            splats = splats.with_sh_degree(min(choice.sh_degree, splats.sh_degree))
+        shown = show(few(splats), self._start, max(count, len(splats)))
+        event = {
+            "type": "draft", "splats": max(count, len(splats)), "bytes": curve.bytes_of(count),
+            "psnr": curve.psnr_of(count), "about": True,
+        }  # fmt: skip
+        tell(event, shown)
+
+    def _made(
+        self, grown: "Grown", count: int, choice: Choice, tell: Telling
+    ) -> tuple[Event, Shown, Point]:
+        """A result as it is delivered, and what is measured of it."""
+        splats, report = grown.simplify(count, progress=tell.progress("draft"))
+        measured = grown.measure(splats, format=choice.format, progress=tell.progress("measure"))
+        judged = measured.judged
+        event = {
+            "splats": len(splats), "bytes": measured.bytes, "psnr": judged.psnr,
+            "ssim": judged.ssim, "stop": str(report.stop), "notes": list(report.notes),
+        }  # fmt: skip
+        shown = show(self._drawable(grown, splats), self._start, len(splats))
+        point = Point(len(splats), measured.bytes, judged.psnr, coarse=False)
+        return event, shown, point
+
+    @staticmethod
+    def _drawable(grown: "Grown", splats: Splats) -> Splats:
+        return splats if len(splats) <= MOST_SHOWN else grown.draft(MOST_SHOWN)
+
+
+def _near(goal: Goal, point: Point) -> bool:
+    """Whether a result is as near to a wish as a search of the command comes."""
+    if goal.psnr is not None:
+        return 0 <= point.psnr - goal.psnr <= NEAR
+    if goal.size is not None:
+        return (1 - NEAR_SIZE) * goal.size <= point.bytes <= goal.size
+    return True
+
+
+def _point(point: Point, choice: Choice) -> Event:
+    return {
+        "type": "point", "splats": point.count, "bytes": point.bytes, "psnr": point.psnr,
+        "kind": "coarse" if point.coarse else "measured", "format": choice.format,
+    }  # fmt: skip

@@ -1,0 +1,60 @@
+"""What the worker does for each kind of job."""
+
+from typing import Any
+
+from nanogs.ahead import compile_ahead, nothing_compiled
+from nanogs.kernels.compiling import when_compiling
+from nanogs.pipeline.presets import DEFAULT_PRESET
+from nanogs.progress import Stage, Tracker
+from nanogs.studio import opening, saving
+from nanogs.studio.asking import Answers, Telling
+from nanogs.studio.held import Held
+from nanogs.studio.jobs import Job
+from nanogs.studio.scene import Manner, Scene
+
+
+class Desk:
+    """A scene, opened by the first job, and what is known of it."""
+
+    def __init__(self, scene: Scene, manner: Manner) -> None:
+        """Open nothing yet.
+
+        Args:
+            scene: The file.
+            manner: How work is done.
+        """
+        self._held = Held(scene, manner)
+        self._answers: Answers | None = None
+
+    def do(self, job: Job, tell: Telling) -> None:
+        """Do a job.
+
+        Raises:
+            NanogsError: It cannot be done.
+        """
+        if job.kind == "open":
+            self._open(tell)
+        elif job.kind == "save":
+            tell(self._saved(job.work, tell))
+        elif self._answers is not None and job.kind == "ask":
+            self._answers.ask(job.work, tell)
+        elif self._answers is not None:
+            self._answers.explore(job.work, tell)
+
+    def _open(self, tell: Telling) -> None:
+        """Read the scene, and show it."""
+        if nothing_compiled():
+            compile_ahead(DEFAULT_PRESET)
+        else:
+            when_compiling(lambda: compile_ahead(DEFAULT_PRESET))
+        held = self._held
+        tracker = Tracker(tell.progress("open"), [Stage("read", 2.0), Stage("show", 1.0)])
+        tracker.begin("read")
+        whole = held.whole(held.manner.render_mode)
+        tracker.begin("show")
+        event, start, shown = opening.opened(held.scene, held.manner, whole)
+        self._answers = Answers(held, start)
+        tell(event, shown)
+
+    def _saved(self, order: Any, tell: Telling) -> dict[str, Any]:  # noqa: ANN401 - an `Order`
+        return saving.save(order, self._held, tell.progress("save"))

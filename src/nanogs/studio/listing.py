@@ -1,0 +1,75 @@
+"""The folder that a studio was started in: no path leads out of it."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+from nanogs.errors import OptionError
+from nanogs.io import registry
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """A folder of which files are named by paths relative to it.
+
+    Attributes:
+        root: The folder, links resolved.
+    """
+
+    root: Path
+
+    def inside(self, text: object) -> Path:
+        """The path of a name, links resolved; it need not exist.
+
+        Args:
+            text: A relative path with slashes; empty for the folder itself.
+
+        Raises:
+            OptionError: It leads out of the folder, or is no path.
+        """
+        if not isinstance(text, str) or "\0" in text or "\\" in text:
+            raise OptionError("A file is named by a path relative to the folder of the studio.")
+        parts = PurePosixPath(text).parts
+        outside = text.startswith("/") or ".." in parts or PureWindowsPath(text).drive
+        found = self.root
+        if not outside:
+            found = Path(os.path.realpath(self.root / text))
+        if outside or not found.is_relative_to(self.root):
+            raise OptionError(f"{text} leads out of the folder of the studio; name a file in it.")
+        return found
+
+    def listed(self, text: object) -> dict[str, Any]:
+        """What a folder in it holds, for a dialogue; hidden files and links that lead out are not.
+
+        Raises:
+            OptionError: It leads out, or is no folder that can be read.
+        """
+        folder = self.inside(text)
+        try:
+            names = sorted(entry.name for entry in folder.iterdir())
+        except OSError as error:
+            raise OptionError(f"{text or '.'}: {error.strerror}; choose another folder.") from None
+        relative = folder.relative_to(self.root)
+        above = None if folder == self.root else _text(relative.parent)
+        entries = [self._entry(folder / name) for name in names if not name.startswith(".")]
+        shown = [entry for entry in entries if entry is not None]
+        shown.sort(key=lambda entry: (entry["kind"] != "folder", entry["name"].lower()))
+        return {"folder": _text(relative), "parent": above, "entries": shown}
+
+    def _entry(self, path: Path) -> dict[str, Any] | None:
+        """One line of the dialogue; None of what leads out, or is neither file nor folder."""
+        real = Path(os.path.realpath(path))
+        if not real.is_relative_to(self.root):
+            return None
+        if real.is_dir():
+            return {"name": path.name, "kind": "folder", "bytes": None}
+        if not real.is_file():
+            return None
+        known = registry.find(path)
+        kind = "model" if known is not None and known.readable else "file"
+        return {"name": path.name, "kind": kind, "bytes": real.stat().st_size}
+
+
+def _text(relative: Path) -> str:
+    return "" if relative == Path() else relative.as_posix()

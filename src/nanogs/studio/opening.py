@@ -1,0 +1,68 @@
+"""The scene as a page begins with it: a model to draw, a camera, and what can be chosen."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nanogs.io import registry
+from nanogs.splats import Splats
+from nanogs.studio.choice import PRESETS
+from nanogs.studio.orders import LAYOUTS
+from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.showing import MOST_SHOWN, Shown, few, show
+from nanogs.studio.turning import direction_of, up_of
+from nanogs.view.pack import DISTANCE, in_page
+from nanogs.views.opening import Opening, opening_for
+
+_CORE = 1.0  # per cent of the splats on either side that `core` leaves out
+
+
+def opened(scene: Scene, manner: Manner, whole: Splats) -> tuple[dict[str, Any], Opening, Shown]:
+    """The event that describes a scene, where the page begins, and the model that it shows.
+
+    Raises:
+        ModelError: No splat is visible.
+    """
+    drawn = few(whole)
+    start = opening_for(drawn, up=None if manner.up is None else direction_of(manner.up))
+    shown = show(drawn, start, len(whole))
+    [position] = in_page(start.position[None], start)
+    x, y, z = start.up.tolist()
+    low, high, inner_low, inner_high = _bounds(whole)
+    event = {
+        "type": "scene", "name": scene.path.name, "stem": scene.stem, "splats": len(whole),
+        "sh_degree": whole.sh_degree, "file_bytes": scene.file_bytes,
+        "render_mode": scene.render_mode, "up": manner.up or up_of((x, y, z)),
+        "file_up": scene.up, "can_turn": not scene.states_frame,
+        "formats": writable_formats(), "presets": list(PRESETS),
+        "layouts": [
+            {"name": name, "suffix": suffix, "example": example.format(stem=scene.stem)}
+            for suffix, (name, example) in LAYOUTS.items()
+        ],
+        "camera": {
+            "position": position.tolist(), "target": [0.0, 0.0, 0.0], "up": [x, y, z],
+            "lens": start.lens, "near": start.near,
+        },
+        "background": "#000",
+        "page": {"scale": DISTANCE / start.distance, "centre": start.target.tolist()},
+        "bounds": {"low": low, "high": high}, "core": {"low": inner_low, "high": inner_high},
+        "folder": str(Path.cwd()), "most_shown": MOST_SHOWN, "notes": list(map(str, whole.notes)),
+        "begin": {
+            "preset": manner.preset, "render_mode": manner.render_mode, "up": manner.up,
+        },
+    }  # fmt: skip
+    return event, start, shown
+
+
+def writable_formats() -> list[str]:
+    """Suffixes of the formats that one model is written in."""
+    return [known.suffix for known in registry.formats() if known.writable]
+
+
+def _bounds(splats: Splats) -> tuple[list[float], ...]:
+    """The lowest and the highest corner of all finite centres, and of nearly all of them."""
+    means = splats.means[np.isfinite(splats.means).all(axis=1)]
+    inner = np.percentile(means, [_CORE, 100 - _CORE], axis=0)
+    corners = [means.min(axis=0), means.max(axis=0), *inner]
+    return tuple(corner.astype(np.float64).tolist() for corner in corners)

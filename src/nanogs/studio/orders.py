@@ -1,0 +1,196 @@
+"""A choice as the arguments of a function of the library, and as the command that does the same."""
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nanogs import filters
+from nanogs.errors import OptionError
+from nanogs.formatting import counted
+from nanogs.io import registry
+from nanogs.lod.layout import Output, output_of
+from nanogs.pipeline.presets import DEFAULT_PRESET, PRESETS, renders
+from nanogs.studio.choice import Choice, Sifting
+from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.turning import direction_of, frames_to, refuse_stated, turned
+
+LAYOUTS = {
+    "lod-meta.json": ("streamed SOG, a folder", "{stem}/lod-meta.json"),
+    registry.ARCHIVE: ("streamed SOG, one file", "{stem}.ssog"),
+    "tileset.json": ("3D Tiles, a folder", "{stem}/tileset.json"),
+    ".rad": ("a tree for Spark, one file", "{stem}.rad"),
+}
+"""Layouts of levels by suffix: what they are, and a name for one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A file to write: a choice of a scene.
+
+    Attributes:
+        scene: What it is made of.
+        manner: How.
+        choice: What was chosen.
+        path: The file, or what describes levels, as it would be typed.
+        overwrite: Whether what exists may be replaced.
+
+    Raises:
+        OptionError: The parts of the choice do not go together, or do not suit the scene or path.
+    """
+
+    scene: Scene
+    manner: Manner
+    choice: Choice
+    path: Path
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what the command would."""
+        refuse_unfit(self.scene, self.choice)
+        known = self.choice.format.lower()
+        if not self.path.name.lower().endswith(known):
+            raise OptionError(f"{self.path} is no name of a {known} file; end it in {known}.")
+        found = registry.find(self.path)
+        if found is None or found.suffix != known:
+            raise OptionError(f"{self.path} is not the name of a {known} file; name another one.")
+        if self.choice.levels is None:
+            registry.writable(self.path)
+        else:
+            self.output  # noqa: B018 - which refuses names that are of no levels
+
+    @property
+    def output(self) -> Output:
+        """Where levels go."""
+        return output_of(self.path)
+
+    @property
+    def frames(self) -> tuple[str, str] | None:
+        """Frames from and to which the file is turned, the second empty where it has its own."""
+        choice = self.choice
+        if choice.up is None or choice.up == self.scene.up:
+            return None
+        return frames_to(choice.up, self.path if choice.levels is None else self.output.model)
+
+    @property
+    def _looks(self) -> bool:
+        return renders(PRESETS[self.choice.preset])
+
+    def arguments(self) -> dict[str, Any]:
+        """Arguments by name for `simplify_blocks`, or for `write_levels`."""
+        choice, manner, direction = self.choice, self.manner, None
+        if choice.up is not None and self._looks:
+            direction = direction_of(choice.up)
+        shared: dict[str, Any] = {
+            "preset": choice.preset, "sh_degree": choice.sh_degree, "measured": None,
+            "filters": filters_of(choice.filters), "render_mode": choice.render_mode,
+            "up": direction, "frame": turned(self.frames), "overwrite": self.overwrite,
+            "threads": manner.threads, "max_memory": manner.max_memory, "device": manner.device,
+        }  # fmt: skip
+        if choice.levels is None:
+            goal = choice.goal
+            wish = {"count": goal.count, "size": goal.size, "psnr": goal.psnr}
+            return {"inputs": self.scene.path, "output": self.path} | wish | shared
+        output = self.output
+        return shared | {
+            "model": self.scene.path, "folder": output.folder, "ratios": choice.levels,
+            "layout": output.layout, "suffix": output.suffix,
+        }  # fmt: skip
+
+    def words(self) -> list[str]:
+        """The command that writes the same file, word by word."""
+        choice, goal = self.choice, self.choice.goal
+        levels = choice.levels
+        wish: dict[str, object] = {"count": goal.count, "size": goal.size, "psnr": goal.psnr}
+        if levels is not None:
+            wish = {"levels": ",".join(map(number, levels))}
+        named = wish | {
+            "preset": None if choice.preset == DEFAULT_PRESET else choice.preset,
+            "sh-degree": choice.sh_degree,
+            "crop": choice.filters.box and "box:" + ",".join(map(number, choice.filters.box)),
+            "min-opacity": choice.filters.min_opacity,
+            "drop-floaters": choice.filters.floaters or None,
+            "render-mode": choice.render_mode,
+            "up": choice.up and self._looks and ",".join(map(number, direction_of(choice.up))),
+            "frame": self.frames and ":".join(self.frames),
+            "device": None if self.manner.device == "cpu" else self.manner.device,
+            "max-memory": self.manner.max_memory,
+            "overwrite": self.overwrite or None,
+        }
+        command = "simplify" if levels is None else "lod"
+        paths = [typed(self.scene.path), typed(self.path)]
+        options = [word for name, value in named.items() for word in option(name, value)]
+        return ["nanogs", command, *paths, *options]
+
+    def command(self) -> str:
+        """The same in one line, as a shell takes it."""
+        return shlex.join(self.words())
+
+
+def refuse_unfit(scene: Scene, choice: Choice) -> None:
+    """Refuse a choice that cannot be had of a scene, as far as its header tells.
+
+    Raises:
+        OptionError: It cannot.
+    """
+    goal, count = choice.goal, choice.goal.count
+    if choice.levels is None and choice.format in LAYOUTS and choice.format != ".rad":
+        raise OptionError(f"{choice.format} is of levels of detail; say which.")
+    if choice.levels is not None and choice.format not in LAYOUTS:
+        raise OptionError(f"Levels are written as {', '.join(LAYOUTS)}, not as {choice.format}.")
+    if choice.levels is None:
+        registry.writable(Path(f"model{choice.format}"))
+    if choice.levels is None and count is not None and count > scene.splats:
+        raise OptionError(
+            f"The count {count:,} is above the {counted(scene.splats, 'splat')} of the scene."
+        )
+    if (
+        goal.psnr is not None
+        and choice.sh_degree is not None
+        and not renders(PRESETS[choice.preset])
+    ):
+        raise OptionError(
+            "A PSNR is against the whole model, of which a lower SH degree leaves out some; choose"
+            " the preset default or best, or another wish."
+        )
+    if choice.up is not None and choice.up != scene.up and scene.states_frame:
+        raise refuse_stated(scene.path.name)
+
+
+def filters_of(chosen: Sifting) -> list[filters.Filter]:
+    """The filters of a choice, in the order in which the command applies them."""
+    found = []
+    if chosen.box is not None:
+        found.append(filters.box(chosen.box[:3], chosen.box[3:]))
+    if chosen.min_opacity is not None:
+        found.append(filters.opaque_enough(chosen.min_opacity))
+    return [*found, filters.in_company()] if chosen.floaters else found
+
+
+def number(value: float) -> str:
+    """A number in the fewest digits that are read as the same one."""
+    text = repr(value)
+    return text.removesuffix(".0")
+
+
+def typed(path: Path) -> str:
+    """A path that no shell or command takes for an option."""
+    text = str(path)
+    return f"./{text}" if text.startswith("-") else text
+
+
+def option(name: str, value: object) -> list[str]:
+    """The words of an option; none where it has no value, one where it is only there or not."""
+    if value is None or value is False or value == "":
+        return []
+    if value is True:
+        return [f"--{name}"]
+    return [f"--{name}", number(value) if isinstance(value, float) else str(value)]
+
+
+def shown_path(scene: Scene, choice: Choice) -> Path:
+    """The name of a result that has none yet, for the command that is shown."""
+    if choice.levels is not None:
+        return Path(LAYOUTS[choice.format][1].format(stem=f"{scene.stem}-levels"))
+    folder = choice.format == "meta.json"
+    return Path("out") / choice.format if folder else Path(f"out{choice.format}")

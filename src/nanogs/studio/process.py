@@ -1,0 +1,77 @@
+"""The process of the worker: started, asked, ended; a thread of this one reads what it says."""
+
+import multiprocessing
+import signal
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any
+
+from nanogs.cleanup import clean_at_end
+from nanogs.studio.scene import Manner, Scene
+
+if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
+
+_GRACE = 2.0  # seconds to clean up after SIGTERM
+
+
+class Process:
+    """A worker, started when it is made."""
+
+    def __init__(self, scene: Scene, manner: Manner, told: Callable[[Any], None]) -> None:
+        """Start it.
+
+        Args:
+            scene: What it is to read.
+            manner: How it works.
+            told: Called, in a thread, with each message, and with None once it has ended.
+        """
+        from nanogs.studio.worker import work
+
+        context = multiprocessing.get_context("spawn")
+        self._line, theirs = context.Pipe()
+        self._process: BaseProcess = context.Process(
+            target=work, args=(theirs, scene, manner), daemon=True
+        )
+        # A process inherits what is blocked in the thread that starts it: Ctrl-C, which reaches
+        # all processes of a terminal, is for this one to deal with.
+        mask = getattr(signal, "pthread_sigmask", lambda *_: None)  # not on Windows
+        mask(getattr(signal, "SIG_BLOCK", 0), {signal.SIGINT})
+        self._process.start()
+        mask(getattr(signal, "SIG_UNBLOCK", 0), {signal.SIGINT})
+        theirs.close()
+        clean_at_end(self.end)
+        threading.Thread(target=_read, args=(self._line, told), daemon=True).start()
+
+    def send(self, message: tuple[str, Any]) -> None:
+        """Say something to it; one that has ended does not hear it."""
+        with suppress(OSError):
+            self._line.send(message)
+
+    def end(self) -> None:
+        """End it: it takes away its temporary files first, if it still can."""
+        with suppress(OSError, ValueError, AttributeError):
+            self._process.terminate()
+            self._process.join(_GRACE)
+            if self._process.is_alive():
+                self._process.kill()
+                self._process.join(_GRACE)
+
+    @property
+    def ended_by(self) -> str:
+        """How it ended, to end a sentence."""
+        code = self._process.exitcode
+        if code is not None and code < 0:
+            name = signal.Signals(-code).name
+            return f"{name}, as when memory runs out" if name == "SIGKILL" else name
+        return f"exit code {code}"
+
+
+def _read(line: Connection, told: Callable[[Any], None]) -> None:
+    """Pass on what comes until nothing will."""
+    with suppress(EOFError, OSError):
+        while True:
+            told(line.recv())
+    told(None)

@@ -1,0 +1,314 @@
+"""The server of a studio: what a page asks, over HTTP on this machine alone."""
+
+import asyncio
+import json
+import socket
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from importlib.resources import files
+from pathlib import Path
+from secrets import token_urlsafe
+from typing import TYPE_CHECKING, Any
+
+from nanogs._version import __version__
+from nanogs.errors import NanogsError, OptionError, OutputError
+from nanogs.io import check_writable
+from nanogs.studio.choice import Choice, choice_of
+from nanogs.studio.jobs import Job
+from nanogs.studio.listing import Folder
+from nanogs.studio.orders import Order, refuse_unfit, shown_path
+from nanogs.studio.pages import Pages
+from nanogs.studio.safety import Guard
+from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.workshop import Workshop
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.types import ASGIApp
+
+LEFT = 10.0  # seconds after which what a page that was closed has asked for is dropped
+_TICK = 0.5
+_TYPES = {
+    ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".png": "image/png",
+    ".json": "application/json", ".woff2": "font/woff2",
+}  # fmt: skip
+Endpoint = Callable[["Request"], Awaitable["Response"]]
+
+
+class Studio:
+    """A studio that listens, once it is made; `run` answers."""
+
+    def __init__(
+        self, scene: Scene, manner: Manner, *, folder: Path, port: int = 0, idle: float = 60.0
+    ) -> None:
+        """Listen on a port of this machine.
+
+        Args:
+            scene: The model.
+            manner: How work is done.
+            folder: Which files the page may name: those below it.
+            port: 0 for any that is free.
+            idle: Seconds after the last page was closed in which the studio ends; 0 for never.
+
+        Raises:
+            OptionError: starlette or uvicorn is missing, or the port is taken.
+        """
+        _check_installed()
+        self._scene, self._manner, self._idle = scene, manner, idle
+        self._folder = Folder(folder.resolve())
+        self._socket = _listening(port)
+        self._port: int = self._socket.getsockname()[1]
+        self._token = token_urlsafe(24)
+        self._pages = Pages()
+        self._workshop = Workshop(scene, manner, self._pages.deliver)
+        self._stop: Callable[[], None] = lambda: None
+
+    @property
+    def url(self) -> str:
+        """The address of the page."""
+        return f"http://127.0.0.1:{self._port}/{self._token}/"
+
+    def run(self) -> None:
+        """Answer until nobody has looked for a while."""
+        import uvicorn
+
+        class Server(uvicorn.Server):
+            @contextmanager
+            def capture_signals(self) -> Iterator[None]:
+                yield  # whoever runs the studio has said what signals do
+
+        config = uvicorn.Config(
+            self._application(), log_config=None, access_log=False, lifespan="on",
+            timeout_graceful_shutdown=1, server_header=False, ws="none",
+        )  # fmt: skip
+        server = Server(config)
+
+        def stop() -> None:
+            server.should_exit = True
+
+        self._stop = stop
+        try:
+            server.run(sockets=[self._socket])
+        finally:
+            self._workshop.end()
+            self._socket.close()
+
+    def _application(self) -> "ASGIApp":
+        from starlette.applications import Starlette
+        from starlette.routing import Route
+
+        def get(path: str, answer: Endpoint) -> Route:
+            return Route(f"/{self._token}/{path}", _told(answer), methods=["GET"])
+
+        def post(path: str, answer: Endpoint) -> Route:
+            return Route(f"/{self._token}/{path}", _told(answer), methods=["POST"])
+
+        routes = [
+            get("", self._page), get("viewer.js", self._viewer),
+            get("static/{name}", self._static), get("events", self._events),
+            get("files", self._files), get("models/{name}.spz", self._model),
+            post("ask", self._ask), post("save", self._save), post("cancel", self._cancel),
+        ]  # fmt: skip
+        application = Starlette(routes=routes, lifespan=self._living)
+        application.router.redirect_slashes = False
+        return Guard(application, self._token, self._port)
+
+    @asynccontextmanager
+    async def _living(self, _application: object) -> AsyncIterator[None]:
+        """Have the scene read, and look after pages that were left."""
+        self._workshop.open()
+        watching = asyncio.create_task(self._watch())
+        yield
+        watching.cancel()
+
+    async def _watch(self) -> None:
+        """Drop what pages that were left have asked for, and end when all were."""
+        while True:
+            await asyncio.sleep(_TICK)
+            for name in self._pages.gone(LEFT):
+                self._workshop.cancel(name, "ask")
+            saving = any(job.kind == "save" for job in self._workshop.queue)
+            if self._pages.watched or saving or not self._idle:
+                continue
+            if time.monotonic() - self._pages.last_left > self._idle:
+                self._stop()
+
+    async def _page(self, _request: "Request") -> "Response":
+        from jinja2 import Environment
+        from starlette.responses import HTMLResponse
+
+        text = _package("nanogs.studio", "page.html.j2")
+        template = Environment(autoescape=True).from_string((text or b"").decode())
+        return HTMLResponse(template.render(name=self._scene.path.name, version=__version__))
+
+    async def _viewer(self, _request: "Request") -> "Response":
+        return _file("nanogs.view", "viewer.js", "viewer.js")
+
+    async def _static(self, request: "Request") -> "Response":
+        name = request.path_params["name"]
+        return _file("nanogs.studio", f"static/{name}", name)
+
+    async def _events(self, request: "Request") -> "Response":
+        from starlette.responses import StreamingResponse
+
+        page = self._pages.get(request.query_params.get("page"))
+        if self._pages.scene is None and self._workshop.queue.idle:
+            self._workshop.open()  # which has failed before
+        return StreamingResponse(self._pages.line(page), media_type="text/event-stream")
+
+    async def _model(self, request: "Request") -> "Response":
+        from starlette.responses import PlainTextResponse, Response
+
+        data = self._pages.model(request.path_params["name"])
+        if data is None:
+            return PlainTextResponse("This model is not kept any more.", 404)
+        return Response(data, media_type="application/octet-stream")
+
+    async def _files(self, request: "Request") -> "Response":
+        from starlette.responses import JSONResponse
+
+        folder = request.query_params.get("folder", "")
+        return JSONResponse(await asyncio.to_thread(self._folder.listed, folder))
+
+    async def _ask(self, request: "Request") -> "Response":
+        from starlette.responses import JSONResponse
+
+        data, number = await self._asked(request, "choice")
+        choice = self._chosen(data)
+        order = Order(self._scene, self._manner, choice, shown_path(self._scene, choice))
+        self._workshop.put(Job("ask", data["page"], number, choice))
+        return JSONResponse({"command": order.command()})
+
+    async def _save(self, request: "Request") -> "Response":
+        from starlette.responses import JSONResponse
+
+        data, number = await self._asked(request, "choice", "path", "overwrite")
+        if not isinstance(data.get("overwrite", False), bool):
+            raise OptionError("overwrite is true or false.")
+        order = self._order(data)
+        await asyncio.to_thread(_check_target, order)
+        self._workshop.put(Job("save", data["page"], number, order))
+        return JSONResponse({"command": order.command()})
+
+    def _order(self, data: dict[str, Any]) -> Order:
+        """What a page wants saved, its path relative to the folder.
+
+        Raises:
+            OptionError: It makes no sense, or would replace the scene itself.
+        """
+        target = self._folder.inside(data.get("path"))
+        if target == self._folder.root:
+            raise OptionError("Name a file to save to.")
+        if target == self._scene.path.resolve():
+            raise OptionError(f"{data['path']} is the scene that is open; choose another name.")
+        path = target.relative_to(self._folder.root)
+        overwrite = bool(data.get("overwrite", False))
+        return Order(self._scene, self._manner, self._chosen(data), path, overwrite)
+
+    def _chosen(self, data: dict[str, Any]) -> Choice:
+        choice = choice_of(data.get("choice"))
+        refuse_unfit(self._scene, choice)
+        return choice
+
+    async def _cancel(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        data, _ = await self._asked(request)
+        self._workshop.cancel(data["page"])
+        return Response(status_code=204)
+
+    async def _asked(self, request: "Request", *names: str) -> tuple[dict[str, Any], int | None]:
+        """The entries of a request and its number.
+
+        Raises:
+            OptionError: It is no such request.
+        """
+        try:
+            data = json.loads(await request.body())
+        except (ValueError, RecursionError):
+            raise OptionError("The request is no JSON.") from None
+        known = {"page", "number", *names}
+        if not isinstance(data, dict) or not set(data) <= known:
+            raise OptionError(f"A request has the entries {', '.join(sorted(known))}.")
+        number = data.get("number")
+        if isinstance(number, bool) or not isinstance(number, int | None):
+            raise OptionError(f"The number of a request is a whole number, not {number!r}.")
+        self._pages.get(data.get("page"))
+        return data, number
+
+
+def _check_target(order: Order) -> None:
+    """Refuse a target that cannot be written, before anything is computed.
+
+    Raises:
+        OutputError: It cannot be.
+    """
+    if order.choice.levels is None:
+        check_writable(order.path, overwrite=order.overwrite)
+
+
+def _told(answer: Endpoint) -> Endpoint:
+    """An answer whose errors of the user's become a sentence for the page."""
+
+    async def answered(request: "Request") -> "Response":
+        from starlette.responses import JSONResponse
+
+        try:
+            return await answer(request)
+        except NanogsError as error:
+            exists = isinstance(error, OutputError) and "exists" in str(error)
+            return JSONResponse({"message": str(error), "exists": exists}, 422)
+
+    return answered
+
+
+def _file(package: str, path: str, name: str) -> "Response":
+    """A file of the package as it is; 404 of one that is not there."""
+    from starlette.responses import PlainTextResponse, Response
+
+    kind = _TYPES.get(Path(name).suffix)
+    data = None if kind is None or "/" in name or name.startswith(".") else _package(package, path)
+    if data is None:
+        return PlainTextResponse("There is nothing here.", 404)
+    return Response(data, media_type=kind)
+
+
+def _package(package: str, path: str) -> bytes | None:
+    found = files(package).joinpath(path)
+    return found.read_bytes() if found.is_file() else None
+
+
+def _listening(port: int) -> socket.socket:
+    """A socket that listens on this machine alone.
+
+    Raises:
+        OptionError: The port is taken, or not for this user.
+    """
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(("127.0.0.1", port))
+        listening.listen()
+    except OSError as error:
+        listening.close()
+        reason = error.strerror or str(error)
+        raise OptionError(f"Port {port} cannot be had ({reason}); choose another.") from None
+    return listening
+
+
+def _check_installed() -> None:
+    """Fail before anything is begun where what serves pages is missing.
+
+    Raises:
+        OptionError: It is.
+    """
+    try:
+        import starlette  # noqa: F401
+        import uvicorn  # noqa: F401
+    except ImportError:
+        raise OptionError(
+            "The studio takes starlette and uvicorn: install them with `pip install"
+            " nanogs[studio]`."
+        ) from None

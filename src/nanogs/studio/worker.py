@@ -1,0 +1,173 @@
+"""The process that holds the scene and calls the library, one job after the other."""
+
+import os
+import queue
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing.connection import Connection
+from types import FrameType
+from typing import Any
+
+from nanogs.cleanup import clean_all, when_undisturbed
+from nanogs.errors import NanogsError
+from nanogs.progress import Progress, Step
+from nanogs.studio.choice import Choice
+from nanogs.studio.jobs import Job
+from nanogs.studio.scene import Manner, Scene
+from nanogs.studio.showing import Shown
+
+EVERY = 0.1  # seconds between two events about the same stage
+
+
+class Cancelled(BaseException):
+    """Nobody waits for this job any more; no error, so that nothing takes it for one."""
+
+
+class Inbox:
+    """What the server says, read by a thread of its own."""
+
+    def __init__(self, line: Connection) -> None:
+        """Begin to read.
+
+        Args:
+            line: From the server; where it ends, so does this process.
+        """
+        self.jobs: queue.Queue[Job] = queue.Queue()
+        self._line = line
+        self._dropped: dict[int, Job | None] = {}
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def dropped(self, job: Job) -> bool:
+        """Whether nobody waits for a job any more."""
+        return job.id in self._dropped
+
+    def successor(self, job: Job) -> Job | None:
+        """The newer request because of which a job was dropped."""
+        return self._dropped.get(job.id)
+
+    def _read(self) -> None:
+        try:
+            while True:
+                kind, said = self._line.recv()
+                if kind == "cancel":
+                    self._dropped[said[0]] = said[1]
+                else:
+                    self.jobs.put(said)
+        except (EOFError, OSError):
+            _end(1)
+
+
+class Teller:
+    """How a job speaks to the server."""
+
+    def __init__(self, line: Connection, inbox: Inbox, job: Job) -> None:
+        """Speak for a job.
+
+        Args:
+            line: To the server.
+            inbox: Which says whether it is still wanted.
+            job: The job.
+        """
+        self._line, self._inbox, self._job = line, inbox, job
+        self._useful: Callable[[Choice], bool] | None = None
+
+    def __call__(self, event: dict[str, Any], shown: Shown | None = None) -> None:
+        """Send an event, with a model that it names."""
+        self.check()
+        if event["type"] not in ("point", "scene"):
+            event = event | {"number": self._job.number}
+        if shown is not None:
+            event = event | {"model": shown.entry}
+        self._line.send(("event", self._job.page, event, shown.models if shown else {}))
+
+    def check(self) -> None:
+        """Stop here if nobody waits any more.
+
+        Raises:
+            Cancelled: So it is.
+        """
+        if not self._inbox.dropped(self._job):
+            return
+        newer = self._inbox.successor(self._job)
+        if self._useful and newer and isinstance(newer.work, Choice) and self._useful(newer.work):
+            return
+        raise Cancelled
+
+    def progress(self, kind: str) -> Progress:
+        """A function that takes steps and tells them; it raises `Cancelled`."""
+        stage, since, number = "", 0.0, self._job.number
+
+        def told(step: Step) -> None:
+            nonlocal stage, since
+            self.check()
+            now = time.monotonic()
+            if step.stage == stage and now - since < EVERY:
+                return
+            stage, since = step.stage, now
+            event = {
+                "type": "progress", "number": number, "kind": kind, "stage": step.stage,
+                "fraction": step.fraction,
+            }  # fmt: skip
+            self._line.send(("event", self._job.page, event, {}))
+
+        return told
+
+    @contextmanager
+    def shielded(self, useful: Callable[[Choice], bool]) -> Iterator[None]:
+        """Go on in the block although a newer request came, if it is useful to that too."""
+        self._useful = useful
+        try:
+            yield
+        finally:
+            self._useful = None
+        self.check()
+
+
+def work(line: Connection, scene: Scene, manner: Manner) -> None:
+    """Do jobs until the server ends; the first opens the scene.
+
+    Args:
+        line: To and from the server.
+        scene: The file.
+        manner: How work is done.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _stop)
+    inbox = Inbox(line)
+    from nanogs.studio.desk import Desk  # which brings Numba
+
+    desk = Desk(scene, manner)
+    while True:
+        job = inbox.jobs.get()
+        line.send(("done", *_outcome(desk, job, Teller(line, inbox, job))))
+
+
+def _outcome(desk: Any, job: Job, tell: Teller) -> tuple[str, dict[str, Any] | None]:  # noqa: ANN401
+    """Do a job; how it ended, and the event that says so if another one does not."""
+    try:
+        tell.check()
+        desk.do(job, tell)
+    except Cancelled:
+        return "cancelled", {"type": "cancelled"}
+    except NanogsError as error:
+        return "failed", {"type": "failed", "message": str(error)}
+    except MemoryError:
+        return "failed", {"type": "failed", "message": "Memory ran out; free some and try again."}
+    except OSError as error:
+        said = f"{error.filename or desk.scene.path}: {error.strerror or error}."
+        return "failed", {"type": "failed", "message": said}
+    return "done", None
+
+
+def _stop(number: int, _frame: FrameType | None) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    when_undisturbed(partial(_end, 128 + number))
+
+
+def _end(code: int) -> None:
+    clean_all()
+    os._exit(code)

@@ -1,0 +1,198 @@
+"""From requests of pages to a worker and back: the queue, the process, and what becomes of both."""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from nanogs.io.temporary import sweep
+from nanogs.studio.jobs import Job, Kind, Queue
+from nanogs.studio.orders import Order
+from nanogs.studio.process import Process
+from nanogs.studio.scene import Manner, Scene
+
+Event = dict[str, Any]
+Deliver = Callable[[str, Event, dict[str, bytes]], None]
+"""Takes an event for a page, or for all where its name is empty, with models that it names."""
+
+PATIENCE = 5.0  # seconds that a job has to give up in when it is cancelled
+PATIENCE_REPLACED = 30.0  # the same, without a sign of life, where a newer request waits
+
+
+class Workshop:
+    """One worker and its queue; all methods are called in the thread of the event loop."""
+
+    def __init__(self, scene: Scene, manner: Manner, deliver: Deliver) -> None:
+        """Prepare; `open` starts the worker.
+
+        Args:
+            scene: What the worker reads.
+            manner: How it works.
+            deliver: Takes the events.
+        """
+        self._scene, self._manner, self._deliver = scene, manner, deliver
+        self.queue = Queue()
+        self._process: Process | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._replaced = False  # whether the running job gives way to a newer one
+        self._curve: Job | None = None  # what is measured while nobody asks
+
+    def open(self) -> None:
+        """Have the scene read."""
+        self.put(Job("open"))
+
+    def put(self, job: Job) -> None:
+        """Take on a request."""
+        if self._process is None and job.kind != "open":
+            self.queue.put(Job("open"))
+        replaced = self.queue.put(job)
+        self._give_up(replaced, PATIENCE_REPLACED, successor=job)
+        self._go_on()
+
+    def cancel(self, page: str, *kinds: Kind) -> None:
+        """Drop what a page waits for."""
+        if self._curve is not None and self._curve.page == page:
+            self._curve = None
+        self._give_up(self.queue.cancel(page, kinds or ("ask", "save")), PATIENCE)
+
+    def end(self) -> None:
+        """End the worker."""
+        self._stop_timer()
+        if self._process is not None:
+            process, self._process = self._process, None
+            process.end()
+            self._sweep()
+
+    def _give_up(self, jobs: list[Job], patience: float, successor: Job | None = None) -> None:
+        """Say of jobs that nobody waits for them, and have the running one stop."""
+        for job in jobs:
+            if job is self.queue.running:
+                self._send(("cancel", (job.id, successor)))
+                self._await(patience)
+            else:
+                self._tell(job, {"type": "cancelled"})
+
+    def _tell(self, job: Job, event: Event) -> None:
+        """Tell a page about its job."""
+        if job.kind != "curve":
+            self._deliver(job.page, event | {"number": job.number, "kind": job.kind}, {})
+
+    def _go_on(self) -> None:
+        """Begin with the next job, if it is time for one."""
+        job = self.queue.next()
+        if job is None and self.queue.idle and self._curve is not None:
+            self.queue.put(Job("curve", self._curve.page, None, self._curve.work))
+            job = self.queue.next()
+        if job is None:
+            return
+        if self._process is None:
+            loop = asyncio.get_running_loop()
+
+            def told(said: Any) -> None:  # noqa: ANN401 - a message, or None
+                with suppress(RuntimeError):  # the loop has ended
+                    loop.call_soon_threadsafe(self._hear, process, said)
+
+            self._process = process = Process(self._scene, self._manner, told)
+        self._send(("job", job))
+
+    def _send(self, message: tuple[str, Any]) -> None:
+        if self._process is not None:
+            self._process.send(message)
+
+    def _hear(self, process: Process, said: Any) -> None:  # noqa: ANN401 - a message, or None
+        """Take what a worker says."""
+        if process is not self._process:
+            return  # of one that was ended
+        if said is None:
+            self._lost(process)
+        elif said[0] == "event":
+            _, page, event, models = said
+            self._deliver(page, event, models)
+            if self._timer is not None and self.queue.running and self._replaced:
+                self._await(PATIENCE_REPLACED)
+        else:
+            self._ended(*said[1:])
+
+    def _ended(self, outcome: str, event: Event | None) -> None:
+        """A job has ended: as it should, cancelled, or failed with a sentence."""
+        self._stop_timer()
+        job = self.queue.running
+        self.queue.done()
+        if job is None:
+            return
+        if event is not None:
+            self._tell(job, event)
+        if job.kind == "ask" and outcome == "done":
+            self._curve = job
+        elif job.kind == "curve" and outcome != "cancelled":
+            self._curve = None
+        elif job.kind == "open" and outcome == "failed":
+            self._end_unopened()
+        self._go_on()
+
+    def _end_unopened(self) -> None:
+        """Without a scene nothing can be answered; the next request tries again."""
+        waiting = []
+        while (job := self.queue.next()) is not None:
+            waiting.append(job)
+            self.queue.done()
+        self.end()
+        for job in waiting:
+            self._tell(job, {"type": "cancelled"})
+
+    def _await(self, seconds: float) -> None:
+        """End the worker if its job has not given up by then."""
+        self._stop_timer()
+        self._replaced = seconds == PATIENCE_REPLACED
+        self._timer = asyncio.get_running_loop().call_later(seconds, self._replace)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _replace(self) -> None:
+        """End a worker whose job does not give up; the next request starts another."""
+        self._timer = None
+        process, self._process = self._process, None
+        if process is not None:
+            process.end()
+        self._sweep()
+        job = self.queue.running
+        self.queue.done()
+        if job is not None:
+            self._tell(job, {"type": "cancelled"})
+        self._start_again()
+
+    def _lost(self, process: Process) -> None:
+        """A worker has ended by itself: say so, and start another for what waits."""
+        self._process = None
+        self._stop_timer()
+        process.end()
+        self._sweep()
+        job, dropped = self.queue.running, self.queue.dropped
+        self.queue.done()
+        if job is not None and dropped:
+            self._tell(job, {"type": "cancelled"})
+        elif job is not None:
+            message = (
+                f"The process that did the work has ended ({process.ended_by}); it is started"
+                " again with the next request."
+            )
+            self._tell(job, {"type": "failed", "message": message})
+        if job is not None and job.kind == "curve":
+            self._curve = None  # or it would end the same way
+        self._start_again()
+
+    def _start_again(self) -> None:
+        """Read the scene again where requests wait."""
+        if not self.queue.idle:
+            self.open()
+
+    def _sweep(self) -> None:
+        """Take away what a save that was ended in its middle has left beside its file."""
+        job = self.queue.running
+        if job is not None and isinstance(job.work, Order):
+            target = job.work.path if job.work.choice.levels is None else job.work.output.folder
+            sweep(Path(target))

@@ -1,0 +1,131 @@
+"""A studio that runs, and a page of it without a browser."""
+
+import http.client
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from contextlib import closing, contextmanager
+from secrets import token_hex
+from urllib.parse import urlsplit
+
+
+@contextmanager
+def running(scene, *options, cwd, env=None):
+    """The command in a process of its own, as users have it; its address."""
+    words = ["studio", scene, "--no-open", "--json", *options]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "nanogs", *map(str, words)], cwd=cwd, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=dict(os.environ) | (env or {}),
+    )  # fmt: skip
+    try:
+        yield Started(process)
+    finally:
+        process.terminate()
+        process.communicate(timeout=30)
+
+
+class Started:
+    """A command that has said its address."""
+
+    def __init__(self, process):
+        self.process = process
+        text = ""
+        while not text.endswith("}\n"):
+            line = process.stdout.readline()
+            assert line, process.stderr.read()
+            text += line
+        self.told = json.loads(text)
+        self.url = self.told["url"]
+
+    def request(self, method, path="", body=None, headers=None, whole=False):
+        """Status, headers and bytes; with `whole` the path begins at the root."""
+        parts = urlsplit(self.url)
+        line = http.client.HTTPConnection(parts.hostname, parts.port, timeout=60)
+        usual = {"Host": parts.netloc}
+        if method == "POST":
+            usual |= {"Origin": f"http://{parts.netloc}", "Content-Type": "application/json"}
+        given = {k: v for k, v in (usual | (headers or {})).items() if v is not None}
+        line.putrequest(method, path if whole else parts.path + path, skip_host=True)
+        data = json.dumps(body).encode() if isinstance(body, dict) else body or b""
+        if method == "POST" and "Content-Length" not in given:
+            given["Content-Length"] = str(len(data))
+        for name, value in given.items():
+            line.putheader(name, value)
+        line.endheaders(data)
+        answer = line.getresponse()
+        with closing(line):
+            return answer.status, dict(answer.getheaders()), answer.read()
+
+    def page(self):
+        """A page that listens."""
+        return Page(self)
+
+
+class Page:
+    """What a page does: it asks, and takes events."""
+
+    def __init__(self, studio, name=None):
+        self.studio, self.name, self.number = studio, name or token_hex(8), 0
+        self.events, self.seen = queue.Queue(), []
+        parts = urlsplit(studio.url)
+        self.line = http.client.HTTPConnection(parts.hostname, parts.port, timeout=60)
+        self.line.request("GET", f"{parts.path}events?page={self.name}")
+        self.answer = self.line.getresponse()
+        assert self.answer.status == 200, self.answer.read()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self):
+        try:
+            for line in self.answer:
+                if line.startswith(b"data: "):
+                    self.events.put(json.loads(line[6:]))
+        except (OSError, ValueError, AttributeError, http.client.HTTPException):
+            pass
+        self.events.put(None)
+
+    def close(self):
+        """Close the line of events."""
+        self.line.sock.shutdown(2) if self.line.sock else self.answer.fp.raw._sock.shutdown(2)
+        self.line.close()
+
+    def wait(self, *kinds, number=None, seconds=60):
+        """The next event of one of these kinds, and of a number; others are kept in `seen`."""
+        until = time.monotonic() + seconds
+        while True:
+            event = self.events.get(timeout=max(until - time.monotonic(), 0.01))
+            assert event is not None, self.seen[-3:]
+            self.seen.append(event)
+            if event["type"] in kinds and number in (None, event.get("number")):
+                return event
+            assert event["type"] != "failed" or "failed" in kinds, event
+
+    def post(self, path, **body):
+        """The status and the answer."""
+        status, _, data = self.studio.request("POST", path, {"page": self.name} | body)
+        return status, json.loads(data) if data else None
+
+    def ask(self, **choice):
+        """Ask; the number, and the command."""
+        self.number += 1
+        status, answer = self.post("ask", number=self.number, choice=choice)
+        assert status == 200, answer
+        return self.number, answer["command"]
+
+    def save(self, path, overwrite=False, **choice):
+        """Save; the number, and the command."""
+        self.number += 1
+        status, answer = self.post(
+            "save", number=self.number, choice=choice, path=path, overwrite=overwrite
+        )
+        assert status == 200, answer
+        return self.number, answer["command"]
+
+    def model(self, name):
+        """The bytes of a model."""
+        status, _, data = self.studio.request("GET", f"models/{name}.spz")
+        assert status == 200
+        return data
