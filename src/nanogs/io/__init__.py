@@ -229,9 +229,15 @@ def as_stored(
 
 
 def as_packed(
-    splats: Splats, path: str | PathLike[str], format_options: FormatOptions | None = None
+    splats: Splats,
+    path: str | PathLike[str],
+    format_options: FormatOptions | None = None,
+    *,
+    progress: Progress | None = None,
 ) -> tuple[Splats, int]:
     """The model as a file of a readable format gives it back, and the bytes of that file.
+
+    `progress` is called with each step of a file whose writing takes long.
 
     Raises:
         NanogsError: As for `save`.
@@ -244,7 +250,7 @@ def as_packed(
         if not known.write_folder:
             file = file.with_name(f"model{known.suffix}")
             file.parent.mkdir()
-        save(splats, file, format_options=format_options)
+        save(splats, file, format_options=format_options, progress=progress)
         size = bytes_on_disk(file)
         return load(file), size
 

@@ -4,7 +4,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,7 @@ from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search, renders
 from nanogs.pipeline.rows import check_degree
 from nanogs.pipeline.target import Goal
-from nanogs.progress import Progress, Stage, Tracker
+from nanogs.progress import Parts, Progress, Stage, Tracker
 from nanogs.protocol import Judged
 from nanogs.report import SimplifyReport
 from nanogs.splats import Splats, refuse_misaligned_elements
@@ -76,6 +75,7 @@ class Grown:
 
         self._original, self._job, self._scene = original, job, scene
         self._device, self._threads = device, threads
+        self._held_out: HeldOut | None = None
         self._plain = HeldResults(scene, StageClock()).plain(rounds=0)
         self.available = len(job.rows)
         self.fewest = scene.forest.fewest
@@ -156,10 +156,11 @@ class Grown:
         with drawn(progress) as tell, _on(self._device, self._threads):
             tracker = Tracker(tell, stages)
             tracker.begin("measure")
-            views = self._views
+            views = self._views(tracker.part)
             tracker.begin("encode")
             if registry.writable(path).readable:
-                stored, size = as_packed(splats, path, format_options)
+                told = tracker.passing()
+                stored, size = as_packed(splats, path, format_options, progress=told)
             else:
                 stored, size = splats, encoded_bytes(splats, path, format_options)
             tracker.begin("score")
@@ -167,12 +168,13 @@ class Grown:
             tracker.finish()
         return Measured(size, judged)
 
-    @cached_property
-    def _views(self) -> "HeldOut":
-        """The model on the views of `compare`, from which nothing is learnt."""
+    def _views(self, tell: Parts) -> "HeldOut":
+        """The model on the views of `compare`, from which nothing is learnt, rendered once."""
         from nanogs.scoring.held_out import held_out
 
-        return held_out(self._original)
+        if self._held_out is None:
+            self._held_out = held_out(self._original, tell)
+        return self._held_out
 
     def _delivered(self, count: int, clock: StageClock, progress: Tracker) -> Outcome:
         from nanogs.pipeline.run import deliver

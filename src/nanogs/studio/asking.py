@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from nanogs.views.opening import Opening
 
 Event = dict[str, Any]
+SETTLED = 0.3  # seconds without a newer request after which a slider stands still
 TRIES = 3  # results that are made for a PSNR, each nearer to it
 NEAR = 0.3  # dB above a wish that a search of the command comes within, too
 NEAR_SIZE = 0.03  # of the size, below it
@@ -31,6 +32,9 @@ class Telling(Protocol):
 
     def progress(self, kind: str) -> Progress:
         """A function that takes the steps of something, and raises where it is cancelled."""
+
+    def rest(self, seconds: float) -> None:
+        """Wait so long for a newer request, which ends the job."""
 
     def shielded(self, useful: Callable[[Choice], bool]) -> AbstractContextManager[None]:
         """Go on in the block although a newer request came, if it is useful to that too."""
@@ -63,6 +67,7 @@ class Answers:
         curve = self._curve(choice, grown, tell)
         count = curve.count_for(choice.goal)
         self._draft(grown, curve, count, choice, tell)
+        tell.rest(SETTLED)
         grown = self._grow(choice, tell)
         for _ in range(TRIES):
             event, shown, point = self._made(grown, count, choice, tell)

@@ -39,6 +39,7 @@ class Inbox:
         self.jobs: queue.Queue[Job] = queue.Queue()
         self._line = line
         self._dropped: dict[int, Job | None] = {}
+        self.news = threading.Event()  # that the job at hand was dropped
         threading.Thread(target=self._read, daemon=True).start()
 
     def dropped(self, job: Job) -> bool:
@@ -49,12 +50,20 @@ class Inbox:
         """The newer request because of which a job was dropped."""
         return self._dropped.get(job.id)
 
+    def begin(self, job: Job) -> None:
+        """Forget the jobs before this one."""
+        for each in [each for each in self._dropped if each < job.id]:
+            del self._dropped[each]
+        if not self.dropped(job):
+            self.news.clear()
+
     def _read(self) -> None:
         try:
             while True:
                 kind, said = self._line.recv()
                 if kind == "cancel":
                     self._dropped[said[0]] = said[1]
+                    self.news.set()
                 else:
                     self.jobs.put(said)
         except (EOFError, OSError):
@@ -116,6 +125,11 @@ class Teller:
 
         return told
 
+    def rest(self, seconds: float) -> None:
+        """Wait so long for a newer request, which ends the job."""
+        self._inbox.news.wait(seconds)
+        self.check()
+
     @contextmanager
     def shielded(self, useful: Callable[[Choice], bool]) -> Iterator[None]:
         """Go on in the block although a newer request came, if it is useful to that too."""
@@ -143,6 +157,7 @@ def work(line: Connection, scene: Scene, manner: Manner) -> None:
     desk = Desk(scene, manner)
     while True:
         job = inbox.jobs.get()
+        inbox.begin(job)
         line.send(("done", *_outcome(desk, job, Teller(line, inbox, job))))
 
 

@@ -35,6 +35,7 @@ class Workshop:
         self.queue = Queue()
         self._process: Process | None = None
         self._timer: asyncio.TimerHandle | None = None
+        self._task: asyncio.Task[None] | None = None  # which ends a worker
         self._replaced = False  # whether the running job gives way to a newer one
         self._curve: Job | None = None  # what is measured while nobody asks
 
@@ -47,6 +48,9 @@ class Workshop:
         if self._process is None and job.kind != "open":
             self.queue.put(Job("open"))
         replaced = self.queue.put(job)
+        now = self.queue.running
+        if now is not None and self.queue.dropped and (now.kind, now.page) == (job.kind, job.page):
+            self._send(("cancel", (now.id, job)))  # what it may be useful to is this one now
         self._give_up(replaced, PATIENCE_REPLACED, successor=job)
         self._go_on()
 
@@ -54,7 +58,12 @@ class Workshop:
         """Drop what a page waits for."""
         if self._curve is not None and self._curve.page == page:
             self._curve = None
-        self._give_up(self.queue.cancel(page, kinds or ("ask", "save")), PATIENCE)
+        kinds = kinds or ("ask", "save", "curve")
+        self._give_up(self.queue.cancel(page, kinds), PATIENCE)
+        now = self.queue.running
+        if now is not None and self.queue.dropped and now.page == page and self._replaced:
+            self._send(("cancel", (now.id, None)))  # it is useful to nobody any more
+            self._await(PATIENCE)
 
     def end(self) -> None:
         """End the worker."""
@@ -155,21 +164,20 @@ class Workshop:
     def _replace(self) -> None:
         """End a worker whose job does not give up; the next request starts another."""
         self._timer = None
-        process, self._process = self._process, None
-        if process is not None:
-            process.end()
-        self._sweep()
-        job = self.queue.running
-        self.queue.done()
-        if job is not None:
-            self._tell(job, {"type": "cancelled"})
-        self._start_again()
+        if self._process is not None:
+            self._task = asyncio.create_task(self._lose(self._process))
 
     def _lost(self, process: Process) -> None:
-        """A worker has ended by itself: say so, and start another for what waits."""
-        self._process = None
+        """A worker has ended by itself."""
         self._stop_timer()
-        process.end()
+        self._task = asyncio.create_task(self._lose(process))
+
+    async def _lose(self, process: Process) -> None:
+        """End a worker, say what became of its job, and start another for what waits."""
+        await asyncio.to_thread(process.end)
+        if process is not self._process:
+            return  # another call was first
+        self._process = None
         self._sweep()
         job, dropped = self.queue.running, self.queue.dropped
         self.queue.done()

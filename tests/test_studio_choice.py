@@ -1,0 +1,210 @@
+"""What a page asks, as the library and as the command take it: the same, whatever is chosen."""
+
+import dataclasses
+import math
+import shlex
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from tests.builders import random_splats
+from tests.launch import run_here
+
+import nanogs
+from nanogs.errors import OptionError
+from nanogs.frames import change_between
+from nanogs.studio import turning
+from nanogs.studio.choice import PRESETS, UPS, choice_of
+from nanogs.studio.orders import LAYOUTS, Order, refuse_unfit, shown_path
+from nanogs.studio.scene import Manner, scene_of
+
+NUMBERS = st.floats(-1e6, 1e6, allow_nan=False) | st.integers(-1000, 1000)
+BOXES = st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS).map(
+    lambda v: [*map(min, v[:3], v[3:]), *map(max, v[:3], v[3:])]
+)
+WISHES = st.one_of(
+    st.builds(lambda n: {"splats": n}, st.integers(1, 60)),
+    st.builds(lambda n: {"bytes": n}, st.integers(1, 10**12)),
+    st.builds(lambda n: {"psnr": n}, st.floats(1e-3, 100)),
+)
+FORMATS = [".ply", ".sog", ".spz", ".glb", ".splat", ".compressed.ply", ".npz"]
+FILTERS = st.fixed_dictionaries(
+    {}, optional={
+        "box": st.none() | BOXES,
+        "min_opacity": st.none() | st.floats(0, 1),
+        "floaters": st.booleans(),
+    },
+)  # fmt: skip
+CHOICES = st.fixed_dictionaries(
+    {"wish": WISHES}, optional={
+        "format": st.sampled_from(FORMATS),
+        "preset": st.sampled_from(PRESETS),
+        "sh_degree": st.none() | st.integers(0, 4),
+        "filters": st.none() | FILTERS,
+        "render_mode": st.sampled_from([None, "default", "mip"]),
+        "up": st.none() | st.sampled_from(UPS),
+        "levels": st.none() | st.sampled_from(["1,0.5", "0.25", "1,0.1,0.03"]),
+    },
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scenes") / "a scene.ply"
+    nanogs.save(random_splats(60, degree=1), path)
+    return scene_of(path)
+
+
+def caught(monkeypatch, where, call):
+    """The request with which a function of a module is called."""
+    taken = []
+
+    def take(request, *_rest, **_more):
+        taken.append(request)
+        raise OptionError("caught")
+
+    with monkeypatch.context() as patch, suppress(OptionError):
+        patch.setattr(where, take)
+        call()
+    [request] = taken
+    return request
+
+
+def comparable(request):
+    """What decides the bytes, with the two ways to say nothing as one."""
+    plain = {field.name: getattr(request, field.name) for field in dataclasses.fields(request)}
+    plain["filters"] = [each.plain for each in request.filters]
+    plain["cameras"] = None if request.cameras == "auto" else request.cameras
+    plain["device"] = request.device or "cpu"
+    plain["up"] = request.up and tuple(request.up)
+    plain["format_options"] = request.format_options or None
+    plain["ratios"] = tuple(request.ratios)
+    return plain
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=CHOICES)
+def test_the_command_asks_the_library_for_the_same(scene, data, monkeypatch_module):
+    data = dict(data)
+    if data.get("levels"):
+        data["format"] = sorted(LAYOUTS)[len(str(data)) % len(LAYOUTS)]
+    try:
+        choice = choice_of(data)
+        path = scene.path.parent / shown_path(scene, choice)
+        order = Order(scene, Manner(), choice, path)
+    except OptionError as error:
+        unfit = "SH degree" in str(error)
+        assume(not unfit)
+        raise
+    words = shlex.split(order.command())
+    assert words == order.words()
+    assert words[0] == "nanogs"
+    if choice.levels is None:
+        mine = caught(
+            monkeypatch_module, "nanogs.pipeline.files.simplify_files",
+            lambda: nanogs.simplify_blocks(**order.arguments()),
+        )  # fmt: skip
+        typed = "nanogs.cli.simplify_run.simplify_files"
+    else:
+        mine = caught(
+            monkeypatch_module, "nanogs.levels_of_detail.write_levels_of_files",
+            lambda: nanogs.write_levels(**order.arguments()),
+        )  # fmt: skip
+        typed = "nanogs.cli.lod_run.write_levels_of_files"
+    theirs = caught(monkeypatch_module, typed, lambda: run_here(*words[1:]))
+    assert comparable(mine) == comparable(theirs)
+
+
+@pytest.fixture(scope="module")
+def monkeypatch_module():
+    with pytest.MonkeyPatch.context() as patch:
+        yield patch
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (None, "must be an object"),
+        ([], "must be an object"),
+        ({}, "wish"),
+        ({"wish": {}}, "exactly one"),
+        ({"wish": {"splats": 1, "psnr": 3}}, "exactly one"),
+        ({"wish": {"splat": 1}}, "did you mean 'splats'"),
+        ({"wish": {"splats": True}}, "must be a number"),
+        ({"wish": {"splats": 1.5}}, "whole number"),
+        ({"wish": {"splats": 0}}, "at least 1"),
+        ({"wish": {"splats": 10**400}}, "finite"),
+        ({"wish": {"psnr": math.nan}}, "finite"),
+        ({"wish": {"psnr": -1}}, "above 0"),
+        ({"wish": {"splats": "5"}}, "must be a number"),
+        ({"wish": {"splats": 5}, "presett": "fast"}, "did you mean 'preset'"),
+        ({"wish": {"splats": 5}, "goal": 3}, "no entry"),
+        ({"wish": {"splats": 5}, "preset": "paper"}, "one of fast, default, best"),
+        ({"wish": {"splats": 5}, "sh_degree": 5}, "0 to 4"),
+        ({"wish": {"splats": 5}, "sh_degree": False}, "0 to 4"),
+        ({"wish": {"splats": 5}, "up": "z"}, "must be one of"),
+        ({"wish": {"splats": 5}, "render_mode": "2dgs"}, "must be one of"),
+        ({"wish": {"splats": 5}, "filters": {"box": [1, 2, 3]}}, "six numbers"),
+        ({"wish": {"splats": 5}, "filters": {"box": [1, 0, 0, 0, 1, 1]}}, "lowest corner"),
+        ({"wish": {"splats": 5}, "filters": {"box": [0, 0, 0, 1, 1, math.inf]}}, "finite"),
+        ({"wish": {"splats": 5}, "filters": {"min_opacity": 2}}, "0 to 1"),
+        ({"wish": {"splats": 5}, "filters": {"floaters": 1}}, "true or false"),
+        ({"wish": {"splats": 5}, "levels": "1,2"}, "ratios"),
+        ({"wish": {"splats": 5}, "levels": [1]}, "ratios"),
+        ({"wish": {"splats": 5}, "format": 3}, "must be a text"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_a_sentence(data, said):
+    with pytest.raises(OptionError, match=said):
+        choice_of(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ({"wish": {"splats": 61}}, "above the 60 splats"),
+        ({"wish": {"splats": 5}, "format": ".xyz"}, "does not write"),
+        ({"wish": {"splats": 5}, "format": ".ssog"}, "say which"),
+        ({"wish": {"splats": 5}, "levels": "1", "format": ".ply"}, "Levels are written as"),
+        ({"wish": {"psnr": 30}, "preset": "fast", "sh_degree": 0}, "lower SH degree"),
+    ],
+)
+def test_what_the_scene_cannot_give_is_refused(scene, data, said):
+    with pytest.raises(OptionError, match=said):
+        refuse_unfit(scene, choice_of(data))
+
+
+@pytest.mark.parametrize("path", ["out", "out.sog", "out.compressed.ply", "a/out.html"])
+def test_the_name_of_a_file_says_its_format(scene, path):
+    with pytest.raises(OptionError, match="is no"):
+        Order(scene, Manner(), choice_of({"wish": {"splats": 5}}), Path(path))
+
+
+def test_a_model_whose_file_says_its_frame_is_not_turned(tmp_path):
+    path = tmp_path / "a.glb"
+    nanogs.save(random_splats(9, degree=0), path)
+    choice = choice_of({"wish": {"splats": 5}, "up": "+z"})
+    with pytest.raises(OptionError, match="states its frame"):
+        refuse_unfit(scene_of(path), choice)
+    refuse_unfit(scene_of(path), choice_of({"wish": {"splats": 5}, "up": "-y"}))
+
+
+@pytest.mark.parametrize("up", UPS)
+def test_frames_by_up_are_turns_that_put_it_up(up):
+    change = change_between(turning.FRAMES[up], "rdf")
+    assert np.linalg.det(change.matrix) == 1
+    assert (change.matrix @ turning.direction_of(up) == turning.direction_of("-y")).all()
+    assert turning.up_of(turning.direction_of(up)) == up
+
+
+def test_paths_that_look_like_options_are_typed_as_paths(scene):
+    order = Order(scene, Manner(), choice_of({"wish": {"splats": 5}}), Path("-w.ply"))
+    assert order.words()[3] == "./-w.ply"
+
+
+def test_the_studio_has_no_preset_without_a_forest():
+    with pytest.raises(OptionError, match="fast, default, best"):
+        Manner(preset="paper")
