@@ -1,0 +1,69 @@
+// What goes to the server and comes from it. Addresses are relative: all begin with the page's token.
+
+const PAGE = crypto.randomUUID();
+
+export function connect() {
+  const listeners = new Map();
+  let number = 0;
+  const emit = (type, event) => {
+    for (const listener of listeners.get(type) ?? []) listener(event);
+  };
+  const source = new EventSource(`events?page=${PAGE}`);
+  source.onmessage = (message) => {
+    const event = JSON.parse(message.data);
+    emit(event.type, event);
+    if (event.type === "bye") source.close();
+  };
+  source.onopen = () => emit("connected", {});
+  source.onerror = () => emit("lost", { final: source.readyState === EventSource.CLOSED });
+
+  async function post(path, body) {
+    let response;
+    try {
+      response = await fetch(path, {
+        method: "POST",
+        headers: { "Content-Type": "application/json" },
+        body: JSON.stringify({ page: PAGE, ...body }),
+      });
+    } catch {
+      throw new Refused("The studio does not answer; has the command been ended?", 0);
+    }
+    if (response.status === 204) return {};
+    const answer = await response.json().catch(() => ({}));
+    if (!response.ok) {
+      throw new Refused(answer.message ?? `The studio refuses this (${response.status}).`, response.status);
+    }
+    return answer;
+  }
+
+  return {
+    on(type, listener) {
+      listeners.set(type, [...(listeners.get(type) ?? []), listener]);
+    },
+    // Sends what makes work; its events bear the number that comes back, which the server needs not wait for.
+    start(path, body) {
+      number += 1;
+      return { number, answer: post(path, { number, ...body }) };
+    },
+    post,
+    async files(folder) {
+      const response = await fetch(`files?folder=${encodeURIComponent(folder)}`);
+      const answer = await response.json().catch(() => ({}));
+      if (!response.ok) throw new Refused(answer.message ?? "The folder cannot be read.", response.status);
+      return answer;
+    },
+    async model(id) {
+      const response = await fetch(`models/${encodeURIComponent(id)}.spz`);
+      if (!response.ok) throw new Refused("A model is no longer there; move a slider.", response.status);
+      return new Uint8Array(await response.arrayBuffer());
+    },
+  };
+}
+
+// What the server says no to, in a sentence.
+export class Refused extends Error {
+  constructor(message, status) {
+    super(message);
+    this.status = status;
+  }
+}

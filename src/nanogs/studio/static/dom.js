@@ -1,0 +1,53 @@
+// A few words for what every module does with the document.
+
+export const byId = (id) => document.getElementById(id);
+
+export function make(name, properties = {}, ...children) {
+  const made = Object.assign(document.createElement(name), properties);
+  made.append(...children);
+  return made;
+}
+
+export function drawn(name, attributes = {}, ...children) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+// Buttons of which one is pressed. `choices` is a list of [value, words, title].
+export function segments(host, choices, choose) {
+  const buttons = choices.map(([value, words, title = ""]) => {
+    const button = make("button", { type: "button", textContent: words, title });
+    button.dataset.value = value;
+    button.addEventListener("click", () => choose(value));
+    return button;
+  });
+  host.replaceChildren(...buttons);
+  return (value) => {
+    for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset.value === value));
+  };
+}
+
+// Ends an action of the keyboard in a field: Enter is for what was typed, and sends no form.
+export function onCommit(field, commit) {
+  field.addEventListener("change", commit);
+  field.addEventListener("keydown", (event) => {
+    if (event.key !== "Enter") return;
+    event.preventDefault();
+    commit();
+  });
+}
+
+export function copyButton(button, words) {
+  button.addEventListener("click", async () => {
+    try {
+      await navigator.clipboard.writeText(words().textContent);
+      button.textContent = "Copied";
+    } catch {
+      getSelection().selectAllChildren(words());
+      button.textContent = "Press Ctrl-C";
+    }
+    setTimeout(() => (button.textContent = "Copy"), 2000);
+  });
+}

@@ -1,0 +1,179 @@
+// What is to be taken away: chosen here, shown in magenta, and only then taken.
+
+import { byId, onCommit } from "./dom.js";
+import * as numbers from "./numbers.js";
+import { same } from "./state.js";
+
+const STEPS = 1000;
+const AXES = ["x", "y", "z"];
+const PAUSE = 120; // milliseconds without a change, until what would go is looked for
+export const NONE = { box: null, min_opacity: null, floaters: false };
+
+export function makeFilters(scene, state, { ask, draw, restore, complain }) {
+  const opacity = { field: byId("opacity"), range: byId("opacity-range"), scale: numbers.squared(1) };
+  const floaters = byId("floaters");
+  const crop = byId("crop");
+  const panel = byId("sift");
+  const core = scene.core ?? scene.bounds;
+  const axes = AXES.map((name, axis) => ({
+    scale: within(core.low[axis], core.high[axis], scene.bounds.low[axis], scene.bounds.high[axis]),
+    ends: ["low", "high"].map((end) => ({ field: byId(`${name}-${end}`), range: byId(`${name}-${end}-range`) })),
+  }));
+  let pending = state.choice.filters; // as the controls say
+  let box = [...core.low, ...core.high]; // kept while it is switched off
+  let timer = 0;
+
+  const isNew = () => !same(pending, state.choice.filters);
+
+  function change(part, at = PAUSE) {
+    pending = { ...pending, ...part };
+    if (pending.box) box = pending.box;
+    render();
+    clearTimeout(timer);
+    if (!isNew()) {
+      forget();
+      return;
+    }
+    document.body.dataset.preview = "asked";
+    say("Looking for what would go …");
+    timer = setTimeout(() => ask(pending), at);
+  }
+
+  function forget() {
+    clearTimeout(timer);
+    if (document.body.dataset.preview !== "none") restore();
+    document.body.dataset.preview = "none";
+    say("");
+  }
+
+  opacity.range.addEventListener("input", () => {
+    const value = numbers.parsed(opacity.scale.at(opacity.range.value / STEPS).toFixed(3));
+    change({ min_opacity: value || null });
+  });
+  onCommit(opacity.field, () => {
+    const value = numbers.parsed(opacity.field.value || "0");
+    if (value >= 0 && value <= 1) change({ min_opacity: value || null }, 0);
+    else complain(`“${opacity.field.value}” is no opacity; those are from 0 to 1.`);
+    render();
+  });
+  floaters.addEventListener("change", () => change({ floaters: floaters.checked }, 0));
+  crop.addEventListener("change", () => change({ box: crop.checked ? box : null }, 0));
+  axes.forEach(({ scale, ends }, axis) => {
+    ends.forEach(({ field, range }, end) => {
+      const set = (value, at) => {
+        const next = [...box];
+        next[axis + 3 * end] = value;
+        // The ends of an axis push each other, as the lower one is never above the other.
+        if (next[axis] > next[axis + 3]) next[axis + 3 * (1 - end)] = value;
+        change({ box: next }, at);
+      };
+      range.addEventListener("input", () => set(scale.at(range.value / STEPS)));
+      onCommit(field, () => {
+        const value = numbers.parsed(field.value);
+        if (Number.isFinite(value)) {
+          if (field.value !== scale.short(box[axis + 3 * end])) set(value, 0);
+        } else complain(`“${field.value}” is no number of the scene's units.`);
+        render();
+      });
+    });
+  });
+  byId("take").addEventListener("click", () => {
+    clearTimeout(timer);
+    document.body.dataset.preview = "none";
+    say("");
+    state.set({ filters: pending });
+    render();
+  });
+  byId("untake").addEventListener("click", () => {
+    pending = state.choice.filters;
+    if (pending.box) box = pending.box;
+    forget();
+    render();
+  });
+  panel.addEventListener("toggle", () => render());
+
+  const say = (words) => (byId("takes").textContent = words);
+
+  function render() {
+    const alpha = pending.min_opacity ?? 0;
+    opacity.field.value = alpha ? String(alpha) : "0";
+    opacity.range.value = Math.round(STEPS * opacity.scale.place(alpha));
+    fill(opacity.range, 0, opacity.range.value);
+    opacity.range.setAttribute("aria-valuetext", alpha ? String(alpha) : "none is taken");
+    floaters.checked = pending.floaters;
+    crop.checked = Boolean(pending.box);
+    byId("box").hidden = !pending.box;
+    axes.forEach(({ scale, ends }, axis) => {
+      ends.forEach(({ field, range }, end) => {
+        const value = box[axis + 3 * end];
+        field.value = scale.short(value);
+        range.value = Math.round(STEPS * scale.place(value));
+        range.setAttribute("aria-valuetext", scale.short(value));
+      });
+      const [low, high] = ends.map(({ range }) => Number(range.value));
+      fill(ends[0].range.parentElement, low, high);
+      // Both at the upper end: the lower one has to be the one that is reached.
+      ends[0].range.style.zIndex = low > STEPS / 2 ? 2 : 1;
+      ends[1].range.style.zIndex = low > STEPS / 2 ? 1 : 2;
+    });
+    byId("take").disabled = byId("untake").disabled = !isNew();
+    byId("take").textContent = same(pending, NONE) && isNew() ? "Put all back" : "Take away";
+    const seen = pending.box && panel.open;
+    draw(seen ? pending.box.slice(0, 3) : null, seen ? pending.box.slice(3) : null);
+  }
+
+  render();
+  return {
+    // The choice has become another one, by undo or by taking.
+    follow(choice, before) {
+      if (same(choice.filters, before.filters)) return;
+      pending = choice.filters;
+      if (pending.box) box = pending.box;
+      clearTimeout(timer);
+      document.body.dataset.preview = "none";
+      say("");
+      render();
+    },
+    // What the server found for `pending`.
+    preview(event) {
+      document.body.dataset.preview = "shown";
+      say(`${outcome(event)}${gone(event) ? " They are magenta on the left." : ""}`);
+    },
+    taken(event) {
+      const lost = gone(event);
+      byId("taken").textContent = lost ? `${numbers.count(lost)} taken` : "";
+      byId("taken").title = lost ? outcome(event) : "";
+    },
+    refused(message) {
+      document.body.dataset.preview = "none";
+      say(message);
+    },
+  };
+}
+
+const gone = ({ took }) => took.reduce((sum, { removed }) => sum + removed, 0);
+
+function outcome(event) {
+  const lost = gone(event);
+  if (!lost) return "Nothing goes: no splat is like that.";
+  const parts = event.took.filter(({ removed }) => removed);
+  const each = parts.length > 1 ? ` (${parts.map(({ name, removed }) => `${name}: ${numbers.count(removed)}`).join(", ")})` : "";
+  return `${numbers.splats(lost)} of ${numbers.count(lost + event.left)} ${lost === 1 ? "goes" : "go"}${each}, ${numbers.count(event.left)} stay.`;
+}
+
+// Along the part that holds nearly all; its ends stand for all there is.
+function within(low, high, lowest, highest) {
+  const middle = numbers.linear(low, high);
+  const digits = Math.max(0, 3 - Math.floor(Math.log10(high - low || 1)));
+  const short = (value) => String(Number(value.toFixed(digits)));
+  return {
+    at: (place) => (place <= 0 ? lowest : place >= 1 ? highest : Number(short(middle.at(place)))),
+    place: middle.place,
+    short,
+  };
+}
+
+function fill(element, low, high) {
+  element.style.setProperty("--from", `${low / (STEPS / 100)}%`);
+  element.style.setProperty("--filled", `${high / (STEPS / 100)}%`);
+}

@@ -1,0 +1,79 @@
+// The two models: what is on which side, and what is said of it there.
+
+import { byId, make } from "./dom.js";
+
+export function makePicture(scene, fetchModel, complain) {
+  const host = byId("view");
+  const viewer = nanogsViewer.mountStudio(host, {
+    camera: scene.camera,
+    background: scene.background,
+    names: [scene.name, "simplified"],
+    onLost: () => complain("The graphics processor gave up: load the page again."),
+  });
+  const asked = [0, 0]; // the latest model of each side
+  let base = null; // the scene as it is compared with: { model, name, facts }
+
+  // Whether it is what the side shows now, and not overtaken by a later one.
+  async function show(side, model, name, facts) {
+    const turn = (asked[side] += 1);
+    const bytes = await fetchModel(model.id);
+    if (turn !== asked[side]) return false;
+    await viewer.show(side, bytes, model.mip);
+    if (turn !== asked[side]) return false;
+    viewer.label(side, name, facts);
+    return true;
+  }
+
+  return {
+    box: viewer.box,
+    key: viewer.key,
+    label: viewer.label,
+    base(model, name, facts) {
+      base = { model, name, facts };
+      return show(0, model, name, facts);
+    },
+    // What is there for the moment, until `back`.
+    instead: (model, name, facts) => show(0, model, name, facts),
+    back: () => show(0, base.model, base.name, base.facts),
+    result: (model, facts) => show(1, model, "simplified", facts),
+    up: (axis) => viewer.setUp(axis === null ? scene.camera.up : directionOf(axis)),
+    bind() {
+      byId("first-view").addEventListener("click", viewer.reset);
+      bindHeat(viewer);
+      bindFullScreen(host.parentElement);
+    },
+  };
+}
+
+function bindHeat(viewer) {
+  const button = byId("heat");
+  const { colours, marks } = nanogsViewer.SCALE;
+  byId("legend-colours").style.background = `linear-gradient(to right, ${colours.join(", ")})`;
+  byId("legend-marks").replaceChildren(
+    ...marks.map(({ difference, place }, index) => {
+      const more = index === marks.length - 1 ? "+" : "";
+      const mark = make("span", { textContent: `${Math.round(100 * difference)}${more}` });
+      mark.style.left = `${100 * place}%`;
+      return mark;
+    }),
+  );
+  button.addEventListener("click", () => {
+    const on = button.getAttribute("aria-pressed") !== "true";
+    button.setAttribute("aria-pressed", String(on));
+    byId("legend").hidden = !on;
+    viewer.heat(on);
+  });
+}
+
+function bindFullScreen(picture) {
+  const button = byId("full");
+  button.hidden = !document.fullscreenEnabled;
+  button.addEventListener("click", () => {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else picture.requestFullscreen();
+  });
+}
+
+function directionOf(axis) {
+  return ["x", "y", "z"].map((name) => (axis[1] === name ? (axis[0] === "-" ? -1 : 1) : 0));
+}

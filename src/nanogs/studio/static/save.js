@@ -1,0 +1,197 @@
+// The dialogue that writes a file: where, as what, and the command that does the same.
+
+import { byId, copyButton, make } from "./dom.js";
+import * as numbers from "./numbers.js";
+import { showFraction } from "./status.js";
+
+const PAUSE = 150; // milliseconds
+
+export function makeSave(scene, state, connection, { onStart, onEnd }) {
+  const dialog = byId("save");
+  const [name, format, ratios, go] = ["save-name", "save-format", "ratios", "save-go"].map(byId);
+  const said = byId("save-said");
+  let folder = "";
+  let stem = `${scene.stem}-small`;
+  let overwrite = false;
+  let running = 0; // the number of a save
+  let timer = 0;
+  let checked = 0;
+
+  format.append(
+    group("One file", scene.formats.map((suffix) => new Option(suffix, `file ${suffix}`))),
+    group("Levels of detail", (scene.layouts ?? []).map((layout) => new Option(`${layout.suffix}: ${layout.name}`, `levels ${layout.suffix}`))),
+  );
+
+  const layout = () => {
+    const [kind, suffix] = format.value.split(" ");
+    return kind === "levels" ? scene.layouts.find((one) => one.suffix === suffix) : null;
+  };
+  const suffix = () => format.value.split(" ")[1];
+  const path = () => (folder ? `${folder}/${name.value.trim()}` : name.value.trim());
+  const choice = () => ({ ...state.choice, format: suffix(), levels: layout() ? ratios.value.trim() : null });
+
+  function say(words, wrong = false) {
+    said.textContent = words;
+    said.classList.toggle("wrong", wrong);
+  }
+
+  // The name for another format, with what was typed before its end.
+  function rename() {
+    const found = layout();
+    name.value = found ? found.example.replaceAll(scene.stem, stem) : `${stem}${suffix()}`;
+    for (const element of dialog.querySelectorAll(".levels")) element.hidden = !found;
+    changed(0);
+  }
+
+  function changed(pause = PAUSE) {
+    overwrite = false;
+    go.textContent = "Save";
+    byId("save-lines").replaceChildren();
+    clearTimeout(timer);
+    timer = setTimeout(check, pause);
+  }
+
+  // What the command would be; where there is none, why.
+  async function check() {
+    const turn = (checked += 1);
+    let command = "";
+    let wrong = "";
+    try {
+      ({ command } = await connection.post("command", { choice: choice(), path: path() }));
+    } catch (error) {
+      wrong = error.message;
+    }
+    if (turn !== checked || running) return;
+    byId("save-command").textContent = command;
+    byId("save-copy").disabled = !command;
+    go.disabled = Boolean(wrong);
+    say(wrong, true);
+  }
+
+  async function open(where) {
+    try {
+      const listed = await connection.files(where);
+      folder = listed.folder;
+      byId("folder").textContent = folder ? `${folder}/` : `${scene.folder}`;
+      byId("folder-up").disabled = listed.parent === null;
+      byId("folder-up").onclick = () => open(listed.parent).then(() => changed(0));
+      byId("entries").replaceChildren(...listed.entries.map(entry));
+    } catch (error) {
+      say(error.message, true);
+    }
+  }
+
+  function entry({ name: called, kind, bytes }) {
+    const button = make("button", { type: "button", className: kind });
+    button.append(make("span", { textContent: kind === "folder" ? `${called}/` : called }));
+    button.append(make("span", { className: "facts", textContent: kind === "folder" ? "" : numbers.size(bytes) }));
+    button.disabled = kind === "file";
+    button.addEventListener("click", () => {
+      if (kind === "folder") open(folder ? `${folder}/${called}` : called).then(() => changed(0));
+      else {
+        name.value = called;
+        learnStem();
+        changed(0);
+      }
+    });
+    return make("li", {}, button);
+  }
+
+  function learnStem() {
+    const end = layout() ? /\/[^/]*$|\.[^./]*$/ : suffix();
+    const typed = name.value.trim();
+    if (typeof end === "string") stem = typed.endsWith(end) ? typed.slice(0, -end.length) : typed;
+    else stem = typed.replace(end, "");
+  }
+
+  async function save() {
+    say("");
+    busy(true);
+    const { number, answer } = connection.start("save", { choice: choice(), path: path(), overwrite });
+    running = number;
+    onStart(number);
+    try {
+      const { command } = await answer;
+      if (command) byId("save-command").textContent = command;
+      if (running === number) say("Saving …");
+    } catch (error) {
+      running = 0;
+      busy(false);
+      onEnd();
+      if (error.status === 409 && !overwrite) {
+        overwrite = true;
+        go.textContent = "Replace it";
+        go.focus();
+      }
+      say(error.message, !overwrite);
+    }
+  }
+
+  function busy(on) {
+    go.disabled = name.disabled = format.disabled = ratios.disabled = on;
+    byId("save-cancel").hidden = !on;
+    byId("save-progress").hidden = !on;
+    if (on) showFraction(byId("save-progress"), null);
+  }
+
+  function finish(words, wrong) {
+    running = 0;
+    busy(false);
+    overwrite = false;
+    go.textContent = "Save";
+    say(words, wrong);
+    onEnd();
+  }
+
+  dialog.querySelector("form").addEventListener("submit", (event) => {
+    event.preventDefault();
+    if (!go.disabled && !running) save();
+  });
+  byId("save-close").addEventListener("click", () => dialog.close());
+  byId("save-cancel").addEventListener("click", () => connection.post("cancel", {}).catch(() => {}));
+  name.addEventListener("input", () => {
+    learnStem();
+    changed();
+  });
+  ratios.addEventListener("input", () => changed());
+  format.addEventListener("change", rename);
+  copyButton(byId("save-copy"), () => byId("save-command"));
+
+  connection.on("progress", (event) => {
+    if (!running || event.number !== running) return;
+    say(`Saving${event.stage ? `: ${event.stage}` : " …"}`);
+    showFraction(byId("save-progress"), event.fraction);
+  });
+  connection.on("saved", (event) => {
+    if (event.number !== running) return;
+    finish(`${event.short ? `${event.short} ` : ""}Saved: ${event.path}, ${numbers.size(event.bytes)}.`, false);
+    byId("save-command").textContent = event.command;
+    const lines = (event.lines ?? []).flatMap(([label, value]) => [make("dt", { textContent: label }), make("dd", { textContent: value })]);
+    byId("save-lines").replaceChildren(...lines);
+    open(folder);
+  });
+  connection.on("failed", (event) => {
+    if (running && event.number === running) finish(event.message, true);
+  });
+  connection.on("cancelled", (event) => {
+    if (running && event.number === running) finish("Cancelled; nothing was written.", false);
+  });
+
+  return () => {
+    if (!running) {
+      format.value = `file ${state.choice.format}`;
+      rename();
+      say("");
+      open(folder);
+    }
+    dialog.showModal();
+    name.focus();
+    name.setSelectionRange(0, stem.length);
+  };
+}
+
+function group(label, options) {
+  const made = make("optgroup", { label });
+  made.append(...options);
+  return made;
+}

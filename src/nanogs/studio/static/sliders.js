@@ -1,0 +1,132 @@
+// Splats, bytes and PSNR: whichever is moved is the wish, and the other two follow it.
+
+import { byId, onCommit } from "./dom.js";
+import * as numbers from "./numbers.js";
+
+const STEPS = 1000;
+const DECIBELS = 5; // the ends of that slider are multiples of it
+const USUAL = [20, 45]; // dB, while nothing is known
+
+const KINDS = {
+  splats: {
+    words: numbers.count,
+    read: (words) => Math.round(numbers.parsed(words)),
+    tidy: Math.round,
+    full: numbers.splats,
+    sample: "such as 50,000",
+  },
+  bytes: {
+    words: numbers.megabytes,
+    read: (words) => numbers.bytesOf(numbers.parsed(words)),
+    tidy: (value) => numbers.bytesOf(numbers.parsed(numbers.megabytes(value))),
+    full: numbers.size,
+    sample: "of megabytes, such as 1.5",
+  },
+  psnr: {
+    words: numbers.decibels,
+    read: numbers.parsed,
+    tidy: (value) => Math.round(100 * value) / 100,
+    full: (value) => `${numbers.decibels(value)} dB`,
+    sample: "of decibels, such as 35",
+  },
+};
+
+export function makeSliders(scene, state, curve, complain) {
+  const limits = { most: scene.available ?? scene.splats, fewest: scene.fewest };
+  const rows = Object.entries(KINDS).map(([key, kind]) => row(key, kind));
+
+  function row(key, kind) {
+    const field = byId(key);
+    const range = byId(`${key}-range`);
+    const one = { key, kind, field, range, got: byId(`${key}-got`), dirty: false };
+    const wish = (value, passing) => state.set({ wish: { [key]: value } }, passing);
+    const slide = (passing) => () => wish(kind.tidy(scaleOf(key).at(range.value / STEPS)), passing);
+    range.addEventListener("input", slide(true));
+    range.addEventListener("change", slide(false));
+    field.addEventListener("input", () => (one.dirty = true));
+    onCommit(field, () => {
+      if (!one.dirty) return;
+      const value = kind.read(field.value);
+      const wrong = !(value > 0);
+      field.setAttribute("aria-invalid", String(wrong));
+      if (wrong) {
+        complain(`“${field.value}” is no number ${kind.sample}.`);
+        return;
+      }
+      one.dirty = false;
+      complain("");
+      wish(value, false);
+      render();
+    });
+    field.addEventListener("blur", () => {
+      if (!one.dirty) return;
+      one.dirty = false;
+      field.removeAttribute("aria-invalid");
+      render();
+    });
+    field.disabled = range.disabled = false;
+    return one;
+  }
+
+  function scaleOf(key) {
+    const fewest = limits.fewest ?? Math.max(1, Math.min(100, limits.most / 1000));
+    if (key === "splats") return numbers.logarithmic(fewest, limits.most);
+    if (key === "bytes") {
+      const [low, high] = [curve.bytesOf(fewest), curve.bytesOf(limits.most)];
+      return numbers.logarithmic(low ?? 20 * fewest, high ?? 20 * limits.most);
+    }
+    const known = [...curve.points, curve.now].map((point) => point?.psnr).filter(Number.isFinite);
+    const low = Math.min(...known, USUAL[0] + DECIBELS);
+    const high = Math.max(...known, USUAL[1] - DECIBELS);
+    return numbers.linear(
+      DECIBELS * (Math.ceil(low / DECIBELS) - 1),
+      DECIBELS * (Math.floor(high / DECIBELS) + 1),
+    );
+  }
+
+  // What the three are: as answered, or as the line through the points has them until then.
+  function values(answer) {
+    const [[key, value]] = Object.entries(state.choice.wish);
+    if (answer) return { ...answer };
+    const splats = curve.splatsFor(key, value);
+    if (splats === null) return { [key]: value };
+    const kept = Math.min(splats, limits.most);
+    return { splats: kept, bytes: curve.bytesOf(kept), psnr: curve.psnrOf(kept), [key]: value };
+  }
+
+  let answer = null;
+  function render() {
+    const found = values(answer);
+    const [[wished, wish]] = Object.entries(state.choice.wish);
+    for (const { key, kind, field, range, got, dirty } of rows) {
+      const pinned = key === wished;
+      const value = pinned ? wish : found[key];
+      const known = Number.isFinite(value);
+      field.closest(".wish").classList.toggle("pinned", pinned);
+      if (!dirty) field.value = known ? kind.words(value) : "";
+      field.placeholder = known ? "" : "–";
+      range.value = known ? Math.round(STEPS * scaleOf(key).place(value)) : 0;
+      range.classList.toggle("unknown", !known);
+      range.style.setProperty("--filled", `${range.value / (STEPS / 100)}%`);
+      range.setAttribute("aria-valuetext", known ? kind.full(value) : "not known yet");
+      const apart = pinned && answer && Number.isFinite(answer[key]) && kind.words(answer[key]) !== kind.words(wish);
+      got.textContent = apart ? `got ${kind.words(answer[key])}` : "";
+    }
+  }
+
+  return {
+    // `found` is what the server answered for the present choice, or null as long as it has not.
+    show(found) {
+      answer = found;
+      render();
+    },
+    limit({ available, fewest }) {
+      if (available) limits.most = available;
+      if (fewest) limits.fewest = fewest;
+    },
+    render,
+    get most() {
+      return limits.most;
+    },
+  };
+}

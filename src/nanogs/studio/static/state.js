@@ -1,0 +1,68 @@
+// The choice as it is, what it was before, and what was undone. A choice is never changed, but replaced.
+
+const MOST = 200; // steps that can be undone
+
+export function makeState(first) {
+  const past = [];
+  const future = [];
+  const listeners = [];
+  let present = first;
+  let lasting = first; // what undoing comes back to: not each place a slider passes
+
+  function become(choice) {
+    const before = present;
+    present = choice;
+    for (const listener of listeners) listener(present, before);
+  }
+
+  return {
+    get choice() {
+      return present;
+    },
+    get canUndo() {
+      return past.length > 0 || !same(present, lasting);
+    },
+    get canRedo() {
+      return future.length > 0;
+    },
+    listen(listener) {
+      listeners.push(listener);
+    },
+    // Passing changes are seen and asked for, and become one step with the lasting one that ends them.
+    set(change, passing = false) {
+      const choice = { ...present, ...change };
+      if (!passing && !same(choice, lasting)) {
+        past.push(lasting);
+        if (past.length > MOST) past.shift();
+        future.length = 0;
+        lasting = choice;
+      }
+      if (!same(choice, present)) become(choice);
+      else if (!passing) for (const listener of listeners) listener(present, present);
+    },
+    undo() {
+      if (same(present, lasting)) {
+        if (!past.length) return;
+        future.push(lasting);
+        lasting = past.pop();
+      }
+      become(lasting);
+    },
+    redo() {
+      if (!future.length) return;
+      past.push(lasting);
+      lasting = future.pop();
+      become(lasting);
+    },
+  };
+}
+
+export const same = (one, other) => JSON.stringify(one) === JSON.stringify(other);
+
+// Whether two choices have the same curve of PSNR over splats.
+export function sameGround(one, other) {
+  const ground = ({ filters, preset, sh_degree, render_mode, up }) => [
+    [filters.box, filters.min_opacity, filters.floaters], preset, sh_degree, render_mode, up,
+  ];
+  return same(ground(one), ground(other));
+}

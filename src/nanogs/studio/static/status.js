@@ -1,0 +1,52 @@
+// What is being done, how far it is, and what went wrong; all in one place of the page.
+
+import { byId } from "./dom.js";
+
+const WORDS = {
+  open: "Opening",
+  draft: "Making a rough model",
+  measure: "Measuring",
+  curve: "Filling the plot",
+  filters: "Looking for what goes",
+  save: "Saving",
+};
+
+export function makeStatus(cancel) {
+  const said = byId("said");
+  const bar = byId("progress");
+  const button = byId("cancel");
+  const alert = byId("alert");
+  button.addEventListener("click", cancel);
+  alert.querySelector("button").addEventListener("click", () => complain(""));
+
+  function complain(message) {
+    alert.hidden = !message;
+    alert.querySelector("p").textContent = message;
+  }
+
+  function say(words) {
+    if (said.textContent !== words) said.textContent = words;
+    bar.hidden = button.hidden = true;
+  }
+
+  return {
+    complain,
+    say,
+    get cancellable() {
+      return !button.hidden;
+    },
+    work({ kind, stage, fraction, number }) {
+      const words = `${WORDS[kind] ?? kind}${stage ? `: ${stage}` : " …"}`;
+      if (said.textContent !== words) said.textContent = words;
+      showFraction(bar, fraction);
+      bar.classList.toggle("quiet", kind === "curve");
+      button.hidden = number === null; // what nobody asked for gives way to what one asks for
+    },
+  };
+}
+
+export function showFraction(bar, fraction) {
+  bar.hidden = false;
+  if (fraction === null || fraction === undefined) bar.removeAttribute("value");
+  else bar.value = fraction;
+}
