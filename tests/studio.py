@@ -4,11 +4,12 @@ import http.client
 import json
 import os
 import queue
+import socket
 import subprocess
 import sys
 import threading
 import time
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from secrets import token_hex
 from urllib.parse import urlsplit
 
@@ -74,9 +75,11 @@ class Page:
         parts = urlsplit(studio.url)
         self.line = http.client.HTTPConnection(parts.hostname, parts.port, timeout=60)
         self.line.request("GET", f"{parts.path}events?page={self.name}")
+        self.socket = self.line.sock
         self.answer = self.line.getresponse()
         assert self.answer.status == 200, self.answer.read()
-        threading.Thread(target=self._read, daemon=True).start()
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
 
     def _read(self):
         try:
@@ -89,8 +92,12 @@ class Page:
 
     def close(self):
         """Close the line of events."""
-        self.line.sock.shutdown(2) if self.line.sock else self.answer.fp.raw._sock.shutdown(2)
+        with suppress(OSError):
+            self.socket.shutdown(socket.SHUT_RDWR)
+        self.reader.join()
+        self.answer.close()
         self.line.close()
+        self.socket.close()
 
     def wait(self, *kinds, number=None, seconds=60):
         """The next event of one of these kinds, and of a number; others are kept in `seen`."""
@@ -103,9 +110,9 @@ class Page:
                 return event
             assert event["type"] != "failed" or "failed" in kinds, event
 
-    def post(self, path, **body):
+    def post(self, where, /, **body):
         """The status and the answer."""
-        status, _, data = self.studio.request("POST", path, {"page": self.name} | body)
+        status, _, data = self.studio.request("POST", where, {"page": self.name} | body)
         return status, json.loads(data) if data else None
 
     def ask(self, **choice):

@@ -27,6 +27,10 @@ NEAR_SIZE = 0.03  # of the size, below it
 class Telling(Protocol):
     """How a job speaks."""
 
+    @property
+    def page(self) -> str:
+        """Whose page it is."""
+
     def __call__(self, event: Event, shown: Shown | None = None) -> None:
         """Send an event to the page of the job, with a model that it names."""
 
@@ -51,7 +55,7 @@ class Answers:
             start: Where the page begins.
         """
         self._held, self._start = held, start
-        self._curve_told: Curve | None = None
+        self._told: dict[str, Curve] = {}  # by page, the one whose points it was told
 
     def ask(self, choice: Choice, tell: Telling) -> None:
         """Answer a request: `filtered` where filters changed, `draft`, `measured` and `point`.
@@ -119,8 +123,8 @@ class Answers:
     def _curve(self, choice: Choice, grown: "Grown", tell: Telling) -> Curve:
         """The curve of a choice; where it is another than before, its points are told again."""
         curve = self._held.curve(choice, grown)
-        if curve is not self._curve_told:
-            self._curve_told = curve
+        if self._told.get(tell.page) is not curve:
+            self._told[tell.page] = curve
             for point in curve.points.values():
                 tell(_point(point, choice))
         return curve

@@ -5,7 +5,7 @@ import json
 import re
 import time
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +19,7 @@ _MOST_EVENTS = 2000  # that wait for a page whose line is broken
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 Event = dict[str, Any]
+Say = Callable[[str], Awaitable[None]]
 
 
 @dataclass(slots=True, eq=False)
@@ -46,7 +47,7 @@ class Pages:
         self._pages: dict[str, Page] = {}
         self._shared: dict[str, bytes] = {}
         self.scene: Event | None = None
-        self.last_left = time.monotonic()
+        self.last_left: float | None = None  # when a page was closed, by `time.monotonic`
 
     def get(self, name: object) -> Page:
         """The page of a name, which is new perhaps.
@@ -87,7 +88,7 @@ class Pages:
             )
             kept.extend(models.items())
         pages = [self._pages[name]] if name in self._pages else []
-        text = f"data: {json.dumps(plain(event), allow_nan=False)}\n\n"
+        text = _text(event)
         for page in pages if name else self._pages.values():
             page.events.append(text)
             page.news.set()
@@ -99,22 +100,26 @@ class Pages:
         kept = (each for page in self._pages.values() for each in page.models.values())
         return next((data for models in kept for each, data in models if each == name), None)
 
-    async def line(self, page: Page) -> AsyncIterator[str]:
-        """Yield what a page is sent, as server-sent events, until it is closed."""
+    async def stream(self, page: Page, say: Say) -> None:
+        """Send a page its events, as server-sent ones, until it has another line or is cancelled.
+
+        Args:
+            page: The page.
+            say: Sends a text.
+        """
         page.lines += 1
         mine, page.left = page.lines, None
+        page.news.set()  # so that an older line ends
         try:
-            if self.scene is not None:
-                yield f"data: {json.dumps(plain(self.scene), allow_nan=False)}\n\n"
-            yield ": here\n\n"
+            await say(": here\n\n" if self.scene is None else _text(self.scene))
             while page.lines == mine:
-                while page.events and page.lines == mine:
-                    yield page.events.popleft()
                 page.news.clear()
+                while page.events:
+                    await say(page.events.popleft())
                 try:
                     await asyncio.wait_for(page.news.wait(), BEAT)
                 except TimeoutError:
-                    yield ": here\n\n"
+                    await say(": here\n\n")
         finally:
             if page.lines == mine:
                 page.left = self.last_left = time.monotonic()
@@ -132,3 +137,7 @@ class Pages:
             for name, page in self._pages.items()
             if page.left is not None and now - page.left > seconds
         ]
+
+
+def _text(event: Event) -> str:
+    return f"data: {json.dumps(plain(event), allow_nan=False)}\n\n"

@@ -42,6 +42,8 @@ class Guard:
 
     async def __call__(self, scope: "Scope", receive: "Receive", send: "Send") -> None:
         """Answer, or have the application answer."""
+        if scope["type"] == "lifespan":  # the server's own, of its start and end
+            await self._inner(scope, receive, send)
         if scope["type"] != "http":
             return
         from starlette.datastructures import Headers, MutableHeaders

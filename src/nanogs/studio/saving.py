@@ -1,6 +1,7 @@
 """A file as the shown command writes it."""
 
 import os
+from pathlib import Path
 from typing import Any
 
 import nanogs
@@ -30,15 +31,20 @@ def save(order: Order, held: Held, progress: Progress) -> Event:
         "replaced": replaced,
     }  # fmt: skip
     if order.choice.levels is None:
-        order.path.parent.mkdir(parents=True, exist_ok=True)
         report = nanogs.simplify_blocks(**arguments, progress=progress)
         size = bytes_on_disk(order.path)
         return said | {"bytes": size, "report": plain(report.to_dict()), "short": _short(report)}
     manifest, reports = nanogs.write_levels(**arguments, progress=progress)
     short = [sentence for report in reports if (sentence := _short(report))]
-    size = sum(level.bytes for level in manifest.levels)
+    size = _all_bytes(order.output.folder)
     told = {"levels": [report.to_dict() for report in reports], "notes": manifest.notes}
     return said | {"bytes": size, "report": plain(told), "short": " ".join(short) or None}
+
+
+def _all_bytes(path: Path) -> int:
+    """Bytes of a file, or of all files of a folder."""
+    files = [path] if path.is_file() else [each for each in path.rglob("*") if each.is_file()]
+    return sum(each.stat().st_size for each in files)
 
 
 def _make_room(order: Order, held: Held) -> None:

@@ -6,6 +6,7 @@ import socket
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from secrets import token_urlsafe
@@ -130,9 +131,10 @@ class Studio:
             for name in self._pages.gone(LEFT):
                 self._workshop.cancel(name, "ask")
             saving = any(job.kind == "save" for job in self._workshop.queue)
-            if self._pages.watched or saving or not self._idle:
+            left = self._pages.last_left
+            if left is None or self._pages.watched or saving or not self._idle:
                 continue
-            if time.monotonic() - self._pages.last_left > self._idle:
+            if time.monotonic() - left > self._idle:
                 self._stop()
 
     async def _page(self, _request: "Request") -> "Response":
@@ -151,12 +153,12 @@ class Studio:
         return _file("nanogs.studio", f"static/{name}", name)
 
     async def _events(self, request: "Request") -> "Response":
-        from starlette.responses import StreamingResponse
+        from nanogs.studio.streaming import EventStream
 
         page = self._pages.get(request.query_params.get("page"))
         if self._pages.scene is None and self._workshop.queue.idle:
             self._workshop.open()  # which has failed before
-        return StreamingResponse(self._pages.line(page), media_type="text/event-stream")
+        return EventStream(partial(self._pages.stream, page))
 
     async def _model(self, request: "Request") -> "Response":
         from starlette.responses import PlainTextResponse, Response

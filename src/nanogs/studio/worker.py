@@ -83,6 +83,7 @@ class Teller:
         """
         self._line, self._inbox, self._job = line, inbox, job
         self._useful: Callable[[Choice], bool] | None = None
+        self.page = job.page
 
     def __call__(self, event: dict[str, Any], shown: Shown | None = None) -> None:
         """Send an event, with a model that it names."""
@@ -91,7 +92,7 @@ class Teller:
             event = event | {"number": self._job.number}
         if shown is not None:
             event = event | {"model": shown.entry}
-        self._line.send(("event", self._job.page, event, shown.models if shown else {}))
+        self._line.send(("event", self.page, event, shown.models if shown else {}))
 
     def check(self) -> None:
         """Stop here if nobody waits any more.
@@ -121,7 +122,7 @@ class Teller:
                 "type": "progress", "number": number, "kind": kind, "stage": step.stage,
                 "fraction": step.fraction,
             }  # fmt: skip
-            self._line.send(("event", self._job.page, event, {}))
+            self._line.send(("event", self.page, event, {}))
 
         return told
 

@@ -1,0 +1,205 @@
+"""Who is answered by a studio, and what it gives out: its own page alone, and its own folder."""
+
+import json
+import os
+import re
+from urllib.parse import urlsplit
+
+import pytest
+from tests.builders import random_splats
+from tests.studio import running
+
+import nanogs
+from nanogs.errors import OptionError
+from nanogs.studio.listing import Folder
+
+
+@pytest.fixture(scope="module")
+def studio(tmp_path_factory):
+    top = tmp_path_factory.mktemp("studio")
+    folder = top / "work"
+    (folder / "sub" / "deep").mkdir(parents=True)
+    (top / "secret.ply").write_bytes(b"secret")
+    (folder / "note.txt").write_text("hello")
+    (folder / ".hidden").write_text("hello")
+    if os.name != "nt":
+        (folder / "leak.ply").symlink_to(top / "secret.ply")
+        (folder / "out").symlink_to(top)
+        (folder / "near").symlink_to(folder / "sub")
+    nanogs.save(random_splats(200, degree=1), folder / "scene.ply")
+    with running("scene.ply", cwd=folder) as started:
+        yield started
+
+
+ASK = {"page": "p", "number": 1, "choice": {"wish": {"splats": 50}}}
+
+
+def test_the_page_has_headers_that_let_nothing_else_in(studio):
+    status, headers, body = studio.request("GET")
+    assert status == 200
+    assert b"scene.ply" in body
+    policy = headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert not re.search(r"https?:|\*|unsafe-eval'(?<!wasm-unsafe-eval')", policy)
+    assert headers["referrer-policy"] == "no-referrer"
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["cache-control"] == "no-store"
+    assert headers["x-frame-options"] == "DENY"
+    assert "server" not in headers
+
+
+def test_it_listens_on_this_machine_alone(studio):
+    assert urlsplit(studio.url).hostname == "127.0.0.1"
+    assert len(urlsplit(studio.url).path) > 30
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/", "/x/", "/favicon.ico", "//", "/{token}", "/{token}x/", "/{token}/nothing",
+     "/{token}/static/../server.py", "/{token}/static/%2e%2e/server.py", "/{token}/static/..",
+     "/{token}/static/%2e%2e%2fserver.py", "/{token}/static/", "/{token}/server.py",
+     "/{token}/models/x.spz", "/{token}/models/..%2f..%2fscene.spz", "/x/../{token}/"],
+)  # fmt: skip
+def test_other_paths_are_not_there(studio, path):
+    token = urlsplit(studio.url).path.strip("/")
+    status, headers, _ = studio.request("GET", path.format(token=token), whole=True)
+    assert status == 404
+    assert headers["x-frame-options"] == "DENY"
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost", "", "[::1]:{port}", None]
+)
+def test_another_host_is_another_site(studio, host):
+    port = urlsplit(studio.url).port
+    status, _, body = studio.request("GET", headers={"Host": host and host.format(port=port)})
+    assert status in (400, 421)
+    assert b"scene" not in body
+
+
+def test_localhost_is_this_machine_too(studio):
+    port = urlsplit(studio.url).port
+    names = {"Host": f"localhost:{port}", "Origin": f"http://localhost:{port}"}
+    assert studio.request("GET", headers=names)[0] == 200
+    assert studio.request("POST", "ask", ASK, headers=names)[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Origin": None}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Origin": "http://evil.example"}, 403),
+        ({"Origin": "http://localhost:1"}, 403),
+        ({"Origin": "https://127.0.0.1"}, 403),
+        ({"Content-Type": None}, 415),
+        ({"Content-Type": "text/plain"}, 415),
+        ({"Content-Type": "application/x-www-form-urlencoded"}, 415),
+        ({"Content-Type": "text/plain; application/json"}, 415),
+        ({"Content-Type": "application/json; charset=utf-8"}, 200),
+    ],
+)
+def test_only_the_page_itself_may_ask(studio, headers, status):
+    for path, body in (("ask", ASK), ("cancel", {"page": "p"})):
+        found = studio.request("POST", path, body, headers=headers)[0]
+        assert found == (204 if (status, path) == (200, "cancel") else status)
+
+
+@pytest.mark.parametrize("method", ["PUT", "DELETE", "OPTIONS", "PATCH", "TRACE"])
+def test_other_methods_are_refused(studio, method):
+    assert studio.request(method, "ask")[0] == 405
+
+
+def test_what_is_asked_is_not_read_by_address(studio):
+    assert studio.request("GET", "ask")[0] == 405
+    assert studio.request("GET", "save")[0] == 405
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b"", b"[]", b"{", b"null", b'{"page": "p"}', b"[" * 60_000, b'{"page": "../x", "choice": {}}',
+     json.dumps(ASK | {"number": "1"}).encode(), json.dumps(ASK | {"path": "x"}).encode(),
+     b'{"page": "p", "choice": {"wish": {"splats": NaN}}}'],
+)  # fmt: skip
+def test_what_is_no_request_is_refused_in_a_sentence(studio, body):
+    status, _, answer = studio.request("POST", "ask", body)
+    assert status == 422
+    assert json.loads(answer)["message"].endswith(".")
+
+
+def test_long_requests_are_not_read(studio):
+    assert studio.request("POST", "ask", b" " * 70_000)[0] == 413
+    assert studio.request("POST", "ask", b"", headers={"Content-Length": "x"})[0] in (400, 411)
+
+
+def listed(studio, folder):
+    status, _, body = studio.request("GET", f"files?folder={folder}")
+    return status, json.loads(body)
+
+
+def test_the_dialogue_lists_the_folder_and_what_is_below(studio):
+    status, found = listed(studio, "")
+    assert status == 200
+    assert (found["folder"], found["parent"]) == ("", None)
+    names = {entry["name"]: entry["kind"] for entry in found["entries"]}
+    assert names["sub"] == "folder"
+    assert names["scene.ply"] == "model"
+    assert names["note.txt"] == "file"
+    assert ".hidden" not in names
+    assert not {"leak.ply", "out"} & names.keys()
+    status, below = listed(studio, "sub/deep")
+    assert (below["folder"], below["parent"], below["entries"]) == ("sub/deep", "sub", [])
+
+
+OUTSIDE = ["..", "sub/../..", "/", "/etc", "sub/../../work", "..%2f", "%00", "..\\", "C:%5C"]
+if os.name != "nt":
+    OUTSIDE += ["out", "out/", "near/../../secret.ply"]
+
+
+@pytest.mark.parametrize("folder", OUTSIDE)
+def test_no_folder_outside_is_listed(studio, folder):
+    status, found = listed(studio, folder)
+    assert status == 422
+    assert "secret" not in json.dumps(found).replace("near/../../secret.ply", "")
+
+
+SAVES = ["../x.ply", "/tmp/x.ply", "sub/../../x.ply", "", ".", None, 3, "a\0.ply", "..\\x.ply"]
+if os.name != "nt":
+    SAVES += ["out/x.ply", "leak.ply"]
+
+
+@pytest.mark.parametrize("path", SAVES)
+def test_nothing_outside_is_saved_to(studio, path):
+    body = ASK | {"path": path, "overwrite": True}
+    status, _, answer = studio.request("POST", "save", body)
+    assert status == 422
+    assert json.loads(answer)["message"].endswith(".")
+
+
+def test_the_scene_itself_and_what_exists_are_not_replaced_unasked(studio):
+    for path, overwrite, said in (
+        ("scene.ply", True, "scene that is open"),
+        ("sub/../scene.ply", True, "out of the folder"),
+        ("note.txt", True, "is no name of a .ply"),
+        ("nowhere/x.ply", False, "does not exist"),
+    ):
+        body = ASK | {"path": path, "overwrite": overwrite}
+        status, _, answer = studio.request("POST", "save", body)
+        assert status == 422, path
+        assert said in json.loads(answer)["message"]
+
+
+def test_a_folder_is_made_of_names_below_it(tmp_path):
+    folder = Folder(tmp_path.resolve())
+    assert folder.inside("") == tmp_path.resolve()
+    assert folder.inside("a/b.ply") == tmp_path.resolve() / "a" / "b.ply"
+    with pytest.raises(OptionError, match="No such file"):
+        folder.listed("nowhere")
+
+
+def test_pages_have_names_and_are_not_too_many(studio):
+    for name in ("", "a b", "x" * 65, "../x"):
+        assert studio.request("GET", f"events?page={name.replace(' ', '%20')}")[0] == 422
+    for number in range(40):  # those that nobody looks at give way
+        body = {"page": f"page{number}"}
+        assert studio.request("POST", "cancel", body)[0] == 204

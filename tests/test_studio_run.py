@@ -1,0 +1,331 @@
+"""A studio at work: what a page is told, what is saved, and what ends."""
+
+import filecmp
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import psutil
+import pytest
+from tests.builders import cloud_pair
+from tests.launch import run, run_here
+from tests.studio import running
+
+import nanogs
+
+FAST = {"preset": "fast"}
+posix = pytest.mark.skipif(os.name == "nt", reason="Windows has other signals")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("studio")
+    nanogs.save(cloud_pair(4000)[0], folder / "scene.ply")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def studio(folder):
+    with running("scene.ply", "--idle", 0, cwd=folder) as started:
+        yield started
+
+
+@pytest.fixture
+def page(studio):
+    page = studio.page()
+    page.scene = page.wait("scene")
+    yield page
+    page.close()
+
+
+def loaded(page, event, tmp_path):
+    path = tmp_path / "model.spz"
+    path.write_bytes(page.model(event["model"]["id"]))
+    return nanogs.load(path)
+
+
+def worker_of(studio):
+    [found] = [
+        child
+        for child in psutil.Process(studio.process.pid).children()
+        if "resource_tracker" not in " ".join(child.cmdline())
+    ]
+    return found
+
+
+def test_a_page_is_told_of_the_scene(page, tmp_path):
+    scene = page.scene
+    assert (scene["name"], scene["stem"], scene["splats"]) == ("scene.ply", "scene", 4000)
+    assert scene["sh_degree"] == 1
+    assert scene["render_mode"] == "default"
+    assert scene["up"] in ("+x", "-x", "+y", "-y", "+z", "-z")
+    assert {".ply", ".sog", ".spz"} <= set(scene["formats"])
+    assert {"lod-meta.json", ".ssog", "tileset.json", ".rad"} == {
+        layout["suffix"] for layout in scene["layouts"]
+    }
+    shown = loaded(page, scene, tmp_path)
+    assert len(shown) == scene["model"]["splats"] == 4000
+    whole = nanogs.load(page.studio.process.args and tmp_path / "model.spz")
+    scale, centre = scene["page"]["scale"], np.array(scene["page"]["centre"])
+    low = (np.array(scene["bounds"]["low"]) - centre) * scale
+    assert np.abs(whole.means.min(axis=0) - low).max() < 0.01
+
+
+def test_a_count_is_answered_at_once_and_then_measured(page, folder, tmp_path):
+    number, command = page.ask(wish={"splats": 500}, **FAST)
+    assert command == "nanogs simplify scene.ply out.ply --count 500 --preset fast"
+    draft = page.wait("draft", number=number)
+    assert (draft["splats"], draft["about"]) == (500, True)
+    assert len(loaded(page, draft, tmp_path)) == 500
+    measured = page.wait("measured", number=number)
+    small = tmp_path / "small.ply"
+    run("simplify", folder / "scene.ply", small, "--count", 500, "--preset", "fast")
+    found = nanogs.compare(folder / "scene.ply", small).models[0]
+    assert measured["bytes"] == small.stat().st_size == draft["bytes"]
+    assert measured["psnr"] == found.psnr
+    assert measured["ssim"] == found.ssim
+    assert measured["stop"] == "target"
+
+
+def coarse_points(page):
+    """PSNR by count of the points that a page was told, some of them as its line began."""
+    told = [event for event in page.seen if event["type"] == "point"]
+    return {point["splats"]: point["psnr"] for point in told if point["kind"] == "coarse"}
+
+
+def test_the_plot_has_points_while_nobody_asks(page):
+    number, _ = page.ask(wish={"splats": 700}, **FAST)
+    page.wait("measured", number=number)
+    until = time.monotonic() + 60
+    while len(points := coarse_points(page)) < 6:
+        page.wait("point", seconds=until - time.monotonic())
+    assert sorted(points) == [40, 80, 200, 400, 800, 2000]
+    assert sorted(points.values()) == [points[count] for count in sorted(points)]
+
+
+def test_a_size_and_a_psnr_come_to_a_count(page):
+    number, command = page.ask(wish={"bytes": 60_000}, **FAST)
+    assert "--size 60000" in command
+    measured = page.wait("measured", number=number)
+    assert 0.9 * 60_000 < measured["bytes"] <= 60_000
+    number, command = page.ask(wish={"psnr": 25}, **FAST)
+    assert "--psnr 25" in command
+    assert abs(page.wait("measured", number=number)["psnr"] - 25) < 1
+
+
+def test_filters_say_what_they_take_before_it_is_taken(page, folder, tmp_path):
+    filters = {"box": [-1, -1, -1, 0.5, 1, 1], "min_opacity": 0.5, "floaters": True}
+    number, command = page.ask(wish={"splats": 300}, filters=filters, **FAST)
+    filtered = page.wait("filtered", number=number)
+    report = nanogs.simplify_blocks(
+        folder / "scene.ply", tmp_path / "a.ply", count=300, preset="fast",
+        filters=[
+            nanogs.filters.box([-1, -1, -1], [0.5, 1, 1]), nanogs.filters.opaque_enough(0.5),
+            nanogs.filters.in_company(),
+        ],
+    )  # fmt: skip
+    told = [(each["name"], each["removed"], each["left"]) for each in filtered["took"]]
+    assert told == [(each.name, each.removed, each.left) for each in report.filters]
+    shown = loaded(page, filtered, tmp_path)
+    assert len(shown) == 4000
+    magenta = (shown.sh[:, 0, 1] < -1.5) & (shown.sh[:, 0, [0, 2]] > 1.5).all(axis=1)
+    assert int(magenta.sum()) >= 4000 - filtered["left"]
+    assert "--crop box:-1,-1,-1,0.5,1,1 --min-opacity 0.5 --drop-floaters" in command
+    page.wait("measured", number=number)
+    number, _ = page.ask(wish={"splats": 300}, **FAST)
+    assert page.wait("filtered", number=number)["took"] == []
+    page.wait("measured", number=number)
+
+
+def test_a_filter_that_leaves_nothing_is_a_sentence_and_the_studio_goes_on(page):
+    number, _ = page.ask(wish={"splats": 3}, filters={"box": [90, 90, 90, 91, 91, 91]}, **FAST)
+    assert "leaves none" in page.wait("failed", number=number)["message"]
+    number, _ = page.ask(wish={"splats": 300}, **FAST)
+    page.wait("measured", number=number)
+
+
+SAVED = [
+    ("a.ply", {"wish": {"splats": 300}}),
+    ("b.sog", {"wish": {"bytes": 12_000}, "format": ".sog"}),
+    ("c.spz", {"wish": {"psnr": 24}, "format": ".spz"}),
+    pytest.param("d.ply", {"wish": {"splats": 100}, "up": "+z", "preset": "default"},
+                 marks=pytest.mark.slow),
+    ("e.glb", {"wish": {"splats": 100}, "up": "+x", "format": ".glb", "sh_degree": 0}),
+    ("f.ply", {"wish": {"splats": 90}, "render_mode": "mip",
+               "filters": {"box": [-0.1, -1, -1, 1, 1, 1 / 3], "min_opacity": 0.8}}),
+    ("g/lod-meta.json", {"wish": {"splats": 9}, "format": "lod-meta.json", "levels": "1,0.25"}),
+    ("h.rad", {"wish": {"splats": 9}, "format": ".rad", "levels": "0.5,0.25", "up": "+y"}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "choice"), SAVED, ids=str)
+def test_what_is_saved_is_what_the_shown_command_writes(page, folder, tmp_path, name, choice):
+    number, command = page.save(name, **{**FAST, **choice})
+    saved = page.wait("saved", number=number)
+    assert (saved["path"], saved["command"], saved["replaced"]) == (name, command, False)
+    assert saved["short"] is None
+    words = shlex.split(command)
+    assert words[:4] == ["nanogs", words[1], "scene.ply", name]
+    (tmp_path / "scene.ply").symlink_to(folder / "scene.ply")
+    again = run(*words[1:], cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    mine, theirs = folder / name, tmp_path / name
+    if name.endswith("lod-meta.json"):
+        same = filecmp.dircmp(mine.parent, theirs.parent)
+        assert not same.left_only
+        assert not same.right_only
+        files = [path.name for path in mine.parent.iterdir() if path.is_file()]
+        assert_same_levels(mine.parent, theirs.parent, files)
+    else:
+        assert mine.read_bytes() == theirs.read_bytes()
+        assert saved["bytes"] == theirs.stat().st_size
+
+
+def assert_same_levels(mine, theirs, names):
+    """All files alike, but for the seconds that the manifest tells."""
+    for name in names:
+        if name != "levels.json":
+            assert (mine / name).read_bytes() == (theirs / name).read_bytes(), name
+
+
+def test_a_file_is_replaced_only_if_asked_for(page, folder):
+    number, _ = page.save("twice.ply", wish={"splats": 50}, **FAST)
+    page.wait("saved", number=number)
+    before = (folder / "twice.ply").read_bytes()
+    choice = {"wish": {"splats": 40}} | FAST
+    status, answer = page.post("save", number=99, choice=choice, path="twice.ply")
+    assert (status, answer["exists"]) == (422, True)
+    assert (folder / "twice.ply").read_bytes() == before
+    number, command = page.save("twice.ply", overwrite=True, **choice)
+    assert command.endswith("--overwrite")
+    assert page.wait("saved", number=number)["replaced"]
+    assert len(nanogs.load(folder / "twice.ply")) == 40
+
+
+def test_the_newest_request_replaces_the_others(page):
+    numbers = [page.ask(wish={"splats": 100 + n}, **FAST)[0] for n in range(20)]
+    measured = page.wait("measured", number=numbers[-1])
+    assert measured["splats"] == 119
+    ends = {
+        event["number"]: event["type"]
+        for event in page.seen
+        if event["type"] in ("measured", "cancelled")
+    }
+    assert sorted(ends) == numbers
+    assert list(ends.values()).count("measured") < 10
+
+
+def test_two_pages_do_not_disturb_each_other(page, studio):
+    other = studio.page()
+    other.wait("scene")
+    one, _ = page.ask(wish={"splats": 210}, **FAST)
+    other.ask(wish={"splats": 220}, **FAST)
+    other.post("cancel")
+    three, _ = other.ask(wish={"splats": 230}, **FAST)
+    assert page.wait("measured", number=one)["splats"] == 210
+    assert other.wait("measured", number=three)["splats"] == 230
+    assert other.name != page.name
+    assert not [event for event in page.seen if event.get("splats") in (220, 230)]
+    assert not [event for event in page.seen if event["type"] == "cancelled"]
+    other.close()
+
+
+def test_cancel_cancels_a_save_and_nothing_is_left(page, folder):
+    before = sorted(path.name for path in folder.iterdir())
+    number, _ = page.save("long.sog", wish={"splats": 3000}, format=".sog", preset="best")
+    page.wait("progress", number=number)
+    start = time.monotonic()
+    assert page.post("cancel")[0] == 204
+    event = page.wait("cancelled", number=number)
+    assert event["kind"] == "save"
+    assert time.monotonic() - start < 15
+    assert sorted(path.name for path in folder.iterdir()) == before
+    number, _ = page.ask(wish={"splats": 310}, **FAST)
+    page.wait("measured", number=number)
+
+
+@posix
+def test_a_worker_that_is_killed_in_a_save_is_told_of_and_started_again(page, studio, folder):
+    before = sorted(path.name for path in folder.iterdir())
+    number, _ = page.save("killed.sog", wish={"splats": 3000}, format=".sog", preset="best")
+    page.wait("progress", number=number)
+    worker_of(studio).kill()
+    failed = page.wait("failed", number=number)
+    assert failed["kind"] == "save"
+    assert "SIGKILL" in failed["message"]
+    assert sorted(path.name for path in folder.iterdir()) == before
+    number, _ = page.ask(wish={"splats": 320}, **FAST)
+    assert page.wait("measured", number=number)["splats"] == 320
+
+
+@posix
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_ends_it_at_once(folder, number):
+    with running("scene.ply", "--preset", "fast", cwd=folder) as started:
+        page = started.page()
+        page.wait("scene")
+        page.save("ended.sog", wish={"splats": 3000}, format=".sog", preset="best")
+        page.wait("progress")
+        children = psutil.Process(started.process.pid).children(recursive=True)
+        start = time.monotonic()
+        started.process.send_signal(number)
+        _, said = started.process.communicate(timeout=20)
+        assert time.monotonic() - start < 5
+        page.close()
+        assert started.process.returncode == 128 + number
+        assert "Traceback" not in said
+        assert not psutil.wait_procs(children, timeout=5)[1]
+    assert not [path.name for path in folder.iterdir() if "ended" in path.name]
+    assert not list(folder.glob(".nanogs*"))
+
+
+def test_it_ends_a_while_after_the_last_page_was_closed(folder):
+    with running("scene.ply", "--idle", 1, cwd=folder) as started:
+        page = started.page()
+        page.wait("scene")
+        time.sleep(2.5)
+        assert started.process.poll() is None
+        page.close()
+        _, said = started.process.communicate(timeout=20)
+        assert started.process.returncode == 0
+        assert "Traceback" not in said
+
+
+def test_a_scene_that_cannot_be_read_is_a_sentence(tmp_path):
+    (tmp_path / "bad.ply").write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
+    for path in ("bad.ply", "missing.ply", "scene.xyz"):
+        done = run("studio", path, "--no-open", cwd=tmp_path)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1
+        assert path in done.stderr
+
+
+def test_without_its_extra_a_sentence_says_what_to_install(folder, monkeypatch, capfd):
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    assert run_here("studio", folder / "scene.ply", "--no-open") == 2
+    assert "pip install nanogs[studio]" in capfd.readouterr().err
+
+
+def test_a_port_that_is_taken_is_a_sentence(studio, folder):
+    port = studio.url.split(":")[2].split("/")[0]
+    done = run("studio", "scene.ply", "--no-open", "--port", port, cwd=folder)
+    assert done.returncode == 2
+    assert f"Port {port} cannot be had" in done.stderr
+
+
+def test_help_needs_neither_the_server_nor_numba():
+    code = (
+        "import sys, json; sys.argv = ['nanogs', 'studio', '--help'];"
+        "import nanogs.cli\n"
+        "try: nanogs.cli.main()\n"
+        "except SystemExit: pass\n"
+        "names = ('starlette', 'uvicorn', 'numba', 'numpy', 'asyncio')\n"
+        "print(json.dumps([name for name in names if name in sys.modules]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert json.loads(done.stdout.splitlines()[-1]) == []
