@@ -22,6 +22,20 @@ def random_splats(count, *, degree=1, seed=0, spread=1.0, extras=None):
     )
 
 
+def solid(color, *, count=300):
+    """An egg of one colour, longer than high and wide: sides can be told, and turns."""
+    splats = random_splats(count, degree=0)
+    ball = splats.means / np.maximum(1, np.linalg.norm(splats.means, axis=1, keepdims=True))
+    sh = np.tile(((np.array(color) - 0.5) / 0.2820948).astype(np.float32), (count, 1, 1))
+    return dataclasses.replace(
+        splats,
+        means=(ball * (1, 0.6, 0.4)).astype(np.float32),
+        log_scales=np.full((count, 3), np.log(0.08), np.float32),
+        sh=sh,
+        opacity_logits=np.full(count, 6, np.float32),
+    )
+
+
 def gaussians_of(splats):
     """The working set of all rows, in their own order and with centres as they are."""
     count = len(splats)

@@ -10,7 +10,7 @@ import pytest
 
 import nanogs
 from browsers import CHROMIUM, SOFTWARE
-from builders import random_splats
+from builders import random_splats, solid
 from conftest import scene_path
 from looking import seen_from_the_start
 from nanogs.metrics import psnr
@@ -86,20 +86,6 @@ class Seen:
         self.context.close()
         assert foreign == []
         assert self.errors == []
-
-
-def solid(color, *, count=300):
-    """An egg of one colour, longer than high and wide: sides can be told, and turns."""
-    splats = random_splats(count, degree=0)
-    ball = splats.means / np.maximum(1, np.linalg.norm(splats.means, axis=1, keepdims=True))
-    sh = np.tile(((np.array(color) - 0.5) / 0.2820948).astype(np.float32), (count, 1, 1))
-    return dataclasses.replace(
-        splats,
-        means=(ball * (1, 0.6, 0.4)).astype(np.float32),
-        log_scales=np.full((count, 3), np.log(0.08), np.float32),
-        sh=sh,
-        opacity_logits=np.full(count, 6, np.float32),
-    )
 
 
 @pytest.fixture(scope="module")

@@ -38,8 +38,14 @@ export function mountStudio(host, scene) {
   stage.onLost = () => scene.onLost?.();
   const divider = makeDivider(host, scene.names.map((name) => ({ name })), stage.divide);
   const labels = makeSideLabels(host, scene.names);
+  // One model alone is a picture too, as the other may take long.
+  async function show(side, bytes, mip) {
+    await stage.show(side, bytes, mip);
+    if (host.dataset.state === "loading") host.dataset.state = "busy";
+    stage.invalidate();
+  }
   return {
-    show: stage.show,
+    show,
     label: labels.set,
     setUp: navigation.setUp,
     box: stage.box,

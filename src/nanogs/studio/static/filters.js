@@ -20,7 +20,8 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
     ends: ["low", "high"].map((end) => ({ field: byId(`${name}-${end}`), range: byId(`${name}-${end}-range`) })),
   }));
   let pending = state.choice.filters; // as the controls say
-  let box = [...core.low, ...core.high]; // kept while it is switched off
+  // Kept while it is switched off.
+  let box = ["low", "high"].flatMap((end) => axes.map(({ scale }, axis) => scale.round(core[end][axis])));
   let timer = 0;
 
   const isNew = () => !same(pending, state.choice.filters);
@@ -165,11 +166,15 @@ function outcome(event) {
 function within(low, high, lowest, highest) {
   const middle = numbers.linear(low, high);
   const digits = Math.max(0, 3 - Math.floor(Math.log10(high - low || 1)));
-  const short = (value) => String(Number(value.toFixed(digits)));
+  const round = (value) => Number(value.toFixed(digits));
+  const [below, above] = [Math.floor, Math.ceil].map((outward, end) => {
+    return round(outward((end ? highest : lowest) * 10 ** digits) / 10 ** digits);
+  });
   return {
-    at: (place) => (place <= 0 ? lowest : place >= 1 ? highest : Number(short(middle.at(place)))),
+    at: (place) => (place <= 0 ? below : place >= 1 ? above : round(middle.at(place))),
     place: middle.place,
-    short,
+    round,
+    short: (value) => String(round(value)),
   };
 }
 

@@ -33,7 +33,12 @@ export function makeMethod(scene, state) {
   );
   const ups = UPS.map((axis) => [axis, axis.replace("-", "−"), `${axis} is up`]);
   const pressUp = segments(byId("up"), ups, (axis) => state.set({ up: axis === scene.up ? null : axis }));
-  byId("notes").replaceChildren(...(scene.notes ?? []).map((note) => make("li", { textContent: note })));
+  const notes = [...(scene.notes ?? [])];
+  if (scene.states_frame) {
+    for (const button of byId("up").children) button.disabled = true;
+    notes.unshift("The file says which way is up.");
+  }
+  byId("notes").replaceChildren(...notes.map((note) => make("li", { textContent: note })));
 
   function render({ format: suffix, preset, sh_degree: degree, render_mode: mode, up }) {
     format.value = suffix;

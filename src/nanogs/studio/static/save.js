@@ -13,6 +13,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   let folder = "";
   let stem = `${scene.stem}-small`;
   let overwrite = false;
+  let present = []; // names of files in the folder
   let running = 0; // the number of a save
   let timer = 0;
   let checked = 0;
@@ -44,6 +45,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   }
 
   function changed(pause = PAUSE) {
+    if (running) return;
     overwrite = false;
     go.textContent = "Save";
     byId("save-lines").replaceChildren();
@@ -72,6 +74,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
     try {
       const listed = await connection.files(where);
       folder = listed.folder;
+      present = listed.entries.filter(({ kind }) => kind !== "folder").map((one) => one.name);
       byId("folder").textContent = folder ? `${folder}/` : `${scene.folder}`;
       byId("folder-up").disabled = listed.parent === null;
       byId("folder-up").onclick = () => open(listed.parent).then(() => changed(0));
@@ -104,7 +107,20 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
     else stem = typed.replace(end, "");
   }
 
+  function askFirst(words) {
+    overwrite = true;
+    go.textContent = "Replace it";
+    say(words);
+    go.focus();
+  }
+
   async function save() {
+    if (present.includes(name.value.trim()) && !overwrite) {
+      askFirst(`${path()} exists. Replace it?`);
+      return;
+    }
+    clearTimeout(timer);
+    checked += 1; // what is still on its way is of before
     say("");
     busy(true);
     const { number, answer } = connection.start("save", { choice: choice(), path: path(), overwrite });
@@ -112,18 +128,15 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
     onStart(number);
     try {
       const { command } = await answer;
-      if (command) byId("save-command").textContent = command;
-      if (running === number) say("Saving …");
+      if (running !== number) return; // it has ended already
+      byId("save-command").textContent = command;
+      say("Saving …");
     } catch (error) {
       running = 0;
       busy(false);
       onEnd();
-      if (error.status === 409 && !overwrite) {
-        overwrite = true;
-        go.textContent = "Replace it";
-        go.focus();
-      }
-      say(error.message, !overwrite);
+      if (error.status === 409 && !overwrite) askFirst(error.message);
+      else say(error.message, true);
     }
   }
 

@@ -47,10 +47,10 @@ export function makeSliders(scene, state, curve, complain) {
     onCommit(field, () => {
       if (!one.dirty) return;
       const value = kind.read(field.value);
-      const wrong = !(value > 0);
-      field.setAttribute("aria-invalid", String(wrong));
+      const wrong = fault(key, kind, value, field.value);
+      field.setAttribute("aria-invalid", String(Boolean(wrong)));
       if (wrong) {
-        complain(`“${field.value}” is no number ${kind.sample}.`);
+        complain(wrong);
         return;
       }
       one.dirty = false;
@@ -66,6 +66,12 @@ export function makeSliders(scene, state, curve, complain) {
     });
     field.disabled = range.disabled = false;
     return one;
+  }
+
+  function fault(key, kind, value, words) {
+    if (!(value > 0)) return `“${words}” is no number; type one ${kind.sample}.`;
+    if (key !== "splats" || value <= limits.most) return "";
+    return `There are ${numbers.splats(limits.most)}; choose that many or fewer.`;
   }
 
   function scaleOf(key) {

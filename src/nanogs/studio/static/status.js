@@ -4,7 +4,7 @@ import { byId } from "./dom.js";
 
 const WORDS = {
   open: "Opening",
-  draft: "Making a rough model",
+  draft: "Making the model",
   measure: "Measuring",
   curve: "Filling the plot",
   filters: "Looking for what goes",

@@ -1,0 +1,158 @@
+"""A server as the page of the studio knows it, without a studio: a test says what it answers."""
+
+import contextlib
+import http.server
+import json
+import queue
+import threading
+import time
+from importlib.resources import files
+from urllib.parse import parse_qsl, urlsplit
+
+import jinja2
+
+import nanogs
+from nanogs.view.pack import DISTANCE, in_page, pack
+from nanogs.views.opening import opening_for
+
+PACKAGE = files("nanogs")
+TYPES = {"js": "text/javascript", "css": "text/css", "spz": "application/octet-stream"}
+PATIENCE = 10  # seconds
+ENTRIES = [
+    {"name": "old", "kind": "folder", "bytes": None},
+    {"name": "scene-small.sog", "kind": "model", "bytes": 1234},
+    {"name": "words.txt", "kind": "file", "bytes": 5},
+]
+
+
+LAYOUT = {"name": "3D Tiles", "suffix": "tileset.json", "example": "scene/tileset.json"}
+
+
+class Fake:
+    """What a page asked, and a way to tell it things.
+
+    Attributes:
+        asked: Path and JSON of each request, in order.
+        refused: Status and sentence that the next request of a path is answered with.
+    """
+
+    def __init__(self, models):
+        """Pack models by name; `original` is the scene."""
+        original = models["original"]
+        start = opening_for(original)
+        self.models = {name: pack(model, start).data for name, model in models.items()}
+        self.asked, self.refused = [], {}
+        self._events = queue.Queue()
+        [position] = in_page(start.position[None], start).tolist()
+        low, high = original.means.min(axis=0).tolist(), original.means.max(axis=0).tolist()
+        self.scene = {
+            "type": "scene", "name": "scene.ply", "splats": len(original), "sh_degree": 2,
+            "file_bytes": 68 * len(original), "render_mode": "default", "up": "-y",
+            "formats": [".ply", ".sog"], "presets": ["fast", "default", "best"],
+            "layouts": [LAYOUT],
+            "camera": {
+                "position": position, "target": [0, 0, 0], "up": start.up.tolist(),
+                "lens": start.lens, "near": start.near,
+            },
+            "background": "#000000", "bounds": {"low": low, "high": high}, "folder": "scenes",
+            "page": {"scale": DISTANCE / start.distance, "centre": start.target.tolist()},
+            "stem": "scene", "most_shown": 500_000, "notes": [], "model": self.model("original"),
+        }  # fmt: skip
+
+    def model(self, name):
+        """What events say of a model."""
+        return {"id": name, "splats": 1, "mip": False, "note": None}
+
+    def tell(self, **event):
+        """Send an event to the page."""
+        self._events.put(event)
+
+    def answer(self, kind, number, model, **more):
+        """A draft, or what is measured."""
+        usual = {"splats": 30, "bytes": 600, "psnr": 31.0, "ssim": 0.9, "seconds": 1, "stop": ""}
+        self.tell(type=kind, number=number, model=self.model(model), **usual | more)
+
+    def wait(self, path, count=1):
+        """The JSON of the request of that path that is the so many-th."""
+        end = time.monotonic() + PATIENCE
+        while len(found := [body for each, body in self.asked if each == path]) < count:
+            assert time.monotonic() < end, f"{path} was not asked {count} times: {self.asked}"
+            time.sleep(0.01)
+        return found[count - 1]
+
+    def stream(self, file):
+        """Events as they come, until the server ends."""
+        self._events = queue.Queue()
+        self.tell(**self.scene)
+        with contextlib.suppress(OSError):
+            while event := self._events.get():
+                file.write(f"data: {json.dumps(event)}\n\n".encode())
+                file.flush()
+
+    def end(self):
+        """Let go of the page."""
+        self._events.put(None)
+
+
+@contextlib.contextmanager
+def faked(models):
+    """A fake, and the address of its page."""
+    fake = Fake(models)
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def log_message(self, *_):
+            pass
+
+        def send(self, data, kind, status=200):
+            self.send_response(status)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(data)))
+            self.end_headers()
+            self.wfile.write(data)
+
+        def do_GET(self):
+            address = urlsplit(self.path)
+            folder, _, name = address.path.rpartition("/")
+            if name == "":
+                text = (PACKAGE / "studio/page.html.j2").read_text(encoding="utf-8")
+                page = jinja2.Environment(autoescape=True).from_string(text)
+                data = page.render(name="scene.ply", version=nanogs.__version__).encode()
+                self.send(data, "text/html; charset=utf-8")
+            elif name == "events":
+                self.send_response(200)
+                self.send_header("Content-Type", "text/event-stream")
+                self.end_headers()
+                fake.stream(self.wfile)
+            elif name == "files":
+                where = dict(parse_qsl(address.query)).get("folder", "")
+                listed = {"folder": where, "parent": "" if where else None, "entries": ENTRIES}
+                self.send(json.dumps(listed).encode(), "application/json")
+            else:
+                data = self.data_of(folder, name)
+                self.send(data, TYPES[name.rpartition(".")[2]])
+
+        def data_of(self, folder, name):
+            if folder == "/models":
+                return fake.models[name.removesuffix(".spz")]
+            place = "studio/static" if folder == "/static" else "view"
+            return (PACKAGE / place / name).read_bytes()
+
+        def do_POST(self):
+            body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+            path = self.path.removeprefix("/")
+            fake.asked.append((path, body))
+            status, message = fake.refused.pop(path, (200, ""))
+            answer = {"message": message, "command": f"nanogs simplify {body.get('path', '')}"}
+            self.send(json.dumps(answer).encode(), "application/json", status)
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield fake, f"http://127.0.0.1:{server.server_port}/"
+    finally:
+        fake.end()
+        server.shutdown()
+        thread.join()
+        server.server_close()

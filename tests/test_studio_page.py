@@ -1,0 +1,379 @@
+"""The page of `nanogs studio` in a real browser; what the server would say is said by the test."""
+
+import contextlib
+import io
+import os
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from browsers import CHROMIUM, SOFTWARE
+from builders import solid
+from studiofake import faked
+from viewer_bundle import require_bundle
+
+pytestmark = [
+    pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed"),
+    pytest.mark.filterwarnings("default"),  # the driver's own warnings are not ours
+]
+PATIENCE = 20_000  # milliseconds
+BARE = (
+    "#view > :not(canvas), .over, #legend { opacity: 0 !important; }"
+    " canvas { outline: none !important; }"
+)
+MODELS = {
+    "original": solid((1, 0, 0)),
+    "magenta": solid((1, 0, 1)),
+    "blue": solid((0, 0, 1)),
+    "green": solid((0, 0.8, 0)),
+}
+RED, BLUE, GREEN, MAGENTA = (1, 0, 0), (0, 0, 1), (0, 0.8, 0), (1, 0, 1)
+AMBER = (1, 197 / 255, 61 / 255)
+POINTS = [(150, 4000, 40.0), (60, 1600, 34.0), (15, 400, 26.0)]
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    require_bundle()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        yield browser
+        browser.close()
+
+
+class Studio:
+    """A page, and the fake that it talks to."""
+
+    def __init__(self, page, fake):
+        self.page, self.fake = page, fake
+        self.errors = []
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("console", lambda said: said.type == "error" and self.errors.append(said.text))
+
+    def state(self, name, number=None):
+        numbered = "" if number is None else f'[data-number="{number}"]'
+        self.page.wait_for_selector(f"body[data-state={name}]{numbered}", timeout=PATIENCE)
+
+    def pixels(self):
+        """(H, W, 3) float32 of the models alone, when nothing moves."""
+        self.page.wait_for_selector("#view[data-state=still]", timeout=PATIENCE)
+        picture = self.page.locator("#view canvas").screenshot(style=BARE)
+        return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=np.float32) / 255
+
+    def share(self, color, side):
+        """Which part of a half of the picture has about that colour."""
+        pixels = self.pixels()
+        half = pixels.shape[1] // 2
+        part = pixels[:, :half] if side == "left" else pixels[:, half:]
+        return float((np.abs(part - color).max(axis=-1) < 0.2).mean())
+
+    def becomes(self, condition):
+        """Wait until it holds; an input takes time to arrive."""
+        end = time.monotonic() + PATIENCE / 2000
+        while not condition():
+            assert time.monotonic() < end, "it did not become what it should be"
+            self.page.wait_for_timeout(50)
+
+    def shows(self, color, side):
+        self.becomes(lambda: self.share(color, side) > 0.05)
+
+    def measured(self, model="blue", **more):
+        """Answer the latest ask, and wait until it is seen."""
+        number = self.fake.asked[-1][1]["number"]
+        self.fake.answer("draft", number, model, **more)
+        self.fake.answer("measured", number, model, **more)
+        self.state("measured", number)
+
+    def asked(self, count):
+        return self.fake.wait("ask", count)["choice"]
+
+
+@contextlib.contextmanager
+def opened(chromium, width=900, height=700, answered=True, **options):
+    """A page whose first ask has been answered, with no error in it at the end."""
+    with faked(MODELS) as (fake, address):
+        size = {"width": width, "height": height}
+        context = chromium.new_context(viewport=size, **options)
+        studio = Studio(context.new_page(), fake)
+        studio.page.goto(address)
+        fake.wait("ask")
+        if answered:
+            studio.measured()
+            for splats, size, psnr in POINTS:
+                fake.tell(
+                    type="point", splats=splats, bytes=size, psnr=psnr, kind="coarse", format=".sog"
+                )
+            studio.page.wait_for_function(
+                "document.querySelectorAll('#plot .point').length === 3", timeout=PATIENCE
+            )
+        yield studio
+        context.close()
+        assert studio.errors == []
+
+
+@pytest.fixture
+def studio(chromium):
+    with opened(chromium) as seen:
+        yield seen
+
+
+def test_a_rough_model_is_seen_and_then_the_measured_one(chromium):
+    with opened(chromium, answered=False) as studio:
+        studio.shows(RED, "left")
+        assert studio.page.get_attribute("body", "data-state") == "opening"
+        ask = studio.fake.wait("ask")
+        assert ask["choice"]["wish"] == {"splats": 30}
+        assert ask["choice"]["format"] == ".sog"
+        studio.fake.answer("draft", ask["number"] - 1, "magenta")  # of a request before this one
+        studio.fake.answer("draft", ask["number"], "green", psnr=None)
+        studio.state("measuring", ask["number"])
+        studio.shows(GREEN, "right")
+        assert studio.share(MAGENTA, "right") == 0
+        assert "estimated" in studio.page.inner_text("#how")
+        assert studio.page.input_value("#psnr") == ""
+        studio.fake.answer("measured", ask["number"], "blue", splats=29, psnr=31.25)
+        studio.state("measured", ask["number"])
+        studio.shows(BLUE, "right")
+        studio.shows(RED, "left")
+        assert studio.page.input_value("#psnr") == "31.25"
+        assert "got 29" in studio.page.inner_text("#splats-got")
+        assert "SSIM 0.9000" in studio.page.inner_text("#result")
+
+
+def test_the_three_sliders_move_together(studio):
+    page = studio.page
+    before = [float(page.input_value(f"#{key}-range")) for key in ("splats", "bytes", "psnr")]
+    page.focus("#splats-range")
+    page.keyboard.press("PageUp")
+    after = [float(page.input_value(f"#{key}-range")) for key in ("splats", "bytes", "psnr")]
+    assert all(new > old for new, old in zip(after, before, strict=True))
+    assert studio.asked(2)["wish"]["splats"] > 30
+    studio.measured(splats=52, bytes=1300, psnr=33.5)
+    assert page.input_value("#psnr") == "33.50"
+    page.fill("#bytes", "0.0008")
+    page.press("#bytes", "Enter")
+    assert studio.asked(3)["wish"] == {"bytes": 800}
+    assert 20 < float(page.input_value("#splats")) < 60
+    page.fill("#psnr", "36.5")
+    page.press("#psnr", "Enter")
+    assert studio.asked(4)["wish"] == {"psnr": 36.5}
+    page.get_by_role("button", name="150 splats").click()
+    assert studio.asked(5)["wish"] == {"splats": 150}
+
+
+@pytest.mark.parametrize(("words", "said"), [("lots", "“lots”"), ("5,000", "300"), ("-1", "“-1”")])
+def test_a_field_with_nonsense_says_so_and_asks_nothing(studio, words, said):
+    studio.page.fill("#splats", words)
+    studio.page.press("#splats", "Enter")
+    assert said in studio.page.get_by_role("alert").inner_text()
+    studio.page.wait_for_timeout(100)
+    assert len(studio.fake.asked) == 1
+
+
+def test_choices_are_undone_and_done_again(studio):
+    page = studio.page
+    assert page.is_disabled("#undo")
+    page.get_by_role("button", name="best").click()
+    assert studio.asked(2)["preset"] == "best"
+    page.select_option("#harmonics", "1")
+    assert studio.asked(3)["sh_degree"] == 1
+    page.select_option("#format", ".ply")
+    assert studio.asked(4)["format"] == ".ply"
+    page.keyboard.press("Control+z")
+    assert studio.asked(5) == studio.asked(3)
+    page.click("#undo")
+    page.click("#undo")
+    studio.becomes(lambda: page.is_disabled("#undo"))
+    page.keyboard.press("Control+Shift+Z")
+    studio.becomes(lambda: studio.fake.asked[-1][1]["choice"] == studio.asked(2))
+    assert page.locator("#preset [aria-pressed=true]").inner_text() == "best"
+
+
+def test_what_would_go_is_magenta_before_it_is_taken(studio):
+    page = studio.page
+    page.click("#sift summary")
+    page.check("#crop")
+    request = studio.fake.wait("filter")
+    low, high = studio.fake.scene["bounds"]["low"], studio.fake.scene["bounds"]["high"]
+    assert np.allclose(request["choice"]["filters"]["box"], [*low, *high], atol=0.002)
+    took = [{"name": "crop", "argument": "", "removed": 100, "left": 200}]
+    studio.fake.tell(
+        type="filtered", preview=True, number=request["number"], took=took, left=200,
+        model=studio.fake.model("magenta"),
+    )  # fmt: skip
+    page.wait_for_selector("body[data-preview=shown]", timeout=PATIENCE)
+    studio.shows(MAGENTA, "left")
+    studio.becomes(lambda: studio.share(AMBER, "right") > 0.001)
+    assert "100 splats of 300 go, 200 stay" in page.inner_text("#takes")
+    page.click("#untake")
+    studio.shows(RED, "left")
+    assert studio.share(AMBER, "right") == 0
+    assert len([path for path, _ in studio.fake.asked if path == "ask"]) == 1
+    page.fill("#opacity", "0.1")
+    page.press("#opacity", "Enter")
+    assert studio.fake.wait("filter", 2)["choice"]["filters"]["min_opacity"] == 0.1
+    page.click("#take")
+    chosen = studio.fake.wait("ask", 2)
+    assert chosen["choice"]["filters"] == {"box": None, "min_opacity": 0.1, "floaters": False}
+    studio.fake.tell(
+        type="filtered", preview=False, number=chosen["number"], took=took, left=200,
+        model=studio.fake.model("green"),
+    )  # fmt: skip
+    studio.shows(GREEN, "left")
+    assert page.inner_text("#taken") == "100 taken"
+    page.click("#undo")
+    assert studio.asked(3)["filters"]["min_opacity"] is None
+    assert page.input_value("#opacity") == "0"
+
+
+def test_the_error_map_is_bright_where_the_sides_differ(studio):
+    page = studio.page
+    first = studio.pixels()
+    page.keyboard.press("e")
+    studio.becomes(lambda: studio.share(BLUE, "right") == 0)
+    pixels = studio.pixels()
+    half = pixels.shape[1] // 2
+    assert np.array_equal(pixels[:, :half], first[:, :half])
+    # Red against blue is 0.14 of luma, which lies at 0.75 of the colours.
+    assert studio.share((249 / 255, 140 / 255, 10 / 255), "right") > 0.05
+    assert page.is_visible("#legend")
+    page.fill("#splats", "300")
+    page.press("#splats", "Enter")
+    studio.fake.wait("ask", 2)
+    studio.measured("original", splats=300)
+    studio.becomes(lambda: studio.pixels()[:, half + 30 :].max() < 0.03)  # nothing differs
+    page.click("#heat")
+    studio.shows(RED, "right")
+    assert not page.is_visible("#legend")
+
+
+def test_another_up_turns_the_picture_and_undo_turns_it_back(studio):
+    page = studio.page
+    first = studio.pixels()
+    page.click("#scene summary")
+    page.get_by_role("button", name="+x", exact=True).click()
+    assert studio.asked(2)["up"] == "+x"
+    studio.becomes(lambda: (np.abs(studio.pixels() - first).max(axis=-1) > 0.3).mean() > 0.01)
+    turned = studio.pixels()
+    page.locator("#view canvas").focus()
+    page.keyboard.press("ArrowRight")
+    page.click("#first-view")
+    studio.becomes(lambda: np.array_equal(studio.pixels(), turned))
+    page.click("#up [data-value='-y']")
+    assert studio.asked(3)["up"] is None
+    studio.becomes(lambda: np.array_equal(studio.pixels(), first))
+
+
+def test_a_model_is_replaced_under_the_same_camera(studio):
+    page = studio.page
+    page.locator("#view canvas").focus()
+    page.keyboard.press("ArrowRight")
+    studio.page.wait_for_timeout(100)
+    turned = studio.pixels()
+    page.fill("#splats", "40")
+    page.press("#splats", "Enter")
+    studio.fake.wait("ask", 2)
+    studio.measured("green")
+    studio.shows(GREEN, "right")
+    half = turned.shape[1] // 2
+    assert np.array_equal(studio.pixels()[:, :half], turned[:, :half])
+
+
+def test_saving_asks_before_it_replaces_and_shows_the_command(studio):
+    page, fake = studio.page, studio.fake
+    page.keyboard.press("Control+s")
+    page.wait_for_selector("#entries >> text=old/")
+    assert page.input_value("#save-name") == "scene-small.sog"
+    studio.becomes(lambda: "scene-small.sog" in page.inner_text("#save-command"))
+    page.press("#save-name", "Enter")
+    assert "exists" in page.inner_text("#save-said")
+    assert not [path for path, _ in fake.asked if path == "save"]
+    page.click("#save-go")
+    request = fake.wait("save")
+    assert request["path"] == "scene-small.sog"
+    assert request["overwrite"] is True
+    assert request["choice"]["levels"] is None
+    studio.state("saving")
+    fake.tell(type="progress", number=request["number"], kind="save", stage="fit", fraction=0.5)
+    studio.becomes(lambda: "fit" in page.inner_text("#save-said"))
+    page.click("#save-cancel")
+    fake.wait("cancel")
+    fake.tell(type="cancelled", number=request["number"], kind="save")
+    studio.state("measured")
+    page.select_option("#save-format", "levels tileset.json")
+    assert page.input_value("#save-name") == "scene-small/tileset.json"
+    page.fill("#ratios", "1,0.2")
+    page.click("#entries >> text=old/")
+    page.click("#save-go")
+    request = fake.wait("save", 2)
+    assert request["path"] == "old/scene-small/tileset.json"
+    assert request["choice"]["levels"] == "1,0.2"
+    assert request["overwrite"] is False
+    fake.tell(
+        type="saved", number=request["number"], path=request["path"], bytes=5000, report={},
+        command="nanogs lod it", short=None, replaced=False, lines=[["Splats", "30 of 300"]],
+    )  # fmt: skip
+    studio.becomes(lambda: "5.0 kB" in page.inner_text("#save-said"))
+    assert page.inner_text("#save-command") == "nanogs lod it"
+    assert "30 of 300" in page.inner_text("#save-lines")
+    studio.state("measured")
+
+
+def test_what_fails_is_said_in_a_sentence(studio):
+    page, fake = studio.page, studio.fake
+    page.click("#format")
+    page.select_option("#format", ".ply")
+    number = fake.wait("ask", 2)["number"]
+    fake.tell(type="failed", number=number - 1, kind="measure", message="Long ago.")
+    fake.tell(type="failed", number=number, kind="measure", message="There is no memory left.")
+    studio.state("failed", number)
+    assert page.get_by_role("alert").inner_text() == "There is no memory left."
+    page.get_by_role("button", name="Close message").click()
+    assert not page.is_visible("#alert")
+
+
+def test_work_is_cancelled_by_a_button_and_by_a_key(studio):
+    page, fake = studio.page, studio.fake
+    page.select_option("#format", ".ply")
+    number = fake.wait("ask", 2)["number"]
+    for count, stop in enumerate(
+        (page.locator("#cancel").click, lambda: page.keyboard.press("Escape")), 1
+    ):
+        fake.tell(type="progress", number=number, kind="measure", stage="views", fraction=0.25)
+        page.wait_for_selector("#cancel:visible")
+        assert float(page.get_attribute("#progress", "value")) == 0.25
+        page.locator("#first-view").focus()
+        stop()
+        fake.wait("cancel", count)
+    fake.tell(type="cancelled", number=number, kind="measure")
+    studio.state("coarse", number)
+    studio.becomes(lambda: not page.is_visible("#cancel"))
+    assert page.inner_text("#said") == "Cancelled"
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "scheme"),
+    [(1280, 800, "dark"), (390, 844, "light"), (844, 390, "dark")],
+)
+def test_the_page_fits_any_screen_and_says_what_everything_is(chromium, width, height, scheme):
+    touch = width < 1000
+    with opened(chromium, width, height, color_scheme=scheme, has_touch=touch) as studio:
+        page = studio.page
+        for details in ("#sift", "#scene"):
+            page.click(f"{details} summary")
+        page.check("#crop")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.eval_on_selector("#panel", "it => it.scrollWidth <= it.clientWidth")
+        picture = page.locator("#picture").bounding_box()
+        assert picture["width"] * picture["height"] > 0.3 * width * height
+        nameless = page.evaluate(
+            """[...document.querySelectorAll("input, select, button")].filter((it) =>
+                !it.labels?.length && !it.ariaLabel && !it.textContent.trim()).map((it) => it.id)"""
+        )
+        assert nameless == []
+        if folder := os.environ.get("NANOGS_SCREENSHOTS"):
+            page.screenshot(path=f"{folder}/studio_{width}_{scheme}.png")
