@@ -62,8 +62,8 @@ def test_a_page_is_told_of_the_scene(page, tmp_path):
     scene = page.scene
     assert (scene["name"], scene["stem"], scene["splats"]) == ("scene.ply", "scene", 4000)
     assert scene["sh_degree"] == 1
-    assert scene["render_mode"] == "default"
-    assert scene["up"] in ("+x", "-x", "+y", "-y", "+z", "-z")
+    assert (scene["render_mode"], scene["up"], scene["available"]) == ("default", "-y", 4000)
+    assert scene["first"] == {"preset": "default"}
     assert {".ply", ".sog", ".spz"} <= set(scene["formats"])
     assert {"lod-meta.json", ".ssog", "tileset.json", ".rad"} == {
         layout["suffix"] for layout in scene["layouts"]
@@ -142,6 +142,22 @@ def test_filters_say_what_they_take_before_it_is_taken(page, folder, tmp_path):
     page.wait("measured", number=number)
 
 
+def test_filters_are_shown_without_being_taken(page, tmp_path):
+    number, _ = page.ask(wish={"splats": 300}, **FAST)
+    page.wait("measured", number=number)
+    choice = {"wish": {"splats": 300}, "filters": {"min_opacity": 0.9}} | FAST
+    page.number += 1
+    assert page.post("filter", number=page.number, choice=choice) == (200, {})
+    filtered = page.wait("filtered", number=page.number)
+    assert filtered["preview"]
+    assert [each["name"] for each in filtered["took"]] == ["min-opacity"]
+    assert 0 < filtered["left"] < 4000
+    assert len(loaded(page, filtered, tmp_path)) == 4000
+    number, _ = page.ask(wish={"splats": 301}, **FAST)
+    assert page.wait("measured", number=number)["available"] == 4000
+    assert not [e for e in page.seen if e["type"] == "filtered" and not e.get("preview")]
+
+
 def test_a_filter_that_leaves_nothing_is_a_sentence_and_the_studio_goes_on(page):
     number, _ = page.ask(wish={"splats": 3}, filters={"box": [90, 90, 90, 91, 91, 91]}, **FAST)
     assert "leaves none" in page.wait("failed", number=number)["message"]
@@ -169,6 +185,7 @@ def test_what_is_saved_is_what_the_shown_command_writes(page, folder, tmp_path, 
     saved = page.wait("saved", number=number)
     assert (saved["path"], saved["command"], saved["replaced"]) == (name, command, False)
     assert saved["short"] is None
+    assert "splats" in dict(saved["lines"])
     words = shlex.split(command)
     assert words[:4] == ["nanogs", words[1], "scene.ply", name]
     (tmp_path / "scene.ply").symlink_to(folder / "scene.ply")
@@ -199,7 +216,8 @@ def test_a_file_is_replaced_only_if_asked_for(page, folder):
     before = (folder / "twice.ply").read_bytes()
     choice = {"wish": {"splats": 40}} | FAST
     status, answer = page.post("save", number=99, choice=choice, path="twice.ply")
-    assert (status, answer["exists"]) == (422, True)
+    assert status == 409
+    assert answer["message"] == "twice.ply exists already; press the button again to replace it."
     assert (folder / "twice.ply").read_bytes() == before
     number, command = page.save("twice.ply", overwrite=True, **choice)
     assert command.endswith("--overwrite")

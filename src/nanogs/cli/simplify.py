@@ -101,7 +101,7 @@ def simplify(
 def _exit_if_short(runs: "list[Run]") -> None:
     """Say which results are not what was asked for, and leave with exit code 3."""
     from nanogs.cli.console import warn
-    from nanogs.cli.simplify_report import stop_text
+    from nanogs.report import stop_text
 
     short = [run for run in runs if not run.report.stop.met]
     for run in short:

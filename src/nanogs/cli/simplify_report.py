@@ -1,7 +1,6 @@
 """How `nanogs simplify` shows its report."""
 
 from collections.abc import Iterable
-from operator import attrgetter
 from pathlib import Path
 
 from nanogs.cli.console import arrow, say, show_report, warn
@@ -9,36 +8,7 @@ from nanogs.cli.filtering import report_filters
 from nanogs.cli.many import Run
 from nanogs.formatting import bytes_text, counted, sizes_text, time_text
 from nanogs.io import registry
-from nanogs.report import SimplifyReport, StopReason
-
-
-def stop_text(report: SimplifyReport) -> str:
-    """Why a result is not what was asked for, in one sentence."""
-    if report.stop == StopReason.UNREACHED:
-        return (
-            f"99 % of the splats do not reach {report.asked_psnr:g} dB{_nearest_text(report)}, so"
-            f" the whole model was written: {report.stop}."
-        )
-    if report.stop == StopReason.PROBES and report.asked_draw_cost is not None:
-        return (
-            f"The search for the most splats ended after {len(report.draw_probes)} counts; what was"
-            f" written takes no more to draw than was asked, and more may too: {report.stop}."
-        )
-    if report.stop == StopReason.PROBES:
-        return (
-            f"The search for the fewest splats ended after {len(report.probes)} counts; what was "
-            f"written reaches {report.asked_psnr:g} dB, and fewer may too: {report.stop}."
-        )
-    return f"Stopped before the asked count: {report.stop}."
-
-
-def _nearest_text(report: SimplifyReport) -> str:
-    """The PSNR of the largest count that was tried, in words."""
-    if not report.probes:
-        return ""
-    most = max(report.probes, key=attrgetter("count"))
-    of = counted(report.input_count, "splat has", "splats have")
-    return f" ({most.count:,} of {of} {most.psnr:.2f} dB)"
+from nanogs.report import SimplifyReport
 
 
 def warn_of_input(notes: Iterable[str], dropped: int) -> None:

@@ -3,14 +3,15 @@
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Protocol
 
 from nanogs.pipeline.target import Goal
-from nanogs.progress import Progress
+from nanogs.progress import Progress, Stage, Tracker
 from nanogs.splats import Splats
 from nanogs.studio.choice import Choice
 from nanogs.studio.curve import Curve, Point
-from nanogs.studio.held import Held, grown_key
+from nanogs.studio.held import Held, Sifted, grown_key
 from nanogs.studio.showing import MOST_SHOWN, Shown, few, marked, show
 
 if TYPE_CHECKING:
@@ -100,21 +101,36 @@ class Answers:
             curve.add(Point(count, measured.bytes, measured.judged.psnr, coarse=True))
             tell(_point(curve.points[count, True], choice))
 
+    def preview(self, choice: Choice, tell: Telling) -> None:
+        """Show what the filters of a choice would take, and take nothing.
+
+        Raises:
+            NanogsError: They leave nothing.
+        """
+        self._begin_filters(tell)
+        whole = self._held.whole(choice.render_mode)
+        event, shown = self._filtered(whole, self._held.previewed(choice))
+        tell(event | {"preview": True}, shown)
+
+    def _filtered(self, whole: Splats, found: Sifted) -> tuple[Event, Shown]:
+        """What filters take, and the scene with that in magenta."""
+        took = [asdict(report) for report in found.reports]
+        event = {"type": "filtered", "took": took, "left": int(found.stays.sum())}
+        return event, show(marked(whole, found.stays), self._start, len(whole))
+
+    @staticmethod
+    def _begin_filters(tell: Telling) -> None:
+        Tracker(tell.progress("filters"), [Stage("sift", 1.0)]).begin("sift")
+
     def _filter(self, choice: Choice, tell: Telling) -> None:
         """Leave out splats, and say how many each filter took, where that is another than last."""
         held = self._held
         if held.is_shown(choice):
             return
-        tell.progress("filters")  # which says what goes on
+        self._begin_filters(tell)
         whole = held.whole(choice.render_mode)
         found = held.sifted(choice)
-        took = [
-            {"name": each.name, "argument": each.argument, "removed": each.removed,
-             "left": each.left}
-            for each in found.reports
-        ]  # fmt: skip
-        shown = show(marked(whole, found.stays), self._start, len(whole))
-        tell({"type": "filtered", "took": took, "left": len(found.splats)}, shown)
+        tell(*self._filtered(whole, found))
 
     def _grow(self, choice: Choice, tell: Telling) -> "Grown":
         with tell.shielded(lambda newer: grown_key(newer) == grown_key(choice)):
@@ -138,7 +154,8 @@ class Answers:
         shown = show(few(splats), self._start, max(count, len(splats)))
         event = {
             "type": "draft", "splats": max(count, len(splats)), "bytes": curve.bytes_of(count),
-            "psnr": curve.psnr_of(count), "about": True,
+            "psnr": curve.psnr_of(count), "about": True, "available": grown.available,
+            "fewest": grown.fewest,
         }  # fmt: skip
         tell(event, shown)
 
@@ -152,6 +169,7 @@ class Answers:
         event = {
             "splats": len(splats), "bytes": measured.bytes, "psnr": judged.psnr,
             "ssim": judged.ssim, "stop": str(report.stop), "notes": list(report.notes),
+            "available": grown.available, "fewest": grown.fewest,
         }  # fmt: skip
         shown = show(self._drawable(grown, splats), self._start, len(splats))
         point = Point(len(splats), measured.bytes, judged.psnr, coarse=False)

@@ -38,6 +38,8 @@ class Desk:
             tell(self._saved(job.work, tell))
         elif self._answers is not None and job.kind == "ask":
             self._answers.ask(job.work, tell)
+        elif self._answers is not None and job.kind == "filter":
+            self._answers.preview(job.work, tell)
         elif self._answers is not None:
             self._answers.explore(job.work, tell)
 

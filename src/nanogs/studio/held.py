@@ -88,6 +88,16 @@ class Held:
             self._sifted, self.grown = (key, found), None
         return self._sifted[1]
 
+    def previewed(self, choice: Choice) -> Sifted:
+        """What filters would leave, while the present model stays the present one.
+
+        Raises:
+            ModelError: Nothing.
+        """
+        if self.is_shown(choice):
+            return self.sifted(choice)
+        return Sifted(*sift(self.whole(choice.render_mode), filters_of(choice.filters)))
+
     def is_shown(self, choice: Choice) -> bool:
         """Whether the model of a choice is the present one."""
         return self._sifted is not None and self._sifted[0] == model_key(choice)

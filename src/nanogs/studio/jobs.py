@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, Literal
 
-Kind = Literal["open", "ask", "save", "curve"]
+Kind = Literal["open", "ask", "filter", "save", "curve"]
 _numbers = count(1)
 
 
@@ -14,7 +14,8 @@ class Job:
     """Work for the worker.
 
     Attributes:
-        kind: What is to be done: "open" reads the scene, "curve" measures while nobody asks.
+        kind: What is to be done: "open" reads the scene, "filter" shows what filters take, "curve"
+            measures while nobody asks.
         page: Whose it is; empty for nobody's.
         number: The page's own number of its request, or None.
         work: What is asked: a `Choice` or an `Order`.
@@ -45,8 +46,8 @@ class Queue:
     def put(self, job: Job) -> list[Job]:
         """Add a request; what it replaces leaves the queue.
 
-        A newer one of a page and kind takes the place of the one that waits, and a new `ask` that
-        of a running one. What was measured while nobody asked gives way to everything.
+        A newer one of a page and kind takes the place of the one that waits and, but for saves, of
+        a running one. What was measured while nobody asked gives way to everything.
 
         Returns:
             The jobs that nobody waits for any more: those that leave, and the running one if it is
@@ -55,13 +56,13 @@ class Queue:
         replaced = [each for each in self._waiting if _replaces(job, each)]
         self._waiting = [each for each in self._waiting if each not in replaced] + [job]
         now = self.running
-        given_up = now is not None and now.kind in ("curve", "ask") and _replaces(job, now)
+        given_up = now is not None and now.kind != "save" and _replaces(job, now)
         if now is not None and given_up and not self.dropped:
             self.dropped = True
             replaced.append(now)
         return replaced
 
-    def cancel(self, page: str, kinds: tuple[Kind, ...] = ("ask", "save")) -> list[Job]:
+    def cancel(self, page: str, kinds: tuple[Kind, ...] = ("ask", "filter", "save")) -> list[Job]:
         """Drop all that a page waits for; the jobs, the running one among them."""
         gone = [each for each in self._waiting if each.page == page and each.kind in kinds]
         self._waiting = [each for each in self._waiting if each not in gone]

@@ -30,11 +30,12 @@ def opened(scene: Scene, manner: Manner, whole: Splats) -> tuple[dict[str, Any],
     [position] = in_page(start.position[None], start)
     x, y, z = start.up.tolist()
     low, high, inner_low, inner_high = _bounds(whole)
+    first = {"preset": manner.preset, "render_mode": manner.render_mode, "up": manner.up}
     event = {
         "type": "scene", "name": scene.path.name, "stem": scene.stem, "splats": len(whole),
         "sh_degree": whole.sh_degree, "file_bytes": scene.file_bytes,
-        "render_mode": scene.render_mode, "up": manner.up or up_of((x, y, z)),
-        "file_up": scene.up, "can_turn": not scene.states_frame,
+        "render_mode": scene.render_mode, "up": scene.up or up_of((x, y, z)),
+        "can_turn": not scene.states_frame, "available": int(whole.finite().sum()),
         "formats": writable_formats(), "presets": list(PRESETS),
         "layouts": [
             {"name": name, "suffix": suffix, "example": example.format(stem=scene.stem)}
@@ -48,9 +49,7 @@ def opened(scene: Scene, manner: Manner, whole: Splats) -> tuple[dict[str, Any],
         "page": {"scale": DISTANCE / start.distance, "centre": start.target.tolist()},
         "bounds": {"low": low, "high": high}, "core": {"low": inner_low, "high": inner_high},
         "folder": str(Path.cwd()), "most_shown": MOST_SHOWN, "notes": list(map(str, whole.notes)),
-        "begin": {
-            "preset": manner.preset, "render_mode": manner.render_mode, "up": manner.up,
-        },
+        "first": {name: value for name, value in first.items() if value is not None},
     }  # fmt: skip
     return event, start, shown
 

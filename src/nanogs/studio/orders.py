@@ -8,9 +8,12 @@ from typing import Any
 from nanogs import filters
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
-from nanogs.io import registry
-from nanogs.lod.layout import Output, output_of
+from nanogs.io import check_writable, registry
+from nanogs.levels_of_detail import sink_of
+from nanogs.lod.layout import Output, chunks_of, output_of
 from nanogs.pipeline.presets import DEFAULT_PRESET, PRESETS, renders
+from nanogs.pipeline.request import Request
+from nanogs.pipeline.target import Goal
 from nanogs.studio.choice import Choice, Sifting
 from nanogs.studio.scene import Manner, Scene
 from nanogs.studio.turning import direction_of, frames_to, refuse_stated, turned
@@ -75,6 +78,22 @@ class Order:
     @property
     def _looks(self) -> bool:
         return renders(PRESETS[self.choice.preset])
+
+    def check_target(self) -> None:
+        """Refuse a target that cannot be written, before anything is computed.
+
+        Raises:
+            OutputError: It exists and may not be replaced, or it cannot be written.
+        """
+        if self.choice.levels is None:
+            check_writable(self.path, overwrite=self.overwrite)
+            return
+        output, finest = self.output, Goal(ratio=self.choice.levels[0])
+        chunks = chunks_of(output.layout, None, plain=False)
+        request = Request(
+            goal=finest, output=output.folder, overwrite=self.overwrite, chunks=chunks
+        )
+        sink_of(request, suffix=output.suffix, layout=output.layout).check()
 
     def arguments(self) -> dict[str, Any]:
         """Arguments by name for `simplify_blocks`, or for `write_levels`."""

@@ -1,16 +1,17 @@
 """A file as the shown command writes it."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import nanogs
-from nanogs.formatting import plain
+from nanogs.formatting import counted, number_text, plain, time_text
 from nanogs.io import bytes_on_disk
 from nanogs.pipeline.request import Request, plan_files
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress
-from nanogs.report import SimplifyReport
+from nanogs.report import SimplifyReport, stop_text
 from nanogs.studio.held import Held
 from nanogs.studio.orders import Order
 
@@ -30,15 +31,29 @@ def save(order: Order, held: Held, progress: Progress) -> Event:
         "type": "saved", "path": order.path.as_posix(), "command": order.command(),
         "replaced": replaced,
     }  # fmt: skip
+    reports: tuple[SimplifyReport, ...]
     if order.choice.levels is None:
         report = nanogs.simplify_blocks(**arguments, progress=progress)
-        size = bytes_on_disk(order.path)
-        return said | {"bytes": size, "report": plain(report.to_dict()), "short": _short(report)}
-    manifest, reports = nanogs.write_levels(**arguments, progress=progress)
-    short = [sentence for report in reports if (sentence := _short(report))]
-    size = _all_bytes(order.output.folder)
-    told = {"levels": [report.to_dict() for report in reports], "notes": manifest.notes}
-    return said | {"bytes": size, "report": plain(told), "short": " ".join(short) or None}
+        said["bytes"], reports, told = bytes_on_disk(order.path), (report,), report.to_dict()
+    else:
+        manifest, reports = nanogs.write_levels(**arguments, progress=progress)
+        said["bytes"] = _all_bytes(order.output.folder)
+        told = {"levels": [each.to_dict() for each in reports], "notes": manifest.notes}
+    short = [stop_text(each) for each in reports if not each.stop.met]
+    said |= {"report": plain(told), "short": " ".join(short) or None}
+    return said | {"lines": [line for each in reports for line in _lines(each)]}
+
+
+def _lines(report: SimplifyReport) -> Iterator[tuple[str, str]]:
+    """What there is to say of a result, each with what it is about."""
+    yield "splats", f"{report.achieved_count:,} of {report.read_count or report.input_count:,}"
+    for each in report.filters:
+        yield each.name, f"took {counted(each.removed, 'splat')}"
+    if report.judged is not None:
+        judged = report.judged
+        yield "PSNR", f"{number_text(judged.psnr)} dB, SSIM {number_text(judged.ssim, 4)}"
+    yield from (("note", note) for note in report.notes)
+    yield "time", time_text(report.total_seconds)
 
 
 def _all_bytes(path: Path) -> int:
@@ -58,10 +73,3 @@ def _make_room(order: Order, held: Held) -> None:
     )  # fmt: skip
     if manner.max_memory is not None or plan_files(request).divided:
         held.forget()
-
-
-def _short(report: SimplifyReport) -> str | None:
-    """A sentence about a result that is not what was asked for."""
-    if report.stop.met:
-        return None
-    return f"It stopped before what was asked: {str(report.stop).replace('_', ' ')}."

@@ -13,8 +13,7 @@ from secrets import token_urlsafe
 from typing import TYPE_CHECKING, Any
 
 from nanogs._version import __version__
-from nanogs.errors import NanogsError, OptionError, OutputError
-from nanogs.io import check_writable
+from nanogs.errors import ExistsError, NanogsError, OptionError
 from nanogs.studio.choice import Choice, choice_of
 from nanogs.studio.jobs import Job
 from nanogs.studio.listing import Folder
@@ -110,7 +109,8 @@ class Studio:
             get("", self._page), get("viewer.js", self._viewer),
             get("static/{name}", self._static), get("events", self._events),
             get("files", self._files), get("models/{name}.spz", self._model),
-            post("ask", self._ask), post("save", self._save), post("cancel", self._cancel),
+            post("ask", self._ask), post("filter", self._filter),
+            post("save", self._save), post("cancel", self._cancel),
         ]  # fmt: skip
         application = Starlette(routes=routes, lifespan=self._living)
         application.router.redirect_slashes = False
@@ -129,7 +129,7 @@ class Studio:
         while True:
             await asyncio.sleep(_TICK)
             for name in self._pages.gone(LEFT):
-                self._workshop.cancel(name, "ask")
+                self._workshop.cancel(name, "ask", "filter", "curve")
             saving = any(job.kind == "save" for job in self._workshop.queue)
             left = self._pages.last_left
             if left is None or self._pages.watched or saving or not self._idle:
@@ -183,6 +183,13 @@ class Studio:
         self._workshop.put(Job("ask", data["page"], number, choice))
         return JSONResponse({"command": order.command()})
 
+    async def _filter(self, request: "Request") -> "Response":
+        from starlette.responses import JSONResponse
+
+        data, number = await self._asked(request, "choice")
+        self._workshop.put(Job("filter", data["page"], number, self._chosen(data)))
+        return JSONResponse({})
+
     async def _save(self, request: "Request") -> "Response":
         from starlette.responses import JSONResponse
 
@@ -190,7 +197,7 @@ class Studio:
         if not isinstance(data.get("overwrite", False), bool):
             raise OptionError("overwrite is true or false.")
         order = self._order(data)
-        await asyncio.to_thread(_check_target, order)
+        await asyncio.to_thread(order.check_target)
         self._workshop.put(Job("save", data["page"], number, order))
         return JSONResponse({"command": order.command()})
 
@@ -241,16 +248,6 @@ class Studio:
         return data, number
 
 
-def _check_target(order: Order) -> None:
-    """Refuse a target that cannot be written, before anything is computed.
-
-    Raises:
-        OutputError: It cannot be.
-    """
-    if order.choice.levels is None:
-        check_writable(order.path, overwrite=order.overwrite)
-
-
 def _told(answer: Endpoint) -> Endpoint:
     """An answer whose errors of the user's become a sentence for the page."""
 
@@ -259,9 +256,10 @@ def _told(answer: Endpoint) -> Endpoint:
 
         try:
             return await answer(request)
+        except ExistsError as error:
+            return JSONResponse({"message": error.sentence("press the button again")}, 409)
         except NanogsError as error:
-            exists = isinstance(error, OutputError) and "exists" in str(error)
-            return JSONResponse({"message": str(error), "exists": exists}, 422)
+            return JSONResponse({"message": str(error)}, 422)
 
     return answered
 

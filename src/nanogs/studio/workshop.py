@@ -58,7 +58,7 @@ class Workshop:
         """Drop what a page waits for."""
         if self._curve is not None and self._curve.page == page:
             self._curve = None
-        kinds = kinds or ("ask", "save", "curve")
+        kinds = kinds or ("ask", "filter", "save", "curve")
         self._give_up(self.queue.cancel(page, kinds), PATIENCE)
         now = self.queue.running
         if now is not None and self.queue.dropped and now.page == page and self._replaced:
