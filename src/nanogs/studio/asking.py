@@ -11,7 +11,7 @@ from nanogs.progress import Progress, Stage, Tracker
 from nanogs.splats import Splats
 from nanogs.studio.choice import Choice
 from nanogs.studio.curve import Curve, Point
-from nanogs.studio.held import Held, Sifted, grown_key
+from nanogs.studio.held import Held, Sifted, grown_key, model_key
 from nanogs.studio.showing import MOST_SHOWN, Shown, few, marked, show
 
 if TYPE_CHECKING:
@@ -66,9 +66,7 @@ class Answers:
         """
         begun = time.perf_counter()
         self._filter(choice, tell)
-        grown = self._held.roughly(choice)
-        if grown is None:
-            grown = self._grow(choice, tell)
+        grown = self._roughly(choice, tell)
         curve = self._curve(choice, grown, tell)
         count = curve.count_for(choice.goal)
         self._draft(grown, curve, count, choice, tell)
@@ -131,6 +129,10 @@ class Answers:
         whole = held.whole(choice.render_mode)
         found = held.sifted(choice)
         tell(*self._filtered(whole, found))
+
+    def _roughly(self, choice: Choice, tell: Telling) -> "Grown":
+        with tell.shielded(lambda newer: model_key(newer) == model_key(choice)):
+            return self._held.roughly(choice, tell.progress("draft"))
 
     def _grow(self, choice: Choice, tell: Telling) -> "Grown":
         with tell.shielded(lambda newer: grown_key(newer) == grown_key(choice)):

@@ -1,6 +1,6 @@
 """What the worker holds: the scene as it was read, what filters leave of it, and its forest."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -8,7 +8,7 @@ from nanogs._types import Bool
 from nanogs.filters import FilterReport, sift
 from nanogs.io import encoded_bytes, load, registry
 from nanogs.pipeline.cameras import requested_cameras
-from nanogs.pipeline.presets import PRESETS
+from nanogs.pipeline.presets import PRESETS, renders
 from nanogs.progress import Progress
 from nanogs.splats import Splats
 from nanogs.studio.choice import Choice, Sifting
@@ -19,8 +19,10 @@ from nanogs.studio.turning import direction_of
 
 if TYPE_CHECKING:
     from nanogs.pipeline.grown import Grown
+    from nanogs.raster.camera import Camera
 
 _SAMPLE = 4096  # splats, of which a file is written to see how large one is
+QUICKEST = "fast"  # the preset whose forest is there first
 _CURVES = 32  # that are kept
 
 ModelKey: TypeAlias = tuple[str | None, Sifting]
@@ -102,11 +104,15 @@ class Held:
         """Whether the model of a choice is the present one."""
         return self._sifted is not None and self._sifted[0] == model_key(choice)
 
-    def roughly(self, choice: Choice) -> "Grown | None":
-        """The forest that is there, if it is of the same model; of another preset perhaps."""
-        if self.grown is None or self.grown[0][0] != model_key(choice):
-            return None
-        return self.grown[1]
+    def roughly(self, choice: Choice, progress: Progress) -> "Grown":
+        """A forest for drafts: one of the same model that is there, else one that looks at nothing.
+
+        Raises:
+            NanogsError: It cannot be grown.
+        """
+        if self.grown is not None and self.grown[0][0] == model_key(choice):
+            return self.grown[1]
+        return self.fully(replace(choice, preset=QUICKEST), progress)
 
     def fully(self, choice: Choice, progress: Progress) -> "Grown":
         """The forest of a choice, grown if it is not there.
@@ -118,12 +124,11 @@ class Held:
 
         key = grown_key(choice)
         if self.grown is None or self.grown[0] != key:
-            splats, chosen = self.sifted(choice).splats, PRESETS[choice.preset]
-            up = None if choice.up is None else direction_of(choice.up)
+            splats = self.sifted(choice).splats
             self.grown = None
             self.grown = key, grow(
                 splats, preset=choice.preset, sh_degree=choice.sh_degree,
-                cameras=requested_cameras(splats, "auto", up, chosen), device=self.manner.device,
+                cameras=_cameras(splats, choice), device=self.manner.device,
                 threads=self.manner.threads, max_memory=self.manner.max_memory, progress=progress,
             )  # fmt: skip
         return self.grown[1]
@@ -156,3 +161,11 @@ class Held:
     def forget(self) -> None:
         """Let go of everything; it is read and grown again when it is needed."""
         self._whole = self._sifted = self.grown = None
+
+
+def _cameras(splats: Splats, choice: Choice) -> "list[Camera] | None":
+    """The views that a choice of what is up leads to; None where the preset finds its own."""
+    chosen = PRESETS[choice.preset]
+    if choice.up is None or not renders(chosen):
+        return None
+    return requested_cameras(splats, "auto", direction_of(choice.up), chosen)
