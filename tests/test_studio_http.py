@@ -189,6 +189,20 @@ def test_the_scene_itself_and_what_exists_are_not_replaced_unasked(studio):
         assert said in json.loads(answer)["message"]
 
 
+def test_the_command_of_a_file_is_told_before_it_is_saved(studio):
+    choice = {"wish": {"splats": 50}, "preset": "fast"}
+    for path, said in ((None, "out.ply"), ("sub/a b.ply", "'sub/a b.ply'")):
+        body = {"page": "p", "choice": choice, "path": path}
+        status, _, answer = studio.request("POST", "command", body)
+        wanted = f"nanogs simplify scene.ply {said} --count 50 --preset fast"
+        assert (status, json.loads(answer)) == (200, {"command": wanted})
+    for path in ("../x.ply", "x.sog", "scene.ply", ""):
+        body = {"page": "p", "choice": choice, "path": path}
+        status, _, answer = studio.request("POST", "command", body)
+        assert status == 422
+        assert json.loads(answer)["message"].endswith(".")
+
+
 def test_a_folder_is_made_of_names_below_it(tmp_path):
     folder = Folder(tmp_path.resolve())
     assert folder.inside("") == tmp_path.resolve()

@@ -110,7 +110,8 @@ class Studio:
             get("static/{name}", self._static), get("events", self._events),
             get("files", self._files), get("models/{name}.spz", self._model),
             post("ask", self._ask), post("filter", self._filter),
-            post("save", self._save), post("cancel", self._cancel),
+            post("save", self._save), post("command", self._command),
+            post("cancel", self._cancel),
         ]  # fmt: skip
         application = Starlette(routes=routes, lifespan=self._living)
         application.router.redirect_slashes = False
@@ -189,6 +190,18 @@ class Studio:
         data, number = await self._asked(request, "choice")
         self._workshop.put(Job("filter", data["page"], number, self._chosen(data)))
         return JSONResponse({})
+
+    async def _command(self, request: "Request") -> "Response":
+        """The line that writes a file, or the sentence why none can; nothing is begun."""
+        from starlette.responses import JSONResponse
+
+        data, _ = await self._asked(request, "choice", "path")
+        if data.get("path") is None:
+            choice = self._chosen(data)
+            order = Order(self._scene, self._manner, choice, shown_path(self._scene, choice))
+        else:
+            order = self._order(data)
+        return JSONResponse({"command": order.command()})
 
     async def _save(self, request: "Request") -> "Response":
         from starlette.responses import JSONResponse
