@@ -1,9 +1,10 @@
 """Answers to what a page asks: what filters take, a coarse model at once, the measured one."""
 
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol
 
 from nanogs.pipeline.target import Goal
@@ -32,6 +33,10 @@ class Telling(Protocol):
     def page(self) -> str:
         """Whose page it is."""
 
+    @property
+    def id(self) -> int:
+        """Of the job."""
+
     def __call__(self, event: Event, shown: Shown | None = None) -> None:
         """Send an event to the page of the job, with a model that it names."""
 
@@ -46,7 +51,11 @@ class Telling(Protocol):
 
 
 class Answers:
-    """What answers requests for a scene that is open."""
+    """What answers requests for a scene that is open.
+
+    One thread uses the forest at a time. While a result is measured, which takes no forest, another
+    may make the draft of a newer request (`sooner`).
+    """
 
     def __init__(self, held: Held, start: "Opening") -> None:
         """Take what opening the scene has found.
@@ -56,6 +65,7 @@ class Answers:
             start: Where the page begins.
         """
         self._held, self._start = held, start
+        self._forest, self._drafted = Lock(), 0
         self._told: dict[str, Curve] = {}  # by page, the one whose points it was told
 
     def ask(self, choice: Choice, tell: Telling) -> None:
@@ -64,12 +74,17 @@ class Answers:
         Raises:
             NanogsError: It cannot be had.
         """
+        with self._forest:
+            self._ask(choice, tell)
+
+    def _ask(self, choice: Choice, tell: Telling) -> None:
         begun = time.perf_counter()
         self._filter(choice, tell)
         grown = self._roughly(choice, tell)
         curve = self._curve(choice, grown, tell)
         count = curve.count_for(choice.goal)
-        self._draft(grown, curve, count, choice, tell)
+        if self._drafted != tell.id:
+            self._draft(grown, curve, count, choice, tell)
         tell.rest(SETTLED)
         grown = self._grow(choice, tell)
         for _ in range(TRIES):
@@ -88,14 +103,19 @@ class Answers:
         Raises:
             NanogsError: It cannot be done.
         """
-        if not self._held.is_grown(choice):
-            return
+        with self._forest:
+            if self._held.is_grown(choice):
+                self._explore(choice, tell)
+
+    def _explore(self, choice: Choice, tell: Telling) -> None:
         grown = self._held.fully(choice, tell.progress("curve"))
         curve = self._held.curve(choice, grown)
         while (count := curve.missing()) is not None:
-            measured = grown.measure(
-                grown.draft(count), format=choice.format, progress=tell.progress("curve")
-            )
+            draft = grown.draft(count)
+            with self._lent():
+                measured = grown.measure(
+                    draft, format=choice.format, progress=tell.progress("curve")
+                )
             curve.add(Point(count, measured.bytes, measured.judged.psnr, coarse=True))
             tell(_point(curve.points[count, True], choice))
 
@@ -105,10 +125,33 @@ class Answers:
         Raises:
             NanogsError: They leave nothing.
         """
-        self._begin_filters(tell)
-        whole = self._held.whole(choice.render_mode)
-        event, shown = self._filtered(whole, self._held.previewed(choice))
-        tell(event | {"preview": True}, shown)
+        with self._forest:
+            self._begin_filters(tell)
+            whole = self._held.whole(choice.render_mode)
+            event, shown = self._filtered(whole, self._held.previewed(choice))
+            tell(event | {"preview": True}, shown)
+
+    def sooner(self, choice: Choice, tell: Telling) -> None:
+        """Make the draft of a request whose turn it is not yet, if the forest of its model is here.
+
+        Raises:
+            NanogsError: It cannot be had.
+        """
+        with self._forest:
+            grown = self._held.here(choice)
+            if grown is not None:
+                curve = self._held.curve(choice, grown)
+                self._draft(grown, curve, curve.count_for(choice.goal), choice, tell)
+                self._drafted = tell.id
+
+    @contextmanager
+    def _lent(self) -> Iterator[None]:
+        """Let others use the forest in the block."""
+        self._forest.release()
+        try:
+            yield
+        finally:
+            self._forest.acquire()
 
     def _filtered(self, whole: Splats, found: Sifted) -> tuple[Event, Shown]:
         """What filters take, and the scene with that in magenta."""
@@ -166,7 +209,9 @@ class Answers:
     ) -> tuple[Event, Shown, Point]:
         """A result as it is delivered, and what is measured of it."""
         splats, report = grown.simplify(count, progress=tell.progress("draft"))
-        measured = grown.measure(splats, format=choice.format, progress=tell.progress("measure"))
+        told = tell.progress("measure")
+        with self._lent():
+            measured = grown.measure(splats, format=choice.format, progress=told)
         judged = measured.judged
         event = {
             "splats": len(splats), "bytes": measured.bytes, "psnr": judged.psnr,

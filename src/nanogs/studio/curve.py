@@ -74,7 +74,7 @@ class Curve:
 
     def bytes_of(self, count: int) -> int:
         """Bytes of a file of so many splats, about; never fewer for more."""
-        known = {point.count: point.bytes for point in self.points.values()}
+        known = {point.count: point.bytes for point in list(self.points.values())}
         if self.exact or not known:
             return self.each(count)
         counts = sorted(known)
@@ -86,8 +86,8 @@ class Curve:
 
         Plain cuts give the shape; what was measured of delivered results lifts it.
         """
-        coarse = {point.count: point.psnr for point in self.points.values() if point.coarse}
-        fine = {point.count: point.psnr for point in self.points.values() if not point.coarse}
+        coarse = {point.count: point.psnr for point in list(self.points.values()) if point.coarse}
+        fine = {point.count: point.psnr for point in list(self.points.values()) if not point.coarse}
         base = coarse or fine
         if not base:
             return None

@@ -43,6 +43,15 @@ class Desk:
         elif self._answers is not None:
             self._answers.explore(job.work, tell)
 
+    def sooner(self, job: Job, tell: Telling) -> None:
+        """Make the draft of a request whose turn it is not yet, in a thread of its own.
+
+        Raises:
+            NanogsError: It cannot be had.
+        """
+        if self._answers is not None:
+            self._answers.sooner(job.work, tell)
+
     def _open(self, tell: Telling) -> None:
         """Read the scene, and show it."""
         if nothing_compiled():

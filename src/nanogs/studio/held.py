@@ -104,15 +104,20 @@ class Held:
         """Whether the model of a choice is the present one."""
         return self._sifted is not None and self._sifted[0] == model_key(choice)
 
+    def here(self, choice: Choice) -> "Grown | None":
+        """The forest that is there, if it is of the same model; of another preset perhaps."""
+        if self.grown is None or self.grown[0][0] != model_key(choice):
+            return None
+        return self.grown[1]
+
     def roughly(self, choice: Choice, progress: Progress) -> "Grown":
         """A forest for drafts: one of the same model that is there, else one that looks at nothing.
 
         Raises:
             NanogsError: It cannot be grown.
         """
-        if self.grown is not None and self.grown[0][0] == model_key(choice):
-            return self.grown[1]
-        return self.fully(replace(choice, preset=QUICKEST), progress)
+        grown = self.here(choice)
+        return grown or self.fully(replace(choice, preset=QUICKEST), progress)
 
     def fully(self, choice: Choice, progress: Progress) -> "Grown":
         """The forest of a choice, grown if it is not there.

@@ -6,11 +6,11 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nanogs.cleanup import clean_all, when_undisturbed
 from nanogs.errors import NanogsError
@@ -20,6 +20,9 @@ from nanogs.studio.jobs import Job
 from nanogs.studio.scene import Manner, Scene
 from nanogs.studio.showing import Shown
 
+if TYPE_CHECKING:
+    from nanogs.studio.desk import Desk
+
 EVERY = 0.1  # seconds between two events about the same stage
 
 
@@ -27,16 +30,31 @@ class Cancelled(BaseException):
     """Nobody waits for this job any more; no error, so that nothing takes it for one."""
 
 
+class Line:
+    """To and from the server, for any thread."""
+
+    def __init__(self, line: Connection) -> None:
+        """Take over a connection."""
+        self._line, self._lock = line, threading.Lock()
+        self.recv = line.recv
+
+    def send(self, message: tuple[Any, ...]) -> None:
+        """Send a message."""
+        with self._lock:
+            self._line.send(message)
+
+
 class Inbox:
     """What the server says, read by a thread of its own."""
 
-    def __init__(self, line: Connection) -> None:
+    def __init__(self, line: Line) -> None:
         """Begin to read.
 
         Args:
             line: From the server; where it ends, so does this process.
         """
         self.jobs: queue.Queue[Job] = queue.Queue()
+        self.successors: queue.Queue[Job] = queue.Queue()  # which wait for a job to stop
         self._line = line
         self._dropped: dict[int, Job | None] = {}
         self.news = threading.Event()  # that the job at hand was dropped
@@ -64,6 +82,8 @@ class Inbox:
                 if kind == "cancel":
                     self._dropped[said[0]] = said[1]
                     self.news.set()
+                    if said[1] is not None and said[1].kind == "ask":
+                        self.successors.put(said[1])
                 else:
                     self.jobs.put(said)
         except (EOFError, OSError):
@@ -73,7 +93,7 @@ class Inbox:
 class Teller:
     """How a job speaks to the server."""
 
-    def __init__(self, line: Connection, inbox: Inbox, job: Job) -> None:
+    def __init__(self, line: Line, inbox: Inbox, job: Job) -> None:
         """Speak for a job.
 
         Args:
@@ -83,7 +103,7 @@ class Teller:
         """
         self._line, self._inbox, self._job = line, inbox, job
         self._useful: Callable[[Choice], bool] | None = None
-        self.page = job.page
+        self.page, self.id = job.page, job.id
 
     def __call__(self, event: dict[str, Any], shown: Shown | None = None) -> None:
         """Send an event, with a model that it names."""
@@ -142,27 +162,42 @@ class Teller:
         self.check()
 
 
-def work(line: Connection, scene: Scene, manner: Manner) -> None:
+def work(connection: Connection, scene: Scene, manner: Manner) -> None:
     """Do jobs until the server ends; the first opens the scene.
 
     Args:
-        line: To and from the server.
+        connection: To and from the server.
         scene: The file.
         manner: How work is done.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _stop)
+    line = Line(connection)
     inbox = Inbox(line)
     from nanogs.studio.desk import Desk  # which brings Numba
 
     desk = Desk(scene, manner)
+    threading.Thread(target=_draft_sooner, args=(desk, line, inbox), daemon=True).start()
     while True:
         job = inbox.jobs.get()
         inbox.begin(job)
         line.send(("done", *_outcome(desk, job, Teller(line, inbox, job))))
 
 
-def _outcome(desk: Any, job: Job, tell: Teller) -> tuple[str, dict[str, Any] | None]:  # noqa: ANN401
+def _draft_sooner(desk: "Desk", line: Line, inbox: Inbox) -> None:
+    """Make drafts of newer requests while the job that they replace is still about to stop.
+
+    Of several, only the latest. What cannot be had is said when its turn comes.
+    """
+    while True:
+        job = inbox.successors.get()
+        while not inbox.successors.empty():
+            job = inbox.successors.get()
+        with suppress(NanogsError, MemoryError, OSError, Cancelled):
+            desk.sooner(job, Teller(line, inbox, job))
+
+
+def _outcome(desk: "Desk", job: Job, tell: Teller) -> tuple[str, dict[str, Any] | None]:
     """Do a job; how it ended, and the event that says so if another one does not."""
     try:
         tell.check()
@@ -174,7 +209,7 @@ def _outcome(desk: Any, job: Job, tell: Teller) -> tuple[str, dict[str, Any] | N
     except MemoryError:
         return "failed", {"type": "failed", "message": "Memory ran out; free some and try again."}
     except OSError as error:
-        said = f"{error.filename or desk.scene.path}: {error.strerror or error}."
+        said = f"{error.filename or 'The scene'}: {error.strerror or error}."
         return "failed", {"type": "failed", "message": said}
     return "done", None
 
