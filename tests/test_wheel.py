@@ -66,6 +66,8 @@ def test_the_wheel_has_the_viewer_and_its_licences(sources):
         text = archive.read(licences).decode()
     assert "nanogs/view/LICENSES.txt" in names
     assert {"nanogs/datasets/plant.sog", "nanogs/datasets/plant.txt"} <= set(names)
+    pages = {"nanogs/studio/page.html.j2", "nanogs/studio/static/studio.js"}
+    assert pages | {"nanogs/studio/static/studio.css"} <= set(names)
     assert not any("node_modules" in name for name in names)
     for holder in ("three.js authors", "WORLD LABS TECHNOLOGIES", "Arjun Barrett"):
         assert holder in text
