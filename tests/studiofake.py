@@ -143,6 +143,8 @@ def faked(models):
             fake.asked.append((path, body))
             status, message = fake.refused.pop(path, (200, ""))
             answer = {"message": message, "command": f"nanogs simplify {body.get('path', '')}"}
+            if path == "command":
+                answer["exists"] = body["path"] in {entry["name"] for entry in ENTRIES}
             self.send(json.dumps(answer).encode(), "application/json", status)
 
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)

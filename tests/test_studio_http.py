@@ -28,6 +28,7 @@ def studio(tmp_path_factory):
         (folder / "near").symlink_to(folder / "sub")
     nanogs.save(random_splats(200, degree=1), folder / "scene.ply")
     with running("scene.ply", cwd=folder) as started:
+        started.folder = folder
         yield started
 
 
@@ -189,18 +190,27 @@ def test_the_scene_itself_and_what_exists_are_not_replaced_unasked(studio):
         assert said in json.loads(answer)["message"]
 
 
-def test_the_command_of_a_file_is_told_before_it_is_saved(studio):
-    choice = {"wish": {"splats": 50}, "preset": "fast"}
-    for path, said in ((None, "out.ply"), ("sub/a b.ply", "'sub/a b.ply'")):
-        body = {"page": "p", "choice": choice, "path": path}
+def test_a_save_is_a_command_before_it_is_wanted(studio):
+    def told(path, **choice):
+        body = {"page": "p", "choice": ASK["choice"] | choice, "path": path}
         status, _, answer = studio.request("POST", "command", body)
-        wanted = f"nanogs simplify scene.ply {said} --count 50 --preset fast"
-        assert (status, json.loads(answer)) == (200, {"command": wanted})
-    for path in ("../x.ply", "x.sog", "scene.ply", ""):
-        body = {"page": "p", "choice": choice, "path": path}
-        status, _, answer = studio.request("POST", "command", body)
-        assert status == 422
-        assert json.loads(answer)["message"].endswith(".")
+        assert status == 200
+        return json.loads(answer)
+
+    assert told("sub/a b.ply") == {
+        "command": "nanogs simplify scene.ply 'sub/a b.ply' --count 50", "message": None,
+        "exists": False,
+    }  # fmt: skip
+    (studio.folder / "there.ply").write_bytes(b"something")
+    assert told("there.ply")["exists"]
+    assert told("there.ply")["command"].endswith("there.ply --count 50")
+    assert "nanogs lod" in told("x/tileset.json", format="tileset.json", levels="1,0.5")["command"]
+    shown = told(None, preset="fast")["command"]
+    assert shown == "nanogs simplify scene.ply out.ply --count 50 --preset fast"
+    for path in (*filter(None, SAVES), "x.sog", "scene.ply", ""):
+        found = told(path)
+        assert found["command"] is None
+        assert found["message"].endswith(".")
 
 
 def test_a_folder_is_made_of_names_below_it(tmp_path):

@@ -191,18 +191,6 @@ class Studio:
         self._workshop.put(Job("filter", data["page"], number, self._chosen(data)))
         return JSONResponse({})
 
-    async def _command(self, request: "Request") -> "Response":
-        """The line that writes a file, or the sentence why none can; nothing is begun."""
-        from starlette.responses import JSONResponse
-
-        data, _ = await self._asked(request, "choice", "path")
-        if data.get("path") is None:
-            choice = self._chosen(data)
-            order = Order(self._scene, self._manner, choice, shown_path(self._scene, choice))
-        else:
-            order = self._order(data)
-        return JSONResponse({"command": order.command()})
-
     async def _save(self, request: "Request") -> "Response":
         from starlette.responses import JSONResponse
 
@@ -213,6 +201,26 @@ class Studio:
         await asyncio.to_thread(order.check_target)
         self._workshop.put(Job("save", data["page"], number, order))
         return JSONResponse({"command": order.command()})
+
+    async def _command(self, request: "Request") -> "Response":
+        """The line that writes a file, or why none can: a name that is half typed is no fault."""
+        from starlette.responses import JSONResponse
+
+        data, _ = await self._asked(request, "choice", "path")
+        command, message, exists = None, None, False
+        try:
+            if data.get("path") is None:
+                choice = self._chosen(data)
+                order = Order(self._scene, self._manner, choice, shown_path(self._scene, choice))
+            else:
+                order = self._order(data)
+                await asyncio.to_thread(order.check_target)
+            command = order.command()
+        except ExistsError:
+            command, exists = order.command(), True
+        except NanogsError as error:
+            message = str(error)
+        return JSONResponse({"command": command, "message": message, "exists": exists})
 
     def _order(self, data: dict[str, Any]) -> Order:
         """What a page wants saved, its path relative to the folder.

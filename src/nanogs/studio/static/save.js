@@ -13,7 +13,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   let folder = "";
   let stem = `${scene.stem}-small`;
   let overwrite = false;
-  let present = []; // names of files in the folder
+  let exists = false; // what has that name
   let running = 0; // the number of a save
   let timer = 0;
   let checked = 0;
@@ -56,25 +56,20 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   // What the command would be; where there is none, why.
   async function check() {
     const turn = (checked += 1);
-    let command = "";
-    let wrong = "";
-    try {
-      ({ command } = await connection.post("command", { choice: choice(), path: path() }));
-    } catch (error) {
-      wrong = error.message;
-    }
+    const wish = { choice: choice(), path: path() };
+    const found = await connection.post("command", wish).catch(({ message }) => ({ message }));
     if (turn !== checked || running) return;
-    byId("save-command").textContent = command;
-    byId("save-copy").disabled = !command;
-    go.disabled = Boolean(wrong);
-    say(wrong, true);
+    exists = Boolean(found.exists);
+    byId("save-command").textContent = found.command ?? "";
+    byId("save-copy").disabled = !found.command;
+    go.disabled = Boolean(found.message);
+    say(found.message ?? "", true);
   }
 
   async function open(where) {
     try {
       const listed = await connection.files(where);
       folder = listed.folder;
-      present = listed.entries.filter(({ kind }) => kind !== "folder").map((one) => one.name);
       byId("folder").textContent = folder ? `${folder}/` : `${scene.folder}`;
       byId("folder-up").disabled = listed.parent === null;
       byId("folder-up").onclick = () => open(listed.parent).then(() => changed(0));
@@ -115,22 +110,20 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   }
 
   async function save() {
-    if (present.includes(name.value.trim()) && !overwrite) {
+    if (exists && !overwrite) {
       askFirst(`${path()} exists. Replace it?`);
       return;
     }
     clearTimeout(timer);
     checked += 1; // what is still on its way is of before
-    say("");
+    say("Saving …");
     busy(true);
     const { number, answer } = connection.start("save", { choice: choice(), path: path(), overwrite });
     running = number;
     onStart(number);
     try {
       const { command } = await answer;
-      if (running !== number) return; // it has ended already
-      byId("save-command").textContent = command;
-      say("Saving …");
+      if (running === number) byId("save-command").textContent = command; // or it has ended already
     } catch (error) {
       running = 0;
       busy(false);
