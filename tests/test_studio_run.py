@@ -118,7 +118,7 @@ def test_a_size_and_a_psnr_come_to_a_count(page):
     assert abs(page.wait("measured", number=number)["psnr"] - 25) < 1
 
 
-def test_filters_say_what_they_take_before_it_is_taken(page, folder, tmp_path):
+def test_filters_say_what_they_take_and_the_scene_is_without_it(page, folder, tmp_path):
     filters = {"box": [-1, -1, -1, 0.5, 1, 1], "min_opacity": 0.5, "floaters": True}
     number, command = page.ask(wish={"splats": 300}, filters=filters, **FAST)
     filtered = page.wait("filtered", number=number)
@@ -131,15 +131,35 @@ def test_filters_say_what_they_take_before_it_is_taken(page, folder, tmp_path):
     )  # fmt: skip
     told = [(each["name"], each["removed"], each["left"]) for each in filtered["took"]]
     assert told == [(each.name, each.removed, each.left) for each in report.filters]
+    assert not filtered["preview"]
     shown = loaded(page, filtered, tmp_path)
-    assert len(shown) == 4000
-    magenta = (shown.sh[:, 0, 1] < -1.5) & (shown.sh[:, 0, [0, 2]] > 1.5).all(axis=1)
-    assert int(magenta.sum()) >= 4000 - filtered["left"]
+    assert len(shown) == filtered["left"] < 4000
+    assert not magenta(shown).any()
     assert "--crop box:-1,-1,-1,0.5,1,1 --min-opacity 0.5 --drop-floaters" in command
     page.wait("measured", number=number)
     number, _ = page.ask(wish={"splats": 300}, **FAST)
-    assert page.wait("filtered", number=number)["took"] == []
+    back = page.wait("filtered", number=number)
+    assert (back["took"], back["left"]) == ([], 4000)
+    assert len(loaded(page, back, tmp_path)) == 4000
     page.wait("measured", number=number)
+
+
+def magenta(shown):
+    return (shown.sh[:, 0, 1] < -1.5) & (shown.sh[:, 0, [0, 2]] > 1.5).all(axis=1)
+
+
+def test_each_page_has_the_scene_without_what_its_own_filters_take(page):
+    filters = {"min_opacity": 0.5}
+    number, _ = page.ask(wish={"splats": 300}, filters=filters, **FAST)
+    left = page.wait("filtered", number=number)["left"]
+    page.wait("draft", number=number)
+    other = page.studio.page()
+    number, _ = other.ask(wish={"splats": 200}, filters=filters, **FAST)  # as it is there already
+    assert other.wait("filtered", number=number)["left"] == left
+    other.wait("draft", number=number)
+    other.close()
+    number, _ = page.ask(wish={"splats": 300}, **FAST)
+    assert page.wait("filtered", number=number)["left"] == 4000
 
 
 def test_filters_are_shown_without_being_taken(page, tmp_path):
@@ -152,7 +172,9 @@ def test_filters_are_shown_without_being_taken(page, tmp_path):
     assert filtered["preview"]
     assert [each["name"] for each in filtered["took"]] == ["min-opacity"]
     assert 0 < filtered["left"] < 4000
-    assert len(loaded(page, filtered, tmp_path)) == 4000
+    shown = loaded(page, filtered, tmp_path)
+    assert len(shown) == 4000
+    assert int(magenta(shown).sum()) >= 4000 - filtered["left"]
     number, _ = page.ask(wish={"splats": 301}, **FAST)
     assert page.wait("measured", number=number)["available"] == 4000
     assert not [e for e in page.seen if e["type"] == "filtered" and not e.get("preview")]

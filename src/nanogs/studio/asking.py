@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.splats import Splats
-from nanogs.studio.choice import Choice
+from nanogs.studio.choice import Choice, Sifting
 from nanogs.studio.curve import Curve, Point
-from nanogs.studio.held import Held, Sifted, grown_key, model_key
+from nanogs.studio.held import Held, ModelKey, Sifted, grown_key, model_key
 from nanogs.studio.showing import MOST_SHOWN, Shown, few, marked, show
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ class Answers:
         """
         self._held, self._start = held, start
         self._forest, self._drafted = Lock(), 0
+        self._shown: dict[str, ModelKey] = {}  # by page, the scene as it was sent last
         self._told: dict[str, Curve] = {}  # by page, the one whose points it was told
 
     def ask(self, choice: Choice, tell: Telling) -> None:
@@ -128,8 +129,9 @@ class Answers:
         with self._forest:
             self._begin_filters(tell)
             whole = self._held.whole(choice.render_mode)
-            event, shown = self._filtered(whole, self._held.previewed(choice))
-            tell(event | {"preview": True}, shown)
+            found = self._held.previewed(choice)
+            shown = show(marked(whole, found.stays), self._start, len(whole))
+            tell(_filtered(found, preview=True), shown)
 
     def sooner(self, choice: Choice, tell: Telling) -> None:
         """Make the draft of a request whose turn it is not yet, if the forest of its model is here.
@@ -153,25 +155,20 @@ class Answers:
         finally:
             self._forest.acquire()
 
-    def _filtered(self, whole: Splats, found: Sifted) -> tuple[Event, Shown]:
-        """What filters take, and the scene with that in magenta."""
-        took = [asdict(report) for report in found.reports]
-        event = {"type": "filtered", "took": took, "left": int(found.stays.sum())}
-        return event, show(marked(whole, found.stays), self._start, len(whole))
-
     @staticmethod
     def _begin_filters(tell: Telling) -> None:
         Tracker(tell.progress("filters"), [Stage("sift", 1.0)]).begin("sift")
 
     def _filter(self, choice: Choice, tell: Telling) -> None:
-        """Leave out splats, and say how many each filter took, where that is another than last."""
-        held = self._held
-        if held.is_shown(choice):
+        """Leave out splats; a page that shows another model than this one as the scene gets it."""
+        key, opened = model_key(choice), (self._held.manner.render_mode, Sifting())
+        if self._shown.get(tell.page, opened) == key:
             return
         self._begin_filters(tell)
-        whole = held.whole(choice.render_mode)
-        found = held.sifted(choice)
-        tell(*self._filtered(whole, found))
+        found = self._held.sifted(choice)
+        count = len(found.splats)
+        tell(_filtered(found, preview=False), show(few(found.splats), self._start, count))
+        self._shown[tell.page] = key
 
     def _roughly(self, choice: Choice, tell: Telling) -> "Grown":
         with tell.shielded(lambda newer: model_key(newer) == model_key(choice)):
@@ -225,6 +222,12 @@ class Answers:
     @staticmethod
     def _drawable(grown: "Grown", splats: Splats) -> Splats:
         return splats if len(splats) <= MOST_SHOWN else grown.draft(MOST_SHOWN)
+
+
+def _filtered(found: Sifted, *, preview: bool) -> Event:
+    took = [asdict(report) for report in found.reports]
+    left = int(found.stays.sum())
+    return {"type": "filtered", "took": took, "left": left, "preview": preview}
 
 
 def _near(goal: Goal, point: Point) -> bool:

@@ -23,6 +23,8 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
   // Kept while it is switched off.
   let box = ["low", "high"].flatMap((end) => axes.map(({ scale }, axis) => scale.round(core[end][axis])));
   let timer = 0;
+  let marked = false; // whether the left side is in magenta
+  let taking = false;
 
   const isNew = () => !same(pending, state.choice.filters);
 
@@ -42,7 +44,8 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
 
   function forget() {
     clearTimeout(timer);
-    if (document.body.dataset.preview !== "none") restore();
+    if (marked || document.body.dataset.preview !== "none") restore();
+    marked = false;
     document.body.dataset.preview = "none";
     say("");
   }
@@ -82,7 +85,9 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
     clearTimeout(timer);
     document.body.dataset.preview = "none";
     say("");
+    taking = true;
     state.set({ filters: pending });
+    taking = false;
     render();
   });
   byId("untake").addEventListener("click", () => {
@@ -130,7 +135,9 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
       if (same(choice.filters, before.filters)) return;
       pending = choice.filters;
       if (pending.box) box = pending.box;
-      clearTimeout(timer);
+      // What was taken stays in magenta until the scene without it is there.
+      if (taking) clearTimeout(timer);
+      else forget();
       document.body.dataset.preview = "none";
       say("");
       render();
@@ -138,10 +145,12 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
     // What the server found for `pending`.
     preview(event) {
       document.body.dataset.preview = "shown";
+      marked = true;
       say(`${outcome(event)}${gone(event) ? " They are magenta on the left." : ""}`);
     },
     taken(event) {
       const lost = gone(event);
+      marked = false;
       byId("taken").textContent = lost ? `${numbers.count(lost)} taken` : "";
       byId("taken").title = lost ? outcome(event) : "";
     },

@@ -11,31 +11,33 @@ export function makePicture(scene, fetchModel, complain) {
     onLost: () => complain("The graphics processor gave up: load the page again."),
   });
   const asked = [0, 0]; // the latest model of each side
-  let base = null; // the scene as it is compared with: { model, name, facts }
+  let base = null; // the scene as it is compared with: { fetched, mip, name, facts }
 
   // Whether it is what the side shows now, and not overtaken by a later one.
-  async function show(side, model, name, facts) {
+  async function show(side, { fetched, mip, name, facts }) {
     const turn = (asked[side] += 1);
-    const bytes = await fetchModel(model.id);
+    const bytes = await fetched;
     if (turn !== asked[side]) return false;
-    await viewer.show(side, bytes, model.mip);
+    await viewer.show(side, bytes.slice(), mip);
     if (turn !== asked[side]) return false;
     viewer.label(side, name, facts);
     return true;
   }
+
+  const entry = (model, name, facts) => ({ fetched: fetchModel(model.id), mip: model.mip, name, facts });
 
   return {
     box: viewer.box,
     key: viewer.key,
     label: viewer.label,
     base(model, name, facts) {
-      base = { model, name, facts };
-      return show(0, model, name, facts);
+      base = entry(model, name, facts); // kept: the server forgets it
+      return show(0, base);
     },
     // What is there for the moment, until `back`.
-    instead: (model, name, facts) => show(0, model, name, facts),
-    back: () => show(0, base.model, base.name, base.facts),
-    result: (model, facts) => show(1, model, "simplified", facts),
+    instead: (model, name, facts) => show(0, entry(model, name, facts)),
+    back: () => show(0, base),
+    result: (model, facts) => show(1, entry(model, "simplified", facts)),
     up: (axis) => viewer.setUp(axis === null ? scene.camera.up : directionOf(axis)),
     bind() {
       byId("first-view").addEventListener("click", viewer.reset);

@@ -66,3 +66,6 @@ export function sameGround(one, other) {
   ];
   return same(ground(one), ground(other));
 }
+
+// Whether they have the same scene on the left: what is left out of it, and how it is drawn.
+export const sameScene = (one, other) => same(one.filters, other.filters) && one.render_mode === other.render_mode;

@@ -11,7 +11,7 @@ import { makePicture } from "./picture.js";
 import { makePlot } from "./plot.js";
 import { makeSave } from "./save.js";
 import { makeSliders } from "./sliders.js";
-import { makeState, same, sameGround } from "./state.js";
+import { makeState, same, sameGround, sameScene } from "./state.js";
 import { makeStatus } from "./status.js";
 
 const SHARE = 0.1; // of the splats, which the page begins with
@@ -94,7 +94,7 @@ function begin(scene) {
       rest();
       await picture.instead(event.model, scene.name, ["magenta goes", `${numbers.splats(event.left)} stay`]).catch(failed);
       if (event.number === previewed) filters.preview(event);
-    } else if (event.number === latest) {
+    } else if (event.number >= since) {
       previewed = 0;
       filters.taken(event);
       const left = event.left === scene.splats ? shown : [`${numbers.splats(event.left)} of ${numbers.count(scene.splats)}`];
@@ -104,6 +104,7 @@ function begin(scene) {
 
   // Asks: one at a time is sent, and of those that come meanwhile the last.
   let latest = 0;
+  let since = 0; // the first with the filters and the render mode as they are: the scene comes once for all
   let waiting = false;
   let asked = null;
   async function ask() {
@@ -112,9 +113,11 @@ function begin(scene) {
     while (!same(asked, state.choice)) {
       if (asked && !sameGround(asked, state.choice)) curve.clear();
       else if (asked && asked.format !== state.choice.format) curve.forgetBytes();
+      const other = !asked || !sameScene(asked, state.choice);
       asked = state.choice;
       const { number, answer } = connection.start("ask", { choice: asked });
       latest = number;
+      if (other) since = number;
       settle("coarse", number);
       status.complain("");
       sliders.show(null);
