@@ -294,11 +294,13 @@ def test_a_worker_that_is_killed_in_a_save_is_told_of_and_started_again(page, st
     before = sorted(path.name for path in folder.iterdir())
     number, _ = page.save("killed.sog", wish={"splats": 3000}, format=".sog", preset="best")
     page.wait("progress", number=number)
+    waiting, _ = page.ask(wish={"splats": 315}, **FAST)
     worker_of(studio).kill()
     failed = page.wait("failed", number=number)
     assert failed["kind"] == "save"
     assert "SIGKILL" in failed["message"]
     assert sorted(path.name for path in folder.iterdir()) == before
+    assert page.wait("measured", number=waiting)["splats"] == 315
     number, _ = page.ask(wish={"splats": 320}, **FAST)
     assert page.wait("measured", number=number)["splats"] == 320
 
