@@ -165,6 +165,25 @@ def test_the_three_sliders_move_together(studio):
     assert studio.asked(5)["wish"] == {"splats": 150}
 
 
+def test_drafts_of_a_slider_that_moves_are_seen_on_the_way(studio):
+    studio.page.focus("#splats-range")
+    for _ in range(2):
+        studio.page.keyboard.press("PageUp")
+        studio.page.wait_for_timeout(100)
+    older, newer = (studio.fake.wait("ask", count)["number"] for count in (2, 3))
+    wish = studio.page.input_value("#splats")
+    studio.fake.answer("draft", older, "green", splats=31)
+    studio.shows(GREEN, "right")
+    assert studio.page.input_value("#splats") == wish
+    studio.state("coarse", newer)
+    studio.fake.answer("draft", newer, "blue")
+    studio.state("measuring", newer)
+    studio.fake.answer("draft", older, "magenta")  # too late
+    studio.fake.answer("measured", newer, "blue")
+    studio.state("measured", newer)
+    studio.shows(BLUE, "right")
+
+
 @pytest.mark.parametrize(("words", "said"), [("lots", "“lots”"), ("5,000", "300"), ("-1", "“-1”")])
 def test_a_field_with_nonsense_says_so_and_asks_nothing(studio, words, said):
     studio.page.fill("#splats", words)

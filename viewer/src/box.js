@@ -20,10 +20,7 @@ export function makeBox(panes) {
     depthWrite: false,
   });
   const above = new Scene(); // drawn last, over all that is on the canvas
-  const lines = [
-    ...panes.map((pane) => added(pane.scene, whole)),
-    added(above, faint),
-  ];
+  const lines = [...panes.map((pane) => added(pane.scene, whole)), added(above, faint)];
 
   function added(scene, material) {
     const made = new LineSegments2(new LineSegmentsGeometry(), material);

@@ -15,7 +15,15 @@ import {
 
 // Matplotlib's inferno (CC0) at equal distances: of two colours the brighter one is the larger error.
 const COLOURS = [
-  "#000004", "#1f0c48", "#550f6d", "#88226a", "#ba3655", "#e35933", "#f98c0a", "#f9c932", "#fcffa4",
+  "#000004",
+  "#1f0c48",
+  "#550f6d",
+  "#88226a",
+  "#ba3655",
+  "#e35933",
+  "#f98c0a",
+  "#f9c932",
+  "#fcffa4",
 ];
 // The difference of luma, of full brightness, that has the last colour. The square root of the
 // difference chooses the colour, or all but the worst places would look black.

@@ -36,7 +36,11 @@ export function mountStudio(host, scene) {
   stage.beforeDraw = navigation.update;
   stage.onResize = navigation.resize;
   stage.onLost = () => scene.onLost?.();
-  const divider = makeDivider(host, scene.names.map((name) => ({ name })), stage.divide);
+  const divider = makeDivider(
+    host,
+    scene.names.map((name) => ({ name })),
+    stage.divide,
+  );
   const labels = makeSideLabels(host, scene.names);
   // One model alone is a picture too, as the other may take long.
   async function show(side, bytes, mip) {

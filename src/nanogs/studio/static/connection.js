@@ -31,7 +31,10 @@ export function connect() {
     if (response.status === 204) return {};
     const answer = await response.json().catch(() => ({}));
     if (!response.ok) {
-      throw new Refused(answer.message ?? `The studio refuses this (${response.status}).`, response.status);
+      throw new Refused(
+        answer.message ?? `The studio refuses this (${response.status}).`,
+        response.status,
+      );
     }
     return answer;
   }
@@ -49,7 +52,8 @@ export function connect() {
     async files(folder) {
       const response = await fetch(`files?folder=${encodeURIComponent(folder)}`);
       const answer = await response.json().catch(() => ({}));
-      if (!response.ok) throw new Refused(answer.message ?? "The folder cannot be read.", response.status);
+      if (!response.ok)
+        throw new Refused(answer.message ?? "The folder cannot be read.", response.status);
       return answer;
     },
     async model(id) {

@@ -15,7 +15,10 @@ export function makeCurve() {
     const coarse = known.filter((point) => point.kind === "coarse");
     const used = coarse.length > 1 ? coarse : known;
     const line = used.length || !now || now[key] === null ? used : [now];
-    return line.map((point) => ({ splats: Math.log(point.splats), value: key === "psnr" ? point.psnr : Math.log(point[key]) }));
+    return line.map((point) => ({
+      splats: Math.log(point.splats),
+      value: key === "psnr" ? point.psnr : Math.log(point[key]),
+    }));
   }
   // How much higher than the line the present model lies.
   function lift(key) {

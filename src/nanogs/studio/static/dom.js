@@ -25,7 +25,8 @@ export function segments(host, choices, choose) {
   });
   host.replaceChildren(...buttons);
   return (value) => {
-    for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset.value === value));
+    for (const button of buttons)
+      button.setAttribute("aria-pressed", String(button.dataset.value === value));
   };
 }
 

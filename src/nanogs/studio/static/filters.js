@@ -17,11 +17,16 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
   const core = scene.core ?? scene.bounds;
   const axes = AXES.map((name, axis) => ({
     scale: within(core.low[axis], core.high[axis], scene.bounds.low[axis], scene.bounds.high[axis]),
-    ends: ["low", "high"].map((end) => ({ field: byId(`${name}-${end}`), range: byId(`${name}-${end}-range`) })),
+    ends: ["low", "high"].map((end) => ({
+      field: byId(`${name}-${end}`),
+      range: byId(`${name}-${end}-range`),
+    })),
   }));
   let pending = state.choice.filters; // as the controls say
   // Kept while it is switched off.
-  let box = ["low", "high"].flatMap((end) => axes.map(({ scale }, axis) => scale.round(core[end][axis])));
+  let box = ["low", "high"].flatMap((end) =>
+    axes.map(({ scale }, axis) => scale.round(core[end][axis])),
+  );
   let timer = 0;
   let marked = false; // whether the left side is in magenta
   let taking = false;
@@ -167,7 +172,10 @@ function outcome(event) {
   const lost = gone(event);
   if (!lost) return "Nothing goes: no splat is like that.";
   const parts = event.took.filter(({ removed }) => removed);
-  const each = parts.length > 1 ? ` (${parts.map(({ name, removed }) => `${name}: ${numbers.count(removed)}`).join(", ")})` : "";
+  const each =
+    parts.length > 1
+      ? ` (${parts.map(({ name, removed }) => `${name}: ${numbers.count(removed)}`).join(", ")})`
+      : "";
   return `${numbers.splats(lost)} of ${numbers.count(lost + event.left)} ${lost === 1 ? "goes" : "go"}${each}, ${numbers.count(event.left)} stay.`;
 }
 

@@ -5,7 +5,13 @@ import { byId } from "./dom.js";
 export function bindKeys({ state, picture, stop }) {
   const click = (id) => () => byId(id).click();
   const plain = { e: click("heat"), f: click("full"), "?": click("help-open") };
-  const withControl = { z: state.undo, Z: state.redo, y: state.redo, s: click("save-open"), S: click("save-open") };
+  const withControl = {
+    z: state.undo,
+    Z: state.redo,
+    y: state.redo,
+    s: click("save-open"),
+    S: click("save-open"),
+  };
 
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented || document.querySelector("dialog[open]") || event.altKey) return;
@@ -13,7 +19,12 @@ export function bindKeys({ state, picture, stop }) {
     const action = event.ctrlKey || event.metaKey ? withControl[event.key] : null;
     if (action) {
       // In a field that is being typed in, undo is the field's.
-      if (typing && event.key.toLowerCase() === "z" && event.target.value !== event.target.dataset.before) return;
+      if (
+        typing &&
+        event.key.toLowerCase() === "z" &&
+        event.target.value !== event.target.dataset.before
+      )
+        return;
       event.preventDefault();
       action();
     } else if (!event.ctrlKey && !event.metaKey && !event.target.matches("input, select, textarea")) {

@@ -2,9 +2,16 @@
 
 import { byId, make, segments } from "./dom.js";
 
-const PRESETS = { fast: "nothing is rendered or fitted", default: "looked at from many views", best: "fitted to renders: slow" };
+const PRESETS = {
+  fast: "nothing is rendered or fitted",
+  default: "looked at from many views",
+  best: "fitted to renders: slow",
+};
 const UPS = ["+x", "-x", "+y", "-y", "+z", "-z"];
-const MODES = { default: "blurred by 0.3 pixels, as most are trained", mip: "trained with antialiasing" };
+const MODES = {
+  default: "blurred by 0.3 pixels, as most are trained",
+  mip: "trained with antialiasing",
+};
 
 export function makeMethod(scene, state) {
   const format = byId("format");
@@ -16,7 +23,9 @@ export function makeMethod(scene, state) {
   const degrees = Array.from({ length: scene.sh_degree }, (_, degree) => degree);
   harmonics.replaceChildren(
     new Option(scene.sh_degree ? `all (degree ${scene.sh_degree})` : "none in the file", ""),
-    ...degrees.reverse().map((degree) => new Option(degree ? `up to degree ${degree}` : "none (degree 0)", degree)),
+    ...degrees
+      .reverse()
+      .map((degree) => new Option(degree ? `up to degree ${degree}` : "none (degree 0)", degree)),
   );
   harmonics.disabled = !degrees.length;
   harmonics.addEventListener("change", () => {
@@ -32,9 +41,11 @@ export function makeMethod(scene, state) {
     state.set({ render_mode: mode === scene.render_mode ? null : mode }),
   );
   const ups = UPS.map((axis) => [axis, axis.replace("-", "−"), `${axis} is up`]);
-  const pressUp = segments(byId("up"), ups, (axis) => state.set({ up: axis === scene.up ? null : axis }));
+  const pressUp = segments(byId("up"), ups, (axis) =>
+    state.set({ up: axis === scene.up ? null : axis }),
+  );
   const notes = [...(scene.notes ?? [])];
-  if (scene.states_frame) {
+  if (scene.can_turn === false) {
     for (const button of byId("up").children) button.disabled = true;
     notes.unshift("The file says which way is up.");
   }

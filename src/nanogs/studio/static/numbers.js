@@ -72,7 +72,12 @@ export function linear(low, high) {
 
 // Fine at its lower end, where most of what opacity tells apart lies.
 export function squared(high) {
-  return { low: 0, high, at: (place) => high * place ** 2, place: (value) => clamp(Math.sqrt(value / high)) };
+  return {
+    low: 0,
+    high,
+    at: (place) => high * place ** 2,
+    place: (value) => clamp(Math.sqrt(value / high)),
+  };
 }
 
 const clamp = (place) => Math.min(1, Math.max(0, place));

@@ -9,7 +9,8 @@ const MEGA = 1e6;
 const STEPS = [1, 2, 5, 10, 20]; // dB between lines
 const LINES = 5; // at most
 
-export function makePlot(curve, choose) {
+// `fewest` says from how many splats on points are drawn, as one far away would squeeze the others.
+export function makePlot(curve, fewest, choose) {
   const host = byId("plot");
   const tip = make("p", { className: "facts tip" });
   tip.setAttribute("aria-hidden", "true"); // the points themselves say it
@@ -18,9 +19,16 @@ export function makePlot(curve, choose) {
   function render() {
     if (!width) return;
     const now = curve.now && Number.isFinite(curve.now.psnr) && curve.now.bytes ? curve.now : null;
-    const points = curve.points.filter((point) => point.bytes > 0 && Number.isFinite(point.psnr));
+    const points = curve.points.filter(
+      ({ splats, bytes, psnr }) => splats >= fewest() && bytes > 0 && Number.isFinite(psnr),
+    );
     const all = now ? [...points, now] : points;
-    const svg = drawn("svg", { width, height: HEIGHT, viewBox: `0 0 ${width} ${HEIGHT}`, role: "group" });
+    const svg = drawn("svg", {
+      width,
+      height: HEIGHT,
+      viewBox: `0 0 ${width} ${HEIGHT}`,
+      role: "group",
+    });
     svg.setAttribute("aria-label", `PSNR over file size, ${points.length} points`);
     if (!all.length) {
       const words = drawn("text", { x: width / 2, y: HEIGHT / 2, class: "empty" });
@@ -36,25 +44,49 @@ export function makePlot(curve, choose) {
   }
 
   function draw(svg, points, now, all) {
-    const across = padded(numbers.logarithmic, all.map((point) => point.bytes / MEGA));
-    const up = padded(numbers.linear, all.map((point) => point.psnr));
+    const across = padded(
+      numbers.logarithmic,
+      all.map((point) => point.bytes / MEGA),
+    );
+    const up = padded(
+      numbers.linear,
+      all.map((point) => point.psnr),
+    );
     const inner = { width: width - EDGE.left - EDGE.right, height: HEIGHT - EDGE.top - EDGE.bottom };
     const x = (megas) => EDGE.left + inner.width * across.place(megas);
     const y = (decibels) => EDGE.top + inner.height * (1 - up.place(decibels));
     const at = (point) => [x(point.bytes / MEGA), y(point.psnr)];
     // The last of each axis has the unit.
-    const named = (ticks, unit) => ticks.map((value, index) => [value, index === ticks.length - 1 ? ` ${unit}` : ""]);
+    const named = (ticks, unit) =>
+      ticks.map((value, index) => [value, index === ticks.length - 1 ? ` ${unit}` : ""]);
     for (const [value, unit] of named(linearTicks(up), "dB")) {
-      svg.append(drawn("line", { x1: EDGE.left, x2: width - EDGE.right, y1: y(value), y2: y(value), class: "rule" }));
+      svg.append(
+        drawn("line", {
+          x1: EDGE.left,
+          x2: width - EDGE.right,
+          y1: y(value),
+          y2: y(value),
+          class: "rule",
+        }),
+      );
       svg.append(label(value + unit, EDGE.left - 6, y(value) + 3.5, "end"));
     }
     for (const [value, unit] of named(logarithmicTicks(across, inner.width), "MB")) {
-      svg.append(drawn("line", { x1: x(value), x2: x(value), y1: EDGE.top, y2: HEIGHT - EDGE.bottom, class: "rule" }));
+      svg.append(
+        drawn("line", {
+          x1: x(value),
+          x2: x(value),
+          y1: EDGE.top,
+          y2: HEIGHT - EDGE.bottom,
+          class: "rule",
+        }),
+      );
       svg.append(label(tickText(value) + unit, x(value), HEIGHT - EDGE.bottom + 13, "middle"));
     }
     for (const kind of ["coarse", "measured"]) {
       const line = points.filter((point) => point.kind === kind).map(at);
-      if (line.length > 1) svg.append(drawn("polyline", { points: line.join(" "), class: `through ${kind}` }));
+      if (line.length > 1)
+        svg.append(drawn("polyline", { points: line.join(" "), class: `through ${kind}` }));
     }
     for (const point of points) svg.append(dot(point, ...at(point)));
     if (now) svg.append(present(now, ...at(now)));
@@ -63,12 +95,18 @@ export function makePlot(curve, choose) {
   function dot(point, cx, cy) {
     const made = drawn(
       "g",
-      { class: `point ${point.kind}`, tabindex: 0, role: "button", "aria-label": `${describe(point)}: choose it` },
+      {
+        class: `point ${point.kind}`,
+        tabindex: 0,
+        role: "button",
+        "aria-label": `${describe(point)}: choose it`,
+      },
       drawn("circle", { cx, cy, r: 10, class: "reach" }),
       drawn("circle", { cx, cy, r: 3.5 }),
     );
     made.dataset.key = `${point.kind}${point.splats}`;
-    for (const type of ["pointerenter", "focus"]) made.addEventListener(type, () => say(describe(point)));
+    for (const type of ["pointerenter", "focus"])
+      made.addEventListener(type, () => say(describe(point)));
     for (const type of ["pointerleave", "blur"]) made.addEventListener(type, () => rest(curve.now));
     made.addEventListener("click", () => choose(point.splats));
     made.addEventListener("keydown", (event) => {
@@ -90,7 +128,11 @@ export function makePlot(curve, choose) {
 }
 
 function present(now, cx, cy) {
-  const made = drawn("g", { class: `present ${now.kind}`, role: "img", "aria-label": `Now: ${describe(now)}` });
+  const made = drawn("g", {
+    class: `present ${now.kind}`,
+    role: "img",
+    "aria-label": `Now: ${describe(now)}`,
+  });
   made.append(drawn("circle", { cx, cy, r: 7 }), drawn("circle", { cx, cy, r: 3.5 }));
   return made;
 }
@@ -109,7 +151,8 @@ function label(value, x, y, anchor) {
 // A scale with some room at both ends.
 function padded(scale, values) {
   const [low, high] = [Math.min(...values), Math.max(...values)];
-  if (scale === numbers.linear) return scale(low - Math.max(1, 0.1 * (high - low)), high + Math.max(1, 0.1 * (high - low)));
+  if (scale === numbers.linear)
+    return scale(low - Math.max(1, 0.1 * (high - low)), high + Math.max(1, 0.1 * (high - low)));
   const room = Math.max(1.25, (high / low) ** 0.07);
   return scale(low / room, high * room);
 }
@@ -126,9 +169,12 @@ function logarithmicTicks({ low, high }, pixels) {
   const steps = pixels / decades > 110 ? [1, 2, 5] : [1];
   const ticks = [];
   for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power += 1) {
-    ticks.push(...steps.map((step) => step * 10 ** power).filter((value) => value >= low && value <= high));
+    ticks.push(
+      ...steps.map((step) => step * 10 ** power).filter((value) => value >= low && value <= high),
+    );
   }
   return ticks;
 }
 
-const tickText = (value) => (value >= 1 ? value.toLocaleString("en-US") : String(Number(value.toPrecision(1))));
+const tickText = (value) =>
+  value >= 1 ? value.toLocaleString("en-US") : String(Number(value.toPrecision(1)));

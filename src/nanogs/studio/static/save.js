@@ -19,8 +19,16 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   let checked = 0;
 
   format.append(
-    group("One file", scene.formats.map((suffix) => new Option(suffix, `file ${suffix}`))),
-    group("Levels of detail", (scene.layouts ?? []).map((layout) => new Option(`${layout.suffix}: ${layout.name}`, `levels ${layout.suffix}`))),
+    group(
+      "One file",
+      scene.formats.map((suffix) => new Option(suffix, `file ${suffix}`)),
+    ),
+    group(
+      "Levels of detail",
+      (scene.layouts ?? []).map(
+        (layout) => new Option(`${layout.suffix}: ${layout.name}`, `levels ${layout.suffix}`),
+      ),
+    ),
   );
 
   const layout = () => {
@@ -29,7 +37,11 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   };
   const suffix = () => format.value.split(" ")[1];
   const path = () => (folder ? `${folder}/${name.value.trim()}` : name.value.trim());
-  const choice = () => ({ ...state.choice, format: suffix(), levels: layout() ? ratios.value.trim() : null });
+  const choice = () => ({
+    ...state.choice,
+    format: suffix(),
+    levels: layout() ? ratios.value.trim() : null,
+  });
 
   function say(words, wrong = false) {
     said.textContent = words;
@@ -82,7 +94,9 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   function entry({ name: called, kind, bytes }) {
     const button = make("button", { type: "button", className: kind });
     button.append(make("span", { textContent: kind === "folder" ? `${called}/` : called }));
-    button.append(make("span", { className: "facts", textContent: kind === "folder" ? "" : numbers.size(bytes) }));
+    button.append(
+      make("span", { className: "facts", textContent: kind === "folder" ? "" : numbers.size(bytes) }),
+    );
     button.disabled = kind === "file";
     button.addEventListener("click", () => {
       if (kind === "folder") open(folder ? `${folder}/${called}` : called).then(() => changed(0));
@@ -170,9 +184,15 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
   });
   connection.on("saved", (event) => {
     if (event.number !== running) return;
-    finish(`${event.short ? `${event.short} ` : ""}Saved: ${event.path}, ${numbers.size(event.bytes)}.`, false);
+    finish(
+      `${event.short ? `${event.short} ` : ""}Saved: ${event.path}, ${numbers.size(event.bytes)}.`,
+      false,
+    );
     byId("save-command").textContent = event.command;
-    const lines = (event.lines ?? []).flatMap(([label, value]) => [make("dt", { textContent: label }), make("dd", { textContent: value })]);
+    const lines = (event.lines ?? []).flatMap(([label, value]) => [
+      make("dt", { textContent: label }),
+      make("dd", { textContent: value }),
+    ]);
     byId("save-lines").replaceChildren(...lines);
     open(folder);
   });

@@ -74,8 +74,11 @@ export function makeSliders(scene, state, curve, complain) {
     return `There are ${numbers.splats(limits.most)}; choose that many or fewer.`;
   }
 
+  // Where the sliders begin; fewer can be typed.
+  const lowest = () => Math.max(limits.fewest ?? 1, Math.min(100, limits.most / 1000));
+
   function scaleOf(key) {
-    const fewest = limits.fewest ?? Math.max(1, Math.min(100, limits.most / 1000));
+    const fewest = lowest();
     if (key === "splats") return numbers.logarithmic(fewest, limits.most);
     if (key === "bytes") {
       const [low, high] = [curve.bytesOf(fewest), curve.bytesOf(limits.most)];
@@ -115,7 +118,8 @@ export function makeSliders(scene, state, curve, complain) {
       range.classList.toggle("unknown", !known);
       range.style.setProperty("--filled", `${range.value / (STEPS / 100)}%`);
       range.setAttribute("aria-valuetext", known ? kind.full(value) : "not known yet");
-      const apart = pinned && answer && Number.isFinite(answer[key]) && kind.words(answer[key]) !== kind.words(wish);
+      const apart =
+        pinned && answer && Number.isFinite(answer[key]) && kind.words(answer[key]) !== kind.words(wish);
       got.textContent = apart ? `got ${kind.words(answer[key])}` : "";
     }
   }
@@ -131,8 +135,6 @@ export function makeSliders(scene, state, curve, complain) {
       if (fewest) limits.fewest = fewest;
     },
     render,
-    get most() {
-      return limits.most;
-    },
+    lowest,
   };
 }

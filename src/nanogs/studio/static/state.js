@@ -62,10 +62,15 @@ export const same = (one, other) => JSON.stringify(one) === JSON.stringify(other
 // Whether two choices have the same curve of PSNR over splats.
 export function sameGround(one, other) {
   const ground = ({ filters, preset, sh_degree, render_mode, up }) => [
-    [filters.box, filters.min_opacity, filters.floaters], preset, sh_degree, render_mode, up,
+    [filters.box, filters.min_opacity, filters.floaters],
+    preset,
+    sh_degree,
+    render_mode,
+    up,
   ];
   return same(ground(one), ground(other));
 }
 
 // Whether they have the same scene on the left: what is left out of it, and how it is drawn.
-export const sameScene = (one, other) => same(one.filters, other.filters) && one.render_mode === other.render_mode;
+export const sameScene = (one, other) =>
+  same(one.filters, other.filters) && one.render_mode === other.render_mode;

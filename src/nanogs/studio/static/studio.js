@@ -17,6 +17,7 @@ import { makeStatus } from "./status.js";
 const SHARE = 0.1; // of the splats, which the page begins with
 const LIKED = ".sog"; // the format that it begins with, where it can be written
 const PAUSE = 40; // milliseconds between two asks at least
+const KEPT = 200; // numbers back that an ask is remembered
 
 const connection = connect();
 const status = makeStatus(stop);
@@ -39,7 +40,11 @@ connection.on("connected", () => {
 connection.on("lost", ({ final }) => {
   if (data.ended) return;
   data.lost = "true";
-  status.complain(final ? "The studio has ended; start the command again." : "The studio does not answer; trying again …");
+  status.complain(
+    final
+      ? "The studio has ended; start the command again."
+      : "The studio does not answer; trying again …",
+  );
 });
 connection.on("bye", ({ reason }) => {
   data.ended = "true";
@@ -62,7 +67,7 @@ function begin(scene) {
   const curve = makeCurve();
   const picture = makePicture(scene, connection.model, status.complain);
   const sliders = makeSliders(scene, state, curve, status.complain);
-  const plot = makePlot(curve, (splats) => state.set({ wish: { splats } }));
+  const plot = makePlot(curve, sliders.lowest, (splats) => state.set({ wish: { splats } }));
   const method = makeMethod(scene, state);
   const failed = (error) => status.complain(error.message);
 
@@ -74,10 +79,13 @@ function begin(scene) {
 
   // Previews of filters.
   let previewed = 0;
-  const inPage = (corner) => corner && corner.map((value, axis) => (value - scene.page.centre[axis]) * scene.page.scale);
+  const inPage = (corner) =>
+    corner && corner.map((value, axis) => (value - scene.page.centre[axis]) * scene.page.scale);
   const filters = makeFilters(scene, state, {
     ask(chosen) {
-      const { number, answer } = connection.start("filter", { choice: { ...state.choice, filters: chosen } });
+      const { number, answer } = connection.start("filter", {
+        choice: { ...state.choice, filters: chosen },
+      });
       previewed = number;
       answer.catch((error) => previewed === number && filters.refused(error.message));
     },
@@ -92,12 +100,17 @@ function begin(scene) {
     if (event.preview) {
       if (event.number !== previewed) return;
       rest();
-      await picture.instead(event.model, scene.name, ["magenta goes", `${numbers.splats(event.left)} stay`]).catch(failed);
+      await picture
+        .instead(event.model, scene.name, ["magenta goes", `${numbers.splats(event.left)} stay`])
+        .catch(failed);
       if (event.number === previewed) filters.preview(event);
     } else if (event.number >= since) {
       previewed = 0;
       filters.taken(event);
-      const left = event.left === scene.splats ? shown : [`${numbers.splats(event.left)} of ${numbers.count(scene.splats)}`];
+      const left =
+        event.left === scene.splats
+          ? shown
+          : [`${numbers.splats(event.left)} of ${numbers.count(scene.splats)}`];
       picture.base(event.model, scene.name, left).catch(failed);
     }
   });
@@ -107,6 +120,7 @@ function begin(scene) {
   let since = 0; // the first with the filters and the render mode as they are: the scene comes once for all
   let waiting = false;
   let asked = null;
+  const asks = new Map(); // choices by number
   async function ask() {
     if (waiting) return;
     waiting = true;
@@ -117,6 +131,8 @@ function begin(scene) {
       asked = state.choice;
       const { number, answer } = connection.start("ask", { choice: asked });
       latest = number;
+      asks.set(number, asked);
+      asks.delete(number - KEPT);
       if (other) since = number;
       settle("coarse", number);
       status.complain("");
@@ -156,22 +172,39 @@ function begin(scene) {
     byId("how").dataset.how = how;
   }
 
+  let seen = 0; // the number of the model that is seen
+  const shareOf = ({ splats }) => numbers.percent(splats / scene.splats);
+  function show(event, quality) {
+    seen = event.number;
+    const first = `${numbers.splats(event.splats)} (${shareOf(event)})`;
+    return picture.result(event.model, [first, numbers.size(event.bytes), ...quality]);
+  }
+
+  // A slider moves faster than it is answered: what comes late is seen, and changes nothing else.
+  function passing(event) {
+    const choice = asks.get(event.number);
+    if (!choice || event.number <= seen || !sameGround(choice, state.choice)) return;
+    show(event, []).catch(failed);
+  }
+
   async function answered(event, kind) {
-    if (event.number !== latest) return;
+    if (event.number !== latest) {
+      if (kind === "coarse") passing(event);
+      return;
+    }
     const { splats, bytes, psnr } = event;
     sliders.limit(event);
     curve.put({ splats, bytes, psnr, kind });
     sliders.show({ splats, bytes, psnr });
     plot.render();
     badge(event.type);
-    const share = numbers.percent(splats / scene.splats);
-    const quality = psnr === null ? [] : [`${kind === "measured" ? "" : "about "}${numbers.decibels(psnr)} dB`];
-    const words = [`${share} of ${numbers.count(scene.splats)}`];
+    const quality =
+      psnr === null ? [] : [`${kind === "measured" ? "" : "about "}${numbers.decibels(psnr)} dB`];
+    const words = [`${shareOf(event)} of ${numbers.count(scene.splats)}`];
     if (event.ssim) words.push(`SSIM ${event.ssim.toFixed(4)}`);
     if (event.seconds) words.push(`${numbers.duration(event.seconds)}`);
     byId("result").textContent = words.join(" · ");
-    const labels = [`${numbers.splats(splats)} (${share})`, numbers.size(bytes), ...quality];
-    const there = await picture.result(event.model, labels);
+    const there = await show(event, quality);
     if (!there || event.number !== latest) return;
     settle(kind === "measured" ? "measured" : "measuring");
     if (kind === "measured") rest();
