@@ -39,14 +39,15 @@ def page_at(address, width, height):
     assert faults == []
 
 
-def pixels_of(seen, name):
+def pixels_of(seen, name, **options):
     """What a page or a part of it shows, (H, W, 3) float32 in [0, 1]; kept where one asks for it.
 
     Args:
         seen: The page, or what a locator of it finds.
         name: Of the picture in the folder that the environment's NANOGS_SCREENSHOTS names.
+        **options: As the driver takes them.
     """
-    picture = seen.screenshot()
+    picture = seen.screenshot(**options)
     if kept := os.environ.get("NANOGS_SCREENSHOTS"):
         Path(kept, f"{name}.png").write_bytes(picture)
     return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB"), dtype=np.float32) / 255

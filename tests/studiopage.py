@@ -1,0 +1,126 @@
+"""The page of `nanogs studio` in a browser: what a user does with it, and what is waited for."""
+
+import contextlib
+
+from browsers import CHROMIUM, SOFTWARE
+
+PATIENCE = 60_000  # milliseconds; machines of tests are busy
+SETTLED = "() => ['measured', 'failed'].includes(document.body.dataset.state)"
+NUMBER = "Number(document.body.dataset.number || 0)"
+
+
+@contextlib.contextmanager
+def browser():
+    """Chromium, drawn by the processor."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        try:
+            yield chromium
+        finally:
+            chromium.close()
+
+
+class StudioPage:
+    """One page that is open, with the errors that its console had."""
+
+    def __init__(self, chromium, url, width=1280, height=800, **options):
+        size = {"width": width, "height": height}
+        self.context = chromium.new_context(viewport=size, **options)
+        self.page = self.context.new_page()
+        self.page.set_default_timeout(PATIENCE)
+        self.errors, self.foreign = [], []
+        self.expected = ()  # words of errors that a test brings about
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("console", self._said)
+        self.page.on("request", lambda request: self._requested(request.url, url))
+        self.page.goto(url)
+
+    def _said(self, said):
+        if said.type == "error":
+            self.errors.append(f"{said.text} {said.location.get('url', '')}")
+
+    def _requested(self, address, own):
+        if not address.startswith((own, "data:", "blob:")):
+            self.foreign.append(address)
+
+    def close(self):
+        """Close it; the console had no errors, and nothing came from elsewhere."""
+        self.context.close()
+        assert self.unexpected == [], self.unexpected
+        assert self.foreign == [], self.foreign
+
+    @property
+    def unexpected(self):
+        """What the console said of errors, but for those that a test brings about."""
+        return [text for text in self.errors if not any(word in text for word in self.expected)]
+
+    def at(self, name):
+        """The element of an ID."""
+        return self.page.locator(f"#{name}")
+
+    def text(self, name):
+        """What it says."""
+        return self.at(name).text_content().strip()
+
+    def value(self, name):
+        """What is in a field, as a number."""
+        return float(self.at(name).input_value().replace(",", "") or "nan")
+
+    @property
+    def state(self):
+        """The page's own."""
+        return self.page.evaluate("document.body.dataset.state")
+
+    @property
+    def number(self):
+        """That of its latest request."""
+        return self.page.evaluate(NUMBER)
+
+    @property
+    def alert(self):
+        """The sentence about what went wrong, or nothing."""
+        alert = self.at("alert")
+        return alert.locator("p").text_content() if alert.is_visible() else ""
+
+    def until(self, condition, argument=None):
+        """Wait for what a line of JavaScript says."""
+        from playwright.sync_api import TimeoutError as TooLong
+
+        try:
+            self.page.wait_for_function(condition, arg=argument, timeout=PATIENCE)
+        except TooLong:
+            said = {name: self.text(name) for name in ("said", "save-said", "takes", "command")}
+            data = self.page.evaluate("({...document.body.dataset})")
+            raise AssertionError((condition, data, said, self.alert, self.errors)) from None
+
+    def settle(self, after=0):
+        """Wait until a request later than `after` is measured, and its picture stands still."""
+        self.until(f"after => {NUMBER} > after && ({SETTLED})()", after)
+        self.still()
+
+    def still(self):
+        """Wait until the picture stands still."""
+        self.page.wait_for_selector("#view[data-state=still]", timeout=PATIENCE)
+
+    def measured(self, action):
+        """Do what changes the choice, and wait until that is measured."""
+        before = self.number
+        action()
+        self.settle(before)
+        assert self.state == "measured", self.alert
+
+    def slide(self, name, place):
+        """Move a slider, from 0 to 1000."""
+        self.at(f"{name}-range").fill(str(place))
+
+    def type(self, name, words):
+        """Type into a field, and Enter."""
+        self.at(name).fill(str(words))
+        self.at(name).press("Enter")
+
+    def unfold(self, name):
+        """Open what is folded up."""
+        if not self.at(name).evaluate("element => element.open"):
+            self.at(name).locator("summary").click()
