@@ -1,5 +1,6 @@
 """Answers without a server: drafts of newer requests, and counts that wishes come to."""
 
+import math
 import threading
 from contextlib import nullcontext
 from types import SimpleNamespace
@@ -7,10 +8,10 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.builders import cloud_pair
 
+from builders import cloud_pair
 from nanogs.pipeline.target import Goal
-from nanogs.studio.asking import Answers
+from nanogs.studio.asking import TRIES, Answers
 from nanogs.studio.choice import choice_of
 from nanogs.studio.curve import Curve, Point
 from nanogs.views.opening import opening_for
@@ -22,10 +23,14 @@ class Told:
     page = "p"
 
     def __init__(self, number):
-        self.id, self.events = number, []
+        self.id, self.said = number, []
 
     def __call__(self, event, shown=None):
-        self.events.append(event["type"])
+        self.said.append(event)
+
+    @property
+    def events(self):
+        return [event["type"] for event in self.said]
 
     def progress(self, kind):
         return lambda step: None
@@ -71,7 +76,7 @@ def forest():
 def answers(forest):
     curve = Curve(400, 1, lambda count: 10 * count, exact=True)
     held = SimpleNamespace(
-        is_shown=lambda choice: True, here=lambda choice: forest,
+        manner=SimpleNamespace(render_mode=None), here=lambda choice: forest,
         roughly=lambda choice, progress: forest,
         fully=lambda choice, progress: forest, curve=lambda choice, grown: curve,
     )  # fmt: skip
@@ -131,3 +136,42 @@ def test_what_was_measured_lifts_what_plain_cuts_show():
     assert curve.psnr_of(100) == pytest.approx(32)
     assert curve.count_for(Goal(psnr=32)) == 100
     assert curve.missing() == 50
+
+
+@given(
+    available=st.integers(1000, 10**6), at_all=st.floats(28, 60), slope=st.floats(1.5, 6),
+    share=st.floats(0.02, 0.9),
+)  # fmt: skip
+def test_a_psnr_is_come_near_in_few_results_from_nothing(available, at_all, slope, share):
+    def truth(count):
+        return at_all + slope * math.log(count / available)
+
+    wish = Goal(psnr=max(truth(math.ceil(share * available)), 1.0))
+    curve = Curve(available, 1, lambda n: n, exact=True)
+    misses = []
+    for _ in range(TRIES):
+        count = curve.count_for(wish)
+        misses.append(abs(truth(count) - wish.psnr))
+        curve.add(Point(count, count, truth(count), coarse=False))
+    assert misses[1] <= max(misses[0], 0.01)
+    assert misses[-1] <= max(0.2, 0.1 * misses[0]), "the line through two results leads there"
+
+
+def test_two_results_that_lie_close_do_not_lead_far_away():
+    curve = Curve(100_000, 1, lambda n: n, exact=True)
+    for count, mark in ((7046, 30.7), (7100, 30.6)):
+        curve.add(Point(count, count, mark, coarse=False))
+    assert 3000 < curve.count_for(Goal(psnr=30.0)) < 7046
+    assert 7100 < curve.count_for(Goal(psnr=31.0)) < 12_000
+
+
+def test_of_several_results_the_one_that_keeps_the_wish_is_shown(answers, forest):
+    forest.go_on.set()
+    marks = iter([33.0, 29.0, 31.0])
+    forest.measure = lambda *_, **__: SimpleNamespace(
+        bytes=10, judged=SimpleNamespace(psnr=next(marks), ssim=0.9)
+    )
+    told = Told(1)
+    answers.ask(choice_of({"wish": {"psnr": 30.0}}), told)
+    assert told.events == ["draft", "point", "point", "point", "measured"]
+    assert told.said[-1]["psnr"] == 31.0

@@ -88,15 +88,18 @@ class Answers:
             self._draft(grown, curve, count, choice, tell)
         tell.rest(SETTLED)
         grown = self._grow(choice, tell)
-        for _ in range(TRIES):
-            event, shown, point = self._made(grown, count, choice, tell)
+        tried: list[tuple[Event, Shown, Point]] = []
+        while len(tried) < TRIES and (not tried or count != tried[-1][2].count):
+            tried.append(self._made(grown, count, choice, tell))
+            point = tried[-1][2]
             curve.add(point)
             tell(_point(point, choice))
-            before, count = count, curve.count_for(choice.goal)
-            if count == before or _near(choice.goal, point):
+            if _near(choice.goal, point):
                 break
-        event |= {"seconds": time.perf_counter() - begun}
-        tell({"type": "measured"} | event, shown)
+            count = curve.count_for(choice.goal)
+        event, shown, _ = min(tried, key=lambda made: _miss(choice.goal, made[2]))
+        seconds = time.perf_counter() - begun
+        tell({"type": "measured", "seconds": seconds} | event, shown)
 
     def explore(self, choice: Choice, tell: Telling) -> None:
         """Measure plain cuts of several counts, for the plot.
@@ -237,6 +240,15 @@ def _near(goal: Goal, point: Point) -> bool:
     if goal.size is not None:
         return (1 - NEAR_SIZE) * goal.size <= point.bytes <= goal.size
     return True
+
+
+def _miss(goal: Goal, point: Point) -> tuple[bool, float]:
+    """How far a result is from a wish: less for a better one, and what keeps to it comes first."""
+    if goal.psnr is not None:
+        return point.psnr < goal.psnr, abs(point.psnr - goal.psnr)
+    if goal.size is not None:
+        return point.bytes > goal.size, abs(point.bytes - goal.size)
+    return False, 0.0
 
 
 def _point(point: Point, choice: Choice) -> Event:

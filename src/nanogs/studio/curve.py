@@ -11,6 +11,9 @@ from nanogs.pipeline.target import Goal
 
 RATIOS = (0.05, 0.01, 0.2, 0.5, 0.1, 0.02)  # which are measured while nobody asks, in this order
 _GUESS = 0.1  # of the splats, for a PSNR of which nothing is known
+# dB for e times the splats: what real scenes have, and the least and most that is gone on with
+# beyond what was measured, where two results that lie close would say anything.
+_SLOPE, _FLATTEST, _STEEPEST = 3.5, 1.0, 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +121,13 @@ def _between(
         count: Where.
         counts: Where values are known, ascending.
         values: These.
-        beyond: Go on as the last two values do.
+        beyond: Go on about as steeply as between the two values at that end.
     """
     at, known = math.log(count), [math.log(each) for each in counts]
-    if beyond and len(known) > 1 and not known[0] <= at <= known[-1]:
-        first, second = (0, 1) if at < known[0] else (-2, -1)
-        slope = (values[second] - values[first]) / (known[second] - known[first])
-        return values[first] + slope * (at - known[first])
-    return float(np.interp(at, known, values))
+    if not beyond or known[0] <= at <= known[-1]:
+        return float(np.interp(at, known, values))
+    end, other = (0, 1) if at < known[0] else (-1, -2)
+    slope = _SLOPE
+    if len(known) > 1:
+        slope = (values[end] - values[other]) / (known[end] - known[other])
+    return values[end] + min(max(slope, _FLATTEST), _STEEPEST) * (at - known[end])
