@@ -1,0 +1,54 @@
+// Filters before they are applied: the server is asked what would go, and the left side shows it.
+
+import { makeFilters } from "./filters.js";
+import * as numbers from "./numbers.js";
+
+export function makePreview(scene, state, facts, { connection, asks, picture, status, rest }) {
+  let asked = 0; // the number of the preview that is waited for or seen
+  const failed = (error) => status.complain(error.message);
+  const inPage = (corner) =>
+    corner && corner.map((value, axis) => (value - scene.page.centre[axis]) * scene.page.scale);
+
+  const filters = makeFilters(scene, state, {
+    ask(chosen) {
+      const choice = { ...state.choice, filters: chosen };
+      const { number, answer } = connection.start("filter", { choice });
+      asked = number;
+      answer.catch((error) => asked === number && filters.refused(error.message));
+    },
+    draw: (low, high) => picture.box(inPage(low), inPage(high)),
+    restore() {
+      asked = 0;
+      picture.back().catch(failed);
+    },
+    complain: status.complain,
+  });
+
+  async function look(event) {
+    if (event.number !== asked) return;
+    rest();
+    const words = ["magenta goes", `${numbers.splats(event.left)} stay`];
+    await picture.instead(event.model, scene.name, words).catch(failed);
+    if (event.number === asked) filters.preview(event);
+  }
+
+  function taken(event) {
+    if (event.number < asks.since) return;
+    asked = 0;
+    filters.taken(event);
+    const part = `${numbers.splats(event.left)} of ${numbers.count(scene.splats)}`;
+    const words = event.left === scene.splats ? facts : [part];
+    picture.base(event.model, scene.name, words).catch(failed);
+  }
+
+  return {
+    follow: filters.follow,
+    filtered: (event) => (event.preview ? look(event) : taken(event)),
+    // Whether a request that ended otherwise was the preview that is waited for.
+    refused(number, message) {
+      if (!number || number !== asked) return false;
+      filters.refused(message);
+      return true;
+    },
+  };
+}
