@@ -1,0 +1,182 @@
+"""Slider to picture in `nanogs studio`, through a browser: the coarse answer, and the measured one.
+
+    python benchmarks/studio.py [MODEL ...] [--counts 1000000] [--ratios 0.5,0.2,0.1,0.05]
+                                [--preset default] [--rounds 1] [--json FILE]
+
+Without a model: biker.spz of the real scenes (NANOGS_SCENES), and made-up scenes of so many splats.
+The time begins as the slider says `input` in the page, and ends with the first frame in which
+nothing moves any more and the answer is drawn. Beside it: until the answer was told, until its
+model had come, and until that was decoded; the rest is drawing. Where no graphics card is at hand,
+the processor draws (SwiftShader), which takes its cores from what is measured.
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import nanogs
+from nanogs.datasets.synthetic import make_scene
+
+ROOT = Path(__file__).resolve().parents[1]
+PATIENCE = 600_000  # milliseconds
+COLUMNS = {
+    "draft": "told", "model": "model there", "decoded": "decoded", "coarse": "coarse picture",
+    "measured": "measured",
+}  # fmt: skip
+# Put into the page before its own scripts: when each event and each model has come.
+WATCH = """
+(() => {
+  const seen = (window.seen = {});
+  const limits = (window.limits = {});
+  const note = (name) => { seen[name] ??= (performance.now() - seen.begun) / 1000; };
+  const Source = window.EventSource;
+  window.EventSource = class extends Source {
+    constructor(...all) {
+      super(...all);
+      this.addEventListener("message", ({ data }) => {
+        const { type, number, splats, available, fewest } = JSON.parse(data);
+        if (type === "scene") limits.splats = splats;
+        if (available) Object.assign(limits, { available, fewest });
+        if (["draft", "measured"].includes(type) && number === Number(document.body.dataset.number))
+          note(type === "draft" ? "draft" : "answer");
+      });
+    }
+  };
+  const fetched = window.fetch;
+  window.fetch = async (...all) => {
+    const found = await fetched(...all);
+    if (String(all[0]).startsWith("models/")) note(seen.answer ? "last" : "model");
+    return found;
+  };
+  // After the work of a frame: what is drawn then, and said of it, is what is seen.
+  const look = () => {
+    const still = document.getElementById("view")?.dataset.state === "still";
+    const state = document.body?.dataset.state;
+    const shown = seen.draft && ["measuring", "measured"].includes(state);
+    if (shown) note("decoded");
+    if (shown && still) note("coarse");
+    if (shown && still && state === "measured") note("measured");
+    requestAnimationFrame(look);
+  };
+  requestAnimationFrame(look);
+})();
+"""
+# What the hand does: a slider passes a place and stays there.
+SLIDE = """(ratio) => {
+  const { fewest, available, splats } = limits;
+  for (const name of Object.keys(seen)) delete seen[name];
+  const range = document.getElementById("splats-range");
+  const place = Math.log((ratio * splats) / fewest) / Math.log(available / fewest);
+  range.value = Math.round(range.max * place);
+  seen.begun = performance.now();
+  range.dispatchEvent(new Event("input", { bubbles: true }));
+  range.dispatchEvent(new Event("change", { bubbles: true }));
+}"""
+MEASURED = "(before) => Number(document.body.dataset.number) > before && !!seen.measured"
+RENDERER = """() => {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const told = gl && gl.getExtension("WEBGL_debug_renderer_info");
+  return told ? gl.getParameter(told.UNMASKED_RENDERER_WEBGL) : "unknown";
+}"""
+
+
+def main() -> None:
+    """Print a table, a row for each model and ratio, and medians."""
+    options = _options()
+    sys.path.insert(0, str(ROOT / "tests"))
+    found: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for model in _models(options, Path(folder)):
+            found += _measure(model, Path(folder), options)
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1))
+    _show(found)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("models", nargs="*", type=Path)
+    parser.add_argument("--counts", default="1000000", help="of made-up scenes, commas between")
+    parser.add_argument("--ratios", default="0.5,0.2,0.1,0.05", help="with commas between")
+    parser.add_argument("--preset", default="default")
+    parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--json", type=Path, help="also write all that was found")
+    return parser.parse_args()
+
+
+def _models(options: argparse.Namespace, folder: Path) -> Iterator[Path]:
+    if options.models:
+        yield from options.models
+        return
+    scene = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")) / "biker.spz"
+    if scene.exists():
+        yield scene
+    for count in map(int, filter(None, options.counts.split(","))):
+        nanogs.save(make_scene(count), path := folder / f"made_up_{count}.ply")
+        yield path
+
+
+def _measure(model: Path, folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Seconds of each slide, and what draws."""
+    found = []
+    with _opened(model, folder, options.preset) as page:
+        renderer = page.evaluate(RENDERER)
+        _settle(page)
+        splats = page.evaluate("limits.splats")
+        ratios = [float(ratio) for ratio in options.ratios.split(",")]
+        for turn in range(options.rounds):
+            for ratio in ratios:
+                before = page.evaluate("Number(document.body.dataset.number)")
+                page.evaluate(SLIDE, ratio)
+                page.wait_for_function(MEASURED, arg=before, timeout=PATIENCE)
+                got = {"model": model.name, "splats": splats, "ratio": ratio, "round": turn}
+                seconds = page.evaluate("seen")
+                del seconds["begun"]
+                found.append(got | {"renderer": renderer, "seconds": seconds})
+                print(json.dumps(found[-1]), file=sys.stderr, flush=True)
+    return found
+
+
+@contextmanager
+def _opened(model: Path, folder: Path, preset: str) -> Iterator[Any]:
+    """The page of a studio, watched."""
+    import studiopage
+    from studio import running
+
+    with (
+        studiopage.browser() as chromium,
+        running(model.resolve(), "--preset", preset, cwd=folder) as studio,
+    ):
+        page = chromium.new_page(viewport={"width": 1280, "height": 800})
+        page.add_init_script(WATCH)
+        page.goto(studio.url)
+        yield page
+
+
+def _settle(page: Any) -> None:  # noqa: ANN401 - a page of Playwright
+    """Wait until what the page begins with is measured."""
+    page.wait_for_function("() => document.body.dataset.state === 'measured'", timeout=PATIENCE)
+
+
+def _show(found: list[dict[str, Any]]) -> None:
+    drawn = {each["renderer"] for each in found}
+    print(f"WebGL drawn by: {', '.join(sorted(drawn))}\n")
+    print(f"| model | splats | ratio | {' | '.join(COLUMNS.values())} |")
+    print("|---|--:|--:|" + "--:|" * len(COLUMNS))
+    for model in dict.fromkeys(each["model"] for each in found):
+        rows = [each for each in found if each["model"] == model]
+        for ratio in [*dict.fromkeys(each["ratio"] for each in rows), "median"]:
+            some = [each for each in rows if ratio in (each["ratio"], "median")]
+            cells = [f"{median(e['seconds'][name] for e in some):.2f}" for name in COLUMNS]
+            print(f"| {model} | {rows[0]['splats']:,} | {ratio} | {' | '.join(cells)} |")
+
+
+if __name__ == "__main__":
+    main()
