@@ -1,0 +1,171 @@
+"""Whatever is done to the page of `nanogs studio`, in whatever order: no error, and no lost job."""
+
+import re
+
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+import nanogs
+import studiopage
+from browsers import CHROMIUM
+from builders import random_splats
+from studio import running
+from studiopage import StudioPage
+from viewer_bundle import require_bundle
+
+pytestmark = [
+    pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed"),
+    pytest.mark.filterwarnings("default"),  # the driver's own warnings are not ours
+]
+SPLATS = 300
+SEQUENCES, LENGTH = 10, 20
+# What browsers say of an answer that is no success; the page says it in a sentence.
+REFUSED = ("409", "422")
+names = st.sampled_from(["splats", "bytes", "psnr"])
+places = st.integers(0, 1000)
+typed = st.sampled_from(["100", "50k", "0", "-3", "no number", "0.004", "1e9", "30", "", "40.5"])
+sizes = st.sampled_from([(1280, 800), (390, 844), (700, 500)])
+gestures = st.one_of(
+    st.tuples(st.just("slide"), names, places),
+    st.tuples(st.just("slide"), names, places),
+    st.tuples(st.just("type"), names, typed),
+    st.tuples(st.just("click"), st.sampled_from(["undo", "redo", "heat", "first-view"])),
+    st.tuples(
+        st.just("key"), st.sampled_from(["Control+z", "Control+Shift+z", "e", "0", "Escape"])
+    ),
+    st.tuples(st.just("press"), st.just("preset"), st.sampled_from(["fast", "default"])),
+    st.tuples(st.just("press"), st.just("mode"), st.sampled_from(["default", "mip"])),
+    st.tuples(st.just("press"), st.just("up"), st.sampled_from(["+z", "-y"])),
+    st.tuples(st.just("format"), st.sampled_from([".sog", ".spz", ".ply"])),
+    st.tuples(st.just("harmonics"), st.sampled_from(["", "0"])),
+    st.tuples(st.just("opacity"), places),
+    st.tuples(st.just("check"), st.sampled_from(["floaters", "crop"]), st.booleans()),
+    st.tuples(st.just("corner"), st.sampled_from("xyz"), st.sampled_from(["low", "high"]), places),
+    st.tuples(st.just("click"), st.sampled_from(["take", "untake"])),
+    st.tuples(
+        st.just("save"), st.sampled_from(["a.sog", "b.spz", "sub/c.ply", "no", "../out.ply"])
+    ),
+    st.tuples(st.just("cancel")),
+    st.tuples(st.just("resize"), sizes),
+    st.tuples(st.just("reload")),
+)
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """A page of a studio with a tiny scene."""
+    require_bundle()
+    folder = tmp_path_factory.mktemp("gestures")
+    (folder / "sub").mkdir()
+    nanogs.save(random_splats(SPLATS, degree=1), folder / "scene.ply")
+    with (
+        studiopage.browser() as chromium,
+        running("scene.ply", "--preset", "fast", "--idle", "0", cwd=folder) as studio,
+    ):
+        page = StudioPage(chromium, studio.url, 700, 500)
+        page.expected = REFUSED
+        yield page
+        page.close()
+        assert not [each for each in folder.rglob("*") if each.name.startswith(".nanogs")]
+
+
+class Hand:
+    """Does what a gesture says as soon as it can be done; nothing waits for answers."""
+
+    def __init__(self, seen):
+        self.seen = seen
+
+    def slide(self, name, place):
+        self.seen.slide(name, place)
+
+    def type(self, name, words):
+        self.seen.type(name, words)
+
+    def click(self, name):
+        if self.seen.at(name).is_enabled():
+            self.seen.at(name).click()
+
+    def key(self, keys):
+        self.seen.page.locator("body").press(keys)
+
+    def press(self, name, value):
+        self.seen.at(name).locator(f"[data-value='{value}']").click()
+
+    def format(self, suffix):
+        self.seen.at("format").select_option(suffix)
+
+    def harmonics(self, degree):
+        self.seen.at("harmonics").select_option(degree)
+
+    def opacity(self, place):
+        self.seen.at("opacity-range").fill(str(place))
+
+    def check(self, name, on):
+        self.seen.at(name).set_checked(on)
+
+    def corner(self, axis, end, place):
+        if self.seen.at("crop").is_checked():
+            self.seen.at(f"{axis}-{end}-range").fill(str(place))
+
+    def cancel(self):
+        if self.seen.at("cancel").is_visible():
+            self.seen.at("cancel").click(force=True)
+
+    def resize(self, size):
+        self.seen.page.set_viewport_size(dict(zip(("width", "height"), size, strict=True)))
+
+    def reload(self):
+        self.seen.page.reload()
+        self.seen.until("() => document.body.dataset.number")
+        for name in ("sift", "scene"):
+            self.seen.unfold(name)
+
+    def save(self, name):
+        """To the end, whichever that is: a dialogue that saves is not closed by accident."""
+        seen = self.seen
+        seen.at("save-open").click()
+        suffix = re.search(r"\.\w+$", name)
+        if suffix:
+            seen.at("save-format").select_option(f"file {suffix[0]}")
+        seen.at("save-name").fill(name)
+        seen.until(
+            """(name) => document.getElementById('save-command').textContent.includes(name)
+            || document.getElementById('save-said').textContent.endsWith('.')""",
+            name,
+        )
+        for _ in range(2):  # the second time where it replaces
+            # At once, as a check of the name may yet say no to it.
+            seen.page.evaluate("() => document.getElementById('save-go').click()")
+            seen.until("() => document.getElementById('save-cancel').hidden")
+        assert seen.text("save-said")
+        seen.at("save-close").click()
+
+
+def judge(seen):
+    """The latest request has come to an end, and says so; nothing went wrong beside it."""
+    seen.until(f"() => ({studiopage.SETTLED})() || document.getElementById('said')"
+               ".textContent === 'Cancelled'")  # fmt: skip
+    seen.still()
+    if seen.state == "failed":
+        assert seen.alert.endswith(".")
+    assert seen.unexpected == [], seen.unexpected
+
+
+@pytest.mark.slow
+def test_no_gestures_bring_an_error_or_lose_a_job(seen):
+    # One example is many gestures: what fails is told whole, and no time goes into smaller ones.
+    @settings(max_examples=SEQUENCES, phases=[Phase.generate], suppress_health_check=HealthCheck)
+    @given(st.lists(gestures, min_size=LENGTH, max_size=LENGTH))
+    def do(sequence):
+        hand = Hand(seen)
+        hand.reload()
+        for name, *arguments in sequence:
+            getattr(hand, name)(*arguments)
+        judge(seen)
+        if (box := seen.at("untake")).is_enabled():
+            box.click()
+        hand.slide("splats", 700 if seen.at("splats-range").input_value() != "700" else 600)
+        judge(seen)
+
+    do()
