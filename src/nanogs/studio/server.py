@@ -162,11 +162,11 @@ class Studio:
         return EventStream(partial(self._pages.stream, page))
 
     async def _model(self, request: "Request") -> "Response":
-        from starlette.responses import PlainTextResponse, Response
+        from starlette.responses import Response
 
         data = self._pages.model(request.path_params["name"])
-        if data is None:
-            return PlainTextResponse("This model is not kept any more.", 404)
+        if data is None:  # nothing wrong: a slow page asks for what newer models have replaced
+            return Response(status_code=204)
         return Response(data, media_type="application/octet-stream")
 
     async def _files(self, request: "Request") -> "Response":

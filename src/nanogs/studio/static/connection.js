@@ -58,7 +58,8 @@ export function connect() {
     },
     async model(id) {
       const response = await fetch(`models/${encodeURIComponent(id)}.spz`);
-      if (!response.ok) throw new Refused("A model is no longer there; move a slider.", response.status);
+      if (response.status !== 200)
+        throw new Refused("A model is no longer there; move a slider.", response.status);
       return new Uint8Array(await response.arrayBuffer());
     },
   };

@@ -16,7 +16,13 @@ export function makePicture(scene, fetchModel, complain) {
   // Whether it is what the side shows now, and not overtaken by a later one.
   async function show(side, { fetched, mip, name, facts }) {
     const turn = (asked[side] += 1);
-    const bytes = await fetched;
+    let bytes;
+    try {
+      bytes = await fetched;
+    } catch (error) {
+      if (turn !== asked[side]) return false; // the server keeps the latest models alone
+      throw error;
+    }
     if (turn !== asked[side]) return false;
     await viewer.show(side, bytes.slice(), mip);
     if (turn !== asked[side]) return false;
