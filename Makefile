@@ -30,7 +30,7 @@ BOUNDS := $(patsubst %,tests/test_%.py,kernels extremes sheets forest knn spread
 # Python keeps compiled modules, whatever it is told elsewhere: tests start hundreds of processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test bounds quick lint types check oracles floors newest docs dist clean help
+.PHONY: demo test stories bounds quick lint types check oracles floors newest docs dist clean help
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -51,17 +51,22 @@ demo: $(STAMP) ## simplify a real scene to 10 % in two ways, and show all in dem
 # Kernels first, on all processors: otherwise several tests wait for the same ones at a time.
 test: $(STAMP) ## run the tests
 	$(BIN)/python -m nanogs warm
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not story"
+
+# For minutes each, in real time, which other tests beside them would only stretch.
+stories: $(STAMP) ## run the tests that drive the studio through whole stories in a browser
+	$(BIN)/python -m nanogs warm
+	$(BIN)/python -m pytest -m story
 
 # Each index of each kernel is checked as it is used: one that is out of its array raises, where a
 # kernel as usual would read or write beside it. Vectors are written without checks, so the plain
 # kernels stand for them. What is so compiled is kept in build/bounds.
 bounds: $(STAMP) ## run the kernels' tests with checks of bounds
 	NANOGS_SIMD=0 NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/bounds \
-	  $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" $(BOUNDS)
+	  $(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not story" $(BOUNDS)
 
 quick: $(STAMP) ## run the tests that take less than some 5 seconds each
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not story"
 
 lint: $(STAMP) ## check style and formatting
 	$(BIN)/ruff check
@@ -70,7 +75,7 @@ lint: $(STAMP) ## check style and formatting
 types: $(STAMP) ## check types
 	$(BIN)/mypy
 
-check: lint types test ## everything CI checks
+check: lint types test stories ## everything CI checks
 
 $(ORACLES_STAMP): $(STAMP) tests/npm/package-lock.json
 	$(UV) pip install --quiet --python $(VENV) --editable '.[dev,oracles]'
@@ -86,7 +91,7 @@ floors: $(STAMP) ## run quick tests with the lowest versions that pyproject.toml
 	$(UV) pip install --quiet --python $(FLOORS) --resolution lowest-direct '.[bench,flip,cluster,s3]'
 	$(UV) pip freeze --python $(FLOORS) --exclude nanogs >$(FLOORS)/lowest.txt
 	$(UV) pip install --quiet --python $(FLOORS) --constraint $(FLOORS)/lowest.txt --editable '.[dev]'
-	NUMBA_CACHE_DIR=$(CURDIR)/$(FLOORS)/kernels $(FLOORS)/$(SCRIPTS)/python -m pytest -n 2 --dist worksteal -m "not slow" $(TESTS)
+	NUMBA_CACHE_DIR=$(CURDIR)/$(FLOORS)/kernels $(FLOORS)/$(SCRIPTS)/python -m pytest -n 2 --dist worksteal -m "not slow and not story" $(TESTS)
 
 newest: $(STAMP) ## run quick tests with the newest Python; with OPTIONAL=1 where it can be had
 	@for version in $(PYTHONS); do \
@@ -97,7 +102,7 @@ newest: $(STAMP) ## run quick tests with the newest Python; with OPTIONAL=1 wher
 
 on-newest:
 	$(UV) pip install --quiet --python $(NEWEST) --editable '.[dev]'
-	NUMBA_CACHE_DIR=$(CURDIR)/$(NEWEST)/kernels $(NEWEST)/$(SCRIPTS)/python -m pytest -n 2 --dist worksteal -m "not slow" $(TESTS)
+	NUMBA_CACHE_DIR=$(CURDIR)/$(NEWEST)/kernels $(NEWEST)/$(SCRIPTS)/python -m pytest -n 2 --dist worksteal -m "not slow and not story" $(TESTS)
 
 $(DOCS_STAMP): $(STAMP)
 	$(UV) pip install --quiet --python $(VENV) --editable '.[docs]'

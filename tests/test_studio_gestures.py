@@ -15,6 +15,7 @@ from studiopage import StudioPage
 from viewer_bundle import require_bundle
 
 pytestmark = [
+    pytest.mark.story,
     pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed"),
     pytest.mark.filterwarnings("default"),  # the driver's own warnings are not ours
 ]
@@ -152,7 +153,6 @@ def judge(seen):
     assert seen.unexpected == [], seen.unexpected
 
 
-@pytest.mark.slow
 def test_no_gestures_bring_an_error_or_lose_a_job(seen):
     # One example is many gestures: what fails is told whole, and no time goes into smaller ones.
     @settings(max_examples=SEQUENCES, phases=[Phase.generate], suppress_health_check=HealthCheck)

@@ -59,13 +59,19 @@ def test_it_listens_on_this_machine_alone(studio):
     ["/", "/x/", "/favicon.ico", "//", "/{token}", "/{token}x/", "/{token}/nothing",
      "/{token}/static/../server.py", "/{token}/static/%2e%2e/server.py", "/{token}/static/..",
      "/{token}/static/%2e%2e%2fserver.py", "/{token}/static/", "/{token}/server.py",
-     "/{token}/models/x.spz", "/{token}/models/..%2f..%2fscene.spz", "/x/../{token}/"],
+     "/{token}/models/..%2f..%2fscene.spz", "/x/../{token}/"],
 )  # fmt: skip
 def test_other_paths_are_not_there(studio, path):
     token = urlsplit(studio.url).path.strip("/")
     status, headers, _ = studio.request("GET", path.format(token=token), whole=True)
     assert status == 404
     assert headers["x-frame-options"] == "DENY"
+
+
+def test_a_model_that_is_not_kept_is_nothing_and_no_error(studio):
+    token = urlsplit(studio.url).path.strip("/")
+    status, _, body = studio.request("GET", f"/{token}/models/x.spz", whole=True)
+    assert (status, body) == (204, b"")
 
 
 @pytest.mark.parametrize(

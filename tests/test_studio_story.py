@@ -23,6 +23,7 @@ from studiopage import StudioPage
 from viewer_bundle import require_bundle
 
 pytestmark = [
+    pytest.mark.story,
     pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed"),
     pytest.mark.filterwarnings("default"),  # the driver's own warnings are not ours
 ]
@@ -157,7 +158,6 @@ def elsewhere(path, out):
     return nanogs.load(out)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_the_whole_story(look, folder, tmp_path, width, scheme):
     seen = look(width, color_scheme=scheme)
@@ -299,7 +299,6 @@ def begin_long_save(seen, name):
     seen.until("() => document.getElementById('save-said').textContent.startsWith('Saving:')")
 
 
-@pytest.mark.slow
 def test_a_save_that_is_cancelled_leaves_nothing(look, folder):
     seen = look()
     before = sorted(contents(folder))
@@ -327,7 +326,6 @@ def test_work_that_is_cancelled_stops(look):
     quick(seen)
 
 
-@pytest.mark.slow
 def test_two_pages_do_not_disturb_each_other(look):
     one, other = look(), look()
     one.measured(lambda: one.type("splats", "300"))
@@ -347,7 +345,6 @@ def test_two_pages_do_not_disturb_each_other(look):
     assert "out.sog" in one.text("command")
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGKILL"])
 def test_a_studio_that_is_killed_in_the_middle_of_a_save_leaves_nothing(chromium, tmp_path, number):
@@ -367,7 +364,6 @@ def test_a_studio_that_is_killed_in_the_middle_of_a_save_leaves_nothing(chromium
         time.sleep(0.05)
 
 
-@pytest.mark.slow
 def test_a_real_scene_of_a_wanted_size(chromium, tmp_path):
     shutil.copy(scene_path("biker.spz"), tmp_path)
     with running("biker.spz", "--preset", "fast", cwd=tmp_path) as started:
