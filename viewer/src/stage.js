@@ -1,4 +1,5 @@
-// Draws one scene for each side into its part of one canvas, and only when something changed.
+// Draws one scene for each side into its part of one canvas, and only where something changed: a
+// model that is replaced leaves the other side, which is often the larger one, as it was drawn.
 
 import { SparkRenderer, SplatFileType, SplatMesh } from "@sparkjsdev/spark";
 import { Scene, WebGLRenderer } from "three";
@@ -30,14 +31,19 @@ export function makeStage(host, canvas, scene, sides) {
   const size = { width: 1, height: 1 };
   const stage = { camera: null, beforeDraw: () => {}, onResize: () => {}, onLost: () => {} };
 
-  stage.invalidate = () => {
+  function request() {
     if (host.dataset.state === "still") host.dataset.state = "busy";
     if (!requested) {
       requested = true;
       requestAnimationFrame(draw);
     }
+  }
+  stage.request = request; // draws the sides that changed, once
+  const panes = Array.from({ length: sides }, () => new Pane(renderer, request));
+  stage.invalidate = () => {
+    for (const pane of panes) pane.dirty = true;
+    request();
   };
-  const panes = Array.from({ length: sides }, () => new Pane(renderer, stage.invalidate));
 
   stage.divide = (value) => {
     share = value;
@@ -61,16 +67,19 @@ export function makeStage(host, canvas, scene, sides) {
   stage.show = async (side, bytes, mip) => {
     await panes[side].show(bytes, mip);
     if (panes.every((pane) => pane.mesh)) host.dataset.state = "busy";
-    stage.invalidate();
+    request();
   };
 
   function draw() {
     requested = false;
     stage.beforeDraw();
     const edge = Math.round(share * size.width);
+    const all = hot || box?.shown; // a difference and a box lie over both sides
     renderer.setScissorTest(true);
     box?.among(!hot);
     panes.forEach((pane, side) => {
+      if (!all && !pane.dirty) return;
+      pane.dirty = false;
       // A difference needs both pictures wherever it is seen.
       const [left, right] = side === 0 ? [0, hot ? size.width : edge] : [edge, size.width];
       if (right <= left) return;
@@ -95,6 +104,7 @@ export function makeStage(host, canvas, scene, sides) {
     renderer.setPixelRatio(Math.min(window.devicePixelRatio, MOST_PIXELS));
     renderer.setSize(size.width, size.height);
     stage.onResize(size.width, size.height);
+    for (const pane of panes) pane.dirty = true;
     draw(); // at once: the new canvas is empty
   }).observe(host);
   canvas.addEventListener("webglcontextlost", (event) => {
@@ -107,19 +117,30 @@ export function makeStage(host, canvas, scene, sides) {
 
 function openRenderer(canvas) {
   try {
-    return new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
+    return new WebGLRenderer({
+      canvas,
+      antialias: false,
+      powerPreference: "high-performance",
+      preserveDrawingBuffer: true, // a side that did not change is not drawn again
+    });
   } catch {
     throw new Error("this browser has no WebGL 2, or it is switched off.");
   }
 }
 
 class Pane {
-  constructor(renderer, invalidate) {
+  constructor(renderer, request) {
     this.scene = new Scene();
-    this.spark = new SparkRenderer({ renderer, onDirty: invalidate, ...SPARK });
+    this.dirty = true; // as it is drawn, it is not as it should be
+    this.spark = new SparkRenderer({ renderer, onDirty: () => this.change(request), ...SPARK });
     this.scene.add(this.spark);
     this.mesh = null;
     this.wanted = null;
+  }
+
+  change(request) {
+    this.dirty = true;
+    request();
   }
 
   get busy() {
@@ -143,5 +164,6 @@ class Pane {
     this.spark.blurAmount = mip ? DILATION : 0; // the opacity makes up for this one
     this.mesh = mesh;
     this.scene.add(mesh);
+    this.dirty = true;
   }
 }

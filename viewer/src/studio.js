@@ -46,7 +46,7 @@ export function mountStudio(host, scene) {
   async function show(side, bytes, mip) {
     await stage.show(side, bytes, mip);
     if (host.dataset.state === "loading") host.dataset.state = "busy";
-    stage.invalidate();
+    stage.request();
   }
   return {
     show,
