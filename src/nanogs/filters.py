@@ -95,6 +95,25 @@ def sift(
     return splats, stays, tuple(reports)
 
 
+def in_order(
+    regions: Sequence[Filter], min_opacity: float | None, *, floaters: bool
+) -> list[Filter]:
+    """Filters in the order in which the command and the studio apply them.
+
+    Args:
+        regions: Boxes and spheres in which splats stay.
+        min_opacity: The lowest alpha that stays, or None.
+        floaters: Whether floaters are left out, of what the others have left.
+
+    Raises:
+        OptionError: The alpha is not from 0 to 1.
+    """
+    chosen = [*regions]
+    if min_opacity is not None:
+        chosen.append(opaque_enough(min_opacity))
+    return [*chosen, in_company()] if floaters else chosen
+
+
 def refuse_empty(given: Filter, before: int, left: int) -> None:
     """Refuse a filter that leaves nothing of so many splats.
 

@@ -17,10 +17,8 @@ def parse_filters(edits: Edits) -> list[filters.Filter]:
     Raises:
         OptionError: One of them makes no sense.
     """
-    chosen = [_crop(text) for text in edits.crop or ()]
-    if edits.min_opacity is not None:
-        chosen.append(filters.opaque_enough(edits.min_opacity))
-    return [*chosen, filters.in_company()] if edits.drop_floaters else chosen
+    regions = [_crop(text) for text in edits.crop or ()]
+    return filters.in_order(regions, edits.min_opacity, floaters=edits.drop_floaters)
 
 
 def _crop(text: str) -> filters.Filter:

@@ -51,10 +51,8 @@ def studio(
     command was started; Ctrl-C ends it, and so does closing the page.
     """
     # What only a run needs is imported here, and not for `--help`.
-    import webbrowser
-
-    from nanogs.cli.console import say, warn
-    from nanogs.cli.view import has_screen
+    from nanogs.cli.browsing import show_page
+    from nanogs.cli.console import say
     from nanogs.studio.scene import Manner, scene_of
     from nanogs.studio.server import Studio
     from nanogs.studio.turning import axis_of
@@ -68,7 +66,5 @@ def studio(
     serving = Studio(scene_of(model), manner, folder=Path.cwd(), port=port, idle=idle)
     told = {"url": serving.url, "input": str(model), "folder": str(Path.cwd())}
     telling.tell(told, partial(say, f"{model}: {serving.url} (Ctrl-C ends it)"))
-    wanted = open_page if open_page is not None else not telling.json and has_screen()
-    if wanted and not webbrowser.open(serving.url):
-        warn("No browser could be started; open the address in one.")
+    show_page(serving.url, "the address", open_page, quiet=telling.json)
     serving.run()

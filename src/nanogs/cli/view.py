@@ -1,7 +1,5 @@
 """`nanogs view`."""
 
-import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -60,9 +58,8 @@ def view(
 ) -> None:
     """Write a page that shows one or two models in 3D, offline; mouse, touch and keys move them."""
     # What only a run needs is imported here, and not for `--help`.
-    import webbrowser
-
-    from nanogs.cli.console import say, warn
+    from nanogs.cli.browsing import show_page
+    from nanogs.cli.console import say
     from nanogs.cli.fetching import fetched
     from nanogs.cli.progress import shown
     from nanogs.cli.wording import with_options
@@ -95,9 +92,7 @@ def view(
     measured = "" if report.judged is None else f"; {report.judged.text}"
     said = f"{page}: {bytes_text(report.output_bytes)}{measured}"
     run.tell(report.to_dict(), partial(say, said), notes)
-    wanted = open_page if open_page is not None else not run.json and has_screen()
-    if wanted and not webbrowser.open(page.resolve().as_uri()):
-        warn(f"No browser could be started; open {page} in one.")
+    show_page(page.resolve().as_uri(), str(page), open_page, quiet=run.json)
 
 
 @contextmanager
@@ -110,13 +105,3 @@ def _threads(asked: int | None, measured: bool) -> Iterator[None]:
 
     with use_threads(asked):
         yield
-
-
-def has_screen() -> bool:
-    """Whether someone sits at a terminal whose browser would have a window."""
-    from nanogs.cli.console import err, out
-
-    graphical = sys.platform in ("win32", "darwin") or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    )
-    return err.is_terminal and out.is_terminal and graphical

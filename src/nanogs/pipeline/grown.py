@@ -236,7 +236,7 @@ def grow(
     check_degree(sh_degree)
     original = splats = as_splats(model)
     if sh_degree is not None and not renders(chosen):
-        splats = splats.with_sh_degree(min(sh_degree, splats.sh_degree))
+        splats = splats.with_sh_degree(sh_degree)
     from nanogs.pipeline.foreseen import build_stages
 
     with drawn(progress) as tell, _on(device, threads) as (_, used):

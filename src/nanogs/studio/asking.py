@@ -195,7 +195,7 @@ class Answers:
     ) -> None:
         splats = grown.draft(min(count, MOST_SHOWN) if count <= grown.available else count)
         if choice.sh_degree is not None:
-            splats = splats.with_sh_degree(min(choice.sh_degree, splats.sh_degree))
+            splats = splats.with_sh_degree(choice.sh_degree)
         shown = show(few(splats), self._start, max(count, len(splats)))
         event = {
             "type": "draft", "splats": max(count, len(splats)), "bytes": curve.bytes_of(count),

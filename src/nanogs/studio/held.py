@@ -151,7 +151,7 @@ class Held:
         suffix = ".sog" if choice.format == "meta.json" else choice.format
         known, splats = registry.writable(Path(f"model{suffix}")), self.sifted(choice).splats
         if choice.sh_degree is not None:
-            splats = splats.with_sh_degree(min(choice.sh_degree, splats.sh_degree))
+            splats = splats.with_sh_degree(choice.sh_degree)
         if (sizer := known.file_bytes) is not None:
             return Curve(grown.available, grown.fewest, lambda n: sizer(splats, n), exact=True)
         every = -(-len(splats) // _SAMPLE)

@@ -12,7 +12,7 @@ from nanogs.studio.orders import LAYOUTS
 from nanogs.studio.scene import Manner, Scene
 from nanogs.studio.showing import MOST_SHOWN, Shown, few, show
 from nanogs.studio.turning import direction_of, up_of
-from nanogs.view.pack import DISTANCE, in_page
+from nanogs.view.pack import DISTANCE, camera_in_page
 from nanogs.views.opening import Opening, opening_for
 
 _CORE = 1.0  # per cent of the splats on either side that `core` leaves out
@@ -27,25 +27,19 @@ def opened(scene: Scene, manner: Manner, whole: Splats) -> tuple[dict[str, Any],
     drawn = few(whole)
     start = opening_for(drawn, up=None if manner.up is None else direction_of(manner.up))
     shown = show(drawn, start, len(whole))
-    [position] = in_page(start.position[None], start)
-    x, y, z = start.up.tolist()
     low, high, inner_low, inner_high = _bounds(whole)
     first = {"preset": manner.preset, "render_mode": manner.render_mode, "up": manner.up}
     event = {
         "type": "scene", "name": scene.path.name, "stem": scene.stem, "splats": len(whole),
         "sh_degree": whole.sh_degree, "file_bytes": scene.file_bytes,
-        "render_mode": scene.render_mode, "up": scene.up or up_of((x, y, z)),
+        "render_mode": scene.render_mode, "up": scene.up or up_of(start.up.tolist()),
         "can_turn": not scene.states_frame, "available": int(whole.finite().sum()),
         "formats": writable_formats(), "presets": list(PRESETS),
         "layouts": [
             {"name": name, "suffix": suffix, "example": example.format(stem=scene.stem)}
             for suffix, (name, example) in LAYOUTS.items()
         ],
-        "camera": {
-            "position": position.tolist(), "target": [0.0, 0.0, 0.0], "up": [x, y, z],
-            "lens": start.lens, "near": start.near,
-        },
-        "background": "#000",
+        "camera": camera_in_page(start), "background": "#000",
         "page": {"scale": DISTANCE / start.distance, "centre": start.target.tolist()},
         "bounds": {"low": low, "high": high}, "core": {"low": inner_low, "high": inner_high},
         "folder": str(Path.cwd()), "most_shown": MOST_SHOWN, "notes": list(map(str, whole.notes)),

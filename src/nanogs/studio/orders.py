@@ -178,12 +178,8 @@ def refuse_unfit(scene: Scene, choice: Choice) -> None:
 
 def filters_of(chosen: Sifting) -> list[filters.Filter]:
     """The filters of a choice, in the order in which the command applies them."""
-    found = []
-    if chosen.box is not None:
-        found.append(filters.box(chosen.box[:3], chosen.box[3:]))
-    if chosen.min_opacity is not None:
-        found.append(filters.opaque_enough(chosen.min_opacity))
-    return [*found, filters.in_company()] if chosen.floaters else found
+    regions = [] if chosen.box is None else [filters.box(chosen.box[:3], chosen.box[3:])]
+    return filters.in_order(regions, chosen.min_opacity, floaters=chosen.floaters)
 
 
 def number(value: float) -> str:

@@ -170,48 +170,36 @@ class Studio:
         return Response(data, media_type="application/octet-stream")
 
     async def _files(self, request: "Request") -> "Response":
-        from starlette.responses import JSONResponse
-
         folder = request.query_params.get("folder", "")
-        return JSONResponse(await asyncio.to_thread(self._folder.listed, folder))
+        return _json(await asyncio.to_thread(self._folder.listed, folder))
 
     async def _ask(self, request: "Request") -> "Response":
-        from starlette.responses import JSONResponse
-
         data, number = await self._asked(request, "choice")
-        choice = self._chosen(data)
-        order = Order(self._scene, self._manner, choice, shown_path(self._scene, choice))
-        self._workshop.put(Job("ask", data["page"], number, choice))
-        return JSONResponse({"command": order.command()})
+        order = self._unnamed(data)
+        self._workshop.put(Job("ask", data["page"], number, order.choice))
+        return _json({"command": order.command()})
 
     async def _filter(self, request: "Request") -> "Response":
-        from starlette.responses import JSONResponse
-
         data, number = await self._asked(request, "choice")
         self._workshop.put(Job("filter", data["page"], number, self._chosen(data)))
-        return JSONResponse({})
+        return _json({})
 
     async def _save(self, request: "Request") -> "Response":
-        from starlette.responses import JSONResponse
-
         data, number = await self._asked(request, "choice", "path", "overwrite")
         if not isinstance(data.get("overwrite", False), bool):
             raise OptionError("overwrite is true or false.")
         order = self._order(data)
         await asyncio.to_thread(order.check_target)
         self._workshop.put(Job("save", data["page"], number, order))
-        return JSONResponse({"command": order.command()})
+        return _json({"command": order.command()})
 
     async def _command(self, request: "Request") -> "Response":
         """The line that writes a file, or why none can: a name that is half typed is no fault."""
-        from starlette.responses import JSONResponse
-
         data, _ = await self._asked(request, "choice", "path")
         command, message, exists = None, None, False
         try:
             if data.get("path") is None:
-                choice = self._chosen(data)
-                order = Order(self._scene, self._manner, choice, shown_path(self._scene, choice))
+                order = self._unnamed(data)
             else:
                 order = self._order(data)
                 await asyncio.to_thread(order.check_target)
@@ -220,7 +208,7 @@ class Studio:
             command, exists = order.command(), True
         except NanogsError as error:
             message = str(error)
-        return JSONResponse({"command": command, "message": message, "exists": exists})
+        return _json({"command": command, "message": message, "exists": exists})
 
     def _order(self, data: dict[str, Any]) -> Order:
         """What a page wants saved, its path relative to the folder.
@@ -236,6 +224,11 @@ class Studio:
         path = target.relative_to(self._folder.root)
         overwrite = bool(data.get("overwrite", False))
         return Order(self._scene, self._manner, self._chosen(data), path, overwrite)
+
+    def _unnamed(self, data: dict[str, Any]) -> Order:
+        """What a page chose, under a name that stands for any; it raises what `_order` does."""
+        choice = self._chosen(data)
+        return Order(self._scene, self._manner, choice, shown_path(self._scene, choice))
 
     def _chosen(self, data: dict[str, Any]) -> Choice:
         choice = choice_of(data.get("choice"))
@@ -273,16 +266,20 @@ def _told(answer: Endpoint) -> Endpoint:
     """An answer whose errors of the user's become a sentence for the page."""
 
     async def answered(request: "Request") -> "Response":
-        from starlette.responses import JSONResponse
-
         try:
             return await answer(request)
         except ExistsError as error:
-            return JSONResponse({"message": error.sentence("press the button again")}, 409)
+            return _json({"message": error.sentence("press the button again")}, 409)
         except NanogsError as error:
-            return JSONResponse({"message": str(error)}, 422)
+            return _json({"message": str(error)}, 422)
 
     return answered
+
+
+def _json(data: object, status: int = 200) -> "Response":
+    from starlette.responses import JSONResponse
+
+    return JSONResponse(data, status)
 
 
 def _file(package: str, path: str, name: str) -> "Response":

@@ -9,13 +9,13 @@ import numpy as np
 from nanogs._types import Bool
 from nanogs.formatting import counted
 from nanogs.splats import Splats
+from nanogs.stored import SH_C0
 from nanogs.view.pack import pack
 from nanogs.views.opening import Opening
 from nanogs.views.stand_in import stand_in
 
 MOST_SHOWN = 500_000  # splats
 _MAGENTA = (1.0, 0.0, 1.0)
-_SH_ZERO = 0.28209479177387814  # the constant harmonic: a colour is 0.5 and so many coefficients
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +24,11 @@ class Shown:
 
     Attributes:
         entry: What an event says of it.
-        models: Its bytes by its ID; empty where the page has it already.
+        models: Its bytes by its ID.
     """
 
     entry: dict[str, Any]
     models: dict[str, bytes]
-
-    def again(self) -> "Shown":
-        """The same without its bytes."""
-        return replace(self, models={})
 
 
 def show(splats: Splats, start: Opening, of: int) -> Shown:
@@ -74,5 +70,5 @@ def marked(splats: Splats, stays: Bool) -> Splats:
     gone = ~stays[::every]
     sh = shown.sh.copy()
     sh[gone] = 0
-    sh[gone, 0] = (np.array(_MAGENTA) - 0.5) / _SH_ZERO
+    sh[gone, 0] = (np.array(_MAGENTA) - 0.5) / SH_C0
     return replace(shown, sh=sh)

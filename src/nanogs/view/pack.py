@@ -9,6 +9,7 @@ what it turns about: then both ends lie far beyond what a screen shows.
 import dataclasses
 import io
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -95,6 +96,18 @@ def _place(splats: Splats, start: Opening) -> tuple[Splats, int]:
         notes=(),
     )
     return placed, int(far.sum())
+
+
+def camera_in_page(start: Opening) -> dict[str, Any]:
+    """The first camera as the viewer takes it, in units of the page."""
+    [position] = in_page(start.position[None], start)
+    return {
+        "position": position.tolist(),
+        "target": [0.0, 0.0, 0.0],
+        "up": start.up.tolist(),
+        "lens": start.lens,
+        "near": start.near,
+    }
 
 
 def in_page(points: F, start: Opening) -> F64:

@@ -11,7 +11,7 @@ from nanogs.errors import ModelError
 from nanogs.formatting import bytes_text, counted, number_text
 from nanogs.protocol import Background, Judged, hex_text
 from nanogs.view.bundle import licences, program
-from nanogs.view.pack import Packed, in_page
+from nanogs.view.pack import Packed, camera_in_page
 from nanogs.views.opening import Opening
 
 if TYPE_CHECKING:
@@ -120,7 +120,6 @@ def render_page(models: Sequence[Shown], start: Opening, background: Background)
 
 def _scene(models: Sequence[Shown], start: Opening, background: Background) -> dict[str, Any]:
     """The data for the viewer, in units of the page."""
-    [position] = in_page(start.position[None], start)
     return {
         "models": [
             {
@@ -131,13 +130,7 @@ def _scene(models: Sequence[Shown], start: Opening, background: Background) -> d
             }
             for index, model in enumerate(models)
         ],
-        "camera": {
-            "position": position.tolist(),
-            "target": [0.0, 0.0, 0.0],
-            "up": start.up.tolist(),
-            "lens": start.lens,
-            "near": start.near,
-        },
+        "camera": camera_in_page(start),
         "background": hex_text(background),
     }
 
