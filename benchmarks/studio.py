@@ -4,10 +4,11 @@
                                 [--preset default] [--rounds 1] [--json FILE]
 
 Without a model: biker.spz of the real scenes (NANOGS_SCENES), and made-up scenes of so many splats.
-The time begins as the slider says `input` in the page, and ends with the first frame in which
-nothing moves any more and the answer is drawn. Beside it: until the answer was told, until its
-model had come, and until that was decoded; the rest is drawing. Where no graphics card is at hand,
-the processor draws (SwiftShader), which takes its cores from what is measured.
+The time begins as the slider says `input` in the page, and ends when nothing moves any more and a
+pixel of the answer's picture was read back, so that it is drawn and not only asked for. Beside it:
+until the answer was told, until its model had come, and until that was decoded; the rest is
+drawing. The result's picture comes before its figures, which are measured then. Where no graphics
+card is at hand, the processor draws (SwiftShader), which takes its cores from what is computed.
 """
 
 import argparse
@@ -28,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PATIENCE = 600_000  # milliseconds
 COLUMNS = {
     "draft": "told", "model": "model there", "decoded": "decoded", "coarse": "coarse picture",
-    "measured": "measured",
+    "made": "result's picture", "measured": "measured",
 }  # fmt: skip
 # Put into the page before its own scripts: when each event and each model has come.
 WATCH = """
@@ -55,14 +56,21 @@ WATCH = """
     if (String(all[0]).startsWith("models/")) note(seen.answer ? "last" : "model");
     return found;
   };
-  // After the work of a frame: what is drawn then, and said of it, is what is seen.
+  // Drawing goes on behind the page; reading a pixel waits for its end.
+  const drawn = (name) => {
+    if (seen[name]) return;
+    const gl = document.querySelector("#view canvas").getContext("webgl2");
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    note(name);
+  };
   const look = () => {
     const still = document.getElementById("view")?.dataset.state === "still";
     const state = document.body?.dataset.state;
     const shown = seen.draft && ["measuring", "measured"].includes(state);
     if (shown) note("decoded");
-    if (shown && still) note("coarse");
-    if (shown && still && state === "measured") note("measured");
+    if (shown && still) drawn("coarse");
+    if (shown && still && document.body.dataset.seen !== "draft") drawn("made");
+    if (shown && still && state === "measured") drawn("measured");
     requestAnimationFrame(look);
   };
   requestAnimationFrame(look);
@@ -70,7 +78,8 @@ WATCH = """
 """
 # What the hand does: a slider passes a place and stays there.
 SLIDE = """(ratio) => {
-  const { fewest, available, splats } = limits;
+  const { available, splats } = limits;
+  const fewest = Math.max(limits.fewest, Math.min(100, available / 1000)); // as sliders.js has it
   for (const name of Object.keys(seen)) delete seen[name];
   const range = document.getElementById("splats-range");
   const place = Math.log((ratio * splats) / fewest) / Math.log(available / fewest);

@@ -33,6 +33,8 @@ class Fake:
 
     Attributes:
         asked: Path and JSON of each request, in order.
+        seen: What the page said of what it has drawn, in order.
+        fetched: Names of models, in the order in which they were fetched.
         refused: Status and sentence that the next request of a path is answered with.
     """
 
@@ -41,7 +43,7 @@ class Fake:
         original = models["original"]
         start = opening_for(original)
         self.models = {name: pack(model, start).data for name, model in models.items()}
-        self.asked, self.refused = [], {}
+        self.asked, self.refused, self.seen, self.fetched = [], {}, [], []
         self._events = queue.Queue()
         [position] = in_page(start.position[None], start).tolist()
         low, high = original.means.min(axis=0).tolist(), original.means.max(axis=0).tolist()
@@ -133,6 +135,7 @@ def faked(models):
 
         def data_of(self, folder, name):
             if folder == "/models":
+                fake.fetched.append(name.removesuffix(".spz"))
                 return fake.models[name.removesuffix(".spz")]
             place = "studio/static" if folder == "/static" else "view"
             return (PACKAGE / place / name).read_bytes()
@@ -140,6 +143,10 @@ def faked(models):
         def do_POST(self):
             body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
             path = self.path.removeprefix("/")
+            if path == "seen":
+                fake.seen.append(body)
+                self.send(b"{}", "application/json")
+                return
             fake.asked.append((path, body))
             status, message = fake.refused.pop(path, (200, ""))
             answer = {"message": message, "command": f"nanogs simplify {body.get('path', '')}"}

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from builders import cloud_pair
 from nanogs.pipeline.target import Goal
-from nanogs.studio.asking import TRIES, Answers
+from nanogs.studio import asking
+from nanogs.studio.asking import QUICK, TRIES, Answers
 from nanogs.studio.choice import choice_of
 from nanogs.studio.curve import Curve, Point
 from nanogs.views.opening import opening_for
@@ -20,13 +21,15 @@ from nanogs.views.opening import opening_for
 class Told:
     """A job that keeps what it is told."""
 
-    page = "p"
+    page, pace = "p", None
 
     def __init__(self, number):
-        self.id, self.said = number, []
+        self.id, self.said, self.shown = number, [], []
 
     def __call__(self, event, shown=None):
         self.said.append(event)
+        if shown is not None:
+            self.shown.append((event["type"], shown))
 
     @property
     def events(self):
@@ -35,7 +38,7 @@ class Told:
     def progress(self, kind):
         return lambda step: None
 
-    def rest(self, seconds):
+    def rest(self, least, most):
         pass
 
     def shielded(self, useful):
@@ -91,12 +94,35 @@ def test_a_newer_request_has_its_draft_while_an_older_one_is_measured(answers, f
     assert forest.measuring.wait(20)
     answers.sooner(two, second)
     assert second.events == ["draft"]
-    assert first.events == ["draft"]
+    assert first.events == ["draft", "made"]
     forest.go_on.set()
     asked.join(20)
-    assert first.events == ["draft", "point", "measured"]
+    assert first.events == ["draft", "made", "point", "measured"]
     answers.ask(two, second)
-    assert second.events == ["draft", "point", "measured"]  # and no second draft
+    assert second.events == ["draft", "made", "point", "measured"]  # and no second draft
+
+
+def test_a_result_is_sent_once_and_measured_then(answers, forest):
+    forest.go_on.set()
+    answers.ask(choice_of({"wish": {"splats": 50}}), told := Told(1))
+    made, measured = (shown for kind, shown in told.shown if kind != "draft")
+    assert list(made.models) == [made.entry["id"]]
+    assert measured.entry == made.entry
+    assert measured.models == {}
+
+
+def test_a_page_that_draws_slowly_gets_few_splats_at_once(answers, forest, monkeypatch):
+    monkeypatch.setattr(asking, "FEWEST_DRAFTED", 10)
+    forest.go_on.set()
+    sizes = []
+    for number, pace in enumerate((None, 1e-9, QUICK / 40, 1.0), 1):
+        told = Told(number)
+        told.pace = pace
+        answers.ask(choice_of({"wish": {"splats": 50}}), told)
+        drafted, made = (shown.entry["splats"] for kind, shown in told.shown if kind != "measured")
+        assert made == told.said[0]["splats"] == 50
+        sizes.append(drafted)
+    assert sizes == [50, 50, 40, 10]
 
 
 COUNTS = st.integers(1, 10_000)
@@ -173,5 +199,5 @@ def test_of_several_results_the_one_that_keeps_the_wish_is_shown(answers, forest
     )
     told = Told(1)
     answers.ask(choice_of({"wish": {"psnr": 30.0}}), told)
-    assert told.events == ["draft", "point", "point", "point", "measured"]
+    assert told.events == ["draft", *["made", "point"] * 3, "measured"]
     assert told.said[-1]["psnr"] == 31.0

@@ -134,6 +134,19 @@ def test_what_is_no_request_is_refused_in_a_sentence(studio, body):
     assert json.loads(answer)["message"].endswith(".")
 
 
+@pytest.mark.parametrize("pace", [None, 1e-6, 1])
+def test_a_page_says_how_fast_it_draws(studio, pace):
+    body = {"page": "p", "number": 1, "pace": pace}
+    assert studio.request("POST", "seen", body)[0] == 204
+
+
+@pytest.mark.parametrize("pace", [0, -1, "1", True, float("nan"), float("inf"), []])
+def test_a_pace_is_a_time(studio, pace):
+    status, _, answer = studio.request("POST", "seen", {"page": "p", "number": 1, "pace": pace})
+    assert status == 422
+    assert "seconds" in json.loads(answer)["message"]
+
+
 def test_long_requests_are_not_read(studio):
     assert studio.request("POST", "ask", b" " * 70_000)[0] == 413
     assert studio.request("POST", "ask", b"", headers={"Content-Length": "x"})[0] in (400, 411)

@@ -1,9 +1,16 @@
-"""Which request is next, and which are dropped."""
+"""Which request is next, which are dropped, and what the worker waits for."""
+
+import contextlib
+import threading
+import time
+from queue import SimpleQueue
+from types import SimpleNamespace
 
 from hypothesis import given
 from hypothesis import strategies as st
 
 from nanogs.studio.jobs import Job, Queue
+from nanogs.studio.worker import Inbox
 
 KINDS = ("ask", "save", "curve")
 
@@ -90,3 +97,44 @@ def test_no_request_is_lost(steps):
     assert len(set(dropped)) == len(dropped)
     assert {*dropped, *done, *queue} == set(put)
     assert len(dropped) + len(done) + len(list(queue)) == len(put)
+
+
+@contextlib.contextmanager
+def hearing():
+    """An inbox, and how to say something to it."""
+    said, idle = SimpleQueue(), threading.Event()
+
+    def recv():
+        idle.set()
+        return said.get()
+
+    inbox = Inbox(SimpleNamespace(recv=recv))
+
+    def tell(*message):
+        assert idle.wait(20)
+        idle.clear()
+        said.put(message)
+        assert idle.wait(20), "it was not heard"
+
+    yield inbox, tell
+
+
+def seconds_of(act, *arguments):
+    begun = time.monotonic()
+    act(*arguments)
+    return time.monotonic() - begun
+
+
+def test_a_job_rests_until_its_draft_was_seen():
+    job, later = Job("ask", "a", 7), Job("ask", "a", 8)
+    with hearing() as (inbox, tell):
+        tell("seen", ("b", 9, 1e-6))
+        tell("seen", ("a", 6, None))
+        assert seconds_of(inbox.rest, job, 0.0, 0.2) >= 0.2, "another page, an older draft"
+        threading.Timer(0.1, tell, ("seen", ("a", 7, 2e-6))).start()
+        assert seconds_of(inbox.rest, job, 0.0, 60.0) < 30
+        assert 0.1 <= seconds_of(inbox.rest, job, 0.1, 60.0) < 30, "seen, but not yet settled"
+        assert (inbox.pace("a"), inbox.pace("b"), inbox.pace("c")) == (2e-6, 1e-6, None)
+        threading.Timer(0.1, tell, ("cancel", (later.id, None))).start()
+        assert seconds_of(inbox.rest, later, 60.0, 60.0) < 30
+        assert inbox.dropped(later)

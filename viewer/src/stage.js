@@ -29,7 +29,13 @@ export function makeStage(host, canvas, scene, sides) {
   let requested = false;
   let share = sides > 1 ? 0.5 : 1;
   const size = { width: 1, height: 1 };
-  const stage = { camera: null, beforeDraw: () => {}, onResize: () => {}, onLost: () => {} };
+  const stage = {
+    camera: null,
+    beforeDraw: () => {},
+    onResize: () => {},
+    onLost: () => {},
+    onStill: () => {}, // what is seen is final; `pace` as makeFinish gives it
+  };
 
   function request() {
     if (host.dataset.state === "still") host.dataset.state = "busy";
@@ -40,6 +46,7 @@ export function makeStage(host, canvas, scene, sides) {
   }
   stage.request = request; // draws the sides that changed, once
   const panes = Array.from({ length: sides }, () => new Pane(renderer, request));
+  const finish = makeFinish(renderer.getContext());
   stage.invalidate = () => {
     for (const pane of panes) pane.dirty = true;
     request();
@@ -77,14 +84,17 @@ export function makeStage(host, canvas, scene, sides) {
     const all = hot || box?.shown; // a difference and a box lie over both sides
     renderer.setScissorTest(true);
     box?.among(!hot);
+    let splats = 0;
     panes.forEach((pane, side) => {
+      pane.sortFirst(stage.camera);
       if (!all && !pane.dirty) return;
       pane.dirty = false;
       // A difference needs both pictures wherever it is seen.
       const [left, right] = side === 0 ? [0, hot ? size.width : edge] : [edge, size.width];
       if (right <= left) return;
       renderer.setScissor(left, 0, right - left, size.height);
-      renderer.render(pane.scene, stage.camera);
+      pane.quietly(() => renderer.render(pane.scene, stage.camera));
+      splats += pane.spark.activeSplats;
       if (hot) heat.keep(side);
     });
     if (hot && edge < size.width) heat.paint();
@@ -94,8 +104,14 @@ export function makeStage(host, canvas, scene, sides) {
       renderer.render(box.above, stage.camera);
       renderer.autoClear = true;
     }
-    const busy = panes.some((pane) => pane.busy);
-    if (!requested && !busy && host.dataset.state === "busy") host.dataset.state = "still";
+    finish.when(splats, rest);
+  }
+
+  function rest(pace) {
+    const busy = requested || panes.some((pane) => pane.busy);
+    if (busy || host.dataset.state !== "busy") return;
+    host.dataset.state = "still";
+    stage.onStill(pace);
   }
 
   new ResizeObserver(() => {
@@ -128,10 +144,40 @@ function openRenderer(canvas) {
   }
 }
 
+// Calls back once all that was drawn so far is there, which the page itself does not wait for.
+// `pace` is the seconds that a splat took, of the latest drawing with enough to tell; null before.
+function makeFinish(gl) {
+  const AGAIN = 5; // milliseconds
+  const ENOUGH = 20_000; // splats, beside which nothing else that is drawn counts
+  let latest = 0;
+  let pace = null;
+  function when(splats, act) {
+    const number = (latest += 1);
+    const begun = performance.now();
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    const look = () => {
+      const waiting = !gl.isContextLost() && gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED;
+      if (waiting && number === latest) {
+        setTimeout(look, AGAIN);
+        return;
+      }
+      gl.deleteSync(fence);
+      if (waiting) return; // another drawing has begun
+      if (splats >= ENOUGH) pace = (performance.now() - begun) / 1000 / splats;
+      act(pace);
+    };
+    setTimeout(look);
+  }
+  return { when };
+}
+
 class Pane {
   constructor(renderer, request) {
     this.scene = new Scene();
     this.dirty = true; // as it is drawn, it is not as it should be
+    this.unsorted = false; // whether a new model waits for the first order of its splats
+    this.quiet = false;
     this.spark = new SparkRenderer({ renderer, onDirty: () => this.change(request), ...SPARK });
     this.scene.add(this.spark);
     this.mesh = null;
@@ -139,12 +185,30 @@ class Pane {
   }
 
   change(request) {
+    if (this.quiet) return;
     this.dirty = true;
     request();
   }
 
+  // Spark asks for the next frame as soon as it begins to sort, which would draw the same again,
+  // and the order that it waits for only comes after that. It asks once more when it has sorted.
+  quietly(act) {
+    this.quiet = true;
+    act();
+    this.quiet = false;
+    this.spark.dirty = false;
+  }
+
+  // A new model is not drawn until it is sorted: it would be the former one in all that time.
+  sortFirst(camera) {
+    if (!this.unsorted || this.spark.sorting) return;
+    this.unsorted = false;
+    const { scene } = this;
+    this.quietly(() => this.spark.update({ scene, camera }));
+  }
+
   get busy() {
-    return this.spark.sorting || this.spark.sortDirty;
+    return this.unsorted || this.spark.sorting || this.spark.sortDirty;
   }
 
   async show(bytes, mip) {
@@ -164,6 +228,6 @@ class Pane {
     this.spark.blurAmount = mip ? DILATION : 0; // the opacity makes up for this one
     this.mesh = mesh;
     this.scene.add(mesh);
-    this.dirty = true;
+    this.unsorted = true;
   }
 }

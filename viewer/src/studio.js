@@ -1,8 +1,9 @@
 // The interactive part of `nanogs studio`: two models that a page replaces, under one camera.
 //
 // `host` is an empty element with a size; `scene` has `camera` and `background` as nanogs.view.scene
-// describes them, and `names` of the two sides. The host's data-state is that of `mount`. What
-// comes back moves nothing but what it says:
+// describes them, and `names` of the two sides; `onStill(pace)` is called once all is drawn, with the
+// seconds that a splat takes. The host's data-state is that of `mount`. What comes back moves
+// nothing but what it says:
 //
 //   show(side, bytes, mip)     another model (.spz) on side 0 or 1; the camera stays
 //   label(side, name, facts)   what the side is called, and lines below that
@@ -36,6 +37,7 @@ export function mountStudio(host, scene) {
   stage.beforeDraw = navigation.update;
   stage.onResize = navigation.resize;
   stage.onLost = () => scene.onLost?.();
+  stage.onStill = (pace) => scene.onStill?.(pace);
   const divider = makeDivider(
     host,
     scene.names.map((name) => ({ name })),

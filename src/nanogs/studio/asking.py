@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 Event = dict[str, Any]
 SETTLED = 0.3  # seconds without a newer request after which a slider stands still
+UNSEEN = 2.0  # seconds that a page has to draw a draft in before the processors are used
+QUICK = 0.1  # seconds in which a page is to draw a draft
+FEWEST_DRAFTED = 5_000  # splats, however slowly a page draws
 TRIES = 3  # results that are made for a PSNR, each nearer to it
 NEAR = 0.3  # dB above a wish that a search of the command comes within, too
 NEAR_SIZE = 0.03  # of the size, below it
@@ -43,8 +46,12 @@ class Telling(Protocol):
     def progress(self, kind: str) -> Progress:
         """A function that takes the steps of something, and raises where it is cancelled."""
 
-    def rest(self, seconds: float) -> None:
-        """Wait so long for a newer request, which ends the job."""
+    @property
+    def pace(self) -> float | None:
+        """Seconds that a splat takes the page to draw, if it has said so."""
+
+    def rest(self, least: float, most: float) -> None:
+        """Wait for the page to draw a draft, so many seconds; a newer request ends the job."""
 
     def shielded(self, useful: Callable[[Choice], bool]) -> AbstractContextManager[None]:
         """Go on in the block although a newer request came, if it is useful to that too."""
@@ -70,7 +77,7 @@ class Answers:
         self._told: dict[str, Curve] = {}  # by page, the one whose points it was told
 
     def ask(self, choice: Choice, tell: Telling) -> None:
-        """Answer a request: `filtered` where filters changed, `draft`, `measured` and `point`.
+        """Answer a request: `filtered` where filters changed, `draft`, `made`, `point`, `measured`.
 
         Raises:
             NanogsError: It cannot be had.
@@ -86,11 +93,11 @@ class Answers:
         count = curve.count_for(choice.goal)
         if self._drafted != tell.id:
             self._draft(grown, curve, count, choice, tell)
-        tell.rest(SETTLED)
+        tell.rest(SETTLED, UNSEEN)
         grown = self._grow(choice, tell)
         tried: list[tuple[Event, Shown, Point]] = []
         while len(tried) < TRIES and (not tried or count != tried[-1][2].count):
-            tried.append(self._made(grown, count, choice, tell))
+            tried.append(self._made(grown, curve, count, choice, tell))
             point = tried[-1][2]
             curve.add(point)
             tell(_point(point, choice))
@@ -99,7 +106,7 @@ class Answers:
             count = curve.count_for(choice.goal)
         event, shown, _ = min(tried, key=lambda made: _miss(choice.goal, made[2]))
         seconds = time.perf_counter() - begun
-        tell({"type": "measured", "seconds": seconds} | event, shown)
+        tell({"type": "measured", "seconds": seconds} | event, replace(shown, models={}))
 
     def explore(self, choice: Choice, tell: Telling) -> None:
         """Measure plain cuts of several counts, for the plot.
@@ -193,22 +200,20 @@ class Answers:
     def _draft(
         self, grown: "Grown", curve: Curve, count: int, choice: Choice, tell: Telling
     ) -> None:
-        splats = grown.draft(min(count, MOST_SHOWN) if count <= grown.available else count)
+        most = min(MOST_SHOWN, _drawable(tell.pace))
+        splats = grown.draft(min(count, most) if count <= grown.available else count)
         if choice.sh_degree is not None:
             splats = splats.with_sh_degree(choice.sh_degree)
         shown = show(few(splats), self._start, max(count, len(splats)))
-        event = {
-            "type": "draft", "splats": max(count, len(splats)), "bytes": curve.bytes_of(count),
-            "psnr": curve.psnr_of(count), "about": True, "available": grown.available,
-            "fewest": grown.fewest,
-        }  # fmt: skip
-        tell(event, shown)
+        tell(_estimated("draft", grown, curve, max(count, len(splats))), shown)
 
     def _made(
-        self, grown: "Grown", count: int, choice: Choice, tell: Telling
+        self, grown: "Grown", curve: Curve, count: int, choice: Choice, tell: Telling
     ) -> tuple[Event, Shown, Point]:
-        """A result as it is delivered, and what is measured of it."""
+        """A result as it is delivered, which is seen first, and what is measured of it."""
         splats, report = grown.simplify(count, progress=tell.progress("draft"))
+        shown = show(self._drawable(grown, splats), self._start, len(splats))
+        tell(_estimated("made", grown, curve, len(splats)), shown)
         told = tell.progress("measure")
         with self._lent():
             measured = grown.measure(splats, format=choice.format, progress=told)
@@ -218,13 +223,26 @@ class Answers:
             "ssim": judged.ssim, "stop": str(report.stop), "notes": list(report.notes),
             "available": grown.available, "fewest": grown.fewest,
         }  # fmt: skip
-        shown = show(self._drawable(grown, splats), self._start, len(splats))
         point = Point(len(splats), measured.bytes, judged.psnr, coarse=False)
         return event, shown, point
 
     @staticmethod
     def _drawable(grown: "Grown", splats: Splats) -> Splats:
         return splats if len(splats) <= MOST_SHOWN else grown.draft(MOST_SHOWN)
+
+
+def _drawable(pace: float | None) -> int:
+    """Splats that a page draws at once: all, but where the processor has to draw them."""
+    return MOST_SHOWN if pace is None else max(FEWEST_DRAFTED, int(QUICK / pace))
+
+
+def _estimated(kind: str, grown: "Grown", curve: Curve, count: int) -> Event:
+    """An event about a model that was not measured."""
+    return {
+        "type": kind, "splats": count, "bytes": curve.bytes_of(count),
+        "psnr": curve.psnr_of(count), "about": True, "available": grown.available,
+        "fewest": grown.fewest,
+    }  # fmt: skip
 
 
 def _filtered(found: Sifted, *, preview: bool) -> Event:

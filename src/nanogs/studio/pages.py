@@ -12,7 +12,7 @@ from typing import Any
 from nanogs.errors import OptionError
 from nanogs.formatting import plain
 
-KEPT = {"filtered": 2, "draft": 4, "measured": 2}  # models of a page, of each kind of event
+KEPT = {"filtered": 2, "draft": 4, "made": 4}  # models of a page, of each kind of event
 MOST = 16  # pages
 BEAT = 10.0  # seconds between signs of life
 _MOST_EVENTS = 2000  # that wait for a page whose line is broken

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import socket
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
@@ -111,7 +112,7 @@ class Studio:
             get("files", self._files), get("models/{name}.spz", self._model),
             post("ask", self._ask), post("filter", self._filter),
             post("save", self._save), post("command", self._command),
-            post("cancel", self._cancel),
+            post("cancel", self._cancel), post("seen", self._seen),
         ]  # fmt: skip
         application = Starlette(routes=routes, lifespan=self._living)
         application.router.redirect_slashes = False
@@ -242,6 +243,14 @@ class Studio:
         self._workshop.cancel(data["page"])
         return Response(status_code=204)
 
+    async def _seen(self, request: "Request") -> "Response":
+        """A page has drawn the answer of a number, and says how long a splat takes it."""
+        from starlette.responses import Response
+
+        data, number = await self._asked(request, "pace")
+        self._workshop.seen(data["page"], number or 0, _pace(data.get("pace")))
+        return Response(status_code=204)
+
     async def _asked(self, request: "Request", *names: str) -> tuple[dict[str, Any], int | None]:
         """The entries of a request and its number.
 
@@ -274,6 +283,19 @@ def _told(answer: Endpoint) -> Endpoint:
             return _json({"message": str(error)}, 422)
 
     return answered
+
+
+def _pace(said: object) -> float | None:
+    """Seconds that a splat takes a page to draw, if it knows.
+
+    Raises:
+        OptionError: It is no number above 0.
+    """
+    if said is None:
+        return None
+    if isinstance(said, int | float) and not isinstance(said, bool) and 0 < said < math.inf:
+        return float(said)
+    raise OptionError(f"A pace is a number of seconds above 0, not {said!r}.")
 
 
 def _json(data: object, status: int = 200) -> "Response":

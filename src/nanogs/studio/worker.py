@@ -57,7 +57,9 @@ class Inbox:
         self.successors: queue.Queue[Job] = queue.Queue()  # which wait for a job to stop
         self._line = line
         self._dropped: dict[int, Job | None] = {}
-        self.news = threading.Event()  # that the job at hand was dropped
+        self._seen: dict[str, int] = {}  # by page, the number of what it has drawn last
+        self._paces: dict[str, float] = {}
+        self._news = threading.Condition()  # of what was dropped or seen
         threading.Thread(target=self._read, daemon=True).start()
 
     def dropped(self, job: Job) -> bool:
@@ -68,26 +70,49 @@ class Inbox:
         """The newer request because of which a job was dropped."""
         return self._dropped.get(job.id)
 
+    def pace(self, page: str) -> float | None:
+        """Seconds that a splat takes a page to draw, if it has said so."""
+        return self._paces.get(page)
+
     def begin(self, job: Job) -> None:
         """Forget the jobs before this one."""
         for each in [each for each in self._dropped if each < job.id]:
             del self._dropped[each]
-        if not self.dropped(job):
-            self.news.clear()
+
+    def rest(self, job: Job, least: float, most: float) -> None:
+        """Wait until a job's draft was seen, `least` to `most` seconds, or until it is dropped."""
+        begun = time.monotonic()
+        with self._news:
+            self._news.wait_for(lambda: self.dropped(job), least)
+            left = max(0.0, begun + most - time.monotonic())
+            self._news.wait_for(lambda: self.dropped(job) or self._drawn(job), left)
+
+    def _drawn(self, job: Job) -> bool:
+        return job.number is None or self._seen.get(job.page, 0) >= job.number
 
     def _read(self) -> None:
         try:
             while True:
                 kind, said = self._line.recv()
-                if kind == "cancel":
-                    self._dropped[said[0]] = said[1]
-                    self.news.set()
+                if kind == "seen":
+                    self._note(*said)
+                elif kind == "cancel":
+                    with self._news:
+                        self._dropped[said[0]] = said[1]
+                        self._news.notify_all()
                     if said[1] is not None and said[1].kind == "ask":
                         self.successors.put(said[1])
                 else:
                     self.jobs.put(said)
         except (EOFError, OSError):
             _end(1)
+
+    def _note(self, page: str, number: int, pace: float | None) -> None:
+        with self._news:
+            self._seen[page] = number
+            if pace is not None:
+                self._paces[page] = pace
+            self._news.notify_all()
 
 
 class Teller:
@@ -146,9 +171,14 @@ class Teller:
 
         return told
 
-    def rest(self, seconds: float) -> None:
-        """Wait so long for a newer request, which ends the job."""
-        self._inbox.news.wait(seconds)
+    @property
+    def pace(self) -> float | None:
+        """Seconds that a splat takes the page to draw, if it has said so."""
+        return self._inbox.pace(self.page)
+
+    def rest(self, least: float, most: float) -> None:
+        """Wait until the page has drawn the draft; a newer request ends the job."""
+        self._inbox.rest(self._job, least, most)
         self.check()
 
     @contextmanager

@@ -5,10 +5,13 @@ import * as numbers from "./numbers.js";
 import { isMeasured, settle } from "./phase.js";
 import { sameGround } from "./state.js";
 
-const WORDS = { asked: "…", draft: "estimated", measured: "measured" };
+const WORDS = { asked: "…", draft: "estimated", made: "estimated", measured: "measured" };
 
-export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture, status }) {
+export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture, status, tellSeen }) {
   let seen = 0; // the number of the model that is seen
+  let newest = null; // the latest event for the latest choice
+  let shown = 0; // the number whose answer is in the picture, as soon as that is drawn
+  let told = null; // the latest of these that the server knows of
   const failed = (error) => status.complain(error.message);
   const shareOf = ({ splats }) => numbers.percent(splats / scene.splats);
   const rest = () => status.say(isMeasured() ? "Ready" : "");
@@ -49,12 +52,14 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
       if (kind === "coarse") passing(event);
       return;
     }
+    newest = event;
     tell(event, kind);
     const about = kind === "measured" ? "" : "about ";
     const quality = event.psnr === null ? [] : [`${about}${numbers.decibels(event.psnr)} dB`];
     const there = await show(event, quality);
-    if (!there || event.number !== asks.latest) return;
-    settle(kind === "measured" ? "measured" : "measuring", event.number);
+    if (!there || event !== newest || event.number !== asks.latest) return;
+    settle(kind === "measured" ? "measured" : "measuring", event.number, event.type);
+    shown = event.number;
     if (kind === "measured") rest();
   }
 
@@ -71,6 +76,7 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
       badge("asked");
     },
     draft: (event) => take(event, "coarse").catch(failed),
+    made: (event) => take(event, "coarse").catch(failed),
     measured: (event) => take(event, "measured").catch(failed),
     point(event) {
       if (event.format !== state.choice.format) return;
@@ -81,6 +87,12 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
     cancelled({ number, kind }) {
       status.say(kind === "curve" ? "" : "Cancelled");
       if (number === asks.latest) settle("coarse", number);
+    },
+    // The server computes once the page has drawn, and sends what this page draws at once.
+    drawn(pace) {
+      if (told === shown) return;
+      told = shown;
+      tellSeen({ number: shown, pace }).catch(failed);
     },
     fail(number, message) {
       if (number !== null && number !== asks.latest) return;

@@ -2,15 +2,17 @@
 
 import { byId, make } from "./dom.js";
 
-export function makePicture(scene, fetchModel, complain) {
+export function makePicture(scene, fetchModel, { complain, onStill }) {
   const host = byId("view");
   const viewer = nanogsViewer.mountStudio(host, {
     camera: scene.camera,
     background: scene.background,
     names: [scene.name, "simplified"],
     onLost: () => complain("The graphics processor gave up: load the page again."),
+    onStill,
   });
   const asked = [0, 0]; // the latest model of each side
+  let result = null; // the latest model of the right side: { id, shown }
   let base = null; // the scene as it is compared with: { fetched, mip, name, facts }
 
   // Whether it is what the side shows now, and not overtaken by a later one.
@@ -43,7 +45,16 @@ export function makePicture(scene, fetchModel, complain) {
     // What is there for the moment, until `back`.
     instead: (model, name, facts) => show(0, entry(model, name, facts)),
     back: () => show(0, base),
-    result: (model, facts) => show(1, entry(model, "simplified", facts)),
+    // What was made is seen first, and measured then: the same model with other words.
+    async result(model, facts) {
+      if (result?.id === model.id) {
+        const there = await result.shown;
+        if (there) viewer.label(1, "simplified", facts);
+        return there;
+      }
+      result = { id: model.id, shown: show(1, entry(model, "simplified", facts)) };
+      return result.shown;
+    },
     up: (axis) => viewer.setUp(axis === null ? scene.camera.up : directionOf(axis)),
     bind() {
       byId("first-view").addEventListener("click", viewer.reset);

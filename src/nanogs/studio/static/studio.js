@@ -56,7 +56,10 @@ connection.on("bye", ({ reason }) => {
 function begin(scene) {
   const state = makeState(firstChoice(scene));
   const curve = makeCurve();
-  const picture = makePicture(scene, connection.model, status.complain);
+  const picture = makePicture(scene, connection.model, {
+    complain: status.complain,
+    onStill: (pace) => answers.drawn(pace),
+  });
   const sliders = makeSliders(scene, state, curve, status.complain);
   const plot = makePlot(curve, sliders.lowest, (splats) => state.set({ wish: { splats } }));
   const method = makeMethod(scene, state);
@@ -65,7 +68,9 @@ function begin(scene) {
     onCommand: ({ command }) => (byId("command").textContent = command ?? ""),
     onRefuse: (number, message) => answers.fail(number, message),
   });
-  const answers = makeAnswers(scene, state, { asks, curve, sliders, plot, picture, status });
+  const tellSeen = (body) => connection.post("seen", body);
+  const parts = { asks, curve, sliders, plot, picture, status, tellSeen };
+  const answers = makeAnswers(scene, state, parts);
 
   const facts = [numbers.splats(scene.splats), numbers.size(scene.file_bytes)];
   byId("scene-facts").textContent = facts.join(" · ");
@@ -77,6 +82,7 @@ function begin(scene) {
 
   connection.on("filtered", preview.filtered);
   connection.on("draft", answers.draft);
+  connection.on("made", answers.made);
   connection.on("measured", answers.measured);
   connection.on("point", answers.point);
   connection.on("cancelled", (event) => {
