@@ -51,6 +51,12 @@ def scene(splats, tmp_path_factory):
     return path
 
 
+@pytest.fixture
+def small_pictures(monkeypatch):
+    """Results are judged on pictures of a quarter of the edge: searches make hundreds of them."""
+    monkeypatch.setattr("nanogs.scoring.held_out.PIXELS", 128)
+
+
 @pytest.fixture(scope="module")
 def benchmark_module():
     """Imports a module of the benchmarks by its name; skips the test where they are absent."""

@@ -27,6 +27,8 @@ from nanogs.pipeline.packing import (
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import held_out
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 SIZE = 100_000
 FEW = {"views": 3, "further": 2, "view_size": 48, "roaming": 0, "steps": 2}
 BITS = {"bits": Bits(7, range(4, 9))}

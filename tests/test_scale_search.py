@@ -14,6 +14,8 @@ from nanogs.pipeline.search import TRIED
 from nanogs.report import StopReason
 from nanogs.scoring.file_judge import file_judge
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 SPLATS, BLOCK = 3000, 1100
 QUICK = {"preset": "fast", "block": BLOCK}
 LOOKS = {"preset": "default", "views": 2, "view_size": 48, "roaming": 0, "block": BLOCK}

@@ -115,6 +115,7 @@ def test_without_a_formula_the_same_count_is_found_by_writing(splats, monkeypatc
 # Size of a format that compresses
 
 
+@pytest.mark.usefixtures("small_pictures")
 @pytest.mark.parametrize(
     ("suffix", "preset", "options"),
     [

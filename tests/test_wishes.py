@@ -16,6 +16,8 @@ from nanogs.pipeline.fit_size import MOST_PROBES, search_fit
 from nanogs.views.opening import opening_for
 from wishing import FEW, Wish, draw, fulfil
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 PRESETS = ("fast", "default")
 
 
