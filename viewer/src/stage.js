@@ -194,9 +194,12 @@ class Pane {
   // and the order that it waits for only comes after that. It asks once more when it has sorted.
   quietly(act) {
     this.quiet = true;
-    act();
-    this.quiet = false;
-    this.spark.dirty = false;
+    try {
+      act();
+    } finally {
+      this.quiet = false;
+      this.spark.dirty = false;
+    }
   }
 
   // A new model is not drawn until it is sorted: it would be the former one in all that time.
