@@ -88,6 +88,9 @@ class Studio:
         self.fake.answer("measured", number, model, **more)
         self.state("measured", number)
 
+    def last_asked(self):
+        return [body["choice"] for path, body in self.fake.asked if path == "ask"][-1]
+
     def asked(self, count):
         return self.fake.wait("ask", count)["choice"]
 
@@ -168,6 +171,30 @@ def test_a_result_that_is_told_with_its_numbers_ends_measured(studio):
     studio.shows(GREEN, "right")
     studio.page.wait_for_timeout(200)
     assert studio.page.get_attribute("body", "data-state") == "measured"
+
+
+def test_a_reload_keeps_the_choice(studio):
+    page = studio.page
+    page.get_by_role("button", name="best").click()
+    page.click("#scene summary")
+    page.click("#up [data-value='-z']")
+    page.click("#sift summary")
+    page.check("#crop")
+    page.fill("#x-low", "-0.25")
+    page.press("#x-low", "Enter")
+    page.click("#take")
+    studio.becomes(lambda: studio.last_asked()["filters"]["box"])
+    chosen = studio.last_asked()
+    assert (chosen["preset"], chosen["up"], chosen["filters"]["box"][0]) == ("best", "-z", -0.25)
+    before = len(studio.fake.asked)
+    page.reload()
+    studio.becomes(lambda: len(studio.fake.asked) > before)
+    assert studio.last_asked() == chosen
+    studio.measured()
+    assert page.input_value("#x-low") == "-0.25"
+    assert page.is_checked("#crop")
+    assert page.is_disabled("#undo")
+    assert page.get_by_role("button", name="best").get_attribute("aria-pressed") == "true"
 
 
 def test_the_server_is_told_what_was_drawn(studio):

@@ -27,6 +27,7 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
   let box = ["low", "high"].flatMap((end) =>
     axes.map(({ scale }, axis) => scale.round(core[end][axis])),
   );
+  if (pending.box) box = pending.box;
   let timer = 0;
   let marked = false; // whether the left side is in magenta
   let taking = false;

@@ -7,6 +7,7 @@ import { makeCurve } from "./curve.js";
 import { byId, copyButton } from "./dom.js";
 import { NONE } from "./filters.js";
 import { bindKeys } from "./keys.js";
+import { keep, kept } from "./kept.js";
 import { makeMethod } from "./method.js";
 import * as numbers from "./numbers.js";
 import { beginSaving, endSaving } from "./phase.js";
@@ -54,7 +55,7 @@ connection.on("bye", ({ reason }) => {
 });
 
 function begin(scene) {
-  const state = makeState(firstChoice(scene));
+  const state = makeState(kept() ?? firstChoice(scene));
   const curve = makeCurve();
   const picture = makePicture(scene, connection.model, {
     complain: status.complain,
@@ -103,6 +104,7 @@ function begin(scene) {
   });
   bindButtons(state, picture, openSave);
   state.listen((choice, before) => {
+    keep(choice);
     byId("undo").disabled = !state.canUndo;
     byId("redo").disabled = !state.canRedo;
     method.render(choice);
@@ -114,6 +116,7 @@ function begin(scene) {
     }
   });
   method.render(state.choice);
+  if (state.choice.up !== null) picture.up(state.choice.up);
   sliders.render();
   asks.send();
   return asks;
