@@ -97,7 +97,7 @@ RENDERER = """() => {
 
 
 def main() -> None:
-    """Print a table, a row for each model and ratio, and medians."""
+    """Print a table, a row for each model and ratio, and medians; and what the studio takes."""
     options = _options()
     sys.path.insert(0, str(ROOT / "tests"))
     found: list[dict[str, Any]] = []
@@ -135,7 +135,7 @@ def _models(options: argparse.Namespace, folder: Path) -> Iterator[Path]:
 def _measure(model: Path, folder: Path, options: argparse.Namespace) -> list[dict[str, Any]]:
     """Seconds of each slide, and what draws."""
     found = []
-    with _opened(model, folder, options.preset) as page:
+    with _opened(model, folder, options.preset) as (page, studio):
         renderer = page.evaluate(RENDERER)
         _settle(page)
         splats = page.evaluate("limits.splats")
@@ -150,12 +150,27 @@ def _measure(model: Path, folder: Path, options: argparse.Namespace) -> list[dic
                 del seconds["begun"]
                 found.append(got | {"renderer": renderer, "seconds": seconds})
                 print(json.dumps(found[-1]), file=sys.stderr, flush=True)
+        for each in found:
+            each["memory"] = _peak(studio.process.pid)
     return found
+
+
+def _peak(pid: int) -> int:
+    """Bytes that a process and those that it started have taken at most, each on its own; Linux."""
+    import psutil
+
+    root = psutil.Process(pid)
+    total = 0
+    for process in (root, *root.children(recursive=True)):
+        status = Path(f"/proc/{process.pid}/status")
+        words = status.read_text().partition("VmHWM:")[2] if status.exists() else ""
+        total += int(words.split()[0]) << 10 if words else 0
+    return total
 
 
 @contextmanager
 def _opened(model: Path, folder: Path, preset: str) -> Iterator[Any]:
-    """The page of a studio, watched."""
+    """The page of a studio, watched, and the studio."""
     import studiopage
     from studio import running
 
@@ -166,7 +181,7 @@ def _opened(model: Path, folder: Path, preset: str) -> Iterator[Any]:
         page = chromium.new_page(viewport={"width": 1280, "height": 800})
         page.add_init_script(WATCH)
         page.goto(studio.url)
-        yield page
+        yield page, studio
 
 
 def _settle(page: Any) -> None:  # noqa: ANN401 - a page of Playwright
@@ -185,6 +200,9 @@ def _show(found: list[dict[str, Any]]) -> None:
             some = [each for each in rows if ratio in (each["ratio"], "median")]
             cells = [f"{median(e['seconds'][name] for e in some):.2f}" for name in COLUMNS]
             print(f"| {model} | {rows[0]['splats']:,} | {ratio} | {' | '.join(cells)} |")
+    for model in dict.fromkeys(each["model"] for each in found):
+        peak = next(each["memory"] for each in found if each["model"] == model)
+        print(f"\n{model}: the studio's processes took {peak / 1e9:.2f} GB at most.")
 
 
 if __name__ == "__main__":
