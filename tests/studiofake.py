@@ -61,18 +61,20 @@ class Fake:
             "stem": "scene", "most_shown": 500_000, "notes": [], "model": self.model("original"),
         }  # fmt: skip
 
-    def model(self, name):
+    def model(self, name, splats=1):
         """What events say of a model."""
-        return {"id": name, "splats": 1, "mip": False, "note": None}
+        return {"id": name, "splats": splats, "mip": False, "note": None}
 
     def tell(self, **event):
         """Send an event to the page."""
         self._events.put(event)
 
-    def answer(self, kind, number, model, **more):
-        """A draft, or what is measured."""
+    def answer(self, kind, number, model, drawn=None, **more):
+        """A draft, or what is measured; with fewer splats drawn than it has, if named."""
         usual = {"splats": 30, "bytes": 600, "psnr": 31.0, "ssim": 0.9, "seconds": 1, "stop": ""}
-        self.tell(type=kind, number=number, model=self.model(model), **usual | more)
+        event = usual | more
+        entry = self.model(model, event["splats"] if drawn is None else drawn)
+        self.tell(type=kind, number=number, model=entry, **event)
 
     def wait(self, path, count=1):
         """The JSON of the request of that path that is the so many-th."""

@@ -202,8 +202,8 @@ def test_the_server_is_told_what_was_drawn(studio):
     assert [body["number"] for body in studio.fake.seen] in ([1], [0, 1])
     assert all(body["pace"] is None for body in studio.fake.seen)  # too few splats to tell
     studio.page.get_by_role("button", name="best").click()
-    studio.measured("green")
     number = studio.fake.wait("ask", 2)["number"]
+    studio.measured("green")
     studio.becomes(lambda: studio.fake.seen[-1]["number"] == number)
 
 

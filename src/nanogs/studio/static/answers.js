@@ -24,7 +24,10 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
   function show(event, quality) {
     seen = event.number;
     const first = `${numbers.splats(event.splats)} (${shareOf(event)})`;
-    return picture.result(event.model, [first, numbers.size(event.bytes), ...quality]);
+    const facts = [first, numbers.size(event.bytes), ...quality];
+    const drawn = event.model.splats; // fewer where a draft has to be quick, or the browser draws no more
+    if (drawn < event.splats) facts.push(`drawn with ${numbers.count(drawn)}`);
+    return picture.result(event.model, facts);
   }
 
   // A slider moves faster than it is answered: what comes late is seen, and changes nothing else.
@@ -85,8 +88,9 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
       plot.render();
     },
     cancelled({ number, kind }) {
-      status.say(kind === "curve" ? "" : "Cancelled");
       if (number === asks.latest) settle("coarse", number);
+      else if (asks.choiceOf(number)) return; // a later choice has replaced it
+      status.say(kind === "curve" ? "" : "Cancelled");
     },
     // The server computes once the page has drawn, and sends what this page draws at once.
     drawn(pace) {
