@@ -334,6 +334,40 @@ def test_what_would_go_is_magenta_before_it_is_taken(studio):
     assert page.input_value("#opacity") == "0"
 
 
+@pytest.mark.parametrize("face", ["x-high", "y-low", "z-high"])
+def test_a_face_of_the_box_is_dragged_in_the_picture(studio, face):
+    page = studio.page
+    page.click("#sift summary")
+    page.check("#crop")
+    low, high = np.split(np.array(studio.fake.wait("filter")["choice"]["filters"]["box"]), 2)
+    studio.pixels()  # it stands still
+
+    def place(name):
+        box = page.locator(f".nv-handle[data-face={name}]").bounding_box()
+        return np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
+
+    other = face.replace("high", "low") if "high" in face else face.replace("low", "high")
+    start, end = place(face), place(other)
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(*(start + 0.3 * (end - start)), steps=3)
+    page.mouse.up()
+    studio.becomes(lambda: len([each for each, _ in studio.fake.asked if each == "filter"]) > 1)
+    page.wait_for_timeout(300)
+    asked = [body["choice"] for each, body in studio.fake.asked if each == "filter"]
+    sent = [choice["filters"]["box"] for choice in asked]
+    axis, is_high = "xyz".index(face[0]), face.endswith("high")
+    moved = np.array(sent[-1]).reshape(2, 3)
+    share = (moved[int(is_high), axis] - (high if is_high else low)[axis]) / (high - low)[axis]
+    assert 0.15 < (-share if is_high else share) < 0.45
+    moved[int(is_high), axis] = (high if is_high else low)[axis]
+    assert np.array_equal(moved, [low, high])  # no other face
+    assert float(page.input_value(f"#{face}")) == sent[-1][axis + 3 * is_high]
+    assert np.abs(place(face) - (start + 0.3 * (end - start))).max() < 30
+    page.click("#untake")
+    studio.becomes(lambda: page.locator(".nv-handle:visible").count() == 0)
+
+
 def test_the_error_map_is_bright_where_the_sides_differ(studio):
     page = studio.page
     first = studio.pixels()

@@ -2,18 +2,20 @@
 //
 // `host` is an empty element with a size; `scene` has `camera` and `background` as nanogs.view.scene
 // describes them, and `names` of the two sides; `onStill(pace)` is called once all is drawn, with the
-// seconds that a splat takes. The host's data-state is that of `mount`. What comes back moves
-// nothing but what it says:
+// seconds that a splat takes, and `onBox(axis, end, value)` where a face of the box is dragged, in
+// units of the page. The host's data-state is that of `mount`. What comes back moves nothing but
+// what it says:
 //
 //   show(side, bytes, mip)     another model (.spz) on side 0 or 1; the camera stays
 //   label(side, name, facts)   what the side is called, and lines below that
 //   setUp(vector)              turn the camera so that this is up, and begin from there from now on
-//   box(low, high)             a box of lines in units of the page; null takes it away
+//   box(low, high)             a box of lines and handles in units of the page; null takes it away
 //   heat(on)                   the right side shows where the two differ, in the colours of SCALE
 //   reset()                    back to the first view
 //   key(event)                 move by a key as the canvas does; whether it had a meaning
 
 import { makeDivider } from "./divider.js";
+import { makeHandles } from "./handles.js";
 import { makeSideLabels } from "./labels.js";
 import { makeNavigation } from "./navigation.js";
 import { makeStage } from "./stage.js";
@@ -34,7 +36,6 @@ export function mountStudio(host, scene) {
   const stage = makeStage(host, canvas, scene, 2);
   const navigation = makeNavigation(canvas, scene.camera, stage.invalidate);
   stage.camera = navigation.camera;
-  stage.beforeDraw = navigation.update;
   stage.onResize = navigation.resize;
   stage.onLost = () => scene.onLost?.();
   stage.onStill = (pace) => scene.onStill?.(pace);
@@ -43,6 +44,12 @@ export function mountStudio(host, scene) {
     scene.names.map((name) => ({ name })),
     stage.divide,
   );
+  // After the divider, and so above it.
+  const handles = makeHandles(host, navigation.camera, (...moved) => scene.onBox?.(...moved));
+  stage.beforeDraw = () => {
+    navigation.update();
+    handles.place();
+  };
   const labels = makeSideLabels(host, scene.names);
   // One model alone is a picture too, as the other may take long.
   async function show(side, bytes, mip) {
@@ -54,7 +61,10 @@ export function mountStudio(host, scene) {
     show,
     label: labels.set,
     setUp: navigation.setUp,
-    box: stage.box,
+    box(low, high) {
+      handles.set(low, high);
+      stage.box(low, high);
+    },
     heat: stage.heat,
     reset: navigation.reset,
     key: (event) => navigation.key(event) || divider.key(event),

@@ -68,20 +68,20 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
   });
   floaters.addEventListener("change", () => change({ floaters: floaters.checked }, 0));
   crop.addEventListener("change", () => change({ box: crop.checked ? box : null }, 0));
+  function moveFace(axis, end, value, at) {
+    const next = [...box];
+    next[axis + 3 * end] = value;
+    // The ends of an axis push each other, as the lower one is never above the other.
+    if (next[axis] > next[axis + 3]) next[axis + 3 * (1 - end)] = value;
+    change({ box: next }, at);
+  }
   axes.forEach(({ scale, ends }, axis) => {
     ends.forEach(({ field, range }, end) => {
-      const set = (value, at) => {
-        const next = [...box];
-        next[axis + 3 * end] = value;
-        // The ends of an axis push each other, as the lower one is never above the other.
-        if (next[axis] > next[axis + 3]) next[axis + 3 * (1 - end)] = value;
-        change({ box: next }, at);
-      };
-      range.addEventListener("input", () => set(scale.at(range.value / STEPS)));
+      range.addEventListener("input", () => moveFace(axis, end, scale.at(range.value / STEPS)));
       onCommit(field, () => {
         const value = numbers.parsed(field.value);
         if (Number.isFinite(value)) {
-          if (field.value !== scale.short(box[axis + 3 * end])) set(value, 0);
+          if (field.value !== scale.short(box[axis + 3 * end])) moveFace(axis, end, value, 0);
         } else complain(`“${field.value}” is no number of the scene's units.`);
         render();
       });
@@ -136,6 +136,8 @@ export function makeFilters(scene, state, { ask, draw, restore, complain }) {
 
   render();
   return {
+    // A face is dragged in the picture, to a place in the scene's units.
+    drag: (axis, end, value) => moveFace(axis, end, axes[axis].scale.round(value)),
     // The choice has become another one, by undo or by taking.
     follow(choice, before) {
       if (same(choice.filters, before.filters)) return;

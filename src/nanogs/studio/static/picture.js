@@ -2,7 +2,7 @@
 
 import { byId, make } from "./dom.js";
 
-export function makePicture(scene, fetchModel, { complain, onStill }) {
+export function makePicture(scene, fetchModel, { complain, onStill, onBox }) {
   const host = byId("view");
   const viewer = nanogsViewer.mountStudio(host, {
     camera: scene.camera,
@@ -10,6 +10,7 @@ export function makePicture(scene, fetchModel, { complain, onStill }) {
     names: [scene.name, "simplified"],
     onLost: () => complain("The graphics processor gave up: load the page again."),
     onStill,
+    onBox,
   });
   const asked = [0, 0]; // the latest model of each side
   let result = null; // the latest model of the right side: { id, shown }

@@ -6,8 +6,8 @@ import * as numbers from "./numbers.js";
 export function makePreview(scene, state, facts, { connection, asks, picture, status, rest }) {
   let asked = 0; // the number of the preview that is waited for or seen
   const failed = (error) => status.complain(error.message);
-  const inPage = (corner) =>
-    corner && corner.map((value, axis) => (value - scene.page.centre[axis]) * scene.page.scale);
+  const { centre, scale } = scene.page;
+  const inPage = (corner) => corner && corner.map((value, axis) => (value - centre[axis]) * scale);
 
   const filters = makeFilters(scene, state, {
     ask(chosen) {
@@ -43,6 +43,8 @@ export function makePreview(scene, state, facts, { connection, asks, picture, st
 
   return {
     follow: filters.follow,
+    // A face of the box was moved in the picture, to a place in units of the page.
+    drag: (axis, end, value) => filters.drag(axis, end, value / scale + centre[axis]),
     filtered: (event) => (event.preview ? look(event) : taken(event)),
     // Whether a request that ended otherwise was the preview that is waited for.
     refused(number, message) {

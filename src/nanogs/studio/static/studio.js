@@ -60,6 +60,7 @@ function begin(scene) {
   const picture = makePicture(scene, connection.model, {
     complain: status.complain,
     onStill: (pace) => answers.drawn(pace),
+    onBox: (...moved) => preview.drag(...moved),
   });
   const sliders = makeSliders(scene, state, curve, status.complain);
   const plot = makePlot(curve, sliders.lowest, (splats) => state.set({ wish: { splats } }));
