@@ -355,7 +355,7 @@ def test_a_studio_that_is_killed_in_the_middle_of_a_save_leaves_nothing(chromium
         begin_long_save(seen, "out")
         started.process.send_signal(getattr(signal, number))
         started.process.wait(timeout=30)
-        seen.until("() => document.body.dataset.lost || document.body.dataset.ended")
+        seen.until("() => document.body.dataset.lost")
         assert seen.alert
         seen.context.close()
     end = time.monotonic() + 30

@@ -12,7 +12,6 @@ export function connect() {
   source.onmessage = (message) => {
     const event = JSON.parse(message.data);
     emit(event.type, event);
-    if (event.type === "bye") source.close();
   };
   source.onopen = () => emit("connected", {});
   source.onerror = () => emit("lost", { final: source.readyState === EventSource.CLOSED });

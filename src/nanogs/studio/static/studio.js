@@ -41,17 +41,12 @@ connection.on("connected", () => {
   delete data.lost;
 });
 connection.on("lost", ({ final }) => {
-  if (data.ended) return;
   data.lost = "true";
   status.complain(
     final
       ? "The studio has ended; start the command again."
-      : "The studio does not answer; trying again …",
+      : "The studio does not answer: its command has ended, or is busy. Trying again …",
   );
-});
-connection.on("bye", ({ reason }) => {
-  data.ended = "true";
-  status.complain(reason || "The studio has ended.");
 });
 
 function begin(scene) {
