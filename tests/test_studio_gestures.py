@@ -26,6 +26,8 @@ REFUSED = ("409", "422")
 names = st.sampled_from(["splats", "bytes", "psnr"])
 places = st.integers(0, 1000)
 typed = st.sampled_from(["100", "50k", "0", "-3", "no number", "0.004", "1e9", "30", "", "40.5"])
+faces = st.sampled_from([f"{axis}-{end}" for axis in "xyz" for end in ("low", "high")])
+ways = st.integers(-80, 80)  # CSS pixels
 sizes = st.sampled_from([(1280, 800), (390, 844), (700, 500)])
 gestures = st.one_of(
     st.tuples(st.just("slide"), names, places),
@@ -43,6 +45,7 @@ gestures = st.one_of(
     st.tuples(st.just("opacity"), places),
     st.tuples(st.just("check"), st.sampled_from(["floaters", "crop"]), st.booleans()),
     st.tuples(st.just("corner"), st.sampled_from("xyz"), st.sampled_from(["low", "high"]), places),
+    st.tuples(st.just("drag"), faces, ways, ways),
     st.tuples(st.just("click"), st.sampled_from(["take", "untake"])),
     st.tuples(
         st.just("save"), st.sampled_from(["a.sog", "b.spz", "sub/c.ply", "no", "../out.ply"])
@@ -108,6 +111,15 @@ class Hand:
     def corner(self, axis, end, place):
         if self.seen.at("crop").is_checked():
             self.seen.at(f"{axis}-{end}-range").fill(str(place))
+
+    def drag(self, face, right, down):
+        handle = self.seen.page.locator(f".nv-handle[data-face={face}]")
+        if handle.is_visible() and (box := handle.bounding_box()):
+            x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+            self.seen.page.mouse.move(x, y)
+            self.seen.page.mouse.down()
+            self.seen.page.mouse.move(x + right, y + down, steps=3)
+            self.seen.page.mouse.up()
 
     def cancel(self):
         if self.seen.at("cancel").is_visible():
