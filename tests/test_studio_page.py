@@ -461,6 +461,17 @@ def test_saving_asks_before_it_replaces_and_shows_the_command(studio):
     studio.state("measured")
 
 
+def test_a_browser_that_cannot_draw_is_told(chromium):
+    with faked(MODELS) as (_, address):
+        page = chromium.new_page()
+        page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+        page.goto(address)
+        page.wait_for_selector("body[data-state=failed]", timeout=PATIENCE)
+        said = page.get_by_role("alert").inner_text()
+        assert said == "The studio cannot draw: this browser has no WebGL 2, or it is switched off."
+        page.close()
+
+
 def test_what_fails_is_said_in_a_sentence(studio):
     page, fake = studio.page, studio.fake
     page.click("#format")

@@ -33,7 +33,7 @@ function stop() {
 let begun = null;
 connection.on("scene", (scene) => {
   if (begun) begun.again();
-  else begun = begin(scene);
+  else open(scene);
 });
 connection.on("progress", (event) => status.work(event));
 connection.on("connected", () => {
@@ -48,6 +48,16 @@ connection.on("lost", ({ final }) => {
       : "The studio does not answer: its command has ended, or is busy. Trying again …",
   );
 });
+
+function open(scene) {
+  try {
+    begun = begin(scene);
+  } catch (error) {
+    data.state = "failed";
+    status.complain(`The studio cannot draw: ${error.message}`);
+    throw error;
+  }
+}
 
 function begin(scene) {
   const state = makeState(kept() ?? firstChoice(scene));
