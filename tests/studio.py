@@ -85,7 +85,9 @@ class Page:
         try:
             for line in self.answer:
                 if line.startswith(b"data: "):
-                    self.events.put(json.loads(line[6:]))
+                    self.events.put(event := json.loads(line[6:]))
+                    if event["type"] in ("draft", "made"):  # it draws in no time
+                        self.post("seen", model=event["model"]["id"])
         except (OSError, ValueError, AttributeError, http.client.HTTPException):
             pass
         self.events.put(None)

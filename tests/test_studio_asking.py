@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from builders import cloud_pair
 from nanogs.pipeline.target import Goal
 from nanogs.studio import asking
-from nanogs.studio.asking import QUICK, TRIES, Answers
+from nanogs.studio.asking import QUICK, TRIES, UNSEEN, Answers
 from nanogs.studio.choice import choice_of
 from nanogs.studio.curve import Curve, Point
 from nanogs.views.opening import opening_for
@@ -33,13 +33,13 @@ class Told:
 
     @property
     def events(self):
-        return [event["type"] for event in self.said]
+        return [event["type"] for event in self.said if event["type"] != "rest"]
 
     def progress(self, kind):
         return lambda step: None
 
-    def rest(self, least, most):
-        pass
+    def rest(self, model, least, most):
+        self.said.append({"type": "rest", "model": model, "most": most})
 
     def shielded(self, useful):
         return nullcontext()
@@ -109,6 +109,16 @@ def test_a_result_is_sent_once_and_measured_then(answers, forest):
     assert list(made.models) == [made.entry["id"]]
     assert measured.entry == made.entry
     assert measured.models == {}
+
+
+def test_what_is_shown_is_drawn_before_others_compute(answers, forest):
+    forest.go_on.set()
+    told = Told(1)
+    told.pace = 0.1
+    answers.ask(choice_of({"wish": {"splats": 50}}), told)
+    draft, made, _ = (shown.entry for _, shown in told.shown)
+    rests = [(event["model"], event["most"]) for event in told.said if event["type"] == "rest"]
+    assert rests == [(draft["id"], UNSEEN), (made["id"], UNSEEN + 5.0)]
 
 
 def test_a_page_that_draws_slowly_gets_few_splats_at_once(answers, forest, monkeypatch):

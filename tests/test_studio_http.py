@@ -136,15 +136,22 @@ def test_what_is_no_request_is_refused_in_a_sentence(studio, body):
 
 @pytest.mark.parametrize("pace", [None, 1e-6, 1])
 def test_a_page_says_how_fast_it_draws(studio, pace):
-    body = {"page": "p", "number": 1, "pace": pace}
+    body = {"page": "p", "model": "m", "pace": pace}
     assert studio.request("POST", "seen", body)[0] == 204
 
 
 @pytest.mark.parametrize("pace", [0, -1, "1", True, float("nan"), float("inf"), []])
 def test_a_pace_is_a_time(studio, pace):
-    status, _, answer = studio.request("POST", "seen", {"page": "p", "number": 1, "pace": pace})
+    status, _, answer = studio.request("POST", "seen", {"page": "p", "model": "m", "pace": pace})
     assert status == 422
     assert "seconds" in json.loads(answer)["message"]
+
+
+@pytest.mark.parametrize("model", [None, 1, ["m"]])
+def test_what_was_drawn_has_a_name(studio, model):
+    status, _, answer = studio.request("POST", "seen", {"page": "p", "model": model})
+    assert status == 422
+    assert "name" in json.loads(answer)["message"]
 
 
 def test_long_requests_are_not_read(studio):

@@ -125,16 +125,16 @@ def seconds_of(act, *arguments):
     return time.monotonic() - begun
 
 
-def test_a_job_rests_until_its_draft_was_seen():
+def test_a_job_rests_until_its_model_was_seen():
     job, later = Job("ask", "a", 7), Job("ask", "a", 8)
     with hearing() as (inbox, tell):
-        tell("seen", ("b", 9, 1e-6))
-        tell("seen", ("a", 6, None))
-        assert seconds_of(inbox.rest, job, 0.0, 0.2) >= 0.2, "another page, an older draft"
-        threading.Timer(0.1, tell, ("seen", ("a", 7, 2e-6))).start()
-        assert seconds_of(inbox.rest, job, 0.0, 60.0) < 30
-        assert 0.1 <= seconds_of(inbox.rest, job, 0.1, 60.0) < 30, "seen, but not yet settled"
+        tell("seen", ("b", "new", 1e-6))
+        tell("seen", ("a", "old", None))
+        assert seconds_of(inbox.rest, job, "new", 0.0, 0.2) >= 0.2, "another page, an older model"
+        threading.Timer(0.1, tell, ("seen", ("a", "new", 2e-6))).start()
+        assert seconds_of(inbox.rest, job, "new", 0.0, 60.0) < 30
+        assert 0.1 <= seconds_of(inbox.rest, job, "new", 0.1, 60.0) < 30, "seen, but not settled"
         assert (inbox.pace("a"), inbox.pace("b"), inbox.pace("c")) == (2e-6, 1e-6, None)
         threading.Timer(0.1, tell, ("cancel", (later.id, None))).start()
-        assert seconds_of(inbox.rest, later, 60.0, 60.0) < 30
+        assert seconds_of(inbox.rest, later, "newer", 60.0, 60.0) < 30
         assert inbox.dropped(later)

@@ -198,13 +198,19 @@ def test_a_reload_keeps_the_choice(studio):
 
 
 def test_the_server_is_told_what_was_drawn(studio):
-    studio.becomes(lambda: studio.fake.seen[-1:] != [] and studio.fake.seen[-1]["number"] == 1)
-    assert [body["number"] for body in studio.fake.seen] in ([1], [0, 1])
+    studio.becomes(lambda: [body["model"] for body in studio.fake.seen][-1:] == ["blue"])
+    assert [body["model"] for body in studio.fake.seen] in (["blue"], ["original", "blue"])
     assert all(body["pace"] is None for body in studio.fake.seen)  # too few splats to tell
     studio.page.get_by_role("button", name="best").click()
     number = studio.fake.wait("ask", 2)["number"]
-    studio.measured("green")
-    studio.becomes(lambda: studio.fake.seen[-1]["number"] == number)
+    studio.fake.answer("draft", number, "magenta")
+    studio.becomes(lambda: studio.fake.seen[-1]["model"] == "magenta")
+    studio.fake.answer("made", number, "green")
+    studio.becomes(lambda: studio.fake.seen[-1]["model"] == "green")
+    told = len(studio.fake.seen)
+    studio.fake.answer("measured", number, "green")
+    studio.state("measured", number)
+    assert len(studio.fake.seen) == told
 
 
 def test_a_new_model_is_drawn_once_and_the_former_one_no_more(studio):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Event = dict[str, Any]
 SETTLED = 0.3  # seconds without a newer request after which a slider stands still
-UNSEEN = 2.0  # seconds that a page has to draw a draft in before the processors are used
+UNSEEN = 2.0  # seconds that a page has to draw a model in, beside its pace, before others compute
 QUICK = 0.1  # seconds in which a page is to draw a draft
 FEWEST_DRAFTED = 5_000  # splats, however slowly a page draws
 TRIES = 3  # results that are made for a PSNR, each nearer to it
@@ -50,8 +50,8 @@ class Telling(Protocol):
     def pace(self) -> float | None:
         """Seconds that a splat takes the page to draw, if it has said so."""
 
-    def rest(self, least: float, most: float) -> None:
-        """Wait for the page to draw a draft, so many seconds; a newer request ends the job."""
+    def rest(self, model: str, least: float, most: float) -> None:
+        """Wait for the page to draw a model, so many seconds; a newer request ends the job."""
 
     def shielded(self, useful: Callable[[Choice], bool]) -> AbstractContextManager[None]:
         """Go on in the block although a newer request came, if it is useful to that too."""
@@ -72,7 +72,8 @@ class Answers:
             start: Where the page begins.
         """
         self._held, self._start = held, start
-        self._forest, self._drafted = Lock(), 0
+        self._forest = Lock()
+        self._drafted = (0, "")  # the latest request with a draft, and the draft's model
         self._shown: dict[str, ModelKey] = {}  # by page, the scene as it was sent last
         self._told: dict[str, Curve] = {}  # by page, the one whose points it was told
 
@@ -91,9 +92,9 @@ class Answers:
         grown = self._roughly(choice, tell)
         curve = self._curve(choice, grown, tell)
         count = curve.count_for(choice.goal)
-        if self._drafted != tell.id:
+        if self._drafted[0] != tell.id:
             self._draft(grown, curve, count, choice, tell)
-        tell.rest(SETTLED, UNSEEN)
+        tell.rest(self._drafted[1], SETTLED, UNSEEN)
         grown = self._grow(choice, tell)
         tried: list[tuple[Event, Shown, Point]] = []
         while len(tried) < TRIES and (not tried or count != tried[-1][2].count):
@@ -154,7 +155,6 @@ class Answers:
             if grown is not None:
                 curve = self._held.curve(choice, grown)
                 self._draft(grown, curve, curve.count_for(choice.goal), choice, tell)
-                self._drafted = tell.id
 
     @contextmanager
     def _lent(self) -> Iterator[None]:
@@ -206,6 +206,7 @@ class Answers:
             splats = splats.with_sh_degree(choice.sh_degree)
         shown = show(few(splats), self._start, max(count, len(splats)))
         tell(_estimated("draft", grown, curve, max(count, len(splats))), shown)
+        self._drafted = tell.id, shown.entry["id"]
 
     def _made(
         self, grown: "Grown", curve: Curve, count: int, choice: Choice, tell: Telling
@@ -216,6 +217,8 @@ class Answers:
         tell(_estimated("made", grown, curve, len(splats)), shown)
         told = tell.progress("measure")
         with self._lent():
+            # The browser may draw on the processors that measure.
+            tell.rest(shown.entry["id"], 0.0, UNSEEN + len(splats) * (tell.pace or 0.0))
             measured = grown.measure(splats, format=choice.format, progress=told)
         judged = measured.judged
         event = {

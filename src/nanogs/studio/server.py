@@ -244,11 +244,13 @@ class Studio:
         return Response(status_code=204)
 
     async def _seen(self, request: "Request") -> "Response":
-        """A page has drawn the answer of a number, and says how long a splat takes it."""
+        """A page has drawn a model, and says how long a splat takes it."""
         from starlette.responses import Response
 
-        data, number = await self._asked(request, "pace")
-        self._workshop.seen(data["page"], number or 0, _pace(data.get("pace")))
+        data, _ = await self._asked(request, "model", "pace")
+        if not isinstance(model := data.get("model"), str):
+            raise OptionError(f"A model that was drawn has a name, which is not {model!r}.")
+        self._workshop.seen(data["page"], model, _pace(data.get("pace")))
         return Response(status_code=204)
 
     async def _asked(self, request: "Request", *names: str) -> tuple[dict[str, Any], int | None]:

@@ -57,7 +57,7 @@ class Inbox:
         self.successors: queue.Queue[Job] = queue.Queue()  # which wait for a job to stop
         self._line = line
         self._dropped: dict[int, Job | None] = {}
-        self._seen: dict[str, int] = {}  # by page, the number of what it has drawn last
+        self._seen: dict[str, str] = {}  # by page, the model that it has drawn last
         self._paces: dict[str, float] = {}
         self._news = threading.Condition()  # of what was dropped or seen
         threading.Thread(target=self._read, daemon=True).start()
@@ -79,16 +79,15 @@ class Inbox:
         for each in [each for each in self._dropped if each < job.id]:
             del self._dropped[each]
 
-    def rest(self, job: Job, least: float, most: float) -> None:
-        """Wait until a job's draft was seen, `least` to `most` seconds, or until it is dropped."""
+    def rest(self, job: Job, model: str, least: float, most: float) -> None:
+        """Wait until a job's model was seen, `least` to `most` seconds, or until it is dropped."""
         begun = time.monotonic()
         with self._news:
             self._news.wait_for(lambda: self.dropped(job), least)
             left = max(0.0, begun + most - time.monotonic())
-            self._news.wait_for(lambda: self.dropped(job) or self._drawn(job), left)
-
-    def _drawn(self, job: Job) -> bool:
-        return job.number is None or self._seen.get(job.page, 0) >= job.number
+            self._news.wait_for(
+                lambda: self.dropped(job) or self._seen.get(job.page) == model, left
+            )
 
     def _read(self) -> None:
         try:
@@ -107,9 +106,9 @@ class Inbox:
         except (EOFError, OSError):
             _end(1)
 
-    def _note(self, page: str, number: int, pace: float | None) -> None:
+    def _note(self, page: str, model: str, pace: float | None) -> None:
         with self._news:
-            self._seen[page] = number
+            self._seen[page] = model
             if pace is not None:
                 self._paces[page] = pace
             self._news.notify_all()
@@ -176,9 +175,9 @@ class Teller:
         """Seconds that a splat takes the page to draw, if it has said so."""
         return self._inbox.pace(self.page)
 
-    def rest(self, least: float, most: float) -> None:
-        """Wait until the page has drawn the draft; a newer request ends the job."""
-        self._inbox.rest(self._job, least, most)
+    def rest(self, model: str, least: float, most: float) -> None:
+        """Wait until the page has drawn a model; a newer request ends the job."""
+        self._inbox.rest(self._job, model, least, most)
         self.check()
 
     @contextmanager

@@ -65,9 +65,9 @@ class Workshop:
             self._send(("cancel", (now.id, None)))  # it is useful to nobody any more
             self._await(PATIENCE)
 
-    def seen(self, page: str, number: int, pace: float | None) -> None:
-        """Say that a page has drawn an answer, and how many seconds a splat takes there."""
-        self._send(("seen", (page, number, pace)))
+    def seen(self, page: str, model: str, pace: float | None) -> None:
+        """Say that a page has drawn a model, and how many seconds a splat takes there."""
+        self._send(("seen", (page, model, pace)))
 
     def end(self) -> None:
         """End the worker."""

@@ -10,7 +10,7 @@ const WORDS = { asked: "…", draft: "estimated", made: "estimated", measured: "
 export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture, status, tellSeen }) {
   let seen = 0; // the number of the model that is seen
   let newest = null; // the latest event for the latest choice
-  let shown = 0; // the number whose answer is in the picture, as soon as that is drawn
+  let shown = scene.model.id; // what is in the picture as soon as that is drawn, the scene alone at first
   let told = null; // the latest of these that the server knows of
   const failed = (error) => status.complain(error.message);
   const shareOf = ({ splats }) => numbers.percent(splats / scene.splats);
@@ -62,7 +62,7 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
     const there = await show(event, quality);
     if (!there || event !== newest || event.number !== asks.latest) return;
     settle(kind === "measured" ? "measured" : "measuring", event.number, event.type);
-    shown = event.number;
+    shown = event.model.id;
     if (kind === "measured") rest();
   }
 
@@ -96,7 +96,7 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
     drawn(pace) {
       if (told === shown) return;
       told = shown;
-      tellSeen({ number: shown, pace }).catch(failed);
+      tellSeen({ model: shown, pace }).catch(failed);
     },
     fail(number, message) {
       if (number !== null && number !== asks.latest) return;
