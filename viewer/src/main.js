@@ -4,20 +4,14 @@
 // gives the bytes that an element of the page holds as text. The host's data-state tells how far
 // it is: "loading", "busy" (drawing or sorting), "still" (what is seen is final) or "failed".
 
+import { dress, makeView } from "./canvas.js";
 import { makeDivider } from "./divider.js";
 import { makeLabels } from "./labels.js";
-import { makeNavigation } from "./navigation.js";
-import { makeStage } from "./stage.js";
-import css from "./style.css";
 
 export { mountStudio, SCALE } from "./studio.js";
 
 export async function mount(host, scene, unpack) {
-  host.classList.add("nanogs-view");
-  host.replaceChildren();
-  const style = document.createElement("style");
-  style.textContent = css;
-  host.append(style);
+  dress(host);
   const status = Object.assign(document.createElement("p"), { className: "nv-status" });
   status.setAttribute("role", "status");
   const say = (text) => {
@@ -25,7 +19,6 @@ export async function mount(host, scene, unpack) {
     status.hidden = !text;
   };
   host.append(status);
-  host.dataset.state = "loading";
   try {
     await start(host, scene, unpack, say);
   } catch (error) {
@@ -37,16 +30,8 @@ export async function mount(host, scene, unpack) {
 
 async function start(host, scene, unpack, say) {
   const two = scene.models.length > 1;
-  const canvas = document.createElement("canvas");
-  canvas.tabIndex = 0;
-  canvas.setAttribute("role", "application");
-  canvas.setAttribute("aria-label", scene.models.map((model) => model.name).join(" and "));
-  host.prepend(canvas);
-  const stage = makeStage(host, canvas, scene, two ? 2 : 1);
-  const navigation = makeNavigation(canvas, scene.camera, stage.invalidate);
-  stage.camera = navigation.camera;
-  stage.beforeDraw = navigation.update;
-  stage.onResize = navigation.resize;
+  const names = scene.models.map((model) => model.name);
+  const { stage, navigation } = makeView(host, scene, names, two ? 2 : 1);
   stage.onLost = () => say("The graphics processor gave up: load the page again.");
   const divider = two && makeDivider(host, scene.models, (share) => stage.divide(share));
   const load = async (side, index) => {

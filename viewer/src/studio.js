@@ -14,29 +14,16 @@
 //   reset()                    back to the first view
 //   key(event)                 move by a key as the canvas does; whether it had a meaning
 
+import { dress, makeView } from "./canvas.js";
 import { makeDivider } from "./divider.js";
 import { makeHandles } from "./handles.js";
 import { makeSideLabels } from "./labels.js";
-import { makeNavigation } from "./navigation.js";
-import { makeStage } from "./stage.js";
-import css from "./style.css";
 
 export { SCALE } from "./heat.js";
 
 export function mountStudio(host, scene) {
-  host.classList.add("nanogs-view");
-  host.replaceChildren();
-  const style = Object.assign(document.createElement("style"), { textContent: css });
-  const canvas = document.createElement("canvas");
-  canvas.tabIndex = 0;
-  canvas.setAttribute("role", "application");
-  canvas.setAttribute("aria-label", scene.names.join(" and "));
-  host.append(canvas, style);
-  host.dataset.state = "loading";
-  const stage = makeStage(host, canvas, scene, 2);
-  const navigation = makeNavigation(canvas, scene.camera, stage.invalidate);
-  stage.camera = navigation.camera;
-  stage.onResize = navigation.resize;
+  dress(host);
+  const { stage, navigation } = makeView(host, scene, scene.names, 2);
   stage.onLost = () => scene.onLost?.();
   stage.onStill = (pace) => scene.onStill?.(pace);
   const divider = makeDivider(
