@@ -24,7 +24,7 @@ export function makeHandles(host, camera, onMove) {
       event.preventDefault();
     });
     element.addEventListener("pointermove", (event) => {
-      if (!element.hasPointerCapture(event.pointerId) || !corners[0]) return;
+      if (!corners[0] || !element.hasPointerCapture(event.pointerId)) return; // it may go meanwhile
       const place = along(event, axis, end);
       if (place !== null) onMove(axis, end, place - grabbed);
     });
@@ -53,17 +53,19 @@ export function makeHandles(host, camera, onMove) {
   }
 
   return {
-    // Corners in units of the page; null takes the handles away.
+    // Corners in units of the page; null takes the handles away, which nobody may take hold of then.
     set(low, high) {
       corners[0] = low;
       corners[1] = high;
+      if (!low) for (const { element } of handles) element.hidden = true;
     },
     // Before each drawing: where they are under the camera as it is now.
     place() {
+      if (!corners[0]) return;
       camera.updateMatrixWorld();
       for (const { axis, end, element } of handles) {
-        const at = corners[0] && middle(axis, end);
-        element.hidden = !at || at.clone().applyMatrix4(camera.matrixWorldInverse).z > -camera.near;
+        const at = middle(axis, end);
+        element.hidden = at.clone().applyMatrix4(camera.matrixWorldInverse).z > -camera.near;
         if (element.hidden) continue;
         at.project(camera);
         element.style.left = `${50 + 50 * at.x}%`;
