@@ -68,6 +68,16 @@ def test_spark_draws_a_tree(seen, tmp_path):
     assert_same(shown, model, camera)
 
 
+def test_spark_draws_a_packed_file(seen, tmp_path):
+    """One of few bits, which is of another version and in another order."""
+    model, camera = seen
+    path = tmp_path / "model.spz"
+    nanogs.save(model, path, format_options={"bits": 6})
+    shown, state = in_spark(path, camera, tmp_path)
+    assert state["total"] == SPLATS
+    assert_same(shown, model, camera)
+
+
 def test_cesium_draws_tiles(seen, tmp_path):
     model, camera = seen
     path = tmp_path / "tiles" / "tileset.json"

@@ -19,10 +19,12 @@ from launch import run
 from nanogs import io
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io import registry
+from nanogs.io.precision import Precision
 from nanogs.io.rotations import least_turned
 from nanogs.io.spz import header as spz_header
 from nanogs.io.spz import write as spz_write
 from nanogs.splats import ExtraElement, RenderMode, Splats
+from npm_packages import splat_transform
 from spzfiles import encode, row
 from strategies import assert_same, splats
 
@@ -387,20 +389,128 @@ def test_coefficients_have_as_many_bits_as_asked_for(tmp_path, version):
     assert sizes[0] < sizes[1] < sizes[2]
 
 
-@pytest.mark.parametrize("bits", [4, 6, 7])
+def columns_of(path):
+    """The version, and the columns but the harmonics of a file of version 2 or 3, as bytes."""
+    data = gzip.decompress(path.read_bytes())
+    version, count = struct.unpack_from("<II", data, 4)
+    widths = {"centres": 9, "alphas": 1, "colours": 3, "scales": 3, "rotations": version + 1}
+    ends = np.cumsum([16, *(count * width for width in widths.values())])
+    return version, {
+        name: np.frombuffer(data[start:end], np.uint8).reshape(count, -1)
+        for name, start, end in zip(widths, ends, ends[1:], strict=False)
+    }
+
+
+def along_y(model, bits):
+    """The rows in the order in which a file has them, in which values are rounded."""
+    codes = np.rint(np.ldexp(model.means.astype(np.float64), bits))
+    return np.lexsort((codes[:, 0], codes[:, 1]))
+
+
+@pytest.mark.parametrize("bits", [4, 5, 6, 7])
 def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
     model = random_splats(2000)
     usual = io.encoded_bytes(model, tmp_path / "a.spz")
     io.save(model, tmp_path / "a.spz", format_options={"bits": bits})
+    step, (version, columns) = spz_write.STEPS[bits], columns_of(tmp_path / "a.spz")
+    assert version == 2
+    for name, each, first in (
+        ("alphas", step.alphas, 255),
+        ("colours", step.colours, 60),
+        ("scales", step.scales, 0),
+        ("rotations", step.rotations, 128),
+    ):
+        codes = columns[name].astype(int)
+        inside = codes[(codes > 0) & (codes < 255)]
+        assert ((inside - first) % each == 0).all(), name
+        assert len(np.unique(inside)) > 60 / each
     again = io.load(tmp_path / "a.spz")
-    assert len(np.unique(again.opacity_logits)) <= 2 ** (bits + 1)
-    assert len(np.unique(again.sh[:, 0])) <= 2**bits
+    fraction = spz_write.fraction_bits(model, Precision(bits))
+    model = model.take(along_y(model, fraction))
+    assert np.abs(again.means - model.means).max() <= 0.5 / 2**fraction + 1e-6
     quats, log_scales = least_turned(model)  # which axes come first is told apart by nothing
-    assert np.abs(again.log_scales - log_scales).max() <= 0.5 / 16 + 1e-6
+    assert np.abs(again.log_scales - log_scales).max() <= step.scales / 32 + 1e-6
+    assert np.abs(again.opacities() - model.opacities()).max() <= step.alphas / 510 + 1e-6
+    inside = np.abs(model.sh[:, 0]) < 3
+    wide = step.colours / 510 / 0.15
+    assert np.abs(again.sh[:, 0] - model.sh[:, 0])[inside].max() <= wide + 1e-6
     dots = np.abs((again.unit_quats() * quats).sum(axis=1))
     turned = 2 * np.arccos(dots.clip(0, 1)).max()
-    assert 0.5 * 2.0**-bits < turned < 5 * 2.0**-bits
-    assert (tmp_path / "a.spz").stat().st_size < (1 - 0.01 * (8 - bits)) * usual
+    assert step.rotations / 127.5 < turned < 2.5 * step.rotations / 127.5
+    assert (tmp_path / "a.spz").stat().st_size < (1 - 0.05 * (8 - bits)) * usual
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_rotations_of_other_versions_are_rounded_too(tmp_path, version):
+    model = random_splats(2000)
+    sizes = []
+    for bits in (8, 7, 6, 4):
+        options = {"bits": bits, "spz_version": version}
+        io.save(model, tmp_path / "a.spz", overwrite=True, format_options=options)
+        sizes.append((tmp_path / "a.spz").stat().st_size)
+        again = io.load(tmp_path / "a.spz")
+        if bits < 8:
+            fraction = spz_write.fraction_bits(model, Precision(bits))
+            quats, _ = least_turned(model.take(along_y(model, fraction)))
+        else:
+            quats = model.unit_quats()
+        turned = 2 * np.arccos(np.abs((again.unit_quats() * quats).sum(axis=1)).clip(0, 1)).max()
+        step = spz_write.STEPS[bits].magnitudes * math.sqrt(0.5) / 511
+        assert step < turned < (2.5 if bits < 8 else 4) * step
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_rows_are_sorted_where_values_are_rounded_alone(tmp_path):
+    model = random_splats(500, degree=1)
+    io.save(model, tmp_path / "a.spz")
+    fraction = spz_write.fraction_bits(model)
+    assert np.abs(io.load(tmp_path / "a.spz").means - model.means).max() <= 0.5 / 2**fraction
+    io.save(model, tmp_path / "b.spz", format_options={"bits": 6, "palette": 20})
+    back = io.load(tmp_path / "b.spz")
+    sets = np.unique(back.sh[:, 1:].reshape(500, -1), axis=0, return_inverse=True)[1].ravel()
+    for each in range(sets.max() + 1):
+        rows = np.flatnonzero(sets == each)
+        assert (np.diff(rows) == 1).all()  # they follow each other, along y
+        assert (np.diff(back.means[rows, 1]) >= 0).all()
+
+
+def test_large_files_are_packed_as_they_come(tmp_path, monkeypatch):
+    model, given = random_splats(500, degree=1), {"format_options": {"bits": 6}}
+    io.save(model, tmp_path / "a.spz", **given)
+    monkeypatch.setattr(spz_write, "WHOLE", 500 * 28 - 1)
+    monkeypatch.setattr("nanogs.io.spz.packing.WHOLE", 500 * 28 - 1)
+    io.save(model, tmp_path / "b.spz", **given)
+    fraction = spz_write.fraction_bits(model, Precision(6))
+    first, second = io.load(tmp_path / "a.spz"), io.load(tmp_path / "b.spz")
+    assert_same(first, replace(second.take(along_y(model, fraction)), notes=first.notes))
+    assert np.abs(second.means - model.means).max() <= 0.5 / 2**fraction
+    monkeypatch.setattr(spz_write, "WHOLE", 500 * 28)
+    monkeypatch.setattr("nanogs.io.spz.packing.WHOLE", 500 * 28)
+    io.save(model, tmp_path / "c.spz", **given)
+    assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "c.spz").read_bytes()
+
+
+@pytest.mark.parametrize("version", WRITTEN)
+def test_a_source_gives_the_bytes_of_the_model(tmp_path, version):
+    io.save(random_splats(300, degree=2), tmp_path / "a.ply")
+    model, given = io.load(tmp_path / "a.ply"), {"bits": 5, "spz_version": version}
+    io.save(model, tmp_path / "a.spz", format_options=given)
+    with io.open(tmp_path / "a.ply") as source, (tmp_path / "b.spz").open("wb") as file:
+        spz_write.write(source, file, bits=5, version=version)
+    assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
+
+
+@pytest.mark.parametrize("options", [{"bits": 5}, {"palette": 2}])
+def test_rows_stay_where_a_record_may_belong_to_them(tmp_path, options):
+    given = random_splats(4, degree=1)
+    for records, moved in ((SHARES, False), (UNKNOWN, True)):
+        model = io.load(recorded(tmp_path, records))
+        model = replace(given, elements=model.elements)
+        io.save(model, tmp_path / "b.spz", overwrite=True, format_options=options)
+        assert records_in(tmp_path / "b.spz") == records
+        back = io.load(tmp_path / "b.spz")
+        kept = np.abs(back.means - model.means).max() < 0.1
+        assert kept != moved
 
 
 def sharing(count: int, sets: int):
@@ -651,6 +761,16 @@ def test_gsply_reads_the_same_values(tmp_path, version):
     columns = (theirs.means, theirs.scales, theirs.quats, theirs.opacities, sh)
     # In version 2 the real part is a root, which is inexact near 0 in single precision.
     assert_close(ours, Splats(*columns), quats=1e-3 if version == 2 else 1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bits", [4, 7])
+def test_splat_transform_reads_files_of_few_bits(tmp_path, bits):
+    options = {"bits": bits, "palette": 50}
+    io.save(random_splats(500, degree=3), tmp_path / "a.spz", format_options=options)
+    splat_transform(tmp_path / "a.spz", tmp_path / "theirs.ply")
+    ours, theirs = io.load(tmp_path / "a.spz"), io.load(tmp_path / "theirs.ply")
+    assert_close(ours, theirs, quats=1e-3)
 
 
 @pytest.mark.parametrize("version", [3, 4])

@@ -13,6 +13,8 @@ from nanogs.io.files import splat_bytes
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model
 from nanogs.io.parts import FileSource, Packed, Whole
+from nanogs.io.spz.header import LAST_GZIP, column_widths
+from nanogs.io.spz.packing import held_bytes
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -154,10 +156,20 @@ def convert_bytes(
     info, known = source.info, registry.find(target)
     held = known is None or known.holds_whole(options or {})
     if known is not None and not held and not whole:
-        return _held(source) + _ROWS + _COLUMN.get(known.suffix, 0) * info.splats
+        return _held(source) + _ROWS + _columns_bytes(known.suffix, info)
     shared = held and known is not None and "palette" in known.options
     more = _SHARED if shared else _WRITE
     return max(_read(info), int(model_bytes(info) * (1 + more)))
+
+
+def _columns_bytes(suffix: str, info: FileInfo) -> int:
+    """Columns that a writer of rows holds whole."""
+    each = _COLUMN.get(suffix, 0) * info.splats
+    if suffix != ".spz":
+        return each
+    return max(
+        each, held_bytes(sum(column_widths(LAST_GZIP, info.sh_degree).values()) * info.splats)
+    )
 
 
 def info_bytes(source: FileSource) -> int:

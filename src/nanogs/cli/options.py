@@ -147,7 +147,7 @@ SpzVersion = Annotated[
     typer.Option(
         help="Of a .spz file: 3 (gzip), which Spark reads; 4 (zstd), smaller, which PlayCanvas"
         " reads; or 2 (gzip), for old readers, with rounder rotations.",
-        show_default="3, or 4 for a model with extension records",
+        show_default="3, 2 with fewer bits, or 4 for a model with extension records",
     ),
 ]
 Palette = Annotated[
@@ -163,8 +163,8 @@ Bits = Annotated[
     int | None,
     typer.Option(
         help="Of a .sog or .spz file: bits of a part of a rotation, 4 to 8, from which those of"
-        " other values follow; one less makes the file a tenth smaller, and its errors twice as"
-        " large.",
+        " other values follow; one less makes the file a tenth smaller, and its errors up to twice"
+        " as large.",
         show_default="7, of .spz 8",
         metavar="BITS",
     ),

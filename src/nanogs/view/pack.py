@@ -17,6 +17,7 @@ from nanogs._types import F64, F
 from nanogs.errors import ModelError
 from nanogs.formatting import counted, undrawn
 from nanogs.io.spz import write as spz_write
+from nanogs.io.spz.packing import BEST
 from nanogs.io.spz.read import SCALE_LOW
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.opening import Opening
@@ -25,7 +26,7 @@ DISTANCE = 8.0  # from the first camera to its target, units of the page
 # Units of the page. What lies farther is drawn at this distance, as large as it looks from the
 # target: turning about it moves nothing there by as much as the eye could tell.
 FARTHEST = 128 * DISTANCE
-_QUICK = 1  # of gzip's levels
+_QUICK = 1  # of libdeflate's levels
 MAX_DEGREE = 3  # of spherical harmonics, in the viewer
 
 
@@ -72,7 +73,7 @@ def pack(splats: Splats, start: Opening, *, quick: bool = False) -> Packed:
             " distance, shown at that."
         )
     file = io.BytesIO()
-    spz_write.write(placed, file, gzip_level=_QUICK if quick else spz_write.GZIP_LEVEL)
+    spz_write.write(placed, file, gzip_level=_QUICK if quick else BEST)
     mip = splats.render_mode is RenderMode.MIP
     return Packed(file.getvalue(), mip, (*notes, *spz_write.losses(placed)))
 

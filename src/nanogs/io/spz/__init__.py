@@ -13,7 +13,8 @@ _FRAME = (
 
 def _version(options: FormatOptions) -> int:
     """The version that is written with such options, of a model without records."""
-    usual = write.STATING if options.get("frame") else write.USUAL
+    bits = options.get("bits") or MOST_BITS
+    usual = write.usual_version(bits, stating=bool(options.get("frame")))
     return options.get("spz_version") or usual
 
 

@@ -53,6 +53,11 @@ def without_records(splats: Splats) -> Splats:
     return replace(splats, elements=[each for each in splats.elements if not is_record(each)])
 
 
+def of_splats(elements: Iterable[ExtraElement], count: int) -> bool:
+    """Whether there is a record with a row for each of so many splats, which thus stay in order."""
+    return any(is_record(each) and len(each.rows) == count for each in elements)
+
+
 def packed(elements: Iterable[ExtraElement]) -> bytes:
     """The records among elements, one after the other as a file has them."""
     parts = []

@@ -5,22 +5,24 @@ values a byte takes, the better it compresses. Unlike there, the fraction bits f
 so that a small one keeps its detail and a large one does not wrap around; and centres and
 rotations are no finer than they are worth beside scales, which have steps of a sixteenth.
 
+With fewer bits than 8, splats are turned as little as their axes allow, so that fewer codes are in
+use. Three bytes, as version 2 has them, then hold as much of a rotation as four, and files are of
+that version; and rows go in an order that packs well.
+
 The higher coefficients are most of a file. Nothing in the format lets splats share them, but what
 repeats within 32 kB costs gzip next to nothing: with a palette, splats that share an entry follow
-each other, and so each entry is packed once. Where rotations are rounded, splats are turned as
-little as their axes allow, so that fewer codes are in use.
+each other, and so each entry is packed once.
 """
 
-import gzip
 import math
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import BinaryIO
 
 import numpy as np
 
-from nanogs._types import F32, F64, U8
+from nanogs._types import F32, F64, I64, U8
 from nanogs.errors import OptionError, OutputError, UnstorableError
 from nanogs.findings import Finding
 from nanogs.io import limits
@@ -33,13 +35,15 @@ from nanogs.io.spz.header import (
     ANTIALIASED,
     EXTENSIONS,
     HEADER,
+    LAST_GZIP,
     LEGACY_HEADER,
     MAGIC,
     TOC_ENTRY,
     column_widths,
 )
+from nanogs.io.spz.packing import BEST, WHOLE, sorted_columns, write_gzip
 from nanogs.io.spz.read import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
-from nanogs.io.spz.records import packed, without_records
+from nanogs.io.spz.records import of_splats, packed, without_records
 from nanogs.progress import Parts, untold
 from nanogs.source import InMemory, Source, source_of
 from nanogs.splats import RenderMode, Splats
@@ -47,14 +51,44 @@ from nanogs.stored import rounded_bytes
 
 SUFFIX = ".spz"
 SH_BITS = 5  # kept of a coefficient of degree 1; of a higher one, one less
-USUAL, STATING = 3, 4  # the version by default, and the one that can state a frame
+# Versions: the usual one, that of rounded rotations, and the one that can state a frame.
+USUAL, ROUNDED, STATING = 3, 2, 4
 MOST_ENTRIES = 1 << 20  # of a palette
 USUAL_FRACTION_BITS = 12
 _FIXED_MAX = (1 << 23) - 1
 _SIGNIFICANT_BITS = 16
-_BYTE = 255
-_ROTATION_STEP = 4  # of the magnitudes, for 8 bits with the sign
-GZIP_LEVEL, _ZSTD_LEVEL = 6, 12  # the reference writer's
+_BYTE, _ZERO = 255, 128  # opaque, and no rotation
+_BLACK = 60  # of the base colour, nearly
+_ZSTD_LEVEL = 12  # the reference writer's
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Codes from one that is used to the next, so that each kind of value costs views as much.
+
+    Attributes:
+        scales: Of log-scales.
+        rotations: Of version 2.
+        magnitudes: Of the rotations of later versions.
+        colours: Of base colours, counted from black, which many splats are.
+        alphas: Counted from opaque.
+    """
+
+    scales: int
+    rotations: int
+    magnitudes: int
+    colours: int
+    alphas: int
+
+
+STEPS = {
+    8: Steps(1, 1, 4, 1, 1),
+    7: Steps(1, 1, 8, 2, 2),
+    6: Steps(2, 2, 16, 4, 4),
+    5: Steps(2, 3, 16, 5, 6),
+    4: Steps(4, 5, 32, 8, 8),
+}
+"""By the bits that are asked for."""
 
 
 def write(
@@ -67,7 +101,7 @@ def write(
     bits: int = MOST_BITS,
     sh_bits: int = SH_BITS,
     frame: str | None = None,
-    gzip_level: int = GZIP_LEVEL,
+    gzip_level: int = BEST,
 ) -> None:
     """Write a model, axes as they are; `losses` says what does not go in.
 
@@ -77,16 +111,17 @@ def write(
         file: Open for binary writing.
         tell: Told of the rounds in which a palette is looked for.
         version: 3 (gzip), which Spark reads; 4 (zstd), as today's reference writer has it; or 2
-            (gzip), which older readers know, with rotations of less precision. By default 3, but 4
-            for a model with extension records, which were read of such a file, or with a frame.
+            (gzip), which older readers know, with rotations of less precision. By default 3, with
+            fewer bits than 8 2, but 4 for a model with extension records, which were read of such a
+            file, or with a frame.
         palette_size: Most sets of higher coefficients that splats may have; by default each splat
             has its own. Splats of one set then follow each other.
-        bits: Of a part of a rotation, a colour and an alpha, 4 to 8; centres follow, see
-            `Precision.spare_bits`.
+        bits: How fine values are, 4 to 8, see `STEPS`; centres follow, see `Precision.spare_bits`.
+            With fewer than 8, rows go in another order, if they are `packing.WHOLE` bytes at most.
         sh_bits: Of a coefficient of degree 1, 2 to 8; higher ones have one less.
         frame: The frame of the axes, which the file then states; of version 4 alone, since readers
             of older ones expect nothing after the columns.
-        gzip_level: 0, which packs nothing, to 9; of versions 2 and 3.
+        gzip_level: Of libdeflate, 1 to 12; of versions 2 and 3.
 
     Raises:
         OptionError: A frame or a record is to be in a file of another version.
@@ -95,31 +130,34 @@ def write(
         OSError: The system refuses to write.
     """
     source = source_of(model)
-    records = packed(source.read_elements()) + (frame_record(frame) if frame else b"")
-    version = version or (STATING if records else USUAL)
+    elements = source.read_elements()
+    records = packed(elements) + (frame_record(frame) if frame else b"")
+    version = version or usual_version(bits, stating=bool(records))
     if records and version != STATING:
         what = "states its frame" if frame else "holds the extension records of the model"
         raise OptionError(
             f"Only .spz of version {STATING} {what}; leave spz_version={version} out, or give"
             f" {STATING}."
         )
-    precision, (degree, count) = Precision(bits), (source.columns.sh_degree, source.count)
-    fraction = fraction_bits(source, precision)
+    degree, count = source.columns.sh_degree, source.count
+    fraction = fraction_bits(source, Precision(bits))
+    movable, groups = not of_splats(elements, count), None
     if palette_size is not None and degree and count:
-        source = InMemory(_sharing(source.load(), palette_size, tell))
+        source, groups = _sharing(source.load(), palette_size, tell, movable=movable)
     flags = ANTIALIASED if source.columns.render_mode == RenderMode.MIP else 0
     flags |= EXTENSIONS if records else 0
     start = (MAGIC, version, count, degree, fraction, flags)
     buckets = _buckets(degree, sh_bits)[:, None]
-    columns = encoded_columns(source, _encoders(fraction, version, precision, buckets))
-    if version in (2, 3):
-        with gzip.GzipFile("", "wb", gzip_level, file, mtime=0) as stream:
-            stream.write(LEGACY_HEADER.pack(*start, 0))
-            for column in columns:
-                for block in column:
-                    stream.write(block)
+    columns: Iterator[Iterable[bytes]] = encoded_columns(
+        source, _encoders(fraction, version, bits, buckets)
+    )
+    widths = list(column_widths(version, degree).values())
+    size = count * sum(widths)
+    if movable and (bits < MOST_BITS or groups is not None) and size <= WHOLE:
+        columns = sorted_columns(columns, widths, count, groups)
+    if ROUNDED <= version <= LAST_GZIP:
+        write_gzip(file, LEGACY_HEADER.pack(*start, 0), columns, size, gzip_level)
     elif version == STATING:
-        widths = list(column_widths(version, degree).values())
         streams = [_compressed(column) for column in columns]
         file.write(HEADER.pack(*start, len(streams), HEADER.size + len(records)) + records)
         sizes = zip(streams, widths, strict=True)
@@ -127,6 +165,18 @@ def write(
         file.writelines(streams)
     else:
         raise OutputError(f".spz version {version} is not written; choose 2, 3 or 4.")
+
+
+def usual_version(bits: int = MOST_BITS, *, stating: bool = False) -> int:
+    """The version that is written unless told otherwise.
+
+    Args:
+        bits: How fine values are.
+        stating: Whether there are records, a frame perhaps.
+    """
+    if stating:
+        return STATING
+    return USUAL if bits == MOST_BITS else ROUNDED
 
 
 def losses(splats: Splats, *, records: bool = True) -> tuple[str, ...]:
@@ -198,30 +248,51 @@ def _bits(reach: float) -> int:
     return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
 
 
-def _sharing(splats: Splats, size: int, tell: Parts) -> Splats:
-    """The splats with so many sets of higher coefficients at most, those of one set in a row."""
+def _sharing(
+    splats: Splats, size: int, tell: Parts, *, movable: bool
+) -> tuple[InMemory, I64 | None]:
+    """The splats with so many sets of higher coefficients at most, those of one set in a row.
+
+    Returns:
+        The splats, and (N,) which set they are of, ascending; None where they may not be moved.
+    """
     points = splats.sh[:, 1:].reshape(len(splats), -1)
     found = palette(points, size, visibility(splats), tell)
     sh = splats.sh.copy()
     sh[:, 1:] = found.entries[found.labels].reshape(len(splats), -1, 3)
-    return replace(splats, sh=sh).take(np.argsort(found.labels, kind="stable"))
+    sharing = replace(splats, sh=sh)
+    if not movable:
+        return InMemory(sharing), None
+    rows = np.argsort(found.labels, kind="stable")
+    return InMemory(sharing.take(rows)), found.labels[rows].astype(np.int64)
 
 
-def _encoders(fraction: int, version: int, precision: Precision, buckets: F64) -> list[Encoder]:
+def _encoders(fraction: int, version: int, bits: int, buckets: F64) -> list[Encoder]:
     """Functions that encode a block of rows, one for each column of the file."""
-    step, levels = _ROTATION_STEP * precision.rotation_step, (1 << precision.bits) - 1
-    pack = _xyz_rotations if version == 2 else partial(_rotations, step=step)
-    turned = _least_turned if precision.bits < MOST_BITS else _as_they_are
+    steps = STEPS[bits]
+    if version == ROUNDED:
+        pack = partial(_xyz_rotations, step=steps.rotations)
+    else:
+        pack = partial(_rotations, step=steps.magnitudes)
+    turned = _least_turned if bits < MOST_BITS else _as_they_are
     encoders: list[Encoder] = [
         lambda block: _positions(block.means, fraction),
-        lambda block: _levels(block.opacities(), precision.alphas),
-        lambda block: _levels(block.sh[:, 0] * np.float64(COLOUR_SCALE) + 0.5, levels),
-        lambda block: rounded_bytes((turned(block)[1] - np.float64(SCALE_LOW)) * SCALE_STEPS),
+        lambda block: _stepped(block.opacities() * _BYTE, steps.alphas, _BYTE),
+        lambda block: _stepped(_colours(block), steps.colours, _BLACK),
+        lambda block: _stepped(
+            (turned(block)[1] - np.float64(SCALE_LOW)) * SCALE_STEPS, steps.scales
+        ),
         lambda block: pack(turned(block)[0]),
     ]
     if len(buckets):
         encoders.append(lambda block: _coefficients(block.sh[:, 1:], buckets))
     return encoders
+
+
+def _colours(block: Splats) -> F64:
+    """(R, 3) base colours as codes, before rounding."""
+    codes: F64 = (block.sh[:, 0] * np.float64(COLOUR_SCALE) + 0.5) * _BYTE
+    return codes
 
 
 def _as_they_are(block: Splats) -> tuple[F32, F32]:
@@ -235,10 +306,9 @@ def _least_turned(block: Splats) -> tuple[F32, F32]:
     return quats.astype(np.float32), log_scales
 
 
-def _levels(values: F32 | F64, levels: int) -> U8:
-    """The nearest of so many steps from 0 to 1, as bytes from 0 to 255."""
-    nearest = values if levels == _BYTE else np.rint(values * levels) / levels
-    return rounded_bytes(nearest * _BYTE)
+def _stepped(values: F32 | F64, step: int, start: int = 0) -> U8:
+    """The nearest of the codes that are so far apart, one of which is `start`."""
+    return rounded_bytes(start + step * np.rint((values - start) / step))
 
 
 def _compressed(column: Iterable[bytes]) -> bytes:
@@ -256,10 +326,10 @@ def _positions(means: F32 | F64, bits: int) -> U8:
     return wide[:, :, :3]
 
 
-def _xyz_rotations(quats: F32) -> U8:
+def _xyz_rotations(quats: F32, step: int) -> U8:
     """(R, 3) from unit wxyz: x, y and z of the two that turn alike with w positive."""
     xyz = np.where(quats[:, :1] < 0, -quats[:, 1:], quats[:, 1:]).astype(np.float64)
-    return rounded_bytes((xyz + 1) * 127.5)
+    return _stepped((xyz + 1) * 127.5, step, _ZERO)
 
 
 def _rotations(quats: F32, step: int) -> U8:
