@@ -7,7 +7,6 @@ them. Rotations have the axes first that turn a splat least, about which bytes a
 
 import json
 import shutil
-import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -39,7 +38,7 @@ from nanogs.splats import RenderMode, Splats
 from nanogs.stored import SH_C0, alphas, rounded_bytes
 
 SUFFIX = ".rad"
-_DEFLATE_LEVEL = 6
+_DEFLATE_LEVEL = 10  # of libdeflate: as fast as the usual one of zlib, and 2 to 3 % smaller
 _WIDEST_COLOURS = 1.9  # between the least and the largest, as bytes: steps as those of .spz
 _LARGEST_COEFFICIENT = 4.0  # as bytes: half as wide as those of .spz
 _LARGEST_HALF = 65504.0
@@ -184,10 +183,10 @@ def _chunks(
 
 def _deflated(columns: list[bytes]) -> list[bytes]:
     """Each column deflated, side by side."""
+    from deflate import deflate_compress  # here, since few need it
 
     def deflate(number: int) -> bytes:
-        packer = zlib.compressobj(_DEFLATE_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
-        return packer.compress(columns[number]) + packer.flush()
+        return bytes(deflate_compress(columns[number], _DEFLATE_LEVEL))
 
     # The longest first, beside which the others fit.
     order = sorted(range(len(columns)), key=lambda n: -len(columns[n]))
