@@ -31,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("small_pictures")
 
 SIZE = 100_000
 FEW = {"views": 3, "further": 2, "view_size": 48, "roaming": 0, "steps": 2}
-BITS = {"bits": Bits(7, range(4, 9))}
+BITS = {"bits": Bits(6, range(4, 9))}
 SHARES = (*LARGER, FIRST_SHARE, *SMALLER)
 
 
@@ -105,10 +105,10 @@ def test_options_follow_the_count():
     assert Packing(0, 16.0).options(1600) == Packing(3).options(1600) == {}
 
 
-def test_bits_are_tried_from_the_usual_ones_on():
-    bits = Bits(7, range(4, 9))
-    assert bits.ways(7) == ([6, 5, 4], [8])
-    assert bits.ways(5) == ([6, 7, 8], [4])
+def test_fewer_bits_are_tried_first_unless_told_otherwise():
+    bits = Bits(6, range(4, 9))
+    assert bits.ways(6) == ([5, 4], [7, 8])
+    assert bits.ways(5, finer=True) == ([6, 7, 8], [4])
     assert bits.ways(8) == ([7, 6, 5, 4], [])
 
 
@@ -136,7 +136,7 @@ def test_the_two_best_bits_are_compared_at_the_size():
     choices = Choices([0], palettes=False, bits=BITS)
     found, count, _ = choose_packing(choices, SIZE, 5.6, model.guess, model.attempt, 10**9)
     assert dict(found.bits) == {"bits": 5}
-    assert [dict(packing.bits).get("bits") for packing, _ in model.made] == [None, 4, 5]
+    assert [dict(packing.bits).get("bits") for packing, _ in model.made] == [6, 4, 5]
     assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.01)
 
 

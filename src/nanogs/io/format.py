@@ -45,14 +45,14 @@ class WriteOption:
     Attributes:
         keyword: What the writer calls it.
         values: What it may be.
-        usual: Of one that says how finely values are kept, from coarse to fine, what it is by
-            default; None for others.
+        begin: Of one that says how finely values are kept, from coarse to fine, the value with
+            which a search for the best begins; None for others.
         whole: Whether a writer to whom it is given has to hold the whole model.
     """
 
     keyword: str
     values: tuple[Any, ...] | range
-    usual: int | None = None
+    begin: int | None = None
     whole: bool = False
 
     @property

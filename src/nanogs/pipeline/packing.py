@@ -22,9 +22,10 @@ FIRST_SHARE = 8.0
 LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
 # Between these a measured slope is believed, dB of quality for e times the bytes.
 SLOPES = 2.0, 20.0
-SAVED = 1.25  # splats more than the usual bits leave room for, which coarser ones mostly make
+SAVED = 1.2  # splats more than the first bits leave room for, which coarser ones mostly make
 NEAR = 0.12  # logarithm of the bytes over the size within which a result is not made again
 BEHIND = 1.5  # dB by which a degree that nothing is fitted for may be behind and still be tried
+FINE = 0.25  # dB that other bits bring a larger palette, at most, once they suit a smaller one
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,18 +69,23 @@ class Bits:
     """What an option that says how fine a format is may be.
 
     Attributes:
-        usual: What it is by default.
+        begin: What is tried first, which is mostly near the best.
         values: All, ascending.
     """
 
-    usual: int
+    begin: int
     values: Sequence[int]
 
-    def ways(self, present: int) -> tuple[list[int], list[int]]:
-        """The other values, from the present one to fewer and to more; the usual ones first."""
+    def ways(self, present: int, *, finer: bool = False) -> tuple[list[int], list[int]]:
+        """The other values, from the present one to fewer and to more.
+
+        Args:
+            present: From where.
+            finer: Whether more come first.
+        """
         fewer = [value for value in self.values if value < present][::-1]
         more = [value for value in self.values if value > present]
-        return (more, fewer) if present < self.usual else (fewer, more)
+        return (more, fewer) if finer else (fewer, more)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +110,8 @@ class Choices:
     def first(self) -> Packing:
         """What is tried first: as much as there is, but a palette that is seldom far off."""
         palette = FIRST_SHARE if self.palettes and self.degrees[-1] else None
-        return Packing(self.degrees[-1], palette, (), self.entries)
+        bits = tuple((name, each.begin) for name, each in self.bits.items())
+        return Packing(self.degrees[-1], palette, bits, self.entries)
 
     def quality(self, found: PackingReport) -> float:
         """What a file shows, dB."""
@@ -192,7 +199,7 @@ class _Search:
         probes = self._tried(first, count, lambda seen: self._look(first, seen, lower=True))
         full = [probe for probe in probes if probe.sh_degree == first.sh_degree]
         best = self._keep(first, full)
-        found, lower = self.found[first][1], probes[len(full) :]
+        found, lower = self.found[_plain(first)][1], probes[len(full) :]
         self.promising = [probe.sh_degree for probe in lower if self._promises(probe, found)]
         if first.share is not None:
             return self._make(best, self._filling(found)) if self._is_far(found) else best
@@ -265,18 +272,17 @@ class _Search:
             seen: Packs the result.
             lower: Whether it is the first.
             near: Whether bits matter only if the file is near the size, since else another result
-                is made.
+                is made, and not far behind others.
         """
-        chosen = {name: each.usual for name, each in self.choices.bits.items()}
-        chosen |= dict(packing.bits)
+        chosen = dict(packing.bits)
         larger = packing.share is not None and packing.share < FIRST_SHARE
         best = seen(packing)
         probes = [best]
-        if near and self._is_far(best):
+        if near and (self._is_far(best) or self._worth(best) < self._most - FINE):
             return probes
         for name, each in self.choices.bits.items():
             began = chosen[name]
-            for way in each.ways(began) if lower or larger else ():
+            for way in each.ways(began, finer=larger) if lower or larger else ():
                 for value in way:
                     changed = chosen | {name: value}
                     probes.append(seen(replace(packing, bits=tuple(changed.items()))))
@@ -294,6 +300,11 @@ class _Search:
 
     def _promises(self, lower: PackingReport, best: PackingReport) -> bool:
         return self._worth(lower) > self._worth(best) - BEHIND
+
+    @property
+    def _most(self) -> float:
+        """Worth of the best that was made so far."""
+        return max(self._worth(found) for _, found in self.found.values())
 
     def _worth(self, found: PackingReport) -> float:
         over = math.log(found.bytes / self.size)

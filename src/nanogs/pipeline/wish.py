@@ -63,9 +63,9 @@ class Wish(NamedTuple):
         if not (self.looks and self.known.readable):
             return Choices(fixed or [highest], palettes=False)
         bits = {
-            name: Bits(option.usual, option.values)
+            name: Bits(option.begin, option.values)
             for name, option in self.known.options.items()
-            if option.usual is not None and name not in self.given
+            if option.begin is not None and name not in self.given
         }
         if not highest:
             bits.pop(SH_BITS, None)

@@ -8,9 +8,10 @@ from nanogs.io.sog.levels import open_level
 from nanogs.io.sog.meta import PALETTE_MAX
 from nanogs.io.sog.read import META, SogSource
 
+_FIRST_BITS = 6  # that a search begins with: mostly one off the best at most
 _OPTIONS = {
     "palette": WriteOption("palette_size", range(1, PALETTE_MAX + 1)),
-    "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1), write.USUAL_BITS),
+    "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1), _FIRST_BITS),
 }
 FORMATS = (
     Format(

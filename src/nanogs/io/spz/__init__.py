@@ -10,6 +10,8 @@ _FRAME = (
     "not stated in the file; y up (rub) by the specification, though many files have y down (rdf)"
 )
 
+_FIRST_BITS, _FIRST_SH_BITS = 6, 6  # that a search begins with: mostly one off the best at most
+
 
 def _version(options: FormatOptions) -> int:
     """The version that is written with such options, of a model without records."""
@@ -29,8 +31,8 @@ FORMATS = (
         options={
             "spz_version": WriteOption("version", (2, 3, 4)),
             "palette": WriteOption("palette_size", range(1, write.MOST_ENTRIES + 1), whole=True),
-            "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1), MOST_BITS),
-            "sh_bits": WriteOption("sh_bits", range(2, 9), write.SH_BITS),
+            "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1), _FIRST_BITS),
+            "sh_bits": WriteOption("sh_bits", range(2, 9), _FIRST_SH_BITS),
             "frame": WriteOption("frame", RECORDED_FRAMES),
         },
         states_frame=lambda options: _version(options) == write.STATING,
