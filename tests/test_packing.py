@@ -23,6 +23,7 @@ from nanogs.pipeline.packing import (
     Packing,
     choose_packing,
     slope_of,
+    unseen_packing,
 )
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import held_out
@@ -221,9 +222,33 @@ def test_formats_of_known_sizes_choose_the_degree(splats, suffix):
     assert len(kept) < len(small)
 
 
-def test_what_does_not_look_keeps_all_harmonics(splats):
-    small, report = nanogs.simplify(splats, size=30_000, format=".sog", preset="fast")
-    assert (small.sh_degree, report.packings, report.format_options) == (2, (), {})
+@pytest.mark.parametrize("suffix", [".sog", ".spz"])
+def test_what_does_not_look_keeps_all_harmonics_and_packs_them_coarsely(splats, suffix):
+    small, report = nanogs.simplify(splats, size=20_000, format=suffix, preset="fast")
+    options = report.format_options
+    assert (small.sh_degree, report.packings, options["bits"]) == (2, (), 6)
+    assert options["palette"] == len(small) // FIRST_SHARE
+    assert as_packed(small, f"a{suffix}", options)[1] == report.achieved_size <= 20_000
+    fixed = {"bits": 8, "palette": 700}
+    finer, report = nanogs.simplify(
+        splats, size=20_000, format=suffix, preset="fast", format_options=fixed
+    )
+    assert not fixed.keys() & report.format_options.keys()
+    assert len(finer) < len(small)
+
+
+def test_where_nobody_looks_packings_are_as_coarse_as_needed():
+    """A palette grows where all splats fit with it; without one, bits do where most fit."""
+    choices = Choices([0, 1, 2], palettes=True, bits=BITS)
+    row = [Packing(2, share, (("bits", 6),)) for share in (FIRST_SHARE, *LARGER, None)]
+    row += [Packing(2, None, (("bits", bits),)) for bits in (7, 8)]
+    for place, packing in enumerate(row):
+        few = 999 if packing.share else 750
+        room = dict.fromkeys(row[:place], 1000) | {packing: few}
+        assert unseen_packing(choices, room.__getitem__, 1000) == packing
+    assert unseen_packing(choices, lambda _: 1000, 1000) == row[-1]
+    without = unseen_packing(replace(choices, palettes=False), lambda _: 751, 1000)
+    assert without == row[-1]
 
 
 def test_a_size_without_room_is_said_before_anything_is_grown(splats, monkeypatch):

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any, Generic, TypeVar
 
 from nanogs.pipeline.fit_size import guess_count
-from nanogs.pipeline.packing import Choices, Look, Packing, choose_packing, slope_of
+from nanogs.pipeline.packing import Choices, Look, Packing, choose_packing, slope_of, unseen_packing
 from nanogs.pipeline.results import Results
 from nanogs.pipeline.target import count_for_size
 from nanogs.pipeline.weights import PACKINGS
@@ -76,12 +76,18 @@ class Packer(Generic[T]):
         choices = self.wish.choices(self.sample.sh_degree)
         self.progress.begin("guess")
         if not self.results.looks or not choices.any:
-            packing = replace(choices.first, share=None)
+            packing = self._unseen(choices)
             return Packed(packing, self.guess(packing), (), packing.sh_degree)
         self.progress.begin("pack")
         slope = self._slope(choices)
         given = self.guess, self._attempt, self.results.available
         return Packed(*choose_packing(choices, self.wish.size, slope, *given), choices.degrees[-1])
+
+    def _unseen(self, choices: Choices) -> Packing:
+        """The packing where nobody looks, or one without choices where a PSNR is to be reached."""
+        if choices.by_psnr or not choices.any:
+            return Packing(choices.degrees[-1])
+        return unseen_packing(choices, self.guess, self.results.available)
 
     def guess(self, packing: Packing) -> int:
         """The count of the model's own splats that fill the size with a packing, about."""

@@ -1,6 +1,6 @@
 """What is asked of a file of a size, and who writes results to see what they take and show."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from nanogs.io.format import Format
@@ -44,7 +44,7 @@ class Wish(NamedTuple):
         given: Options of it.
         sh_degree: Of the harmonics that are to be written, or None to choose it.
         by_psnr: Whether the PSNR alone says what is best.
-        looks: Whether what is not asked for may be chosen, as by presets that render.
+        looks: Whether views tell what is best, as presets that render have them.
         most: Splats that a writer may hold whole; None for any number.
     """
 
@@ -59,9 +59,12 @@ class Wish(NamedTuple):
     def choices(self, degree: int) -> Choices:
         """What it leaves to be chosen, of a model with harmonics of a degree."""
         highest = min(degree, self.known.max_degree)
-        fixed = None if self.sh_degree is None else [min(self.sh_degree, highest)]
-        if not (self.looks and self.known.readable):
-            return Choices(fixed or [highest], palettes=False)
+        wanted = highest if self.sh_degree is None else min(self.sh_degree, highest)
+        degrees: Sequence[int] = [wanted]
+        if not self.known.readable:
+            return Choices(degrees, palettes=False)
+        if self.looks and self.sh_degree is None:
+            degrees = range(highest + 1)
         bits = {
             name: Bits(option.begin, option.values)
             for name, option in self.known.options.items()
@@ -69,9 +72,7 @@ class Wish(NamedTuple):
         }
         if not highest:
             bits.pop(SH_BITS, None)
-        return Choices(
-            fixed or range(highest + 1), self._has_palettes(), bits, self.by_psnr, self._entries()
-        )
+        return Choices(degrees, self._has_palettes(), bits, self.by_psnr, self._entries())
 
     def _has_palettes(self) -> bool:
         """Whether a palette is to be chosen.
