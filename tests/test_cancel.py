@@ -10,9 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.builders import random_splats
 
 import nanogs
+from builders import random_splats
 from nanogs import cleanup
 from nanogs.io import as_stored
 from nanogs.io.atomic import atomic_write

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
-from tests.builders import random_splats
 
 import nanogs
+from builders import random_splats
 from launch import run
 from nanogs.cli import progress
 from nanogs.cli.many import Run

@@ -4,9 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
-from tests.builders import random_splats
 
 import nanogs
+from builders import random_splats
 from nanogs.fit.parameters import RefitParameters
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod.layout import Layout

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from tests.builders import random_splats
-from tests.launch import run_here
 
 import nanogs
+from builders import random_splats
+from launch import run_here
 from nanogs.errors import OptionError
 from nanogs.frames import change_between
 from nanogs.studio import turning

@@ -6,12 +6,12 @@ import re
 from urllib.parse import urlsplit
 
 import pytest
-from tests.builders import random_splats
-from tests.studio import running
 
 import nanogs
+from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.studio.listing import Folder
+from studio import running
 
 
 @pytest.fixture(scope="module")

@@ -12,11 +12,11 @@ import time
 import numpy as np
 import psutil
 import pytest
-from tests.builders import cloud_pair
-from tests.launch import run, run_here
-from tests.studio import running
 
 import nanogs
+from builders import cloud_pair
+from launch import run, run_here
+from studio import running
 
 FAST = {"preset": "fast"}
 posix = pytest.mark.skipif(os.name == "nt", reason="Windows has other signals")
