@@ -190,20 +190,31 @@ def _add_products(out: F64, a: F64, b: F64) -> None:
 
 
 @exact_inline
+def _clear(out: F64) -> None:
+    """Begin a sum for each splat; an assignment to all of a row takes longer to compile."""
+    for lane in range(len(out)):
+        out[lane] = 0.0
+
+
+@exact_inline
 def _bend(
     a: int, first: int, jacobians: F64, sums: F64, products: F64, pulls: F64, blocks: F64
 ) -> None:
     """Row a of J g and of J M Jᵀ; its Jacobian is 0 from column 1 up to `first`."""
     row = a * (a + 1) // 2
-    pulls[a], products[:], blocks[row : row + a + 1] = 0.0, 0.0, 0.0
-    for d in range(SCREEN):
+    _clear(pulls[a])
+    screen = len(products)
+    for c in range(screen):
+        _clear(products[c])
+    for d in range(screen):
         if 0 < d < first:
             continue
         _add_products(pulls[a], jacobians[a, d], sums[4 + d])
-        for c in range(SCREEN):
+        for c in range(screen):
             _add_products(products[c], jacobians[a, d], sums[PRODUCTS[d, c]])
     for b in range(a + 1):
-        for c in range(SCREEN):
+        _clear(blocks[row + b])
+        for c in range(screen):
             # As below: only a centre has the linear monomials, and the opacity has the first alone.
             if b < CENTRE or c == 0 or (c >= SPREAD and b < OPACITY):
                 _add_products(blocks[row + b], products[c], jacobians[b, c])
@@ -223,8 +234,6 @@ def pulls_and_blocks(jacobians: F64, sums: F64, products: F64, pulls: F64, block
         pulls: (10, L) out.
         blocks: (55, L) out.
     """
-    for a in range(CENTRE):
-        _bend(a, 1, jacobians, sums, products, pulls, blocks)
-    for a in range(CENTRE, OPACITY):
-        _bend(a, SPREAD, jacobians, sums, products, pulls, blocks)
-    _bend(OPACITY, SCREEN, jacobians, sums, products, pulls, blocks)
+    for a in range(SHAPE):
+        first = 1 if a < CENTRE else SPREAD if a < OPACITY else SCREEN
+        _bend(a, first, jacobians, sums, products, pulls, blocks)

@@ -45,10 +45,10 @@ def _lift_diagonal(blocks: F64, damping: float, floor: float, lifts: F64, moves:
 
 
 @exact_inline
-def _factorise(lower: F64, lifts: F64) -> None:
+def _factorise(shape: int, lower: F64, lifts: F64) -> None:
     """Cholesky's lower factors in place of the blocks, with the inverses of their diagonals."""
     lanes = len(lifts)
-    for a in range(SHAPE):
+    for a in range(shape):
         row = a * (a + 1) // 2
         for b in range(a + 1):
             other = b * (b + 1) // 2
@@ -66,16 +66,16 @@ def _factorise(lower: F64, lifts: F64) -> None:
 @exact_inline
 def _substitute(lower: F64, steps: F64) -> None:
     """Solve for the steps in place, with the factors of `_factorise`."""
-    lanes = steps.shape[1]
-    for a in range(SHAPE):
+    shape, lanes = steps.shape
+    for a in range(shape):
         row = a * (a + 1) // 2
         for k in range(a):
             for lane in range(lanes):
                 steps[a, lane] -= lower[row + k, lane] * steps[k, lane]
         for lane in range(lanes):
             steps[a, lane] *= lower[row + a, lane]
-    for a in range(SHAPE - 1, -1, -1):
-        for k in range(a + 1, SHAPE):
+    for a in range(shape - 1, -1, -1):
+        for k in range(a + 1, shape):
             other = k * (k + 1) // 2
             for lane in range(lanes):
                 steps[a, lane] -= lower[other + a, lane] * steps[k, lane]
@@ -117,6 +117,6 @@ def damped_steps(
             all bounds.
     """
     _lift_diagonal(blocks, damping, floor, lifts, moves)
-    _factorise(blocks, lifts)
+    _factorise(len(pulls), blocks, lifts)
     _substitute(blocks, pulls)
     _shorten(pulls, limits, moves)

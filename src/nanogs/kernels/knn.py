@@ -189,7 +189,6 @@ def search_tree(
     ids = np.empty(2 * room, dtype=np.int32)
     stack = np.empty(3 * _DEEPEST, dtype=np.int64)
     gaps = np.empty(_DEEPEST)
-    gap_bits = gaps.view(np.int64)
     leaves = (n + LANES - 1) // LANES
     for leaf in range((start + LANES - 1) // LANES, (stop + LANES - 1) // LANES):
         begin = leaf * LANES
@@ -200,7 +199,7 @@ def search_tree(
         while waiting > 0:
             waiting -= 1
             node, first, last = stack[3 * waiting], stack[3 * waiting + 1], stack[3 * waiting + 2]
-            if gap_bits[waiting] >> 32 > bound:
+            if np.float64(gaps[waiting]).view(np.int64) >> 32 > bound:
                 continue
             if last - first > 1:
                 waiting = _push_children(boxes, home, node, first, last, stack, gaps, waiting)

@@ -71,12 +71,11 @@ def depth_keys(
         places: (runs,) where the keys of each run begin.
         keys: (M,) out.
     """
-    bits = features.view(np.uint32)
     for run in range(start, stop):
         place = places[run]
         for i in range(bounds[run], bounds[run + 1]):
             if boxes[i] != HIDDEN:
-                keys[place] = np.uint64(bits[i, 3]) << np.uint64(32) | np.uint64(i)
+                keys[place] = np.uint64(np.float32(features[i, 3]).view(np.uint32)) << np.uint64(32) | np.uint64(i)
                 place += 1
 
 

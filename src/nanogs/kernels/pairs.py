@@ -105,8 +105,9 @@ def fill_firsts(start: int, stop: int, starts: I64, firsts: I32) -> None:
 
 
 @inline
-def _sortable(bits: np.uint32) -> np.uint32:
-    """An integer that sorts like the float32 of these bits; -0.0 ties with 0.0."""
+def _sortable(cost: np.float32) -> np.uint32:
+    """An integer that sorts like a cost; -0.0 ties with 0.0."""
+    bits = np.float32(cost).view(np.uint32)
     if bits == np.uint32(0x80000000):
         return bits
     return np.uint32(~bits if bits >> np.uint32(31) else bits | np.uint32(0x80000000))
@@ -118,7 +119,7 @@ NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
 @inline
 def _key(costs: F32, edge: int) -> np.uint64:
     """An integer that sorts like (cost, row of the pair)."""
-    bits = _sortable(costs.view(np.uint32)[edge])
+    bits = _sortable(costs[edge])
     return np.uint64(bits) << np.uint64(32) | np.uint64(edge)
 
 
@@ -196,10 +197,9 @@ def tally_free(firsts: I32, seconds: I32, costs: F32, taken: Bool, counts: I64) 
     firsts, seconds, costs: (E,), those without a number left out; taken: (N,); counts: (65536,)
     zeros, filled.
     """
-    bits = costs.view(np.uint32)
     for edge in range(len(costs)):
         if not (taken[firsts[edge]] or taken[seconds[edge]] or np.isnan(costs[edge])):
-            counts[_sortable(bits[edge]) >> np.uint32(16)] += 1
+            counts[_sortable(costs[edge]) >> np.uint32(16)] += 1
 
 
 @parallel_kernel("bounds", least=1, each=32)
@@ -215,7 +215,6 @@ def collect_free(
     becomes where they end; without: (stretches,), filled: pairs that have no cost; keys: filled, or
     empty, and they are only counted.
     """
-    bits = costs.view(np.uint32)
     for stretch in range(start, min(stop, len(bounds) - 1)):
         at, numberless = places[stretch], 0
         for edge in range(bounds[stretch], bounds[stretch + 1]):
@@ -223,7 +222,7 @@ def collect_free(
                 numberless += 1
                 continue
             free = not (taken[firsts[edge]] or taken[seconds[edge]])
-            if free and _sortable(bits[edge]) >> np.uint32(16) < end:
+            if free and _sortable(costs[edge]) >> np.uint32(16) < end:
                 if len(keys) > 0:
                     keys[at] = _key(costs, edge)
                 at += 1
