@@ -130,14 +130,35 @@ def test_a_larger_palette_may_want_finer_bits():
     assert (found.share, dict(found.bits)) == (1.5, {"bits": 7})
 
 
-def test_the_two_best_bits_are_compared_at_the_size():
+def test_bits_are_compared_at_the_size():
     """What splats bring is overrated: by that 4 bits were the best, then 5, and 6 in truth."""
     model = MadeUp(0, 8.0, 6)
     model.bit = 0.05
     choices = Choices([0], palettes=False, bits=BITS)
     found, count, _ = choose_packing(choices, SIZE, 5.6, model.guess, model.attempt, 10**9)
+    assert dict(found.bits) == {"bits": 6}
+    assert [dict(packing.bits).get("bits") for packing, _ in model.made] == [6, 4, 5, 6]
+    assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.01)
+
+
+def test_what_nearly_all_splats_bring_is_measured_near_the_size():
+    """Near the whole model they bring more than plain cuts of less tell, by which 7 is the best."""
+
+    class Steep(MadeUp):
+        def seen(self, packing, count):
+            found = super().seen(packing, count)
+            return replace(found, psnr=found.psnr + 12 * math.log(count / 5000))
+
+    def shown(bits):
+        packing = Packing(0, None, (("bits", bits),))
+        return model.seen(packing, int(1000 * SIZE / model.bytes_of(packing, 1000))).psnr
+
+    model = Steep(0, 8.0, 7)
+    choices = Choices([0], palettes=False, bits=BITS)
+    found, count, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    assert [dict(packing.bits)["bits"] for packing, _ in model.made] == [6, 7, 5]
     assert dict(found.bits) == {"bits": 5}
-    assert [dict(packing.bits).get("bits") for packing, _ in model.made] == [6, 4, 5]
+    assert shown(5) > shown(6) > shown(7) > shown(8)
     assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.01)
 
 

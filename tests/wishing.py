@@ -199,7 +199,7 @@ def draw(rng: np.random.Generator, scenes: dict[str, Splats], presets: Sequence[
     if rng.random() < 0.25:
         given["sh_degree"] = int(rng.integers(0, 4))
     options = {
-        name: int(rng.choice(np.asarray(option.values)[:600]))
+        name: (values := option.values[:600])[rng.integers(len(values))]
         for name, option in known.options.items()
         if rng.random() < 0.2
     }

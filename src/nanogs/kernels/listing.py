@@ -75,7 +75,8 @@ def depth_keys(
         place = places[run]
         for i in range(bounds[run], bounds[run + 1]):
             if boxes[i] != HIDDEN:
-                keys[place] = np.uint64(np.float32(features[i, 3]).view(np.uint32)) << np.uint64(32) | np.uint64(i)
+                depth = np.float32(features[i, 3]).view(np.uint32)
+                keys[place] = np.uint64(depth) << np.uint64(32) | np.uint64(i)
                 place += 1
 
 

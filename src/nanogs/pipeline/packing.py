@@ -21,9 +21,11 @@ from nanogs.report import PackingReport
 FIRST_SHARE = 8.0
 LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
 # Between these a measured slope is believed, dB of quality for e times the bytes.
-SLOPES = 2.0, 20.0
+SLOPES = 2.0, 40.0
 SAVED = 1.2  # splats more than the first bits leave room for, which coarser ones mostly make
-NEAR = 0.12  # logarithm of the bytes over the size within which a result is not made again
+# Logarithms of the bytes over the size within which a result is not made again, and within which
+# bits can be told apart.
+NEAR, NEAR_BITS = 0.12, 0.03
 BEHIND = 1.5  # dB by which a degree that nothing is fitted for may be behind and still be tried
 FINE = 0.25  # dB that other bits bring a larger palette, at most, once they suit a smaller one
 ENOUGH_SPLATS = 0.75  # of all, by a guess that is 10 to 20 % low: precision shows more than others
@@ -152,7 +154,7 @@ def choose_packing(
     if best is first and first.share is not None:
         best = search.climb(first, [replace(first, share=share) for share in LARGER])
     lower = [replace(best, sh_degree=degree) for degree in search.promising]
-    best = search.climb(best, lower)
+    best = search.settled(search.climb(best, lower))
     return best, search.filling(best), tuple(search.probes)
 
 
@@ -190,6 +192,9 @@ def slope_of(choices: Choices, less: PackingReport, more: PackingReport) -> floa
     return min(max(rise / wider, SLOPES[0]), SLOPES[1])
 
 
+_Values = tuple[tuple[str, int], ...]
+
+
 def _alone(packing: Packing, seen: Seen) -> list[PackingReport]:
     return [seen(packing)]
 
@@ -203,7 +208,7 @@ class _Search:
     """What packings were found to be worth.
 
     Attributes:
-        found: The best bits of each degree and share of a palette that was tried, and their file.
+        found: Files of each degree and share of a palette that was tried, by their bits.
         promising: Lower degrees that are not far behind without a fit of their own.
     """
 
@@ -213,7 +218,7 @@ class _Search:
     guess: Callable[[Packing], int]
     attempt: Try
     available: int
-    found: dict[Packing, tuple[Packing, PackingReport]] = field(default_factory=dict)
+    found: dict[Packing, dict[_Values, PackingReport]] = field(default_factory=dict)
     probes: list[PackingReport] = field(default_factory=list)
     promising: list[int] = field(default_factory=list)
 
@@ -225,25 +230,33 @@ class _Search:
         probes = self._tried(first, count, lambda seen: self._look(first, seen, lower=True))
         full = [probe for probe in probes if probe.sh_degree == first.sh_degree]
         best = self._keep(first, full)
-        found, lower = self.found[_plain(first)][1], probes[len(full) :]
+        found, lower = self._best_file(first), probes[len(full) :]
         self.promising = [probe.sh_degree for probe in lower if self._promises(probe, found)]
-        if first.share is not None:
-            return self._make(best, self._filling(found)) if self._is_far(found) else best
-        return self._compared(best, full)
+        if first.share is None:
+            return self.settled(best)
+        return self._make(best, self._filling(found)) if self._is_far(found) else best
 
-    def _compared(self, best: Packing, probes: Sequence[PackingReport]) -> Packing:
-        """The better of the two best bits, each with a result of its own that fills the size.
+    def settled(self, best: Packing) -> Packing:
+        """The best bits, where several were seen, of which a result was made that fills the size.
 
-        How much splats bring is hardly known well enough to tell them apart.
+        How much splats bring is hardly known well enough to tell bits apart by one result, and they
+        bring more where nearly all of them fit: each other result tells it anew, near the size.
         """
-        two = sorted(probes, key=self._worth, reverse=True)[:2]
-        if len(two) < 2 or all(self._filling(probe) == probe.count for probe in two):
-            return best
-        made = []
-        for probe in two:
-            packing = replace(best, bits=self._bits_of(probe))
-            made += self._tried(packing, self._filling(probe), partial(_alone, packing))
-        return self._keep(best, made)
+        files = self.found[_plain(best)]
+        made: set[_Values] = set()
+        while len(files) > 1:
+            best = self._best(best)
+            file = files[best.bits]
+            # Results with palettes take long; what is left of a size brings no less than is known.
+            known = best.share is not None and not made and file.bytes < self.size
+            if best.bits in made or known or not self._is_far(file, NEAR_BITS):
+                break
+            made.add(best.bits)
+            [files[best.bits]] = self._tried(best, self._filling(file), partial(_alone, best))
+            less, more = sorted((file, files[best.bits]), key=lambda each: each.bytes)
+            if more.bytes > (1 + NEAR_BITS) * less.bytes:
+                self.slope = max(self.slope, slope_of(self.choices, less, more))
+        return best
 
     def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
         """The best of a packing and others in a row, as far as each is better than the last."""
@@ -251,37 +264,42 @@ class _Search:
             given = replace(other, bits=best.bits)
             if self._value(given) <= self._value(best):
                 break
-            best = self.found[_plain(given)][0]
+            best = self._best(given)
         return best
 
     def filling(self, packing: Packing) -> int:
         """A count that about fills the size with a packing that was tried."""
-        return self._filling(self.found[_plain(packing)][1])
+        return self._filling(self._best_file(packing))
 
     def _value(self, packing: Packing) -> float:
         """Worth of a degree and a share, with bits as they are or nearer to the usual ones."""
         if _plain(packing) not in self.found:
             self._make(packing, self._expected(packing), near=True)
-            if self._is_far(found := self.found[_plain(packing)][1]):
+            if self._is_far(found := self._best_file(packing)):
                 self._make(packing, self._filling(found))
-        return self._worth(self.found[_plain(packing)][1])
+        return self._worth(self._best_file(packing))
 
     def _make(self, packing: Packing, count: int, *, near: bool = False) -> Packing:
         look = partial(self._look, packing, near=near)
         return self._keep(packing, self._tried(packing, count, look))
 
-    def _is_far(self, found: PackingReport) -> bool:
+    def _is_far(self, found: PackingReport, near: float = NEAR) -> bool:
         """Whether a file is too far from the size to tell what one of the size would show."""
-        far = abs(math.log(found.bytes / self.size)) > NEAR
+        far = abs(math.log(found.bytes / self.size)) > near
         return far and self._filling(found) != found.count
 
     def _keep(self, packing: Packing, probes: Sequence[PackingReport]) -> Packing:
-        best = max(probes, key=self._worth)
-        kept = replace(packing, bits=self._bits_of(best))
-        self.found[_plain(packing)] = kept, best
-        return kept
+        self.found[_plain(packing)] = {self._bits_of(probe): probe for probe in probes}
+        return self._best(packing)
 
-    def _bits_of(self, probe: PackingReport) -> tuple[tuple[str, int], ...]:
+    def _best(self, packing: Packing) -> Packing:
+        """A packing that was tried, with the best of the bits."""
+        return replace(packing, bits=self._bits_of(self._best_file(packing)))
+
+    def _best_file(self, packing: Packing) -> PackingReport:
+        return max(self.found[_plain(packing)].values(), key=self._worth)
+
+    def _bits_of(self, probe: PackingReport) -> _Values:
         names = self.choices.bits
         return tuple((name, probe.options[name]) for name in names if name in probe.options)
 
@@ -330,7 +348,7 @@ class _Search:
     @property
     def _most(self) -> float:
         """Worth of the best that was made so far."""
-        return max(self._worth(found) for _, found in self.found.values())
+        return max(self._worth(found) for files in self.found.values() for found in files.values())
 
     def _worth(self, found: PackingReport) -> float:
         over = math.log(found.bytes / self.size)
@@ -345,7 +363,7 @@ class _Search:
 
     def _expected(self, packing: Packing) -> int:
         """The count that should fill the size, by what the model's own splats take."""
-        before, _ = [*self.found.values()][-1]
+        before = self._best([*self.found][-1])
         share = self.guess(packing) / max(self.guess(before), 1)
         return min(max(int(self.filling(before) * share), 1), self.available)
 
