@@ -32,7 +32,7 @@ pytestmark = pytest.mark.usefixtures("small_pictures")
 
 SIZE = 100_000
 FEW = {"views": 3, "further": 2, "view_size": 48, "roaming": 0, "steps": 2}
-BITS = {"bits": Bits(6, range(4, 9))}
+BITS = {"bits": Bits(6, range(4, 9), 6)}
 SHARES = (*LARGER, FIRST_SHARE, *SMALLER)
 
 
@@ -107,7 +107,7 @@ def test_options_follow_the_count():
 
 
 def test_fewer_bits_are_tried_first_unless_told_otherwise():
-    bits = Bits(6, range(4, 9))
+    bits = Bits(6, range(4, 9), 6)
     assert bits.ways(6) == ([5, 4], [7, 8])
     assert bits.ways(5, finer=True) == ([6, 7, 8], [4])
     assert bits.ways(8) == ([7, 6, 5, 4], [])
@@ -243,11 +243,11 @@ def test_formats_of_known_sizes_choose_the_degree(splats, suffix):
     assert len(kept) < len(small)
 
 
-@pytest.mark.parametrize("suffix", [".sog", ".spz"])
-def test_what_does_not_look_keeps_all_harmonics_and_packs_them_coarsely(splats, suffix):
+@pytest.mark.parametrize(("suffix", "bits"), [(".sog", 7), (".spz", 6)])
+def test_what_does_not_look_keeps_all_harmonics_and_packs_them_coarsely(splats, suffix, bits):
     small, report = nanogs.simplify(splats, size=20_000, format=suffix, preset="fast")
     options = report.format_options
-    assert (small.sh_degree, report.packings, options["bits"]) == (2, (), 6)
+    assert (small.sh_degree, report.packings, options["bits"]) == (2, (), bits)
     assert options["palette"] == len(small) // FIRST_SHARE
     assert as_packed(small, f"a{suffix}", options)[1] == report.achieved_size <= 20_000
     fixed = {"bits": 8, "palette": 700}
@@ -270,6 +270,8 @@ def test_where_nobody_looks_packings_are_as_coarse_as_needed():
     assert unseen_packing(choices, lambda _: 1000, 1000) == row[-1]
     without = unseen_packing(replace(choices, palettes=False), lambda _: 751, 1000)
     assert without == row[-1]
+    finer = replace(choices, palettes=False, bits={"bits": Bits(6, range(4, 9), 7)})
+    assert dict(unseen_packing(finer, lambda _: 100, 1000).bits) == {"bits": 7}
 
 
 def test_a_size_without_room_is_said_before_anything_is_grown(splats, monkeypatch):

@@ -47,12 +47,14 @@ class WriteOption:
         values: What it may be.
         begin: Of one that says how finely values are kept, from coarse to fine, the value with
             which a search for the best begins; None for others.
+        unseen: Of such a one, the value of files of a size that nobody looks at; None for `begin`.
         whole: Whether a writer to whom it is given has to hold the whole model.
     """
 
     keyword: str
     values: tuple[Any, ...] | range
     begin: int | None = None
+    unseen: int | None = None
     whole: bool = False
 
     @property

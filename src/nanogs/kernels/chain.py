@@ -203,7 +203,7 @@ def _bend(
     """Row a of J g and of J M Jᵀ; its Jacobian is 0 from column 1 up to `first`."""
     row = a * (a + 1) // 2
     _clear(pulls[a])
-    screen = len(products)
+    screen = len(products)  # not SCREEN: loops of a length that LLVM knows are written out
     for c in range(screen):
         _clear(products[c])
     for d in range(screen):

@@ -46,7 +46,10 @@ def _lift_diagonal(blocks: F64, damping: float, floor: float, lifts: F64, moves:
 
 @exact_inline
 def _factorise(shape: int, lower: F64, lifts: F64) -> None:
-    """Cholesky's lower factors in place of the blocks, with the inverses of their diagonals."""
+    """Cholesky's lower factors in place of the blocks, with the inverses of their diagonals.
+
+    shape: SHAPE, not named here, since loops of a length that LLVM knows take it long to compile.
+    """
     lanes = len(lifts)
     for a in range(shape):
         row = a * (a + 1) // 2

@@ -74,10 +74,12 @@ class Bits:
     Attributes:
         begin: What is tried first, which is mostly near the best.
         values: All, ascending.
+        unseen: What it is where nobody looks, or more.
     """
 
     begin: int
     values: Sequence[int]
+    unseen: int
 
     def ways(self, present: int, *, finer: bool = False) -> tuple[list[int], list[int]]:
         """The other values, from the present one to fewer and to more.
@@ -159,7 +161,7 @@ def choose_packing(
 
 
 def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available: int) -> Packing:
-    """The packing where nobody looks: what a search begins with, or finer.
+    """The packing where nobody looks: about what a search begins with, or finer.
 
     Coarse bits and a small palette leave room for splats, which a small part of a model lacks most.
     Where all splats fit, a palette loses more than anything else; without one, precision shows more
@@ -170,13 +172,14 @@ def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available:
         guess: The count of the model's own splats that fill the size with a packing, about.
         available: Splats of the whole model.
     """
-    packing = choices.first
+    bits = tuple((name, each.unseen) for name, each in choices.bits.items())
+    packing = replace(choices.first, bits=bits)
     for share in (*LARGER, None) if packing.share is not None else ():
         if guess(packing) < available:
             return packing
         packing = replace(packing, share=share)
     for name, each in choices.bits.items():
-        for value in each.ways(each.begin)[1]:
+        for value in each.ways(each.unseen)[1]:
             if guess(packing) <= ENOUGH_SPLATS * available:
                 return packing
             packing = replace(packing, bits=tuple((dict(packing.bits) | {name: value}).items()))

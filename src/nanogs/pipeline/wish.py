@@ -66,7 +66,7 @@ class Wish(NamedTuple):
         if self.looks and self.sh_degree is None:
             degrees = range(highest + 1)
         bits = {
-            name: Bits(option.begin, option.values)
+            name: Bits(option.begin, option.values, option.unseen or option.begin)
             for name, option in self.known.options.items()
             if option.begin is not None and name not in self.given
         }
