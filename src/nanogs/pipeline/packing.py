@@ -242,21 +242,31 @@ class _Search:
     def settled(self, best: Packing) -> Packing:
         """The best bits, where several were seen, of which a result was made that fills the size.
 
-        How much splats bring is hardly known well enough to tell bits apart by one result, and they
-        bring more where nearly all of them fit: each other result tells it anew, near the size.
+        How much splats bring is hardly known well enough to tell bits apart by one result: they
+        bring more where nearly all of them fit, and hardly any where bits are coarse. So bits get a
+        result as long as what is hoped of them is more than what others were seen to show.
         """
         files = self.found[_plain(best)]
+        # Results with palettes take long.
+        least = SLOPES[0] if best.share is None else self.slope
         made: set[_Values] = set()
+
+        def hope(bits: _Values) -> float:
+            over = self._over(files[bits])
+            slope = least if over > 0 else self.slope
+            return self.choices.quality(files[bits]) - slope * over
+
         while len(files) > 1:
-            best = self._best(best)
-            file = files[best.bits]
-            # Results with palettes take long; what is left of a size brings no less than is known.
-            known = best.share is not None and not made and file.bytes < self.size
-            if best.bits in made or known or not self._is_far(file, NEAR_BITS):
+            best = replace(best, bits=max(files, key=hope))
+            before = files[best.bits]
+            # What is left of a size brings no less than is known.
+            known = best.share is not None and not made and before.bytes < self.size
+            if known or best.bits in made or not self._is_far(before, NEAR_BITS):
                 break
             made.add(best.bits)
-            [files[best.bits]] = self._tried(best, self._filling(file), partial(_alone, best))
-            less, more = sorted((file, files[best.bits]), key=lambda each: each.bytes)
+            [after] = self._tried(best, self._filling(before), partial(_alone, best))
+            files[best.bits] = after
+            less, more = sorted((before, after), key=lambda each: each.bytes)
             if more.bytes > (1 + NEAR_BITS) * less.bytes:
                 self.slope = max(self.slope, slope_of(self.choices, less, more))
         return best
@@ -354,10 +364,13 @@ class _Search:
         return max(self._worth(found) for files in self.found.values() for found in files.values())
 
     def _worth(self, found: PackingReport) -> float:
+        return self.choices.quality(found) - self.slope * self._over(found)
+
+    def _over(self, found: PackingReport) -> float:
+        """The logarithm of a file's bytes over the size."""
         over = math.log(found.bytes / self.size)
         # What is left of the size would be filled, unless that was the whole model.
-        over = over if found.count < self.available else max(over, 0)
-        return self.choices.quality(found) - self.slope * over
+        return over if found.count < self.available else max(over, 0)
 
     def _tried(self, packing: Packing, count: int, look: Look) -> list[PackingReport]:
         probes = self.attempt(packing, count, look)
