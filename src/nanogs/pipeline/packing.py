@@ -253,7 +253,7 @@ class _Search:
 
         def hope(bits: _Values) -> float:
             over = self._over(files[bits])
-            slope = least if over > 0 else self.slope
+            slope = least if over > 0 and bits not in made else self.slope
             return self.choices.quality(files[bits]) - slope * over
 
         while len(files) > 1:
