@@ -282,7 +282,7 @@ class _Search:
 
     def filling(self, packing: Packing) -> int:
         """A count that about fills the size with a packing that was tried."""
-        return self._filling(self._best_file(packing))
+        return self._filling(self.found[_plain(packing)][packing.bits])
 
     def _value(self, packing: Packing) -> float:
         """Worth of a degree and a share, with bits as they are or nearer to the usual ones."""
