@@ -156,7 +156,10 @@ def choose_packing(
     if best is first and first.share is not None:
         best = search.climb(first, [replace(first, share=share) for share in LARGER])
     lower = [replace(best, sh_degree=degree) for degree in search.promising]
-    best = search.settled(search.climb(best, lower))
+    best = search.climb(best, lower)
+    # Without a palette the bits of the first were settled before.
+    if best is not first or best.share is not None:
+        best = search.settled(best)
     return best, search.filling(best), tuple(search.probes)
 
 
@@ -247,7 +250,8 @@ class _Search:
         result as long as what is hoped of them is more than what others were seen to show.
         """
         files = self.found[_plain(best)]
-        # Results with palettes take long.
+        # Files too large without a result of their own: how much fewer splats lose is not known, so
+        # that the least is hoped. A result with a palette takes too long to find that out.
         least = SLOPES[0] if best.share is None else self.slope
         made: set[_Values] = set()
 
@@ -259,7 +263,7 @@ class _Search:
         while len(files) > 1:
             best = replace(best, bits=max(files, key=hope))
             before = files[best.bits]
-            # What is left of a size brings no less than is known.
+            # With a palette, the result at hand is enough where it leaves room.
             known = best.share is not None and not made and before.bytes < self.size
             if known or best.bits in made or not self._is_far(before, NEAR_BITS):
                 break
