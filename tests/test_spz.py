@@ -393,7 +393,7 @@ def columns_of(path):
     """The version, and the columns but the harmonics of a file of version 2 or 3, as bytes."""
     data = gzip.decompress(path.read_bytes())
     version, count = struct.unpack_from("<II", data, 4)
-    widths = {"centres": 9, "alphas": 1, "colours": 3, "scales": 3, "rotations": version + 1}
+    widths = spz_header.column_widths(version, 0)
     ends = np.cumsum([16, *(count * width for width in widths.values())])
     return version, {
         name: np.frombuffer(data[start:end], np.uint8).reshape(count, -1)
@@ -438,6 +438,21 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
     turned = 2 * np.arccos(dots.clip(0, 1)).max()
     assert step.rotations / 127.5 < turned < 2.5 * step.rotations / 127.5
     assert (tmp_path / "a.spz").stat().st_size < (1 - 0.05 * (8 - bits)) * usual
+
+
+@pytest.mark.parametrize("bits", [4, 5, 6, 7, 8])
+def test_what_nobody_sees_stays_so_and_what_is_opaque_too(tmp_path, bits):
+    logits = np.repeat(np.float32([-np.inf, -7, np.inf]), 100)
+    model = replace(random_splats(300), opacity_logits=logits)
+    io.save(model, tmp_path / "a.spz", format_options={"bits": bits})
+    alphas = columns_of(tmp_path / "a.spz")[1]["alphas"]
+    assert np.bincount(alphas[:, 0], minlength=256)[[0, 255]].tolist() == [200, 100]
+
+
+def test_alphas_of_one_half_round_up_as_ever(tmp_path):
+    model = replace(random_splats(10), opacity_logits=np.zeros(10, np.float32))
+    io.save(model, tmp_path / "a.spz")
+    assert (columns_of(tmp_path / "a.spz")[1]["alphas"] == 128).all()
 
 
 @pytest.mark.parametrize("version", [3, 4])

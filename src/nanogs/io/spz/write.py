@@ -85,7 +85,7 @@ STEPS = {
     8: Steps(1, 1, 4, 1, 1),
     7: Steps(1, 1, 8, 2, 2),
     6: Steps(2, 2, 16, 4, 4),
-    5: Steps(2, 3, 16, 5, 6),
+    5: Steps(2, 3, 16, 5, 5),
     4: Steps(4, 5, 32, 8, 8),
 }
 """By the bits that are asked for."""
@@ -277,7 +277,7 @@ def _encoders(fraction: int, version: int, bits: int, buckets: F64) -> list[Enco
     turned = _least_turned if bits < MOST_BITS else _as_they_are
     encoders: list[Encoder] = [
         lambda block: _positions(block.means, fraction),
-        lambda block: _stepped(block.opacities() * _BYTE, steps.alphas, _BYTE),
+        lambda block: _alphas(block, steps.alphas),
         lambda block: _stepped(_colours(block), steps.colours, _BLACK),
         lambda block: _stepped(
             (turned(block)[1] - np.float64(SCALE_LOW)) * SCALE_STEPS, steps.scales
@@ -287,6 +287,14 @@ def _encoders(fraction: int, version: int, bits: int, buckets: F64) -> list[Enco
     if len(buckets):
         encoders.append(lambda block: _coefficients(block.sh[:, 1:], buckets))
     return encoders
+
+
+def _alphas(block: Splats, step: int) -> U8:
+    """(R,) opacities as codes; what nobody sees stays so, whatever the step."""
+    values = block.opacities() * _BYTE
+    codes = _stepped(values, step, _BYTE)
+    codes[values < 0.5] = 0  # as with steps of 1
+    return codes
 
 
 def _colours(block: Splats) -> F64:
@@ -308,6 +316,8 @@ def _least_turned(block: Splats) -> tuple[F32, F32]:
 
 def _stepped(values: F32 | F64, step: int, start: int = 0) -> U8:
     """The nearest of the codes that are so far apart, one of which is `start`."""
+    if step == 1:
+        return rounded_bytes(values)
     return rounded_bytes(start + step * np.rint((values - start) / step))
 
 
