@@ -120,7 +120,7 @@ def turn_matrix(quat):
 
 def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
     """How a view pulls at one splat's parameters of shape (10,), and their curvatures (55,)."""
-    jacobians, lanes, products = chain.new_chains(1)
+    jacobians, lanes, products = chain.new_chains(chain.SHAPE, chain.SCREEN, 1)
     rotation = np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64)
     lens = camera.intrinsics
     chain.screen_jacobian(

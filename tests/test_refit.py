@@ -21,6 +21,7 @@ from nanogs.fit.targets import ALPHA, WHITE, Fitting, make_target, pull, squared
 from nanogs.io import load
 from nanogs.kernels import backward, damped
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
+from nanogs.kernels.chain import SHAPE
 from nanogs.kernels.damped import LANES
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, project
@@ -242,7 +243,7 @@ def packed(full):
 
 def solved(pulls, blocks, damping, floor, limits, lanes):
     """Steps (N, 10) and whether there is one, of as many splats as the lanes hold at the most."""
-    steps, bends, moves = damped.new_lanes(lanes)
+    steps, bends, moves = damped.new_lanes(SHAPE, lanes)
     steps[:, : len(pulls)], bends[:, : len(pulls)] = np.transpose(pulls), np.transpose(blocks)
     damped.damped_steps(steps, bends, damping, floor, limits, np.empty(lanes), moves)
     return steps.T[: len(pulls)], moves[: len(pulls)]

@@ -18,7 +18,7 @@ from nanogs.fit.targets import Fitting, Target, pull
 from nanogs.kernels.advance import advance_splats
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.kernels.chain import PACKED
-from nanogs.kernels.damped import LANES
+from nanogs.kernels.damped import SIZES
 from nanogs.raster.rendering import seen_by, together
 from nanogs.splats import RenderMode, Splats
 
@@ -137,7 +137,7 @@ class Descent:
             self.parameters.damping,
             self.parameters.floor,
             len(self.views),
-            LANES,
+            SIZES,
             self._limits,
             self._bands,
             self._given,

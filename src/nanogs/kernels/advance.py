@@ -102,7 +102,7 @@ def advance_splats(
     damping: float,
     floor: float,
     memory: int,
-    lanes: int,
+    sizes: tuple[int, int, int],
     limits: F64,
     bands: F64,
     given: F32,
@@ -145,7 +145,7 @@ def advance_splats(
         damping: See `damped_steps`.
         floor: See `damped_steps`.
         memory: Views of a splat that its mean curvatures remember, about.
-        lanes: How many splats are solved for side by side, see `damped`.
+        sizes: SIZES of `damped`.
         limits: (12,) largest steps of the ten parameters of shape, then least and most of the
             opacity's logit; a logit that starts below the least may stay there.
         bands: (K, 2) curvature of each coefficient for a weight of 1, and its ridge.
@@ -169,8 +169,9 @@ def advance_splats(
     """
     bounds = guard_bounds(lens)
     point, basis = np.empty(3), np.empty(25)
-    jacobians, sums, products = new_chains(lanes)
-    pulls, curvatures, moves = new_lanes(lanes)
+    shape, screen, lanes = sizes
+    jacobians, sums, products = new_chains(shape, screen, lanes)
+    pulls, curvatures, moves = new_lanes(shape, lanes)
     rows, excesses, lifts = np.empty(lanes, np.int64), np.empty(lanes), np.empty(lanes)
     place = start
     while place < stop:

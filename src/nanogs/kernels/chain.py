@@ -29,6 +29,10 @@ SCREEN = 6
 # Where the parameters after those of the centre begin, and the opacity; and the first monomial of
 # second order.
 CENTRE, OPACITY, SPREAD = 3, 9, 3
+# Which monomials each parameter changes. Only the centre moves a splat on screen: the linear ones
+# are its alone. Only opacity changes alpha alike everywhere.
+CHANGES = np.ones((SHAPE, SCREEN), np.bool_)
+CHANGES[CENTRE:OPACITY, 1:SPREAD] = CHANGES[OPACITY, 1:] = False
 
 # Where the product of two of the monomials 1, p, q, p², pq, q² stands among the moments.
 PRODUCTS = np.array(
@@ -44,10 +48,10 @@ PRODUCTS = np.array(
 
 
 @inline
-def new_chains(lanes: int) -> tuple[F64, F64, F64]:
+def new_chains(shape: int, screen: int, lanes: int) -> tuple[F64, F64, F64]:
     """Allocate what `pulls_and_blocks` takes and works in: Jacobians, sums, products."""
     # The opacity's row of a Jacobian stays 0 but for one place.
-    return np.zeros((SHAPE, SCREEN, lanes)), np.zeros((SUMS, lanes)), np.zeros((SCREEN, lanes))
+    return np.zeros((shape, screen, lanes)), np.zeros((SUMS, lanes)), np.zeros((screen, lanes))
 
 
 @inline
@@ -197,35 +201,8 @@ def _clear(out: F64) -> None:
 
 
 @exact_inline
-def _bend(
-    a: int, first: int, jacobians: F64, sums: F64, products: F64, pulls: F64, blocks: F64
-) -> None:
-    """Row a of J g and of J M Jᵀ; its Jacobian is 0 from column 1 up to `first`."""
-    row = a * (a + 1) // 2
-    _clear(pulls[a])
-    screen = len(products)  # not SCREEN: loops of a length that LLVM knows are written out
-    for c in range(screen):
-        _clear(products[c])
-    for d in range(screen):
-        if 0 < d < first:
-            continue
-        _add_products(pulls[a], jacobians[a, d], sums[4 + d])
-        for c in range(screen):
-            _add_products(products[c], jacobians[a, d], sums[PRODUCTS[d, c]])
-    for b in range(a + 1):
-        _clear(blocks[row + b])
-        for c in range(screen):
-            # As below: only a centre has the linear monomials, and the opacity has the first alone.
-            if b < CENTRE or c == 0 or (c >= SPREAD and b < OPACITY):
-                _add_products(blocks[row + b], products[c], jacobians[b, c])
-
-
-@exact_inline
 def pulls_and_blocks(jacobians: F64, sums: F64, products: F64, pulls: F64, blocks: F64) -> None:
     """The pulls J g of splats side by side, and of their blocks J M Jᵀ the lower triangles.
-
-    Only the centre moves a splat on screen: the linear monomials, columns 1 and 2, are its alone.
-    Only opacity changes alpha alike everywhere.
 
     Args:
         jacobians: (10, 6, L) from `screen_jacobian`.
@@ -234,6 +211,19 @@ def pulls_and_blocks(jacobians: F64, sums: F64, products: F64, pulls: F64, block
         pulls: (10, L) out.
         blocks: (55, L) out.
     """
-    for a in range(SHAPE):
-        first = 1 if a < CENTRE else SPREAD if a < OPACITY else SCREEN
-        _bend(a, first, jacobians, sums, products, pulls, blocks)
+    screen = len(products)
+    for a in range(len(pulls)):
+        _clear(pulls[a])
+        for c in range(screen):
+            _clear(products[c])
+        for d in range(screen):
+            if CHANGES[a, d]:
+                _add_products(pulls[a], jacobians[a, d], sums[4 + d])
+                for c in range(screen):
+                    _add_products(products[c], jacobians[a, d], sums[PRODUCTS[d, c]])
+        row = a * (a + 1) // 2
+        for b in range(a + 1):
+            _clear(blocks[row + b])
+            for c in range(screen):
+                if CHANGES[b, c]:
+                    _add_products(blocks[row + b], products[c], jacobians[b, c])

@@ -12,33 +12,39 @@ import math
 import numpy as np
 
 from nanogs._types import F64, Bool
-from nanogs.kernels.chain import PACKED, SHAPE
+from nanogs.kernels.chain import SCREEN, SHAPE
 from nanogs.kernels.policy import exact_inline
 
 # Splats side by side: their blocks fill 14 kB of the first cache.
 LANES = 32
+# Parameters, monomials and splats side by side, for a kernel to take: loops of lengths that LLVM
+# knows are written out, and it takes seconds to compile what comes of that.
+SIZES = SHAPE, SCREEN, LANES
 
 
 @exact_inline
-def new_lanes(lanes: int) -> tuple[F64, F64, Bool]:
+def new_lanes(shape: int, lanes: int) -> tuple[F64, F64, Bool]:
     """Allocate what `damped_steps` takes: the pulls, the blocks, and which splats have a step.
 
-    Lanes that stay empty are solved too, so they hold numbers for which that works.
+    Lanes that stay empty are solved too: as what nothing bends.
     """
-    return np.zeros((SHAPE, lanes)), np.ones((PACKED, lanes)), np.zeros(lanes, np.bool_)
+    packed = shape * (shape + 1) // 2
+    return np.zeros((shape, lanes)), np.zeros((packed, lanes)), np.zeros(lanes, np.bool_)
 
 
 @exact_inline
-def _lift_diagonal(blocks: F64, damping: float, floor: float, lifts: F64, moves: Bool) -> None:
+def _lift_diagonal(
+    shape: int, blocks: F64, damping: float, floor: float, lifts: F64, moves: Bool
+) -> None:
     """Damp the blocks, and note what the floor adds to each; 1 where nothing bends."""
     lanes = len(lifts)
     for lane in range(lanes):
         largest = 0.0
-        for a in range(SHAPE):
+        for a in range(shape):
             largest = max(largest, blocks[a * (a + 3) // 2, lane])
         moves[lane] = largest > 0.0
         lifts[lane] = floor * largest if moves[lane] else 1.0
-    for a in range(SHAPE):
+    for a in range(shape):
         for lane in range(lanes):
             blocks[a * (a + 3) // 2, lane] *= 1.0 + damping
             blocks[a * (a + 3) // 2, lane] += lifts[lane]
@@ -46,10 +52,7 @@ def _lift_diagonal(blocks: F64, damping: float, floor: float, lifts: F64, moves:
 
 @exact_inline
 def _factorise(shape: int, lower: F64, lifts: F64) -> None:
-    """Cholesky's lower factors in place of the blocks, with the inverses of their diagonals.
-
-    shape: SHAPE, not named here, since loops of a length that LLVM knows take it long to compile.
-    """
+    """Cholesky's lower factors in place of the blocks, with the inverses of their diagonals."""
     lanes = len(lifts)
     for a in range(shape):
         row = a * (a + 1) // 2
@@ -91,11 +94,11 @@ def _shorten(steps: F64, limits: F64, moves: Bool) -> None:
     """Hold every step to its limits; what is past all bounds is none."""
     for lane in range(steps.shape[1]):
         excess, length = 1.0, 0.0
-        for a in range(SHAPE):
+        for a in range(len(steps)):
             excess = max(excess, abs(steps[a, lane]) / limits[a])
             length += abs(steps[a, lane])
         moves[lane] = moves[lane] and length < math.inf
-        for a in range(SHAPE):
+        for a in range(len(steps)):
             steps[a, lane] /= excess
 
 
@@ -119,7 +122,7 @@ def damped_steps(
         moves: (L,) out, whether there is a step: not where nothing bends, or where numbers are past
             all bounds.
     """
-    _lift_diagonal(blocks, damping, floor, lifts, moves)
+    _lift_diagonal(len(pulls), blocks, damping, floor, lifts, moves)
     _factorise(len(pulls), blocks, lifts)
     _substitute(blocks, pulls)
     _shorten(pulls, limits, moves)
