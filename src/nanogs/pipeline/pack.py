@@ -85,7 +85,7 @@ class Packer(Generic[T]):
 
     def _unseen(self, choices: Choices) -> Packing:
         """The packing where nobody looks, or one without choices where a PSNR is to be reached."""
-        if choices.by_psnr or not choices.any:
+        if choices.by_psnr:
             return Packing(choices.degrees[-1])
         return unseen_packing(choices, self.guess, self.results.available)
 

@@ -27,7 +27,7 @@ SAVED = 1.2  # splats more than the first bits leave room for, which coarser one
 # bits can be told apart.
 NEAR, NEAR_BITS = 0.12, 0.03
 BEHIND = 1.5  # dB by which a degree that nothing is fitted for may be behind and still be tried
-FINE = 0.25  # dB that other bits bring a larger palette, at most, once they suit a smaller one
+FINE = 0.25  # dB by which a larger palette may be behind and still be looked at with other bits
 ENOUGH_SPLATS = 0.75  # of all, by a guess that is 10 to 20 % low: precision shows more than others
 
 
@@ -74,7 +74,7 @@ class Bits:
     Attributes:
         begin: What is tried first, which is mostly near the best.
         values: All, ascending.
-        unseen: What it is where nobody looks, or more.
+        unseen: The least where nothing is rendered.
     """
 
     begin: int
@@ -157,9 +157,8 @@ def choose_packing(
         best = search.climb(first, [replace(first, share=share) for share in LARGER])
     lower = [replace(best, sh_degree=degree) for degree in search.promising]
     best = search.climb(best, lower)
-    # Without a palette the bits of the first were settled before.
-    if best is not first or best.share is not None:
-        best = search.settled(best)
+    if best.share is not None:  # otherwise the bits of the first result were compared at once
+        best = search.compare_bits(best)
     return best, search.filling(best), tuple(search.probes)
 
 
@@ -239,10 +238,10 @@ class _Search:
         found, lower = self._best_file(first), probes[len(full) :]
         self.promising = [probe.sh_degree for probe in lower if self._promises(probe, found)]
         if first.share is None:
-            return self.settled(best)
+            return self.compare_bits(best)
         return self._make(best, self._filling(found)) if self._is_far(found) else best
 
-    def settled(self, best: Packing) -> Packing:
+    def compare_bits(self, best: Packing) -> Packing:
         """The best bits, where several were seen, of which a result was made that fills the size.
 
         How much splats bring is hardly known well enough to tell bits apart by one result: they
@@ -250,30 +249,31 @@ class _Search:
         result as long as what is hoped of them is more than what others were seen to show.
         """
         files = self.found[_plain(best)]
-        # Files too large without a result of their own: how much fewer splats lose is not known, so
-        # that the least is hoped. A result with a palette takes too long to find that out.
-        least = SLOPES[0] if best.share is None else self.slope
+        if len(files) == 1:
+            return best
         made: set[_Values] = set()
-
-        def hope(bits: _Values) -> float:
-            over = self._over(files[bits])
-            slope = least if over > 0 and bits not in made else self.slope
-            return self.choices.quality(files[bits]) - slope * over
-
-        while len(files) > 1:
-            best = replace(best, bits=max(files, key=hope))
+        while True:
+            best = replace(best, bits=max(files, key=partial(self._hope, best, made)))
             before = files[best.bits]
-            # With a palette, the result at hand is enough where it leaves room.
-            known = best.share is not None and not made and before.bytes < self.size
-            if known or best.bits in made or not self._is_far(before, NEAR_BITS):
-                break
+            if best.bits in made or not self._is_far(before, NEAR_BITS):
+                return best
+            # A result with a palette takes long: the one at hand is enough where it leaves room.
+            if best.share is not None and not made and before.bytes < self.size:
+                return best
             made.add(best.bits)
             [after] = self._tried(best, self._filling(before), partial(_alone, best))
             files[best.bits] = after
             less, more = sorted((before, after), key=lambda each: each.bytes)
             if more.bytes > (1 + NEAR_BITS) * less.bytes:
                 self.slope = max(self.slope, slope_of(self.choices, less, more))
-        return best
+
+    def _hope(self, packing: Packing, made: set[_Values], bits: _Values) -> float:
+        """What a result that fills the size may show with some bits, dB."""
+        file = self.found[_plain(packing)][bits]
+        over, slope = self._over(file), self.slope
+        if over > 0 and bits not in made and packing.share is None:
+            slope = SLOPES[0]  # what fewer splats lose is not known yet
+        return self.choices.quality(file) - slope * over
 
     def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
         """The best of a packing and others in a row, as far as each is better than the last."""
@@ -289,7 +289,7 @@ class _Search:
         return self._filling(self.found[_plain(packing)][packing.bits])
 
     def _value(self, packing: Packing) -> float:
-        """Worth of a degree and a share, with bits as they are or nearer to the usual ones."""
+        """Worth of a degree and a share, its bits as they are or others."""
         if _plain(packing) not in self.found:
             self._make(packing, self._expected(packing), near=True)
             if self._is_far(found := self._best_file(packing)):
@@ -318,7 +318,7 @@ class _Search:
 
     def _bits_of(self, probe: PackingReport) -> _Values:
         names = self.choices.bits
-        return tuple((name, probe.options[name]) for name in names if name in probe.options)
+        return tuple((name, probe.options[name]) for name in names)
 
     def _look(
         self, packing: Packing, seen: Seen, *, lower: bool = False, near: bool = False
@@ -352,9 +352,8 @@ class _Search:
                     best, chosen = probes[-1], changed
                 if chosen[name] != began:
                     break
-        fine = tuple(chosen.items()) if best is not probes[0] else packing.bits
         for degree in reversed(self.choices.degrees[:-1]) if lower else ():
-            probes.append(seen(replace(packing, sh_degree=degree, bits=fine)))
+            probes.append(seen(replace(packing, sh_degree=degree, bits=tuple(chosen.items()))))
             if not self._promises(probes[-1], best):
                 break
         return probes
