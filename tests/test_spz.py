@@ -492,14 +492,12 @@ def test_rows_are_sorted_where_values_are_rounded_alone(tmp_path):
 def test_large_files_are_packed_as_they_come(tmp_path, monkeypatch):
     model, given = random_splats(500, degree=1), {"format_options": {"bits": 6}}
     io.save(model, tmp_path / "a.spz", **given)
-    monkeypatch.setattr(spz_write, "WHOLE", 500 * 28 - 1)
     monkeypatch.setattr("nanogs.io.spz.packing.WHOLE", 500 * 28 - 1)
     io.save(model, tmp_path / "b.spz", **given)
     fraction = spz_write.fraction_bits(model, Precision(6))
     first, second = io.load(tmp_path / "a.spz"), io.load(tmp_path / "b.spz")
     assert_same(first, replace(second.take(along_y(model, fraction)), notes=first.notes))
     assert np.abs(second.means - model.means).max() <= 0.5 / 2**fraction
-    monkeypatch.setattr(spz_write, "WHOLE", 500 * 28)
     monkeypatch.setattr("nanogs.io.spz.packing.WHOLE", 500 * 28)
     io.save(model, tmp_path / "c.spz", **given)
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "c.spz").read_bytes()
@@ -807,3 +805,10 @@ def test_gaussforge_agrees_both_ways(tmp_path, version, degree):
         # They write all ten bits of rotations, of which ours have eight.
         off = 0.006 if name == "quats" else 0
         np.testing.assert_allclose(getattr(again, name), getattr(ours, name), 0, off)
+
+
+def test_options_that_do_not_go_together_are_refused_before_any_work(tmp_path):
+    options = {"spz_version": 2, "frame": "rub"}
+    with pytest.raises(OptionError, match="leave spz_version=2 out"):
+        io.check_writable(tmp_path / "a.spz", format_options=options)
+    io.check_writable(tmp_path / "a.spz", format_options=options | {"spz_version": 4})

@@ -14,7 +14,7 @@ from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model
 from nanogs.io.parts import FileSource, Packed, Whole
 from nanogs.io.spz.header import LAST_GZIP, column_widths
-from nanogs.io.spz.packing import held_bytes
+from nanogs.io.spz.packing import packing_bytes
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -167,9 +167,8 @@ def _columns_bytes(suffix: str, info: FileInfo) -> int:
     each = _COLUMN.get(suffix, 0) * info.splats
     if suffix != ".spz":
         return each
-    return max(
-        each, held_bytes(sum(column_widths(LAST_GZIP, info.sh_degree).values()) * info.splats)
-    )
+    columns = sum(column_widths(LAST_GZIP, info.sh_degree).values()) * info.splats
+    return max(each, packing_bytes(columns))
 
 
 def info_bytes(source: FileSource) -> int:

@@ -162,9 +162,8 @@ Palette = Annotated[
 Bits = Annotated[
     int | None,
     typer.Option(
-        help="Of a .sog or .spz file: bits of a part of a rotation, 4 to 8, from which those of"
-        " other values follow; one less makes the file a tenth smaller, and its errors up to twice"
-        " as large.",
+        help="Of a .sog or .spz file: how fine all values are, 4 (coarse) to 8; one less makes the"
+        " file a tenth smaller, and its errors up to twice as large.",
         show_default="7, of .spz 8",
         metavar="BITS",
     ),

@@ -156,12 +156,13 @@ def save(
         overwrite: Replace a file that exists.
         format: Suffix of the format; by default that of the name. An open file without a name
             needs it.
-        format_options: Of the format, by name. Of .spz `spz_version`, 2, 3 (as by default) or 4,
-            and `sh_bits` of a colour coefficient of degree 1, 2 to 8 (by default 5), those above
-            having one less; of both `palette`, entries for the higher colour coefficients, of .sog
-            1 to 65,536, by default two for three splats, and of .spz 1 to 1,048,576, by default
-            each splat its own; and `bits` of a part of a rotation, 4 to 8 (by default 7, of .spz
-            8), from which those of other values follow.
+        format_options: Of the format, by name. Of .spz `spz_version`, 2, 3 or 4 (by default 3, 2
+            with fewer `bits`, or 4 where the file states something beside), and `sh_bits` of a
+            colour coefficient of degree 1, 2 to 8 (by default 5), those above having one less; of
+            .sog and .spz `palette`, entries for the higher colour coefficients, of .sog 1 to
+            65,536, by default two for three splats, and of .spz 1 to 1,048,576, by default each
+            splat its own; and `bits`, how fine all values are, 4 (coarse) to 8 (by default 7, of
+            .spz 8).
         progress: Called with each `nanogs.progress.Step` of a file whose writing takes long.
 
     Raises:

@@ -47,7 +47,8 @@ class WriteOption:
         values: What it may be.
         begin: Of one that says how finely values are kept, from coarse to fine, the value with
             which a search for the best begins; None for others.
-        unseen: Of such a one, the value of files of a size that nobody looks at; None for `begin`.
+        unseen: Of such a one, the value for presets that do not render, where a size is asked for;
+            None for `begin`.
         whole: Whether a writer to whom it is given has to hold the whole model.
     """
 
@@ -82,7 +83,7 @@ class Format:
     so. `max_degree` is the highest degree of harmonics that files hold. `check` fails before any
     computing where this installation cannot write the format. Files without a name are known by
     what they begin with, one of `starts`, or, where they are zips, by a file that is in them,
-    `holds`.
+    `holds`. `check_options` fails where options do not go together.
     """
 
     suffix: str
@@ -102,6 +103,7 @@ class Format:
     max_degree: int = MAX_SH_DEGREE
     ours: Ours | None = None
     check: Callable[[], None] = lambda: None
+    check_options: Callable[[FormatOptions], None] = lambda _options: None
     starts: tuple[bytes, ...] = ()
     holds: str = ""
 

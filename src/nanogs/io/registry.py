@@ -122,7 +122,8 @@ def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
     """Arguments for a format's writer, from options by name; None stands for the default.
 
     Raises:
-        OptionError: The format has no such option, or not that value of it.
+        OptionError: The format has no such option, or not that value of it, or options do not go
+            together.
     """
     chosen = {}
     for name, value in options.items():
@@ -133,6 +134,7 @@ def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
         if isinstance(value, bool) or value not in option.values:
             raise OptionError(f"{name} must be {option.allowed}, not {value!r}.")
         chosen[option.keyword] = value
+    known.check_options(options)
     return chosen
 
 

@@ -20,6 +20,11 @@ def _version(options: FormatOptions) -> int:
     return options.get("spz_version") or usual
 
 
+def _check_options(options: FormatOptions) -> None:
+    if options.get("frame"):
+        write.check_states(_version(options), "states its frame")
+
+
 FORMATS = (
     Format(
         ".spz",
@@ -36,6 +41,7 @@ FORMATS = (
             "frame": WriteOption("frame", RECORDED_FRAMES),
         },
         states_frame=lambda options: _version(options) == write.STATING,
+        check_options=_check_options,
         tells=True,
         streams=True,
         starts=(MAGIC, GZIP),

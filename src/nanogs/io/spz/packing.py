@@ -12,7 +12,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from nanogs._types import I32, I64, U8
+from nanogs._types import I64, U8
+from nanogs.io.spz.read import whole_numbers
 
 # Bytes of all columns up to which they are sorted, and packed as a whole, by some 5 % better; what
 # is larger is packed as it comes.
@@ -20,12 +21,16 @@ WHOLE = 12 << 20
 # Levels: of libdeflate, whose 12 takes half as long again for 0.05 %; and of zlib, whose 9 takes
 # five times as long for 1.4 %.
 BEST, _STREAMED = 11, 6
-_CODE = 3  # bytes of a coordinate
 
 
-def held_bytes(size: int) -> int:
+def is_small(size: int) -> bool:
+    """Whether columns of so many bytes are held, sorted and packed as a whole."""
+    return size <= WHOLE
+
+
+def packing_bytes(size: int) -> int:
     """Bytes that packing columns of so many holds: them, room for the file, and what is sorted."""
-    return 3 * size if size <= WHOLE else 0
+    return 3 * size if is_small(size) else 0
 
 
 def sorted_columns(
@@ -48,9 +53,7 @@ def sorted_columns(
 
 def _order(centres: U8, groups: I64 | None) -> I64:
     """The rows by group, y, x; centres: (N, 9), as the file has them."""
-    wide = np.zeros((len(centres), 3, _CODE + 1), np.uint8)
-    wide[:, :, 1:] = centres.reshape(-1, 3, _CODE)
-    codes: I32 = wide.view("<i4")[:, :, 0]
+    codes = whole_numbers(centres)
     keys = (codes[:, 0], codes[:, 1])
     return np.lexsort(keys if groups is None else (*keys, groups))
 
@@ -67,7 +70,7 @@ def write_gzip(
         size: Bytes of all columns.
         level: Of libdeflate, 1 to 12; above `WHOLE` zlib's, no more than its usual one.
     """
-    if size <= WHOLE:
+    if is_small(size):
         import deflate  # here, since few need it
 
         whole, end = bytearray(len(header) + size), len(header)

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nanogs._types import F32, F64, U8, Array
+from nanogs._types import F32, F64, I32, U8, Array
 from nanogs.io.files import BLOCK_ROWS
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
@@ -158,12 +158,17 @@ def _means(stored: U8, header: Header) -> F32 | F64:
     """(R, 3) scene units."""
     if header.version == 1:
         return stored.view("<f2").astype(np.float32)
+    result: F64 = np.ldexp(whole_numbers(stored).astype(np.float64), -header.fraction_bits)
+    return result
+
+
+def whole_numbers(stored: U8) -> I32:
+    """(R, 3) of (R, 9): centres as whole numbers of 24 bits."""
     # The three bytes become the upper ones of an int32; shifting it back extends the sign.
     wide = np.zeros((len(stored), 3, 4), np.uint8)
     wide[:, :, 1:] = stored.reshape(-1, 3, 3)
-    fixed = wide.view("<i4")[:, :, 0] >> 8
-    result: F64 = np.ldexp(fixed.astype(np.float64), -header.fraction_bits)
-    return result
+    numbers: I32 = wide.view("<i4")[:, :, 0] >> 8
+    return numbers
 
 
 def _xyz_quats(stored: U8) -> F64:

@@ -41,7 +41,7 @@ from nanogs.io.spz.header import (
     TOC_ENTRY,
     column_widths,
 )
-from nanogs.io.spz.packing import BEST, WHOLE, sorted_columns, write_gzip
+from nanogs.io.spz.packing import BEST, is_small, sorted_columns, write_gzip
 from nanogs.io.spz.read import COLOUR_SCALE, MAGNITUDE, SCALE_LOW, SCALE_STEPS, SH_STEPS
 from nanogs.io.spz.records import of_splats, packed, without_records
 from nanogs.progress import Parts, untold
@@ -57,7 +57,7 @@ MOST_ENTRIES = 1 << 20  # of a palette
 USUAL_FRACTION_BITS = 12
 _FIXED_MAX = (1 << 23) - 1
 _SIGNIFICANT_BITS = 16
-_BYTE, _ZERO = 255, 128  # opaque, and no rotation
+_BYTE, _ZERO = 255, 128  # codes of 1, which is opaque, and of no rotation
 _BLACK = 60  # of the base colour, nearly
 _ZSTD_LEVEL = 12  # the reference writer's
 
@@ -107,7 +107,7 @@ def write(
 
     Args:
         model: The model; of a source, no more than a column is held, and that as it is written,
-            unless there is a palette.
+            unless there is a palette, or all columns are so small that they are packed as a whole.
         file: Open for binary writing.
         tell: Told of the rounds in which a palette is looked for.
         version: 3 (gzip), which Spark reads; 4 (zstd), as today's reference writer has it; or 2
@@ -117,11 +117,11 @@ def write(
         palette_size: Most sets of higher coefficients that splats may have; by default each splat
             has its own. Splats of one set then follow each other.
         bits: How fine values are, 4 to 8, see `STEPS`; centres follow, see `Precision.spare_bits`.
-            With fewer than 8, rows go in another order, if they are `packing.WHOLE` bytes at most.
+            With fewer than 8, rows of small files go in another order, see `packing`.
         sh_bits: Of a coefficient of degree 1, 2 to 8; higher ones have one less.
         frame: The frame of the axes, which the file then states; of version 4 alone, since readers
             of older ones expect nothing after the columns.
-        gzip_level: Of libdeflate, 1 to 12; of versions 2 and 3.
+        gzip_level: Of versions 2 and 3, see `packing.write_gzip`.
 
     Raises:
         OptionError: A frame or a record is to be in a file of another version.
@@ -133,12 +133,9 @@ def write(
     elements = source.read_elements()
     records = packed(elements) + (frame_record(frame) if frame else b"")
     version = version or usual_version(bits, stating=bool(records))
-    if records and version != STATING:
+    if records:
         what = "states its frame" if frame else "holds the extension records of the model"
-        raise OptionError(
-            f"Only .spz of version {STATING} {what}; leave spz_version={version} out, or give"
-            f" {STATING}."
-        )
+        check_states(version, what)
     degree, count = source.columns.sh_degree, source.count
     fraction = fraction_bits(source, Precision(bits))
     movable, groups = not of_splats(elements, count), None
@@ -153,7 +150,7 @@ def write(
     )
     widths = list(column_widths(version, degree).values())
     size = count * sum(widths)
-    if movable and (bits < MOST_BITS or groups is not None) and size <= WHOLE:
+    if movable and (bits < MOST_BITS or groups is not None) and is_small(size):
         columns = sorted_columns(columns, widths, count, groups)
     if ROUNDED <= version <= LAST_GZIP:
         write_gzip(file, LEGACY_HEADER.pack(*start, 0), columns, size, gzip_level)
@@ -165,6 +162,23 @@ def write(
         file.writelines(streams)
     else:
         raise OutputError(f".spz version {version} is not written; choose 2, 3 or 4.")
+
+
+def check_states(version: int, what: str) -> None:
+    """Refuse a version after whose columns readers expect nothing.
+
+    Args:
+        version: That is to be written.
+        what: What files of `STATING` do beside.
+
+    Raises:
+        OptionError: It is another one.
+    """
+    if version != STATING:
+        raise OptionError(
+            f"Only .spz of version {STATING} {what}; leave spz_version={version} out, or give"
+            f" {STATING}."
+        )
 
 
 def usual_version(bits: int = MOST_BITS, *, stating: bool = False) -> int:
