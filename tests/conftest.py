@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import signal
 import sys
 import tempfile
 from dataclasses import replace
@@ -15,6 +16,10 @@ import nanogs
 # No deadline: the first example of a test compiles kernels. The same examples on every machine.
 hypothesis.settings.register_profile("nanogs", deadline=None, derandomize=True, max_examples=60)
 hypothesis.settings.load_profile("nanogs")
+
+# A shell has what it starts in the background ignore Ctrl-C, and commands under test inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
