@@ -293,6 +293,17 @@ def test_info_never_imports_numba(scene):
 COMMANDS = "simplify lod refit convert info presets render compare view bench demo warm".split()
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_no_brackets_that_would_be_taken_for_markup(command):
+    import typer
+
+    from nanogs.cli.app import app
+
+    given = typer.main.get_command(app).commands[command]
+    for text in (given.help, *(getattr(each, "help", "") for each in given.params)):
+        assert not re.search(r"\[[a-z]", text or ""), text
+
+
 @pytest.mark.parametrize("arguments", ["--help", "--version", *(f"{c} -h" for c in COMMANDS)])
 def test_help_imports_nothing_that_only_a_run_needs(arguments):
     imported = modules_after(*arguments.split())

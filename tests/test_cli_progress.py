@@ -168,7 +168,7 @@ def test_the_report_is_one_line(tmp_path):
     files |= {"input": "a.ply", "output": "b.ply"}
     assert said(files) == "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s"
     chosen = {"bits": 6, "palette": 3429}
-    assert " in b.ply (bits 6, palette 3,429), 76" in said(files, format_options=chosen)
+    assert " in b.ply (--bits 6 --palette 3429), 76" in said(files, format_options=chosen)
     packed = files | {"input": "a.sog", "input_bytes": 1_100_000}
     assert ", 1.1 → 1.2 MB (.sog → .ply), 6 s" in said(packed)
     assert ", 1.1 → 1.2 MB, 6 s" in said(packed | {"input": "stdin"})

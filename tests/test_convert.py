@@ -186,7 +186,7 @@ def test_the_palette_is_chosen(scene, tmp_path, suffix):
 def test_options_of_another_format_are_refused(scene, tmp_path):
     assert_refused(run(scene, tmp_path / "a.spz", "--spz-version", 1), tmp_path, "2 or 3 or 4")
     assert_refused(run(scene, tmp_path / "a.ply", "--spz-version", 4), tmp_path, "for .spz files")
-    asked = "palette must be a whole number from 1 to 65,536, not 0"
+    asked = "--palette must be a whole number from 1 to 65,536, not 0"
     assert_refused(run(scene, tmp_path / "a.sog", "--palette", 0), tmp_path, asked)
     with pytest.raises(OptionError, match="no option 'quality'"):
         nanogs.save(nanogs.load(scene), tmp_path / "a.spz", format_options={"quality": 3})

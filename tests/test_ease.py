@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+import launch
 import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
@@ -41,6 +42,54 @@ def test_a_folder_with_one_model_stands_for_it(folder, tmp_path):
     assert result.returncode == 0, result.stderr
     assert len(nanogs.load(small)) == 9
     assert_refused(run("simplify", folder, small, "-n", "9", "-w"), "holds 2 models; name one")
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("simplify {a} {out} -r 0.5", "is a folder; name a file in it, such as"),
+        ("convert {a} {out}", "is a folder; name a file in it, such as"),
+        ("simplify nowhere/ {out}/a.ply -r 0.5", "nowhere: no such file or folder; check the path"),
+        ("view nowhere", "nowhere: no such file or folder; check the path"),
+        ("compare - {a}", "This command does not read stdin"),
+        ("compare {a} {a} --report {out}/a.pdf", "pages are written as HTML; name"),
+        ("view {a} -o {out}/a.png", "pages are written as HTML; name"),
+        (
+            "simplify {a} {out}/meta.json --size 9kB",
+            "--size is for models in one file, and meta.js",
+        ),
+        ("simplify {a} {out}/meta.json --psnr 30", "--psnr is for models in one file, and meta.js"),
+        ("simplify {a} {out}/a.sog --size 99B --dry-run", "The size 99 B is too small"),
+        ("convert {a} --out-dir {out} --format xyz", "nanogs does not write a format 'xyz'"),
+    ],
+)
+def test_what_does_not_go_is_refused_for_what_it_is(folder, tmp_path, command, words):
+    given = [word.format(a=folder / "a.ply", out=tmp_path) for word in command.split()]
+    assert_refused(run(*given), words)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["info", "simplify", "compare"])
+def test_an_empty_name_is_no_folder(folder, command):
+    rest = {"simplify": ["b.ply", "-r", "0.5"], "compare": ["b.ply"]}.get(command, [])
+    assert_refused(launch.run(command, "", *rest, cwd=folder), "A path is empty; name a file.")
+
+
+def test_a_result_is_fitted_for_the_harmonics_that_its_format_holds(tmp_path):
+    nanogs.save(random_splats(500, degree=2), tmp_path / "a.ply")
+    kinds = {"a.splat": (), "b.splat": ("--sh-degree", "0"), "c.splat": ("--preset", "fast")}
+    said = {}
+    for name, given in kinds.items():
+        made = run("simplify", tmp_path / "a.ply", tmp_path / name, "-r", "0.2", *given, "--json")
+        said[name] = [n for n in json.loads(made.stdout)["notes"] if "Spherical harmonics" in n]
+    assert (tmp_path / "a.splat").read_bytes() == (tmp_path / "b.splat").read_bytes()
+    left_out = "Spherical harmonics above degree 0 are left out, .splat holds no more."
+    assert said == {"a.splat": [left_out], "b.splat": [], "c.splat": [left_out]}
+
+
+def test_a_whole_model_loses_by_packing_alone(folder, tmp_path):
+    made = run("simplify", folder / "a.ply", tmp_path / "a.sog", "-r", "1")
+    assert "views of 512 pixels, the loss is packing alone, " in made.stderr
 
 
 # info
@@ -197,7 +246,9 @@ def test_levels_are_files_of_any_format(folder, tmp_path):
         "level_0.ply", "level_1.ply", "levels.json",
     ]  # fmt: skip
     splat = run("lod", folder / "a.ply", tmp_path / "s", "--format", "splat", *fast)
-    assert "View dependence" in splat.stderr  # what the format leaves out is said
+    assert (
+        "Spherical harmonics above degree 0 are left out" in splat.stderr
+    )  # what the format leaves out is said
 
 
 @pytest.mark.parametrize(

@@ -189,7 +189,7 @@ def test_the_command_refuses_in_one_sentence(files, temporary):
         ("--packed", ".html"): "does not read .html",
         ("--packed", ".sgo"): "did you mean '.sog'",
         ("--packed", ","): "--packed names no format",
-        ("--packed", ".splat", "--palette", "9"): "palette is for ",
+        ("--packed", ".splat", "--palette", "9"): "--palette is for .",
         ("--palette", "9"): "--palette is for what is packed",
         ("--packed", ".spz", "--cameras", "no.json"): "no.json",
     }

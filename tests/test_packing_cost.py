@@ -101,8 +101,8 @@ def test_what_takes_too_much_memory_to_write_is_refused_before_work(scene, tempo
         ([".sgo"], {}, r"did you mean '\.sog'"),
         ([".ksplat"], {}, "does not write this format"),
         (["lod-meta.json"], {}, "levels of detail; make them with `nanogs lod`"),
-        ([".splat", ".ply"], {"palette": 9}, r"palette is for .*, not for \.splat; leave it out"),
-        ([".splat", ".sog"], {"bits": 99}, "bits must be a whole number from 4 to 8, not 99"),
+        ([".splat", ".ply"], {"palette": 9}, r"`palette` is for .*, not for \.splat; leave it out"),
+        ([".splat", ".sog"], {"bits": 99}, "`bits` must be a whole number from 4 to 8, not 99"),
         ([".ply"], {}, r"scene\.ply is packed as \.ply already; name another"),
     ],
 )
@@ -167,7 +167,7 @@ def test_info_refuses_in_one_sentence(scene):
         (".sgo",): "did you mean '.sog'",
         (",",): "--packed names no format",
         (".ply",): "scene.ply is packed as .ply already",
-        (".splat", "--palette", "9"): "palette is for ",
+        (".splat", "--palette", "9"): "--palette is for .",
         ("", "--bits", "6"): "--bits is for what is packed",
     }
     for (formats, *more), words in refused.items():

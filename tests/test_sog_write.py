@@ -368,7 +368,7 @@ def test_by_default_the_palette_grows_with_the_model():
 
 @pytest.mark.parametrize("size", [0, 65_537, 3.5, True, "9"])
 def test_a_palette_beyond_the_format_is_refused(tmp_path, size):
-    with pytest.raises(OptionError, match="palette must be a whole number from 1 to 65,536"):
+    with pytest.raises(OptionError, match="`palette` must be a whole number from 1 to 65,536"):
         io.save(random_model(9, 1), tmp_path / "a.sog", format_options={"palette": size})
     assert not list(tmp_path.iterdir())
 
@@ -432,7 +432,7 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
 
 @pytest.mark.parametrize("bits", [3, 9])
 def test_bits_beyond_the_format_are_refused(tmp_path, bits):
-    with pytest.raises(OptionError, match="bits must be a whole number from 4 to 8"):
+    with pytest.raises(OptionError, match="`bits` must be a whole number from 4 to 8"):
         io.save(random_model(9, 1), tmp_path / "a.sog", format_options={"bits": bits})
 
 

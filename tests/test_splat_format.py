@@ -142,7 +142,7 @@ def test_losses_are_said(tmp_path):
     mode = "The render mode mip is left out, .splat has no tag for it"
     assert io.losses(model, tmp_path / "a.splat") == (
         "Extra columns are left out, .splat has no room for them: label.",
-        "View dependence (SH degree 2) is left out, .splat holds one colour a splat.",
+        "Spherical harmonics above degree 0 are left out, .splat holds no more.",
         f"{mode}: viewers will render the model as ordinary splats.",
         "1 splat has base colours outside 0 to 1, the range of .splat, clamped to that.",
         "Centres lose their double precision, .splat holds single.",

@@ -174,7 +174,7 @@ def test_a_frame_is_written_where_the_version_can(tmp_path):
         assert_same(io.load(path), io.load(tmp_path / "b.spz"))
     with pytest.raises(OptionError, match="version 4"):
         io.save(model, tmp_path / "c.spz", format_options={"frame": "rub", "spz_version": 3})
-    with pytest.raises(OptionError, match="frame must be"):
+    with pytest.raises(OptionError, match="`frame` must be"):
         io.save(model, tmp_path / "c.spz", format_options={"frame": "fru"})
     assert not (tmp_path / "c.spz").exists()
 
@@ -577,7 +577,7 @@ def test_a_palette_of_what_cannot_be_written_is_refused(tmp_path):
     model.sh[3, 2] = np.nan
     with pytest.raises(OutputError):
         io.save(model, tmp_path / "a.spz", format_options={"palette": 4})
-    with pytest.raises(OptionError, match="palette must be a whole number from 1 to 1,048,576"):
+    with pytest.raises(OptionError, match="`palette` must be a whole number from 1 to 1,048,576"):
         io.save(model, tmp_path / "a.spz", format_options={"palette": 0})
     assert not list(tmp_path.iterdir())
 
@@ -809,6 +809,6 @@ def test_gaussforge_agrees_both_ways(tmp_path, version, degree):
 
 def test_options_that_do_not_go_together_are_refused_before_any_work(tmp_path):
     options = {"spz_version": 2, "frame": "rub"}
-    with pytest.raises(OptionError, match="leave spz_version=2 out"):
+    with pytest.raises(OptionError, match="leave `spz_version=2` out"):
         io.check_writable(tmp_path / "a.spz", format_options=options)
     io.check_writable(tmp_path / "a.spz", format_options=options | {"spz_version": 4})

@@ -31,7 +31,7 @@ def test_wishes_are_met_or_refused_in_a_sentence(number):
 
 def bytes_named(error):
     """The last number of bytes in a sentence."""
-    return int(str(error).rpartition(" B.")[0].rpartition(" ")[2].replace(",", ""))
+    return int(str(error).rpartition(" B; allow")[0].rpartition(" ")[2].replace(",", ""))
 
 
 @pytest.mark.parametrize(

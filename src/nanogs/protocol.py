@@ -1,5 +1,6 @@
 """How a PSNR was measured: what every number that is printed or stored names. No Numba here."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -108,6 +109,8 @@ class PackingLoss:
     @property
     def text(self) -> str:
         """The cost in a few words: "packing alone costs 0.18 dB"."""
+        if math.isinf(self.psnr_cost):
+            return "the loss is packing alone"
         return f"packing alone costs {number_text(self.psnr_cost)} dB"
 
 

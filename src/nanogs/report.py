@@ -263,17 +263,18 @@ def stop_text(report: SimplifyReport) -> str:
     if report.stop == StopReason.UNREACHED:
         return (
             f"99 % of the splats do not reach {report.asked_psnr:g} dB{_nearest_text(report)}, so"
-            f" the whole model was written: {report.stop}."
+            f" the whole model was written (stop: {report.stop})."
         )
     if report.stop == StopReason.PROBES and report.asked_draw_cost is not None:
         return (
             f"The search for the most splats ended after {len(report.draw_probes)} counts; what was"
-            f" written takes no more to draw than was asked, and more may too: {report.stop}."
+            " written takes no more to draw than was asked, and more may too (stop:"
+            f" {report.stop})."
         )
     if report.stop == StopReason.PROBES:
         return (
             f"The search for the fewest splats ended after {len(report.probes)} counts; what was "
-            f"written reaches {report.asked_psnr:g} dB, and fewer may too: {report.stop}."
+            f"written reaches {report.asked_psnr:g} dB, and fewer may too (stop: {report.stop})."
         )
     return f"Stopped before the asked count: {report.stop}."
 

@@ -36,7 +36,12 @@ def compare(
         ),
     ],
     report: Annotated[
-        Path | None, typer.Option(help="Write a page with pictures: one .html file.")
+        Path | None,
+        typer.Option(
+            parser=options.parse_page,
+            metavar="PAGE",
+            help="Write a page with pictures: one .html file.",
+        ),
     ] = None,
     interactive: Annotated[
         bool,

@@ -225,7 +225,7 @@ Device = Annotated[
     typer.Option(
         metavar="cpu|cuda|auto",
         help="Where pictures are made: cuda for a graphics card, auto for one where there is one;"
-        " takes pip install 'nanogs[cuda]'.",
+        " takes nanogs with its extra cuda.",
     ),
 ]
 
@@ -378,10 +378,24 @@ def parse_place(text: str | Path) -> Path:
     return place(text)
 
 
+def parse_page(text: str | Path) -> Path:
+    """A file for a page.
+
+    Raises:
+        OptionError: Its suffix is not .html.
+    """
+    page = Path(text)
+    if page.suffix.lower() not in (".html", ".htm"):
+        raise OptionError(f"{page}: pages are written as HTML; name {page.with_suffix('.html')}.")
+    return page
+
+
 def parse_named(text: str) -> tuple[str, Path]:
     """A name and a path or URL from `name=path`; the file's own name where none is given."""
     from nanogs.io.urls import is_url
 
+    if text == "-":
+        raise OptionError("This command does not read stdin; put the model in a file, and name it.")
     name, separator, path = text.partition("=")
     if separator and name and not is_url(text) and not Path(text).exists():
         return name, parse_place(path)

@@ -94,8 +94,9 @@ class Plan:
         if wish.goal.size is None and not wish.filters:
             return self
         splats = prepare(read_parts(wish.inputs, wish.render_mode), wish.edits).splats
-        usable = len(usable_rows(splats, wish.nan))
-        count = target_of(wish.goal, splats, usable, wish.output, wish.parameters, wish.sh_degree)
+        rows, goal = usable_rows(splats, wish.nan), wish.goal
+        wish.refuse_small(splats.take(rows))
+        count = target_of(goal, splats, len(rows), wish.output, wish.parameters, wish.sh_degree)
         return replace(self, info=replace(self.info, splats=len(splats)), count=count)
 
     def _divide(self) -> tuple[Settings, ScalePlan]:

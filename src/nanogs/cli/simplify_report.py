@@ -43,7 +43,8 @@ def summary(run: Run) -> str:
     """Sum up: "500,000 → 50,000 splats in b.ply, 76.0 → 1.2 MB, 6 s", with the PSNR if known."""
     files, report, to = run.files, run.report, arrow()
     made = counted(report.achieved_count, "splat")
-    chosen = ", ".join(f"{name} {value:,}" for name, value in report.format_options.items())
+    given = report.format_options.items()
+    chosen = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in given)
     parts = [
         f"{report.read_count:,} {to} {made} in {files['output']}"
         + (f" ({chosen})" if chosen else ""),

@@ -29,7 +29,14 @@ def view(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Page to write.", show_default="A.html, or A-B.html"),
+        typer.Option(
+            "--output",
+            "-o",
+            parser=options.parse_page,
+            metavar="PAGE",
+            help="Page to write.",
+            show_default="A.html, or A-B.html",
+        ),
     ] = None,
     level: Annotated[
         int | None,

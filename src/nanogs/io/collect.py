@@ -69,7 +69,9 @@ def _files(path: Path) -> list[Path]:
             return [path / name]
     inside = [file for file in sorted(path.iterdir()) if file.is_file() and _readable(file)]
     if not inside:
-        raise FormatError(f"The folder {path} holds no file of a format that nanogs reads.")
+        raise FormatError(
+            f"The folder {path} holds no file of a format that nanogs reads; name one that does."
+        )
     return inside
 
 
@@ -105,9 +107,8 @@ def pair_up(sources: Sequence[Path], folder: Path, suffix: str | None) -> list[P
 
 def _suffix(source: Path, asked: str | None) -> str:
     if asked is not None:
-        suffix = registry.suffix_of(asked)
-        registry.writer(Path(f"model{suffix}"))
-        return suffix
+        registry.writer(registry.file_of(asked))
+        return registry.suffix_of(asked)
     known = registry.find(source)
     if known is not None and known.write is None:
         raise OptionError(f'{source}: nanogs does not write {known.suffix}; add `format="ply"`.')

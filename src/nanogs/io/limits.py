@@ -84,10 +84,13 @@ def left_out(
         count = counted(len(lines), "comment line is", "comment lines are")
         out.append(f"{count} left out, {suffix} has no room for them.")
     if splats.sh_degree > max_degree:
-        out.append(
-            f"Spherical harmonics above degree {max_degree} are left out, {suffix} holds no more."
-        )
+        out.append(degree_left_out(suffix, max_degree))
     return out
+
+
+def degree_left_out(suffix: str, max_degree: int) -> str:
+    """Say that a format holds no more than a degree of harmonics."""
+    return f"Spherical harmonics above degree {max_degree} are left out, {suffix} holds no more."
 
 
 def rounded(splats: Splats, suffix: str) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any, BinaryIO
 
 from nanogs.errors import FormatError, OptionError, did_you_mean
 from nanogs.io.format import Format, FormatOptions, Sizer, Writer
+from nanogs.io.urls import Address
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
@@ -72,9 +73,11 @@ def reader(path: Path) -> Format:
     """The format to read a file with.
 
     Raises:
-        FormatError: No known format has the file's suffix.
+        FormatError: No known format has the file's suffix, or it has none and is not there.
     """
     known = find(path)
+    if known is None and not (path.suffix or isinstance(path, Address) or path.exists()):
+        raise FormatError(f"{path}: no such file or folder; check the path.")
     if known is None:
         suffixes = [known.suffix for known in formats() if known.readable]
         meant = _meant(path, suffixes)
@@ -132,7 +135,7 @@ def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
         if (option := known.options.get(name)) is None:
             raise OptionError(_foreign(name, known))
         if isinstance(value, bool) or value not in option.values:
-            raise OptionError(f"{name} must be {option.allowed}, not {value!r}.")
+            raise OptionError(f"`{name}` must be {option.allowed}, not {value!r}.")
         chosen[option.keyword] = value
     known.check_options(options)
     return chosen
@@ -160,7 +163,7 @@ def _foreign(name: str, known: Format) -> str:
     if not suffixes:
         meant = did_you_mean(name, {option for other in formats() for option in other.options})
         return f"There is no option {name!r}{meant} for writing files."
-    return f"{name} is for {' and '.join(suffixes)} files, not for {known.suffix}; leave it out."
+    return f"`{name}` is for {' and '.join(suffixes)} files, not for {known.suffix}; leave it out."
 
 
 def sizer(path: Path) -> Sizer:
@@ -192,6 +195,8 @@ def writable(path: Path) -> Format:
     known = find(path)
     if known is not None and known.suffix in (LEVELS, TILESET, ARCHIVE):
         raise OptionError(f"{path} describes levels of detail; make them with `nanogs lod`.")
+    if known is None and not isinstance(path, Address) and path.is_dir():
+        raise OptionError(f"{path} is a folder; name a file in it, such as {path / 'scene.ply'}.")
     if known is None or not known.writable:
         suffixes = [known.suffix for known in formats() if known.writable]
         meant = _meant(path, suffixes) if known is None else ""
@@ -199,3 +204,19 @@ def writable(path: Path) -> Format:
             f"{path}: nanogs does not write this format{meant}; it writes {', '.join(suffixes)}."
         )
     return known
+
+
+def file_of(format: str) -> Path:  # noqa: A002 - as `load` has it
+    """A name for a file of a format, where only that is known.
+
+    Raises:
+        OptionError: There is no such format.
+    """
+    path = Path(f"model{suffix_of(format)}")
+    if find(path) is None:
+        suffixes = [known.suffix for known in formats() if known.writable]
+        raise OptionError(
+            f"nanogs does not write a format {format!r}{_meant(path, suffixes)}; it writes"
+            f" {', '.join(suffixes)}."
+        )
+    return path

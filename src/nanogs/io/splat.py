@@ -99,12 +99,7 @@ def file_bytes(_splats: Splats, count: int) -> int:
 
 def losses(splats: Splats) -> tuple[str, ...]:
     """Name what the file leaves out or clamps, one sentence each."""
-    out = limits.left_out(splats, _SUFFIX)
-    if splats.sh_degree:
-        out.append(
-            f"View dependence (SH degree {splats.sh_degree}) is left out, {_SUFFIX} holds one"
-            " colour a splat."
-        )
+    out = limits.left_out(splats, _SUFFIX, max_degree=0)
     out += limits.lost_mode(splats, _SUFFIX)
     out += limits.clamped(
         np.abs(splats.sh[:, 0]) > 0.5 / SH_C0 * (1 + 1 / 255),

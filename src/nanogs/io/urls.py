@@ -154,8 +154,10 @@ def place(given: str | PathLike[str]) -> Path:
         given: A path or a URL.
 
     Raises:
-        OptionError: It is a file of another machine.
+        OptionError: It is empty, or a file of another machine.
     """
+    if given == "":
+        raise OptionError("A path is empty; name a file.")
     if isinstance(given, _Called):
         return given
     if not (isinstance(given, str) and is_url(given)):

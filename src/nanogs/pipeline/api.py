@@ -33,6 +33,7 @@ from nanogs.splats import Splats, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.pipeline.held_files import HeldFiles
+    from nanogs.pipeline.wish import Wish
     from nanogs.raster.camera import Camera
 
 
@@ -113,7 +114,7 @@ def simplify(
     size = None if size is None else as_bytes(size)
     goal = Goal(ratio, count, size, psnr, draw_cost)
     chosen, given = parameters(preset, overrides), format_options or {}
-    path = Path(f"model{registry.suffix_of(format)}")
+    path = registry.file_of(format)
     refuse_searches(goal, preset, path)
     refuse_device(device, preset, chosen, goal)
     check_degree(sh_degree)
@@ -206,9 +207,15 @@ def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
         refuse_search(preset, "a PSNR")
     elif goal.draw_cost is not None:
         refuse_search(preset, "a draw cost")
-    elif goal.size is not None and registry.writable(path).file_bytes is None:
-        known = registry.find(path)
-        refuse_search(preset, f"the size of a {known.suffix if known else path.suffix} file")
+    known = registry.writable(path)
+    if goal.size is not None and known.file_bytes is None:
+        refuse_search(preset, f"the size of a {known.suffix} file")
+    if known.write is None and (goal.size is not None or goal.psnr is not None):
+        asked = "size" if goal.psnr is None else "psnr"
+        raise OptionError(
+            f"`{asked}` is for models in one file, and {known.suffix} describes a folder; write a"
+            " .sog file."
+        )
 
 
 def target_of(
@@ -246,8 +253,28 @@ def target_of(
     return goal.target(available, lambda count: file_bytes(like, count))
 
 
-def _fit(job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracker) -> Outcome:
+def refuse_small(wish: "Wish", some: Splats, files: "HeldFiles") -> None:
+    """Refuse, before anything is computed, a size that is far too small.
+
+    Args:
+        wish: What is asked of the file.
+        some: Usable splats of the model.
+        files: Writes some to see what they take.
+
+    Raises:
+        TooSmallError: It is.
+    """
     from nanogs.pipeline.fit_size import refuse_hopeless
+
+    smallest = wish.smallest(some.sh_degree)
+    lowest = some.with_sh_degree(smallest.sh_degree)
+    if (file_bytes := wish.known.file_bytes) is not None:
+        count_for_size(1, wish.size, lambda _count: file_bytes(lowest, 1))
+    else:
+        refuse_hopeless(lowest, wish.size, lambda one: files.sample_bytes(one, smallest.options(1)))
+
+
+def _fit(job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracker) -> Outcome:
     from nanogs.pipeline.pack import Packer
     from nanogs.pipeline.results import HeldResults
     from nanogs.pipeline.sized import fill_size
@@ -256,12 +283,7 @@ def _fit(job: Job, size: int, files: "HeldFiles", threads: int, progress: Tracke
     usable, clock = job.splats.take(job.rows), files.clock
     known, looks = registry.writable(files.path), renders(job.parameters)
     wish = Wish(size, known, files.given, job.sh_degree, looks=looks)
-    smallest = wish.smallest(usable.sh_degree)
-    lowest = usable.with_sh_degree(smallest.sh_degree)
-    if (file_bytes := known.file_bytes) is not None:
-        count_for_size(1, size, lambda _count: file_bytes(lowest, 1))
-    else:
-        refuse_hopeless(lowest, size, lambda one: files.sample_bytes(one, smallest.options(1)))
+    refuse_small(wish, usable, files)
     results = HeldResults(job.build(threads, clock, progress), clock)
     outcome, found = fill_size(Packer(results, wish, usable, files, progress))
     fitted, packed = found.fitted, found.packed

@@ -16,13 +16,14 @@ from nanogs.defaults import PATIENCE
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.frames import repeated
+from nanogs.io.limits import degree_left_out
 from nanogs.io.stand_ins import at_hand
 from nanogs.io.urls import place
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.cameras import requested_cameras
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.job import NanPolicy, import_stages
-from nanogs.pipeline.presets import DEFAULT_PRESET
+from nanogs.pipeline.presets import DEFAULT_PRESET, renders
 from nanogs.pipeline.reading import read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
 from nanogs.pipeline.target import Goal
@@ -172,6 +173,11 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     options, notes = stated_frame(request, request.output)
     request = replace(request, format_options=options)
     plan = plan_files(request)
+    most = registry.writable(request.output).max_degree
+    if request.sh_degree is None and plan.sh_degree > most and renders(request.parameters):
+        # Fitted for what is written, a result makes up for what the format leaves out.
+        request = replace(request, sh_degree=most)
+        notes = (*notes, degree_left_out(request.suffix, most))
     if plan.divided:
         request.refuse_device_in_blocks()
         notes = (*notes, *device_notes(request.device, CPU))

@@ -133,7 +133,9 @@ def too_small(size: int, fewest: int, needed: int) -> TooSmallError:
         held = "a file of one splat of this model"
     else:
         held = f"a file of {fewest:,} splats, the fewest that this model can be merged to,"
-    return TooSmallError(f"The size {size:,} B is too small: {held} takes {needed:,} B.")
+    return TooSmallError(
+        f"The size {size:,} B is too small: {held} takes {needed:,} B; allow more."
+    )
 
 
 def _final(fits: SizeProbeReport, over: Probe, available: int, tried: int) -> bool:
@@ -201,7 +203,7 @@ def refuse_hopeless(sample: Splats, size: int, encode: Encode) -> None:
     if size < HOPELESS * least:
         raise TooSmallError(
             f"The size {size:,} B is too small: a file of one splat of this model takes about"
-            f" {least:,} B."
+            f" {least:,} B; allow more."
         )
 
 

@@ -4,7 +4,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import drawn
@@ -151,7 +150,7 @@ class Grown:
             OptionError: The format is not written, or there is no such option.
             ModelError: Nothing of the model is visible.
         """
-        path = Path(f"model{registry.suffix_of(format)}")
+        path = registry.file_of(format)
         stages = [Stage("measure", 1.0), Stage("encode", 0.2), Stage("score", 1.0)]
         with drawn(progress) as tell, _on(self._device, self._threads):
             tracker = Tracker(tell, stages)

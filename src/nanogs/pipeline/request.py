@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.card.device import CPU, use_device
+from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.errors import OptionError
 from nanogs.filters import Filter
@@ -16,7 +17,7 @@ from nanogs.io.format import Sizer
 from nanogs.io.retag import checked_mode
 from nanogs.io.stand_ins import refuse_address
 from nanogs.memory import Memory, allowed_memory
-from nanogs.pipeline.api import refuse_device, refuse_searches
+from nanogs.pipeline.api import refuse_device, refuse_searches, refuse_small
 from nanogs.pipeline.asked import asked_views
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
@@ -25,6 +26,7 @@ from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, rend
 from nanogs.pipeline.rows import Changes, check_degree, open_parts
 from nanogs.pipeline.target import Goal, is_searched, target_count
 from nanogs.source import Joined
+from nanogs.splats import Splats
 from nanogs.store.columns import row_bytes
 
 if TYPE_CHECKING:
@@ -145,6 +147,25 @@ class Request:
         refuse_searches(self.goal, self.preset, self.output)
         check_degree(self.sh_degree)
 
+    def refuse_small(self, some: Splats) -> None:
+        """Refuse a size that is far too small for any result.
+
+        Args:
+            some: Usable splats of the model.
+
+        Raises:
+            TooSmallError: It is.
+        """
+        if self.goal.size is None:
+            return
+        from nanogs.pipeline.held_files import HeldFiles
+        from nanogs.pipeline.wish import Wish
+
+        known, given = registry.writable(self.output), self.format_options or {}
+        looks = renders(self.parameters)
+        wish = Wish(self.goal.size, known, given, self.sh_degree, looks=looks)
+        refuse_small(wish, some, HeldFiles(self.output, given, some, StageClock(), self.frame))
+
     def refuse_device_in_blocks(self) -> None:
         """Refuse another device than the CPU, for what is made in blocks.
 
@@ -187,12 +208,14 @@ class Plan:
 
     Attributes:
         splats: Of the inputs.
+        sh_degree: Of their harmonics.
         memory: What it takes in memory.
         allowed: What it may take.
         divided: Whether it is made in blocks.
     """
 
     splats: int
+    sh_degree: int
     memory: MemoryPlan
     allowed: Memory
     divided: bool
@@ -213,7 +236,8 @@ def plan_files(request: Request) -> Plan:
     extra = row_bytes(layout) - splat_bytes(layout.sh_degree)
     memory = memory_of(request, splats, layout.sh_degree, extra, target)
     asked = request.block or request.job or request.scratch or request.executor or request.resume
-    return Plan(splats, memory, allowed, bool(asked or memory.peak > allowed.bytes))
+    divided = bool(asked or memory.peak > allowed.bytes)
+    return Plan(splats, layout.sh_degree, memory, allowed, divided)
 
 
 def _most(goal: Goal, splats: int) -> int:

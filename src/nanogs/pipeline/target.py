@@ -125,7 +125,7 @@ def count_for_size(available: int, size: int, file_bytes: Callable[[int], int]) 
     if size < smallest:
         raise TooSmallError(
             f"The size {size:,} B is too small: a file of one splat of this model takes "
-            f"{smallest:,} B."
+            f"{smallest:,} B; allow more."
         )
     fits, too_many = 1, available + 1
     while too_many - fits > 1:

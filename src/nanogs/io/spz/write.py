@@ -176,7 +176,7 @@ def check_states(version: int, what: str) -> None:
     """
     if version != STATING:
         raise OptionError(
-            f"Only .spz of version {STATING} {what}; leave spz_version={version} out, or give"
+            f"Only .spz of version {STATING} {what}; leave `spz_version={version}` out, or give"
             f" {STATING}."
         )
 
