@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from hypothesis import strategies as st
 
 import nanogs
 from builders import random_splats
+from nanogs.clock import StageClock
 from nanogs.errors import TooSmallError
 from nanogs.fit.shared import Shared
 from nanogs.io import as_packed
+from nanogs.pipeline.held_files import HeldFiles
 from nanogs.pipeline.packing import (
     FIRST_SHARE,
     LARGER,
@@ -27,6 +30,9 @@ from nanogs.pipeline.packing import (
 )
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import held_out
+from nanogs.views.automatic import automatic_cameras
+from nanogs.views.roam import roaming_cameras
+from nanogs.views.stand_in import stand_in
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -290,6 +296,23 @@ def test_files_hold_what_was_found(splats, tmp_path, suffix):
         assert report.packings
         assert out.stat().st_size == report.achieved_size <= 30_000
         assert nanogs.open(out).columns.sh_degree in (0, 1, 2)
+
+
+def test_a_size_is_chosen_by_roaming_views_too_and_a_psnr_by_its_own(splats):
+    found = {}
+    for by_psnr in (False, True):
+        files = HeldFiles(Path("a.sog"), {}, splats, StageClock(), by_psnr=by_psnr)
+        found[by_psnr] = [view.camera for view in files.views.views]
+    given = {"width": 128, "height": 128, "split": "fit"}
+    automatic = automatic_cameras(splats, 4, **given)
+    roaming = roaming_cameras(stand_in(splats), 4, **given)
+    assert len(roaming) == 4
+    for cameras, expected in (
+        (found[False], [*automatic, *roaming]),
+        (found[True], automatic_cameras(splats, 8, **given)),
+    ):
+        places = [[camera.position for camera in each] for each in (cameras, expected)]
+        np.testing.assert_array_equal(*places)
 
 
 def test_a_result_of_fewer_harmonics_is_fitted_for_them(splats):

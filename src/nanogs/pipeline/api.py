@@ -138,7 +138,7 @@ def simplify(
             tell,
             simplify_stages(job.parameters, goal, len(job.rows), target, path.suffix),
         )
-        files = HeldFiles(path, given, job.splats, clock, frame)
+        files = HeldFiles(path, given, job.splats, clock, frame, by_psnr=psnr is not None)
         if target is not None:
             outcome = job.deliverer(target, threads_used, clock, tracker)(target, clock, tracker)
             if size is not None:

@@ -10,7 +10,7 @@ from nanogs.clock import StageClock
 from nanogs.frames import change_frame
 from nanogs.io import as_packed, as_stored, encoded_bytes
 from nanogs.pipeline.outcome import Outcome
-from nanogs.scoring.held_out import HeldOut, held_out
+from nanogs.scoring.held_out import HeldOut, held_out, to_choose_by
 from nanogs.splats import Splats
 
 
@@ -24,6 +24,7 @@ class HeldFiles:
         original: The model.
         clock: Gets the seconds.
         frame: From and to which results are turned before they are written.
+        by_psnr: Whether a PSNR is asked for, which is one of automatic views.
     """
 
     path: Path
@@ -31,11 +32,14 @@ class HeldFiles:
     original: Splats
     clock: StageClock
     frame: tuple[str, str] | None = None
+    by_psnr: bool = False
 
     @cached_property
     def views(self) -> HeldOut:
         """The original on views from which much is learnt, so that others can judge the result."""
-        return held_out(self.original, split="fit")
+        if self.by_psnr:
+            return held_out(self.original, split="fit")
+        return to_choose_by(self.original)
 
     def count(self, result: Outcome) -> int:
         """As `Files` says."""

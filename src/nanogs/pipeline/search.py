@@ -26,7 +26,7 @@ from nanogs.pipeline.work import SPAN, Work
 from nanogs.progress import Tracker
 from nanogs.report import StopReason
 from nanogs.scoring.draw_views import draw_views
-from nanogs.scoring.held_out import HeldOut, held_out
+from nanogs.scoring.held_out import HeldOut, held_out, to_choose_by
 from nanogs.sink import held_splats, refuse_large
 from nanogs.source import Reduced, Source, Turned
 from nanogs.splats import Splats
@@ -197,8 +197,11 @@ class _Files:
     @cached_property
     def views(self) -> HeldOut:
         """The original on views from which much is learnt, so that others can judge the result."""
+        sought, most = self.work.settings.search, self.search.max_memory
         with opened(self.work.settings, self.work.unpacked()) as original:
-            return held_out(original, max_memory=self.search.max_memory, split="fit")
+            if sought is not None and sought.psnr is not None:  # which is one of automatic views
+                return held_out(original, max_memory=most, split="fit")
+            return to_choose_by(original, most)
 
     def count(self, result: Result) -> int:
         """As `Files` says."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from nanogs.errors import ModelError
 from nanogs.metrics import psnr
 from nanogs.progress import Parts, untold
-from nanogs.protocol import BLACK, PIXELS, VIEWS, Judged, PackingLoss, Protocol
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Judged, Kind, PackingLoss, Protocol
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.scoring.scores import (
     ModelScore,
@@ -105,11 +105,39 @@ def held_out(
         ModelError: Nothing of it is visible.
         NotEnoughMemoryError: The source cannot be rendered in so little memory.
     """
-    drawn = as_drawn(original, max_memory)
+    return _shown(original, ("auto",), split, tell, max_memory)
+
+
+def to_choose_by(original: Splats | Source, max_memory: int | None = None) -> HeldOut:
+    """Render other views of the original, half of them roaming, for methods to choose by.
+
+    Of two ways that automatic views find alike, roaming ones, near by and far away, often show one
+    to be better.
+
+    Args:
+        original: As `held_out` takes it, and so is the other; it raises what that does.
+        max_memory: See there.
+    """
+    return _shown(original, ("auto", "roam"), "fit", untold, max_memory)
+
+
+def _shown(
+    original: Splats | Source,
+    kinds: Sequence[Kind],
+    split: Split,
+    tell: Parts,
+    max_memory: int | None,
+) -> HeldOut:
+    """The original on as many views of each kind."""
+    drawn, count = as_drawn(original, max_memory), VIEWS // len(kinds)
     try:
-        cameras = cameras_for(
-            original, "auto", count=VIEWS, width=PIXELS, height=PIXELS, split=split
-        )
+        cameras = [
+            camera
+            for kind in kinds
+            for camera in cameras_for(
+                original, kind, count=count, width=PIXELS, height=PIXELS, split=split
+            )
+        ]
         views, _ = reference_views(drawn, cameras, BLACK, tell, depth=False)
     except ModelError as error:
         raise ModelError(f"The PSNR cannot be measured: {error}") from None
