@@ -299,20 +299,20 @@ def test_files_hold_what_was_found(splats, tmp_path, suffix):
 
 
 def test_a_size_is_chosen_by_roaming_views_too_and_a_psnr_by_its_own(splats):
-    found = {}
-    for by_psnr in (False, True):
-        files = HeldFiles(Path("a.sog"), {}, splats, StageClock(), by_psnr=by_psnr)
-        found[by_psnr] = [view.camera for view in files.views.views]
     given = {"width": 128, "height": 128, "split": "fit"}
-    automatic = automatic_cameras(splats, 4, **given)
-    roaming = roaming_cameras(stand_in(splats), 4, **given)
-    assert len(roaming) == 4
-    for cameras, expected in (
-        (found[False], [*automatic, *roaming]),
-        (found[True], automatic_cameras(splats, 8, **given)),
-    ):
-        places = [[camera.position for camera in each] for each in (cameras, expected)]
-        np.testing.assert_array_equal(*places)
+    automatic = automatic_cameras(splats, 8, **given)
+    roaming = roaming_cameras(stand_in(splats), 16, **given | {"width": 64, "height": 64})
+    assert len(roaming) == 16
+    for by_psnr, expected in ((False, [automatic, roaming]), (True, [automatic])):
+        files = HeldFiles(Path("a.sog"), {}, splats, StageClock(), by_psnr=by_psnr)
+        kinds = files.views.kinds
+        for kind, cameras in zip(kinds, expected, strict=True):
+            places = [view.camera.position for view in kind.views]
+            np.testing.assert_array_equal(places, [camera.position for camera in cameras])
+        marks = [kind.judge(splats.take(np.arange(0, len(splats), 2))) for kind in kinds]
+        psnr, ssim = files.views.judge(splats.take(np.arange(0, len(splats), 2)))
+        assert psnr == pytest.approx(np.mean([each.psnr for each in marks]))
+        assert ssim == pytest.approx(np.mean([each.ssim for each in marks]))
 
 
 def test_a_result_of_fewer_harmonics_is_fitted_for_them(splats):

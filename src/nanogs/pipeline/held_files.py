@@ -10,7 +10,7 @@ from nanogs.clock import StageClock
 from nanogs.frames import change_frame
 from nanogs.io import as_packed, as_stored, encoded_bytes
 from nanogs.pipeline.outcome import Outcome
-from nanogs.scoring.held_out import HeldOut, held_out, to_choose_by
+from nanogs.scoring.held_out import ToChooseBy, to_choose_by
 from nanogs.splats import Splats
 
 
@@ -35,11 +35,9 @@ class HeldFiles:
     by_psnr: bool = False
 
     @cached_property
-    def views(self) -> HeldOut:
+    def views(self) -> ToChooseBy:
         """The original on views from which much is learnt, so that others can judge the result."""
-        if self.by_psnr:
-            return held_out(self.original, split="fit")
-        return to_choose_by(self.original)
+        return to_choose_by(self.original, automatic=self.by_psnr)
 
     def count(self, result: Outcome) -> int:
         """As `Files` says."""
@@ -62,8 +60,8 @@ class HeldFiles:
             bare = result.splats.with_sh_degree(sh_degree)
             small, size = as_packed(self._turned(bare), self.path, {**self.given, **options})
         with self.clock.time("measure"):
-            judged = self.views.judge(self._turned_back(small))
-        return size, judged.psnr, judged.ssim
+            psnr, ssim = self.views.judge(self._turned_back(small))
+        return size, psnr, ssim
 
     def stored(self, splats: Splats, options: Mapping[str, Any]) -> Splats:
         """Splats as their file gives them back, in the frame of the original."""

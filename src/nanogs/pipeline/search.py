@@ -26,7 +26,7 @@ from nanogs.pipeline.work import SPAN, Work
 from nanogs.progress import Tracker
 from nanogs.report import StopReason
 from nanogs.scoring.draw_views import draw_views
-from nanogs.scoring.held_out import HeldOut, held_out, to_choose_by
+from nanogs.scoring.held_out import ToChooseBy, held_out, to_choose_by
 from nanogs.sink import held_splats, refuse_large
 from nanogs.source import Reduced, Source, Turned
 from nanogs.splats import Splats
@@ -195,13 +195,12 @@ class _Files:
     clock: StageClock
 
     @cached_property
-    def views(self) -> HeldOut:
+    def views(self) -> ToChooseBy:
         """The original on views from which much is learnt, so that others can judge the result."""
         sought, most = self.work.settings.search, self.search.max_memory
+        by_psnr = sought is not None and sought.psnr is not None
         with opened(self.work.settings, self.work.unpacked()) as original:
-            if sought is not None and sought.psnr is not None:  # which is one of automatic views
-                return held_out(original, max_memory=most, split="fit")
-            return to_choose_by(original, most)
+            return to_choose_by(original, most, automatic=by_psnr)
 
     def count(self, result: Result) -> int:
         """As `Files` says."""
@@ -232,5 +231,5 @@ class _Files:
             self.search.written(Reduced(source, sh_degree), options) as path,
             open_model(path) as file,
         ):
-            judged = self.views.judge(turned_back(file, result))
-            return bytes_on_disk(path), judged.psnr, judged.ssim
+            psnr, ssim = self.views.judge(turned_back(file, result))
+            return bytes_on_disk(path), psnr, ssim

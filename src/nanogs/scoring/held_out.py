@@ -5,12 +5,13 @@ split (see `views.automatic`). So a number from here is the one that `compare` p
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 from nanogs.errors import ModelError
 from nanogs.metrics import psnr
 from nanogs.progress import Parts, untold
-from nanogs.protocol import BLACK, PIXELS, VIEWS, Judged, Kind, PackingLoss, Protocol
+from nanogs.protocol import BLACK, PIXELS, Judged, PackingLoss, Protocol
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.scoring.scores import (
     ModelScore,
@@ -22,10 +23,11 @@ from nanogs.scoring.scores import (
 from nanogs.scoring.unpacked import Unpacked
 from nanogs.source import Source
 from nanogs.splats import Splats
-from nanogs.views.automatic import Split
 from nanogs.views.cameras import cameras_for
 from nanogs.views.plan import room_for_measuring
 from nanogs.views.streamed import Streamed, drawable, renderings
+
+ROAMING = 16  # views, where results are chosen by them as well
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,11 +87,25 @@ class HeldOut:
         return Judged(means.psnr, means.ssim, self.protocol), means.packed
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ToChooseBy:
+    """The original on several kinds of views, each of which counts as much.
+
+    Attributes:
+        kinds: The views of each kind.
+    """
+
+    kinds: tuple[HeldOut, ...]
+
+    def judge(self, small: Splats | Source) -> tuple[float, float]:
+        """PSNR, dB, and SSIM of a model; it raises what `HeldOut.psnr` does."""
+        marks = [kind.judge(small) for kind in self.kinds]
+        ssims = [each.ssim for each in marks]
+        return mean_psnr([each.psnr for each in marks]), sum(ssims) / len(ssims)
+
+
 def held_out(
-    original: Splats | Source,
-    tell: Parts = untold,
-    max_memory: int | None = None,
-    split: Split = "test",
+    original: Splats | Source, tell: Parts = untold, max_memory: int | None = None
 ) -> HeldOut:
     """Render the original once, for any number of models.
 
@@ -98,51 +114,55 @@ def held_out(
         tell: Told of the views rendered.
         max_memory: Bytes that this process may take, where a source is rendered; by default what is
             free.
-        split: Of the views; "fit" for such as methods learn from, to choose by.
 
     Raises:
         FormatError: The source cannot be read.
         ModelError: Nothing of it is visible.
         NotEnoughMemoryError: The source cannot be rendered in so little memory.
     """
-    return _shown(original, ("auto",), split, tell, max_memory)
+    return _shown(original, Protocol(pixels=(PIXELS, PIXELS)), tell, max_memory)
 
 
-def to_choose_by(original: Splats | Source, max_memory: int | None = None) -> HeldOut:
-    """Render other views of the original, half of them roaming, for methods to choose by.
+def to_choose_by(
+    original: Splats | Source, max_memory: int | None = None, *, automatic: bool = False
+) -> ToChooseBy:
+    """Render other views of the original, automatic and roaming ones, for methods to choose by.
 
     Of two ways that automatic views find alike, roaming ones, near by and far away, often show one
-    to be better.
+    to be better. They differ much, hence so many; in a quarter of the pixels they tell the same.
 
     Args:
-        original: As `held_out` takes it, and so is the other; it raises what that does.
+        original: As `held_out` takes it, and so is what follows; it raises what that does.
         max_memory: See there.
+        automatic: Whether automatic views alone count, as where a PSNR of such ones is asked for.
     """
-    return _shown(original, ("auto", "roam"), "fit", untold, max_memory)
+    kinds = [_shown(original, Protocol(pixels=(PIXELS, PIXELS), split="train"), untold, max_memory)]
+    if not automatic:
+        pixels = PIXELS // 2
+        roaming = Protocol(ROAMING, (pixels, pixels), "roam", "train")
+        with suppress(ModelError):  # there is no place from which something fills a picture
+            kinds.append(_shown(original, roaming, untold, max_memory))
+    return ToChooseBy(tuple(kinds))
 
 
 def _shown(
-    original: Splats | Source,
-    kinds: Sequence[Kind],
-    split: Split,
-    tell: Parts,
-    max_memory: int | None,
+    original: Splats | Source, protocol: Protocol, tell: Parts, max_memory: int | None
 ) -> HeldOut:
-    """The original on as many views of each kind."""
-    drawn, count = as_drawn(original, max_memory), VIEWS // len(kinds)
+    """The original on the views of a protocol, those in which it is seen."""
+    drawn, (width, height) = as_drawn(original, max_memory), protocol.pixels
     try:
-        cameras = [
-            camera
-            for kind in kinds
-            for camera in cameras_for(
-                original, kind, count=count, width=PIXELS, height=PIXELS, split=split
-            )
-        ]
+        cameras = cameras_for(
+            original,
+            protocol.kind,
+            count=protocol.views,
+            width=width,
+            height=height,
+            split="test" if protocol.split == "test" else "fit",
+        )
         views, _ = reference_views(drawn, cameras, BLACK, tell, depth=False)
     except ModelError as error:
         raise ModelError(f"The PSNR cannot be measured: {error}") from None
-    protocol = Protocol(views=len(views), split="test" if split == "test" else "train")
-    return HeldOut(views, protocol, max_memory)
+    return HeldOut(views, replace(protocol, views=len(views)), max_memory)
 
 
 def as_drawn(model: Splats | Source, max_memory: int | None) -> PreparedSplats | Streamed:
