@@ -246,9 +246,8 @@ def test_levels_are_files_of_any_format(folder, tmp_path):
         "level_0.ply", "level_1.ply", "levels.json",
     ]  # fmt: skip
     splat = run("lod", folder / "a.ply", tmp_path / "s", "--format", "splat", *fast)
-    assert (
-        "Spherical harmonics above degree 0 are left out" in splat.stderr
-    )  # what the format leaves out is said
+    # What the format leaves out is said.
+    assert "Spherical harmonics above degree 0 are left out" in splat.stderr
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ class Plan:
             return self
         splats = prepare(read_parts(wish.inputs, wish.render_mode), wish.edits).splats
         rows, goal = usable_rows(splats, wish.nan), wish.goal
-        wish.refuse_small(splats.take(rows))
+        wish.refuse_small(splats.take(rows[:1]))
         count = target_of(goal, splats, len(rows), wish.output, wish.parameters, wish.sh_degree)
         return replace(self, info=replace(self.info, splats=len(splats)), count=count)
 

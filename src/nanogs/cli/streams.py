@@ -123,7 +123,9 @@ class Streams:
         if target == DASH:
             if self.write_as:
                 registry.file_of(self.write_as)  # which refuses what is no format
-            suffix = registry.suffix_of(self.write_as) if self.write_as else _own_suffix(source)
+                suffix = registry.suffix_of(self.write_as)
+            else:
+                suffix = _own_suffix(source)
             target = folder / f"stdout{suffix}"
             registry.writer(target)
         return Pair(source, target)

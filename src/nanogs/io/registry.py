@@ -76,9 +76,9 @@ def reader(path: Path) -> Format:
         FormatError: No known format has the file's suffix, or it has none and is not there.
     """
     known = find(path)
-    if known is None and not (path.suffix or isinstance(path, Address) or path.exists()):
-        raise FormatError(f"{path}: no such file or folder; check the path.")
     if known is None:
+        if not (path.suffix or isinstance(path, Address) or path.exists()):
+            raise FormatError(f"{path}: no such file or folder; check the path.")
         suffixes = [known.suffix for known in formats() if known.readable]
         meant = _meant(path, suffixes)
         raise FormatError(f"{path}: unknown suffix{meant}; nanogs reads {', '.join(suffixes)}.")
@@ -198,11 +198,7 @@ def writable(path: Path) -> Format:
     if known is None and not isinstance(path, Address) and path.is_dir():
         raise OptionError(f"{path} is a folder; name a file in it, such as {path / 'scene.ply'}.")
     if known is None or not known.writable:
-        suffixes = [known.suffix for known in formats() if known.writable]
-        meant = _meant(path, suffixes) if known is None else ""
-        raise OptionError(
-            f"{path}: nanogs does not write this format{meant}; it writes {', '.join(suffixes)}."
-        )
+        raise OptionError(f"{path}: nanogs does not write this format{_instead(path)}.")
     return known
 
 
@@ -214,9 +210,12 @@ def file_of(format: str) -> Path:  # noqa: A002 - as `load` has it
     """
     path = Path(f"model{suffix_of(format)}")
     if find(path) is None:
-        suffixes = [known.suffix for known in formats() if known.writable]
-        raise OptionError(
-            f"nanogs does not write a format {format!r}{_meant(path, suffixes)}; it writes"
-            f" {', '.join(suffixes)}."
-        )
+        raise OptionError(f"nanogs does not write a format {format!r}{_instead(path)}.")
     return path
+
+
+def _instead(path: Path) -> str:
+    """What may have been meant by a name that is of no format, and all that is written."""
+    suffixes = [known.suffix for known in formats() if known.writable]
+    meant = _meant(path, suffixes) if find(path) is None else ""
+    return f"{meant}; it writes {', '.join(suffixes)}"

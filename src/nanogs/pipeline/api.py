@@ -201,7 +201,8 @@ def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
         path: What will be written; only its suffix counts.
 
     Raises:
-        OptionError: The preset runs anew for every count, or the format is not written.
+        OptionError: The preset runs anew for every count, or the format is not written, or not as
+            one file, which a size or a PSNR is of.
     """
     if goal.psnr is not None:
         refuse_search(preset, "a PSNR")
@@ -258,7 +259,7 @@ def refuse_small(wish: "Wish", some: Splats, files: "HeldFiles") -> None:
 
     Args:
         wish: What is asked of the file.
-        some: Usable splats of the model.
+        some: Usable splats of the model, one at least.
         files: Writes some to see what they take.
 
     Raises:

@@ -151,7 +151,7 @@ class Request:
         """Refuse a size that is far too small for any result.
 
         Args:
-            some: Usable splats of the model.
+            some: Usable splats of the model, one at least.
 
         Raises:
             TooSmallError: It is.
