@@ -87,8 +87,8 @@ class Hand:
         self.seen.type(name, words)
 
     def click(self, name):
-        if self.seen.at(name).is_enabled():
-            self.seen.at(name).click()
+        """Look and click in one step: an answer may hide or disable the button between two."""
+        self.seen.at(name).evaluate("(button) => button.checkVisibility() && button.click()")
 
     def key(self, keys):
         self.seen.page.locator("body").press(keys)
@@ -122,8 +122,7 @@ class Hand:
             self.seen.page.mouse.up()
 
     def cancel(self):
-        if self.seen.at("cancel").is_visible():
-            self.seen.at("cancel").click(force=True)
+        self.click("cancel")
 
     def resize(self, size):
         self.seen.page.set_viewport_size(dict(zip(("width", "height"), size, strict=True)))
@@ -148,8 +147,7 @@ class Hand:
             name,
         )
         for _ in range(2):  # the second time where it replaces
-            # At once, as a check of the name may yet say no to it.
-            seen.page.evaluate("() => document.getElementById('save-go').click()")
+            self.click("save-go")  # a check of the name may yet say no to it
             seen.until("() => document.getElementById('save-cancel').hidden")
         assert seen.text("save-said")
         seen.at("save-close").click()
