@@ -97,6 +97,23 @@ def test_a_lower_degree_far_behind_is_seen_but_not_made():
     assert {packing.sh_degree for packing, _ in model.files} == {3, 2}
 
 
+@pytest.mark.parametrize(("lost", "made"), [(0.1, True), (1.5, False)])
+def test_a_small_palette_far_behind_is_seen_but_not_made(lost, made):
+    class Shining(MadeUp):
+        """Every halving of the palette costs much."""
+
+        def seen(self, packing, count):
+            found = super().seen(packing, count)
+            return replace(found, psnr=found.psnr - lost * math.log2(packing.share / 1.5))
+
+    model = Shining(3, 1.5, 7)
+    choices = Choices([3], palettes=True, bits=BITS)
+    found, _, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    assert found.share == 1.5
+    assert (SMALLER[0] in {packing.share for packing, _ in model.made}) == made
+    assert SMALLER[0] in {packing.share for packing, _ in model.files}
+
+
 def test_a_model_that_fits_whole_takes_what_shows_most():
     model = MadeUp(3, 8.0, 7)
     choices = Choices(range(4), palettes=False)

@@ -19,7 +19,8 @@ TOLERANCE = 0.01  # or counts one of which fits, and one so much larger does not
 MOST_PROBES = 12
 SAMPLE = 8192  # splats of the input that are written for the first guess
 HOPELESS = 0.5  # of the file of one splat: no smaller one can be made
-_STEP = 0.97  # of a count that is too large: the next is at most so much of it
+# Of a count that is too large: the next is at most so much of it, at first and later on.
+_STEPS = 0.995, 0.97
 _LEAP = 16  # times a count that fits: the next is at most so many
 
 WHOLE_FITS = "The whole model fits into the size asked for; nothing was merged."
@@ -152,7 +153,7 @@ def _next(fits: Probe, over: Probe, size: int, probes: Sequence[SizeProbeReport]
         found = min(_along(probes[-2:], aim), _LEAP * fits.count)
         return max(int(found), fits.count + 1)
     if fits is None:
-        step = _STEP if tried < MOST_PROBES else 0.5  # and so it ends
+        step = _STEPS[tried > 1] if tried < MOST_PROBES else 0.5  # and so it ends
         return int(min(_along(probes[-2:], aim), over.count * step))
     between = over.count - fits.count
     share = 0.5 if tried % 2 else (aim - fits.bytes) / (over.bytes - fits.bytes)

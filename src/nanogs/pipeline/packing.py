@@ -26,7 +26,8 @@ SAVED = 1.2  # splats more than the first bits leave room for, which coarser one
 # Logarithms of the bytes over the size within which a result is not made again, and within which
 # bits can be told apart.
 NEAR, NEAR_BITS = 0.12, 0.03
-BEHIND = 1.5  # dB by which a degree that nothing is fitted for may be behind and still be tried
+# dB by which a degree or a palette that nothing is fitted for may be behind and still be tried.
+BEHIND = 1.5
 FINE = 0.25  # dB by which a larger palette may be behind and still be looked at with other bits
 ENOUGH_SPLATS = 0.75  # of all, by a guess that is 10 to 20 % low: precision shows more than others
 
@@ -151,7 +152,7 @@ def choose_packing(
     """
     search = _Search(choices, size, slope, guess, attempt, available)
     best = search.begin()
-    if (first := best).share is not None:
+    if (first := best).share is not None and search.smaller:
         best = search.climb(first, [replace(first, share=share) for share in SMALLER])
     if best is first and first.share is not None:
         best = search.climb(first, [replace(first, share=share) for share in LARGER])
@@ -215,6 +216,7 @@ class _Search:
     Attributes:
         found: Files of each degree and share of a palette that was tried, by their bits.
         promising: Lower degrees that are not far behind without a fit of their own.
+        smaller: Whether a smaller palette is not.
     """
 
     choices: Choices
@@ -226,6 +228,7 @@ class _Search:
     found: dict[Packing, dict[_Values, PackingReport]] = field(default_factory=dict)
     probes: list[PackingReport] = field(default_factory=list)
     promising: list[int] = field(default_factory=list)
+    smaller: bool = False
 
     def begin(self) -> Packing:
         """Make the first result, and find the best bits for it."""
@@ -233,12 +236,14 @@ class _Search:
         saved = SAVED if self.choices.bits else 1.0
         count = min(max(int(saved * self.guess(first)), 1), self.available)
         probes = self._tried(first, count, lambda seen: self._look(first, seen, lower=True))
-        full = [probe for probe in probes if probe.sh_degree == first.sh_degree]
-        best = self._keep(first, full)
-        found, lower = self._best_file(first), probes[len(full) :]
-        self.promising = [probe.sh_degree for probe in lower if self._promises(probe, found)]
+        best = self._keep(first, [probe for probe in probes if self._is_packed(probe, first)])
+        found = self._best_file(first)
+        others = [probe for probe in probes if self._promises(probe, found)]
+        self.promising = [each.sh_degree for each in others if each.sh_degree < first.sh_degree]
         if first.share is None:
             return self.compare_bits(best)
+        small = replace(first, share=SMALLER[0])
+        self.smaller = any(self._is_packed(each, small) for each in others)
         return self._make(best, self._filling(found)) if self._is_far(found) else best
 
     def compare_bits(self, best: Packing) -> Packing:
@@ -291,9 +296,12 @@ class _Search:
     def _value(self, packing: Packing) -> float:
         """Worth of a degree and a share, its bits as they are or others."""
         if _plain(packing) not in self.found:
-            self._make(packing, self._expected(packing), near=True)
+            best = self._make(packing, self._expected(packing), near=True)
             if self._is_far(found := self._best_file(packing)):
-                self._make(packing, self._filling(found))
+                count, looked = self._filling(found), len(self.found[_plain(packing)]) > 1
+                # Bits that were found stay: what is tried of them is nearer to what is wanted.
+                look = partial(_alone, best) if looked else partial(self._look, best)
+                self._keep(best, self._tried(best, count, look))
         return self._worth(self._best_file(packing))
 
     def _make(self, packing: Packing, count: int, *, near: bool = False) -> Packing:
@@ -316,6 +324,11 @@ class _Search:
     def _best_file(self, packing: Packing) -> PackingReport:
         return max(self.found[_plain(packing)].values(), key=self._worth)
 
+    def _is_packed(self, probe: PackingReport, packing: Packing) -> bool:
+        """Whether a file has the degree and the palette of a packing, and any bits."""
+        palette = packing.options(probe.count).get("palette")
+        return probe.sh_degree == packing.sh_degree and probe.options.get("palette") == palette
+
     def _bits_of(self, probe: PackingReport) -> _Values:
         names = self.choices.bits
         return tuple((name, probe.options[name]) for name in names)
@@ -323,7 +336,7 @@ class _Search:
     def _look(
         self, packing: Packing, seen: Seen, *, lower: bool = False, near: bool = False
     ) -> list[PackingReport]:
-        """Files of a result: of the first with any bits, and with lower degrees.
+        """Files of a result: of the first with any bits, a smaller palette, and lower degrees.
 
         What a small palette loses hides what bits do, so that with a larger one bits are looked for
         again.
@@ -352,8 +365,11 @@ class _Search:
                     best, chosen = probes[-1], changed
                 if chosen[name] != began:
                     break
+        packing = replace(packing, bits=tuple(chosen.items()))
+        if lower and packing.share_of(best.count):
+            probes.append(seen(replace(packing, share=SMALLER[0])))
         for degree in reversed(self.choices.degrees[:-1]) if lower else ():
-            probes.append(seen(replace(packing, sh_degree=degree, bits=tuple(chosen.items()))))
+            probes.append(seen(replace(packing, sh_degree=degree)))
             if not self._promises(probes[-1], best):
                 break
         return probes

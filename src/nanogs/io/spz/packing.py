@@ -18,9 +18,9 @@ from nanogs.io.spz.read import whole_numbers
 # Bytes of all columns up to which they are sorted, and packed as a whole, by some 5 % better; what
 # is larger is packed as it comes.
 WHOLE = 12 << 20
-# Levels: of libdeflate, whose 12 takes half as long again for 0.05 %; and of zlib, whose 9 takes
-# five times as long for 1.4 %.
-BEST, _STREAMED = 11, 6
+# Levels: of libdeflate, whose 11 takes up to 1.7 times as long for 0.1 to 0.3 %; and of zlib, whose
+# 9 takes five times as long for 1.4 %.
+BEST, _STREAMED = 10, 6
 
 
 def is_small(size: int) -> bool:
