@@ -388,6 +388,9 @@ def test_nothing_is_left_where_sending_fails(folder, temporary, memory, monkeypa
 
 
 def test_missing_packages_are_named(temporary, monkeypatch, capfd):
+    from fsspec.registry import _registry  # which an earlier test may have filled
+
+    monkeypatch.delitem(_registry, "s3", raising=False)
     monkeypatch.setitem(sys.modules, "s3fs", None)
     assert launch.run_here("info", "s3://bucket/a.ply") == 2
     assert "install nanogs[s3]" in capfd.readouterr().err
