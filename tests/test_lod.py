@@ -50,6 +50,30 @@ def test_every_level_is_what_simplify_gives(splats, preset, small_views):
         assert (report.stop, report.candidates) == (StopReason.TARGET, expected.candidates)
 
 
+@pytest.mark.parametrize("preset", ["default", "fast"])
+def test_levels_are_fitted_for_the_harmonics_they_keep(splats, preset, small_views):
+    made = list(nanogs.levels(splats, RATIOS, preset=preset, sh_degree=0))
+    for ratio, (small, _) in zip(RATIOS, made, strict=True):
+        alone, _ = nanogs.simplify(splats, ratio=ratio, preset=preset, sh_degree=0)
+        assert small.sh_degree == 0
+        assert model_bytes(small) == model_bytes(alone)
+    with pytest.raises(OptionError, match="SH degree"):
+        nanogs.levels(splats, RATIOS, preset=preset, sh_degree=7)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_levels_in_a_format_without_harmonics_are_fitted_for_it(
+    splats, scene, tmp_path, held, small_views
+):
+    """As `simplify` does; what is left out is said once."""
+    manifest, _ = write_levels(splats if held else scene, tmp_path / "l", RATIOS, suffix=".splat")
+    assert sum("harmonics" in note for note in manifest.notes) == 1
+    for level, ratio in zip(manifest.levels, RATIOS, strict=True):
+        small, _ = nanogs.simplify(splats, ratio=ratio, sh_degree=0)
+        nanogs.save(small, tmp_path / "one.splat", overwrite=True)
+        assert (tmp_path / "l" / level.file).read_bytes() == (tmp_path / "one.splat").read_bytes()
+
+
 def test_one_build_serves_all_levels(splats, monkeypatch):
     from nanogs.pipeline import one_block as pipeline_run
 

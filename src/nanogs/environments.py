@@ -143,6 +143,8 @@ class Surroundings:
 
         def made() -> Splats:
             found = whole()
+            if request.sh_degree is not None:
+                found = found.with_sh_degree(request.sh_degree)
             if self.ratio < 1:
                 small, _ = simplify(found, ratio=self.ratio, preset="fast", threads=request.threads)
                 found = replace(small, notes=found.notes)

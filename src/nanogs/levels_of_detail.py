@@ -28,7 +28,7 @@ from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
 from nanogs.lod.usual import usual_ratios
 from nanogs.pipeline.api import refuse_device
-from nanogs.pipeline.files import cameras_of, stated_frame
+from nanogs.pipeline.files import cameras_of, fitted_for, stated_frame
 from nanogs.pipeline.foreseen import levels_stages
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.job import import_stages
@@ -194,7 +194,7 @@ def write_levels_of_files(
     """
     refuse_device(request.device, request.preset, request.parameters, request.goal)
     plan = plan_files(request)
-    options, unstated = stated_frame(request, Path(f"level{_suffix(sink)}"))
+    options, unstated = stated_frame(request, _file(sink))
     if plan.divided:
         request.refuse_device_in_blocks()
         unstated = (*unstated, *device_notes(request.device, CPU))
@@ -209,11 +209,13 @@ def _written(
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """The levels of files."""
     if plan.divided:
+        request, left_out = fitted_for(request, plan.sh_degree, _file(sink))
         request, beside = sky.in_blocks(request)
         sink = _with(sink, beside)
         written, made = fill_in_blocks(request, sink, told)
         made = without_environment(made)
-        return describe_levels(sink.source, made, written), tuple(made)
+        manifest = describe_levels(sink.source, made, written)
+        return replace(manifest, notes=(*manifest.notes, *left_out)), tuple(made)
     request.goes_on()
     sink.check()
     import_stages(request.parameters)
@@ -242,6 +244,7 @@ def _whole(
 ) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
     """Make the levels of a model in memory."""
     whole, filtered, notes = prepared
+    request, left_out = fitted_for(request, whole.sh_degree, _file(sink))
     splats, beside = sky.in_memory(request, whole)
     sink = _with(sink, beside)
     if beside is not None and not beside.own and is_measured(request):
@@ -252,9 +255,9 @@ def _whole(
     tracker = Tracker(told, _stages(request, len(splats), sink))
     made = judged_levels(
         splats, request.ratios, judged=is_measured(request), preset=request.preset,
-        cameras=cameras_of(request, splats), nan=request.nan, device=request.device,
-        threads=request.threads, max_memory=request.max_memory, progress=tracker.passing(),
-        **request.overrides,
+        sh_degree=request.sh_degree, cameras=cameras_of(request, splats), nan=request.nan,
+        device=request.device, threads=request.threads, max_memory=request.max_memory,
+        progress=tracker.passing(), **request.overrides,
     )  # fmt: skip
     judge, reports = None, []
     if is_measured(request):
@@ -273,12 +276,17 @@ def _whole(
             del small, turned  # or they would be kept while the next level is made
         manifest = filling.finish(reports, judge)
     tracker.finish()
-    return replace(manifest, notes=(*manifest.notes, *notes)), tuple(reports)
+    return replace(manifest, notes=(*manifest.notes, *notes, *left_out)), tuple(reports)
 
 
 def _suffix(sink: LevelsSink) -> str:
     """The format of the files that levels are in."""
     return sink.chunks.suffix if sink.chunks else sink.suffix
+
+
+def _file(sink: LevelsSink) -> Path:
+    """Such a file."""
+    return Path(f"level{_suffix(sink)}")
 
 
 def _stages(request: Request, splats: int, sink: LevelsSink) -> list[Stage]:

@@ -173,16 +173,30 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
     options, notes = stated_frame(request, request.output)
     request = replace(request, format_options=options)
     plan = plan_files(request)
-    most = registry.writable(request.output).max_degree
-    if request.sh_degree is None and plan.sh_degree > most and renders(request.parameters):
-        # Fitted for what is written, a result makes up for what the format leaves out.
-        request = replace(request, sh_degree=most)
-        notes = (*notes, degree_left_out(request.suffix, most))
+    request, left_out = fitted_for(request, plan.sh_degree, request.output)
+    notes = (*notes, *left_out)
     if plan.divided:
         request.refuse_device_in_blocks()
         notes = (*notes, *device_notes(request.device, CPU))
     report = _in_blocks(request, told) if plan.divided else _in_memory(request, plan, told)
     return replace(report, notes=(*report.notes, *notes))
+
+
+def fitted_for(request: Request, degree: int, output: Path) -> tuple[Request, tuple[str, ...]]:
+    """What is asked for, and a note where results have fewer harmonics than the model.
+
+    Fitted for what is written, a result makes up for what the format leaves out.
+
+    Args:
+        request: What is asked for.
+        degree: Of the harmonics of the model.
+        output: Of the format that is written.
+    """
+    known = registry.writable(output)
+    most = known.max_degree
+    if request.sh_degree is not None or degree <= most or not renders(request.parameters):
+        return request, ()
+    return replace(request, sh_degree=most), (degree_left_out(known.suffix, most),)
 
 
 def stated_frame(request: Request, output: Path) -> tuple["FormatOptions | None", tuple[str, ...]]:

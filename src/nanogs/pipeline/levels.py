@@ -13,7 +13,8 @@ from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.job import Deliver, Job, NanPolicy, prepare_job
-from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
+from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, renders
+from nanogs.pipeline.rows import check_degree
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import level_stage
 from nanogs.progress import Progress, Stage, Tracker
@@ -29,6 +30,7 @@ def levels(
     ratios: Sequence[float],
     *,
     preset: str = DEFAULT_PRESET,
+    sh_degree: int | None = None,
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     device: str | None = None,
@@ -46,6 +48,7 @@ def levels(
         model: The model, which is not changed, or a path.
         ratios: Compaction ratios in (0, 1], from the finest level to the coarsest.
         preset: Name of a preset; `paper` grows no forest, so that each level is a run of its own.
+        sh_degree: As `simplify` takes it.
         cameras: Views that matter, for presets that render; by default automatic ones.
         nan: As `simplify` takes it.
         device: As `simplify` takes it.
@@ -66,8 +69,8 @@ def levels(
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
     return judged_levels(
-        model, ratios, judged=False, preset=preset, cameras=cameras, nan=nan, device=device,
-        threads=threads, max_memory=max_memory, progress=progress, **overrides,
+        model, ratios, judged=False, preset=preset, sh_degree=sh_degree, cameras=cameras, nan=nan,
+        device=device, threads=threads, max_memory=max_memory, progress=progress, **overrides,
     )  # fmt: skip
 
 
@@ -77,6 +80,7 @@ def judged_levels(
     *,
     judged: bool,
     preset: str = DEFAULT_PRESET,
+    sh_degree: int | None = None,
     cameras: Sequence["Camera"] | None = None,
     nan: NanPolicy = "drop",
     device: str | None = None,
@@ -92,6 +96,7 @@ def judged_levels(
         ratios: See there.
         judged: Whether the caller holds each level against such views.
         preset: See there.
+        sh_degree: See there.
         cameras: See there.
         nan: See there.
         device: See there.
@@ -101,9 +106,13 @@ def judged_levels(
         **overrides: See there.
     """
     check_ratios(ratios)
-    refuse_device(device, preset, parameters(preset, overrides), Goal(ratio=ratios[0]))
+    chosen = parameters(preset, overrides)
+    refuse_device(device, preset, chosen, Goal(ratio=ratios[0]))
+    check_degree(sh_degree)
     splats = as_splats(model)
-    job = prepare_job(splats, preset, overrides, cameras, nan)
+    if sh_degree is not None and not renders(chosen):
+        splats = splats.with_sh_degree(sh_degree)
+    job = prepare_job(splats, preset, overrides, cameras, nan, sh_degree)
     refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
     counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
     job.refuse_too_large(counts[0], max_memory, judged=judged)

@@ -98,10 +98,10 @@ class Request:
     def edits(self) -> Changes:
         """What is left out of the model, how it is drawn, and where results are turned to.
 
-        Harmonics of a single result are left out of that where it is fitted to all that views show.
+        Harmonics are left out of results where these are fitted to all that views show.
         """
-        fitted = not self.ratios and renders(self.parameters)
-        degree, mode = None if fitted else self.sh_degree, checked_mode(self.render_mode)
+        fitted, mode = renders(self.parameters), checked_mode(self.render_mode)
+        degree = None if fitted else self.sh_degree
         return Changes(self.filters, degree, self.frame, render_mode=mode)
 
     @property
