@@ -216,7 +216,7 @@ class _Search:
     Attributes:
         found: Files of each degree and share of a palette that was tried, by their bits.
         promising: Lower degrees that are not far behind without a fit of their own.
-        smaller: Whether a smaller palette is not.
+        smaller: Whether a smaller palette is not far behind either, so that it is tried.
     """
 
     choices: Choices
@@ -299,7 +299,7 @@ class _Search:
             best = self._make(packing, self._expected(packing), near=True)
             if self._is_far(found := self._best_file(packing)):
                 count, looked = self._filling(found), len(self.found[_plain(packing)]) > 1
-                # Bits that were found stay: what is tried of them is nearer to what is wanted.
+                # Bits that were compared stay; only where none were, they are looked for now.
                 look = partial(_alone, best) if looked else partial(self._look, best)
                 self._keep(best, self._tried(best, count, look))
         return self._worth(self._best_file(packing))
