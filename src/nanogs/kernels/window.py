@@ -30,12 +30,13 @@ def similarity_rows(
     width, last = a.shape[1], len(taps) - 1
     inside = width - last * channels
     down, means = np.empty((MOMENTS, width)), np.empty((MOMENTS, inside))
+    # Two taps that weigh alike are added in one; the middle one is its own fellow.
+    weights = taps[: last // 2 + 1].copy()
+    weights[last // 2] /= 2
     for row in range(start, stop):
         down[:] = 0.0
         means[:] = 0.0
-        for k in range(last // 2 + 1):
-            # Taps that weigh alike in one; the middle one is its own fellow.
-            weight = taps[k] if 2 * k < last else taps[k] / 2
+        for k, weight in enumerate(weights):
             p, q, r, s = a[row + k], b[row + k], a[row + last - k], b[row + last - k]
             _add(down[0], weight, p, r)
             _add(down[1], weight, q, s)
@@ -43,8 +44,7 @@ def similarity_rows(
             _add_products(down[2], weight, r, r, s, s)
             _add_products(down[3], weight, p, q, r, s)
         for m in range(MOMENTS):
-            for k in range(last // 2 + 1):
-                weight = taps[k] if 2 * k < last else taps[k] / 2
+            for k, weight in enumerate(weights):
                 left, right = k * channels, (last - k) * channels
                 _add(means[m], weight, down[m, left : left + inside], down[m, right:])
         sums[row] = _sum_similarities(means[0], means[1], means[2], means[3], c1, c2)
