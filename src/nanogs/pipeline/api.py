@@ -121,8 +121,6 @@ def simplify(
     if frame:
         change_between(*frame)  # which refuses other names
     splats = as_splats(model)
-    if sh_degree is not None and not renders(chosen):
-        splats = splats.with_sh_degree(min(sh_degree, splats.sh_degree))
     # Here and not above: this brings Numba, which `--help` and `info` do without.
     from nanogs.pipeline.foreseen import simplify_stages
     from nanogs.pipeline.held_files import HeldFiles
@@ -131,6 +129,7 @@ def simplify(
     with use_device(device) as used, use_threads(threads) as threads_used, drawn(progress) as tell:
         with clock.time("check"):
             job = prepare_job(splats, preset, overrides, cameras, nan, sh_degree)
+            splats = job.splats
             target = target_of(goal, splats, len(job.rows), path, job.parameters, sh_degree)
             refuse_misaligned_elements(splats, 1 if target is None else target)
             job.refuse_too_large(target, max_memory, judged=target is None)

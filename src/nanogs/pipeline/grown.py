@@ -15,7 +15,7 @@ from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.job import Job, NanPolicy, prepare_job
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search, renders
+from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, refuse_search
 from nanogs.pipeline.rows import check_degree
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Parts, Progress, Stage, Tracker
@@ -233,14 +233,12 @@ def grow(
     # Any result may be measured, which is what a card can do for a preset that renders nothing.
     refuse_device(device, preset, chosen, Goal(psnr=1.0))
     check_degree(sh_degree)
-    original = splats = as_splats(model)
-    if sh_degree is not None and not renders(chosen):
-        splats = splats.with_sh_degree(sh_degree)
+    original = as_splats(model)
     from nanogs.pipeline.foreseen import build_stages
 
     with drawn(progress) as tell, _on(device, threads) as (_, used):
         with clock.time("check"):
-            job = prepare_job(splats, preset, overrides, cameras, nan, sh_degree)
+            job = prepare_job(original, preset, overrides, cameras, nan, sh_degree)
             job.refuse_too_large(None, max_memory, judged=True)
         tracker = Tracker(tell, build_stages(job.parameters, len(job.rows)))
         scene = job.build(used, clock, tracker)

@@ -16,7 +16,7 @@ from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.memory import plan_memory
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.presets import Parameters, parameters
+from nanogs.pipeline.presets import Parameters, parameters, renders
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport, StopReason
@@ -179,11 +179,15 @@ def prepare_job(
 ) -> Job:
     """Check all that can be checked before anything is computed.
 
+    A method that does not look at views gets the model without harmonics above the degree.
+
     Raises:
         OptionError: There is no such preset or parameter.
         ModelError: No splat is usable, or `nan="error"` and one is not.
     """
     chosen = parameters(preset, overrides)
+    if sh_degree is not None and not renders(chosen):
+        splats = splats.with_sh_degree(sh_degree)
     return Job(splats, usable_rows(splats, nan), preset, chosen, cameras, sh_degree)
 
 

@@ -13,7 +13,7 @@ from nanogs.errors import OptionError
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.api import refuse_device
 from nanogs.pipeline.job import Deliver, Job, NanPolicy, prepare_job
-from nanogs.pipeline.presets import DEFAULT_PRESET, parameters, renders
+from nanogs.pipeline.presets import DEFAULT_PRESET, parameters
 from nanogs.pipeline.rows import check_degree
 from nanogs.pipeline.target import Goal, target_count
 from nanogs.pipeline.weights import level_stage
@@ -106,14 +106,10 @@ def judged_levels(
         **overrides: See there.
     """
     check_ratios(ratios)
-    chosen = parameters(preset, overrides)
-    refuse_device(device, preset, chosen, Goal(ratio=ratios[0]))
+    refuse_device(device, preset, parameters(preset, overrides), Goal(ratio=ratios[0]))
     check_degree(sh_degree)
-    splats = as_splats(model)
-    if sh_degree is not None and not renders(chosen):
-        splats = splats.with_sh_degree(sh_degree)
-    job = prepare_job(splats, preset, overrides, cameras, nan, sh_degree)
-    refuse_misaligned_elements(splats, target_count(len(job.rows), ratios[-1], None))
+    job = prepare_job(as_splats(model), preset, overrides, cameras, nan, sh_degree)
+    refuse_misaligned_elements(job.splats, target_count(len(job.rows), ratios[-1], None))
     counts = [target_count(len(job.rows), ratio, None) for ratio in ratios]
     job.refuse_too_large(counts[0], max_memory, judged=judged)
     from nanogs.pipeline.foreseen import levels_stages
