@@ -152,7 +152,8 @@ def choose_packing(
     """
     search = _Search(choices, size, slope, guess, attempt, available)
     best = search.begin()
-    if (first := best).share is not None and search.smaller:
+    first = best
+    if search.smaller:
         best = search.climb(first, [replace(first, share=share) for share in SMALLER])
     if best is first and first.share is not None:
         best = search.climb(first, [replace(first, share=share) for share in LARGER])
@@ -298,10 +299,11 @@ class _Search:
         if _plain(packing) not in self.found:
             best = self._make(packing, self._expected(packing), near=True)
             if self._is_far(found := self._best_file(packing)):
-                count, looked = self._filling(found), len(self.found[_plain(packing)]) > 1
-                # Bits that were compared stay; only where none were, they are looked for now.
-                look = partial(_alone, best) if looked else partial(self._look, best)
-                self._keep(best, self._tried(best, count, look))
+                count = self._filling(found)
+                if len(self.found[_plain(packing)]) > 1:  # bits that were compared stay
+                    self._keep(best, self._tried(best, count, partial(_alone, best)))
+                else:
+                    self._make(best, count)
         return self._worth(self._best_file(packing))
 
     def _make(self, packing: Packing, count: int, *, near: bool = False) -> Packing:
