@@ -185,6 +185,28 @@ def test_what_nearly_all_splats_bring_is_measured_near_the_size():
     assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.01)
 
 
+@pytest.mark.parametrize("edge", [*range(5000, 8200, 200)])
+def test_a_result_is_packed_as_the_one_that_was_judged(edge):
+    """What an option that follows from the splats was, it stays: files would leap in size."""
+
+    class Leaping(MadeUp):
+        """From a count on, centres take a byte more."""
+
+        def seen(self, packing, count):
+            spare = packing.options(count).get("spare_bits", 6 if count < edge else 4)
+            found = super().seen(packing, count)
+            options = {**found.options, "spare_bits": spare}
+            return replace(found, bytes=found.bytes + (6 - spare) * count // 2, options=options)
+
+    model = Leaping(0, 8.0, 6)
+    choices = Choices([0], palettes=False, bits=BITS)
+    found, count, probes = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    settled = dict(found.settled)
+    assert [*settled] == ["spare_bits"]
+    assert any(found.options(count).items() <= probe.options.items() for probe in probes)
+    assert model.seen(found, count).bytes == pytest.approx(0.993 * SIZE, rel=0.002)
+
+
 def test_what_more_splats_bring_is_measured():
     choices = Choices([0], palettes=False)
     less, more = (PackingReport(0, {}, n, n, 30 + 6 * math.log(n), 0.9) for n in (1000, 1600))
@@ -234,6 +256,7 @@ def test_a_size_chooses_how_it_is_packed(splats):
     assert report.achieved_size <= 30_000
     assert as_packed(small, "a.sog", report.format_options)[1] == report.achieved_size
     assert all(each.bytes > 0 and each.psnr > 0 for each in report.packings)
+    assert report.format_options["spare_bits"] in range(7)
     if small.sh_degree:
         assert sets_of(small) <= report.format_options["palette"]
 

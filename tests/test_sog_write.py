@@ -436,6 +436,28 @@ def test_bits_beyond_the_format_are_refused(tmp_path, bits):
         io.save(random_model(9, 1), tmp_path / "a.sog", format_options={"bits": bits})
 
 
+def test_centres_do_without_as_many_bits_as_asked_for(tmp_path):
+    model, errors, sizes = random_model(), [], []
+    for spare in range(7):
+        again = saved(tmp_path, model, spare_bits=spare)
+        sizes.append((tmp_path / "a.sog").stat().st_size)
+        shifts = np.abs(np.sort(again.means, axis=0) - np.sort(model.means, axis=0))
+        errors.append(np.sqrt(np.square(shifts).mean()))
+    np.testing.assert_allclose(np.diff(np.log2(errors)), 1, atol=0.15)
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_bits_that_follow_from_a_model_can_be_given():
+    model = random_model()
+    for options in ({}, {"bits": 5}):
+        settled = io.settled(model, "a.sog", options)
+        assert settled["spare_bits"] in range(1, 6)
+        plain, given = (io.as_packed(model, "a.sog", o) for o in (options, options | settled))
+        assert_same(plain[0], given[0])
+        finer = io.as_packed(model, "a.sog", {**options, "spare_bits": 0})
+        assert finer[1] > plain[1] == given[1]
+
+
 def test_other_readers_agree(tmp_path):
     gaussforge = pytest.importorskip("gaussforge")
     back = saved(tmp_path, random_model(2000, 3))

@@ -372,6 +372,41 @@ def test_centres_of_large_splats_have_fewer_fraction_bits(tmp_path, size, bits):
     assert 0.4 / 2**bits < np.abs(again.means - model.means).max() <= 0.5 / 2**bits + 1e-6
 
 
+@pytest.mark.parametrize("bits", [6, 8])
+@pytest.mark.parametrize("spare", [0, 3, 6])
+def test_centres_do_without_as_many_bits_as_asked_for(tmp_path, bits, spare):
+    model = random_splats(50)
+    model.means[:] *= np.float32(10)
+    options = {"bits": bits, "spare_bits": spare}
+    io.save(model, tmp_path / "a.spz", format_options=options)
+    assert gzip.decompress((tmp_path / "a.spz").read_bytes())[13] == 12 - spare
+    again = io.load(tmp_path / "a.spz")
+    error = np.abs(np.sort(again.means, axis=0) - np.sort(model.means, axis=0)).max()
+    assert 0.3 / 2 ** (12 - spare) < error <= 0.5 / 2 ** (12 - spare) + 1e-6
+
+
+def test_bits_that_follow_from_a_model_can_be_given():
+    model = random_splats(500, degree=1)
+    for options in ({}, {"bits": 5}):
+        settled = io.settled(model, "a.spz", options)
+        assert settled["spare_bits"] in range(1, 7)
+        plain, given = (io.as_packed(model, "a.spz", o) for o in (options, options | settled))
+        assert_same(plain[0], given[0])
+        finer = io.as_packed(model, "a.spz", {**options, "spare_bits": 0})
+        assert finer[1] > plain[1] == given[1]
+    assert io.settled(model, "a.spz", {"spare_bits": 0}) == {}
+    assert io.settled(model, "a.ply", {}) == {}
+
+
+def test_centres_of_a_large_scene_cannot_do_without_what_they_lack(tmp_path):
+    model = random_splats(2)
+    model.means[:] = 2**21
+    assert io.settled(model, "a.spz", {}) == {"spare_bits": 0}
+    with pytest.raises(OptionError, match="Of 1 bits behind the point, `spare_bits=2` leaves none"):
+        io.save(model, tmp_path / "a.spz", format_options={"spare_bits": 2})
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("version", WRITTEN)
 def test_coefficients_have_as_many_bits_as_asked_for(tmp_path, version):
     model = random_splats(2000, degree=2)
@@ -582,7 +617,10 @@ def test_a_palette_of_what_cannot_be_written_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("options", [{"sh_bits": 1}, {"sh_bits": 9}, {"bits": 3}, {"bits": 9}])
+BEYOND = [{"sh_bits": 1}, {"sh_bits": 9}, {"bits": 3}, {"bits": 9}, {"spare_bits": 7}]
+
+
+@pytest.mark.parametrize("options", BEYOND)
 def test_bits_beyond_the_format_are_refused(tmp_path, options):
     with pytest.raises(OptionError, match="must be a whole number from"):
         io.save(random_splats(9), tmp_path / "a.spz", format_options=options)

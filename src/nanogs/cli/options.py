@@ -177,6 +177,15 @@ ShBits = Annotated[
         metavar="BITS",
     ),
 ]
+SpareBits = Annotated[
+    int | None,
+    typer.Option(
+        help="Of a .sog or .spz file: bits that centres do without, 0 to 6; one more makes their"
+        " errors twice as large.",
+        show_default="as many as splats are large",
+        metavar="BITS",
+    ),
+]
 OfFormat = Annotated[
     dict[str, Any],
     {
@@ -184,6 +193,7 @@ OfFormat = Annotated[
         "palette": (Palette, None),
         "bits": (Bits, None),
         "sh_bits": (ShBits, None),
+        "spare_bits": (SpareBits, None),
     },
 ]
 """Options of one format alone, as `save` takes them."""

@@ -161,8 +161,9 @@ def save(
             colour coefficient of degree 1, 2 to 8 (by default 5), those above having one less; of
             .sog and .spz `palette`, entries for the higher colour coefficients, of .sog 1 to
             65,536, by default two for three splats, and of .spz 1 to 1,048,576, by default each
-            splat its own; and `bits`, how fine all values are, 4 (coarse) to 8 (by default 7, of
-            .spz 8).
+            splat its own; `bits`, how fine all values are, 4 (coarse) to 8 (by default 7, of .spz
+            8); and `spare_bits`, 0 to 6, that centres do without (by default they are as fine as
+            splats are small).
         progress: Called with each `nanogs.progress.Step` of a file whose writing takes long.
 
     Raises:
@@ -254,6 +255,18 @@ def as_packed(
         save(splats, file, format_options=format_options, progress=progress)
         size = bytes_on_disk(file)
         return load(file), size
+
+
+def settled(
+    model: Splats | Source, path: str | PathLike[str], format_options: FormatOptions
+) -> FormatOptions:
+    """Options that follow from a model unless they are given, by which another is written like it.
+
+    Raises:
+        NanogsError: As for `save`.
+    """
+    found = registry.writable(place(path)).settled(source_of(model), format_options)
+    return {name: value for name, value in found.items() if format_options.get(name) is None}
 
 
 def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...]:

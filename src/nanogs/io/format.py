@@ -9,6 +9,7 @@ from nanogs.errors import FormatError
 from nanogs.frames import TRAINED
 from nanogs.io.folder import Ours
 from nanogs.io.parts import FileSource
+from nanogs.source import Source
 from nanogs.splats import MAX_SH_DEGREE, Splats
 
 UNSTATED = "not stated in the file; y down (rdf) by habit"
@@ -83,7 +84,8 @@ class Format:
     so. `max_degree` is the highest degree of harmonics that files hold. `check` fails before any
     computing where this installation cannot write the format. Files without a name are known by
     what they begin with, one of `starts`, or, where they are zips, by a file that is in them,
-    `holds`. `check_options` fails where options do not go together.
+    `holds`. `check_options` fails where options do not go together. `settled` gives options that
+    follow from the model unless they are given, by which a like one can be written in the same way.
     """
 
     suffix: str
@@ -104,6 +106,7 @@ class Format:
     ours: Ours | None = None
     check: Callable[[], None] = lambda: None
     check_options: Callable[[FormatOptions], None] = lambda _options: None
+    settled: Callable[[Source, FormatOptions], FormatOptions] = lambda _source, _options: {}
     starts: tuple[bytes, ...] = ()
     holds: str = ""
 

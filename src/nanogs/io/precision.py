@@ -15,7 +15,7 @@ from nanogs._types import F64
 from nanogs.splats import Splats
 
 FEWEST_BITS, MOST_BITS = 4, 8
-MOST_CENTRE_BITS = 6  # of 16, that a centre may do without
+MOST_SPARE_BITS = 6  # of 16, that a centre may do without
 _SHARE_OF_SIZE = 0.02  # of a splat's middle size that a step of its centre takes at 8 bits
 _AREA_POWER = 0.75
 _LEAST_SIZE = 1e-150  # whose square is not zero
@@ -25,9 +25,15 @@ _VISIBILITY = (1e-3, 1e3)  # of the mean: least and most that a splat counts
 
 @dataclass(frozen=True, slots=True)
 class Precision:
-    """Bits of a part of a rotation, 4 to 8, from which all else follows."""
+    """How finely values are kept.
+
+    Attributes:
+        bits: Of a part of a rotation, 4 to 8, from which all else follows.
+        spare: Bits that centres do without, 0 to 6; by default as many as `spare_bits` finds.
+    """
 
     bits: int
+    spare: int | None = None
 
     @property
     def rotation_step(self) -> int:
@@ -50,12 +56,14 @@ class Precision:
         return min(_CODES, 2 << self.bits) - 1
 
     def spare_bits(self, blocks: Iterable[Splats], steps: Callable[[Splats], F64]) -> int:
-        """Bits that centres may do without, 0 to 6, since splats are large beside a step.
+        """Bits that centres do without: by default those that large splats have no use for.
 
         Args:
             blocks: All splats.
             steps: How far codes are apart where the centres of R splats are, (R, 3) or (1, 1).
         """
+        if self.spare is not None:
+            return self.spare
         moved = counted = 0.0
         for block in blocks:
             scales = np.sort(block.scales().astype(np.float64), axis=1)[:, 1:] + _LEAST_SIZE
@@ -65,7 +73,7 @@ class Precision:
             counted += float(seen.sum())
         share = math.sqrt(moved / counted) if counted else 0.0
         allowed = _SHARE_OF_SIZE * (1 << (MOST_BITS - self.bits))
-        spare = math.floor(math.log2(allowed / max(share, allowed / 2**MOST_CENTRE_BITS)))
+        spare = math.floor(math.log2(allowed / max(share, allowed / 2**MOST_SPARE_BITS)))
         return max(spare, 0)
 
 

@@ -8,8 +8,9 @@ from typing import Any
 
 from nanogs.clock import StageClock
 from nanogs.frames import change_frame
-from nanogs.io import as_packed, as_stored, encoded_bytes
+from nanogs.io import as_packed, as_stored, encoded_bytes, settled
 from nanogs.pipeline.outcome import Outcome
+from nanogs.report import PackingReport
 from nanogs.scoring.held_out import ToChooseBy, to_choose_by
 from nanogs.splats import Splats
 
@@ -52,16 +53,15 @@ class HeldFiles:
         """As `Files` says."""
         return self.sample_bytes(result.splats, options)
 
-    def seen(
-        self, result: Outcome, sh_degree: int, options: Mapping[str, Any]
-    ) -> tuple[int, float, float]:
+    def seen(self, result: Outcome, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
         """As `Files` says."""
         with self.clock.time("encode"):
-            bare = result.splats.with_sh_degree(sh_degree)
-            small, size = as_packed(self._turned(bare), self.path, {**self.given, **options})
+            bare = self._turned(result.splats.with_sh_degree(sh_degree))
+            options = {**options, **settled(bare, self.path, {**self.given, **options})}
+            small, size = as_packed(bare, self.path, {**self.given, **options})
         with self.clock.time("measure"):
             psnr, ssim = self.views.judge(self._turned_back(small))
-        return size, psnr, ssim
+        return PackingReport(sh_degree, options, len(bare), size, psnr, ssim)
 
     def stored(self, splats: Splats, options: Mapping[str, Any]) -> Splats:
         """Splats as their file gives them back, in the frame of the original."""

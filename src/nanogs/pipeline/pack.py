@@ -145,10 +145,8 @@ class Packer(Generic[T]):
         return [PackingReport(**each) for each in found]
 
     def _seen(self, result: T, packing: Packing) -> PackingReport:
-        count = self.files.count(result)
-        options = packing.options(count)
-        seen = self.files.seen(result, packing.sh_degree, options)
-        return PackingReport(packing.sh_degree, options, count, *seen)
+        options = packing.options(self.files.count(result))
+        return self.files.seen(result, packing.sh_degree, options)
 
 
 @dataclass(eq=False)

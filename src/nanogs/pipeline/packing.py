@@ -17,6 +17,7 @@ from nanogs.method.choose import quality
 from nanogs.pipeline.fit_size import AIM
 from nanogs.report import PackingReport
 
+PALETTE = "palette"  # the option of a format
 # Splats for an entry of the palette: what is tried first, and larger and smaller palettes.
 FIRST_SHARE = 8.0
 LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
@@ -41,12 +42,15 @@ class Packing:
         share: Splats for an entry of the palette of the higher ones, or None without a choice.
         bits: Options of the format that say how fine it is, by name.
         entries: Most that a palette of the format has.
+        settled: Other options of the format that followed from a result, and which one of about the
+            same count keeps: otherwise its file might be of another size altogether.
     """
 
     sh_degree: int
     share: float | None = None
     bits: tuple[tuple[str, int], ...] = ()
     entries: int = 1 << 16
+    settled: tuple[tuple[str, int], ...] = ()
 
     def share_of(self, count: int) -> float | None:
         """Splats for an entry of the palette of a result, or None where there is no choice."""
@@ -57,7 +61,8 @@ class Packing:
     def options(self, count: int) -> dict[str, Any]:
         """Options of the format for a result of so many splats."""
         share = self.share_of(count)
-        return dict(self.bits) | ({"palette": max(int(count / share), 1)} if share else {})
+        palette = {PALETTE: max(int(count / share), 1)} if share else {}
+        return dict(self.bits) | dict(self.settled) | palette
 
 
 Seen = Callable[[Packing], PackingReport]
@@ -161,7 +166,7 @@ def choose_packing(
     best = search.climb(best, lower)
     if best.share is not None:  # otherwise the bits of the first result were compared at once
         best = search.compare_bits(best)
-    return best, search.filling(best), tuple(search.probes)
+    return search.again(best), search.filling(best), tuple(search.probes)
 
 
 def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available: int) -> Packing:
@@ -202,12 +207,8 @@ def slope_of(choices: Choices, less: PackingReport, more: PackingReport) -> floa
 _Values = tuple[tuple[str, int], ...]
 
 
-def _alone(packing: Packing, seen: Seen) -> list[PackingReport]:
-    return [seen(packing)]
-
-
 def _plain(packing: Packing) -> Packing:
-    return replace(packing, bits=())
+    return replace(packing, bits=(), settled=())
 
 
 @dataclass(slots=True)
@@ -245,7 +246,7 @@ class _Search:
             return self.compare_bits(best)
         small = replace(first, share=SMALLER[0])
         self.smaller = any(self._is_packed(each, small) for each in others)
-        return self._make(best, self._filling(found)) if self._is_far(found) else best
+        return self._make(self.again(best), self._filling(found)) if self._is_far(found) else best
 
     def compare_bits(self, best: Packing) -> Packing:
         """The best bits, where several were seen, of which a result was made that fills the size.
@@ -267,7 +268,7 @@ class _Search:
             if best.share is not None and not made and before.bytes < self.size:
                 return best
             made.add(best.bits)
-            [after] = self._tried(best, self._filling(before), partial(_alone, best))
+            [after] = self._alone(best, self._filling(before))
             files[best.bits] = after
             less, more = sorted((before, after), key=lambda each: each.bytes)
             if more.bytes > (1 + NEAR_BITS) * less.bytes:
@@ -290,9 +291,18 @@ class _Search:
             best = self._best(given)
         return best
 
+    def again(self, packing: Packing) -> Packing:
+        """A packing that was tried, for a result of about the same count."""
+        file, chosen = self._file(packing), {PALETTE, *self.choices.bits}
+        settled = [item for item in file.options.items() if item[0] not in chosen]
+        return replace(packing, settled=tuple(settled))
+
     def filling(self, packing: Packing) -> int:
         """A count that about fills the size with a packing that was tried."""
-        return self._filling(self.found[_plain(packing)][packing.bits])
+        return self._filling(self._file(packing))
+
+    def _file(self, packing: Packing) -> PackingReport:
+        return self.found[_plain(packing)][packing.bits]
 
     def _value(self, packing: Packing) -> float:
         """Worth of a degree and a share, its bits as they are or others."""
@@ -301,9 +311,9 @@ class _Search:
             if self._is_far(found := self._best_file(packing)):
                 count = self._filling(found)
                 if len(self.found[_plain(packing)]) > 1:  # bits that were compared stay
-                    self._keep(best, self._tried(best, count, partial(_alone, best)))
+                    self._keep(best, self._alone(best, count))
                 else:
-                    self._make(best, count)
+                    self._make(self.again(best), count)
         return self._worth(self._best_file(packing))
 
     def _make(self, packing: Packing, count: int, *, near: bool = False) -> Packing:
@@ -321,15 +331,15 @@ class _Search:
 
     def _best(self, packing: Packing) -> Packing:
         """A packing that was tried, with the best of the bits."""
-        return replace(packing, bits=self._bits_of(self._best_file(packing)))
+        return replace(packing, bits=self._bits_of(self._best_file(packing)), settled=())
 
     def _best_file(self, packing: Packing) -> PackingReport:
         return max(self.found[_plain(packing)].values(), key=self._worth)
 
     def _is_packed(self, probe: PackingReport, packing: Packing) -> bool:
         """Whether a file has the degree and the palette of a packing, and any bits."""
-        palette = packing.options(probe.count).get("palette")
-        return probe.sh_degree == packing.sh_degree and probe.options.get("palette") == palette
+        palette = packing.options(probe.count).get(PALETTE)
+        return probe.sh_degree == packing.sh_degree and probe.options.get(PALETTE) == palette
 
     def _bits_of(self, probe: PackingReport) -> _Values:
         names = self.choices.bits
@@ -361,7 +371,7 @@ class _Search:
             for way in each.ways(began, finer=larger) if lower or larger else ():
                 for value in way:
                     changed = chosen | {name: value}
-                    probes.append(seen(replace(packing, bits=tuple(changed.items()))))
+                    probes.append(seen(replace(packing, bits=tuple(changed.items()), settled=())))
                     if self._worth(probes[-1]) <= self._worth(best):
                         break
                     best, chosen = probes[-1], changed
@@ -397,6 +407,11 @@ class _Search:
         probes = self.attempt(packing, count, look)
         self.probes += probes
         return probes
+
+    def _alone(self, packing: Packing, count: int) -> list[PackingReport]:
+        """Another count of a packing that was tried, and no other file of it."""
+        packing = self.again(packing)
+        return self._tried(packing, count, lambda seen: [seen(packing)])
 
     def _expected(self, packing: Packing) -> int:
         """The count that should fill the size, by what the model's own splats take."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nanogs.clock import StageClock
-from nanogs.io import bytes_on_disk, encoded_bytes, registry, save
+from nanogs.io import bytes_on_disk, encoded_bytes, registry, save, settled
 from nanogs.io import open as open_model
 from nanogs.io.format import FormatOptions
 from nanogs.pipeline.draw import meet_cost
@@ -24,7 +24,7 @@ from nanogs.pipeline.sized import fill_size
 from nanogs.pipeline.wish import Wish
 from nanogs.pipeline.work import SPAN, Work
 from nanogs.progress import Tracker
-from nanogs.report import StopReason
+from nanogs.report import PackingReport, StopReason
 from nanogs.scoring.draw_views import draw_views
 from nanogs.scoring.held_out import ToChooseBy, held_out, to_choose_by
 from nanogs.sink import held_splats, refuse_large
@@ -221,15 +221,15 @@ class _Files:
         ):
             return bytes_on_disk(path)
 
-    def seen(
-        self, result: Result, sh_degree: int, options: Mapping[str, Any]
-    ) -> tuple[int, float, float]:
+    def seen(self, result: Result, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
         """As `Files` says."""
-        with (
-            self.clock.time("encode"),
-            result_of(result.work, result.level) as source,
-            self.search.written(Reduced(source, sh_degree), options) as path,
-            open_model(path) as file,
-        ):
-            psnr, ssim = self.views.judge(turned_back(file, result))
-            return bytes_on_disk(path), psnr, ssim
+        with self.clock.time("encode"), result_of(result.work, result.level) as source:
+            bare = Reduced(source, sh_degree)
+            options = {**options, **self._settled(bare, options)}
+            with self.search.written(bare, options) as path, open_model(path) as file:
+                psnr, ssim = self.views.judge(turned_back(file, result))
+                size = bytes_on_disk(path)
+        return PackingReport(sh_degree, options, self.count(result), size, psnr, ssim)
+
+    def _settled(self, model: Source, options: Mapping[str, Any]) -> Mapping[str, Any]:
+        return settled(model, self.search.output, {**(self.search.options or {}), **options})

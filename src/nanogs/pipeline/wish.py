@@ -4,11 +4,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from nanogs.io.format import Format
-from nanogs.pipeline.packing import SMALLER, Bits, Choices, Packing
+from nanogs.pipeline.packing import PALETTE, SMALLER, Bits, Choices, Packing
+from nanogs.report import PackingReport
 from nanogs.splats import Splats
 
 R_contra = TypeVar("R_contra", contravariant=True)
-PALETTE, SH_BITS = "palette", "sh_bits"
+SH_BITS = "sh_bits"
 LEAST_BYTES = 8  # of a splat in a packed file
 Options = Mapping[str, Any]
 
@@ -25,13 +26,13 @@ class Files(Protocol[R_contra]):
     def bytes_of(self, result: R_contra, options: Options) -> int:
         """Bytes of a result's file."""
 
-    def seen(self, result: R_contra, sh_degree: int, options: Options) -> tuple[int, float, float]:
-        """Bytes of a result's file, and its PSNR and SSIM on views by which is chosen.
+    def seen(self, result: R_contra, sh_degree: int, options: Options) -> PackingReport:
+        """What a result's file takes and shows, on views by which is chosen.
 
         Args:
             result: The result.
             sh_degree: Of the harmonics that are written, as far as it has them.
-            options: Of the format.
+            options: Of the format; the report has those that follow from the result too.
         """
 
 

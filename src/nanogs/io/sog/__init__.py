@@ -1,12 +1,13 @@
 """PlayCanvas' SOG: splats in lossless pictures; with levels of detail, streamed SOG."""
 
-from nanogs.io.format import Format, WriteOption
-from nanogs.io.precision import FEWEST_BITS, MOST_BITS
+from nanogs.io.format import Format, FormatOptions, WriteOption
+from nanogs.io.precision import FEWEST_BITS, MOST_BITS, MOST_SPARE_BITS
 from nanogs.io.registry import ARCHIVE, LEVELS
 from nanogs.io.sog import write
 from nanogs.io.sog.levels import open_level
 from nanogs.io.sog.meta import PALETTE_MAX
 from nanogs.io.sog.read import META, SogSource
+from nanogs.source import Source
 
 _FIRST_BITS = 6  # that a search begins with: mostly one off the best at most
 _OPTIONS = {
@@ -17,7 +18,15 @@ _OPTIONS = {
         _FIRST_BITS,
         unseen=write.USUAL_BITS,  # 6 gain most scenes 1 dB, and lose smooth ones 4
     ),
+    "spare_bits": WriteOption("spare", range(MOST_SPARE_BITS + 1)),
 }
+
+
+def _settled(source: Source, options: FormatOptions) -> FormatOptions:
+    bits = options.get("bits") or write.USUAL_BITS
+    return {"spare_bits": write.spare_bits(source.load(), bits)}
+
+
 FORMATS = (
     Format(
         ".sog",
@@ -26,6 +35,7 @@ FORMATS = (
         tells=True,
         losses=write.losses,
         options=_OPTIONS,
+        settled=_settled,
         max_degree=write.MAX_DEGREE,
         holds=META,
     ),
@@ -34,6 +44,7 @@ FORMATS = (
         SogSource,
         losses=write.losses,
         options=_OPTIONS,
+        settled=_settled,
         max_degree=write.MAX_DEGREE,
         write_folder=write.write_folder,
         ours=write.ours,

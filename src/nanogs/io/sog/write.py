@@ -79,6 +79,7 @@ def write(
     *,
     palette_size: int | None = None,
     bits: int = USUAL_BITS,
+    spare: int | None = None,
 ) -> None:
     """Write a `.sog` file.
 
@@ -89,12 +90,14 @@ def write(
         palette_size: Most entries of the palette of the higher coefficients, 1 to 65,536; by
             default `usual_palette`.
         bits: Of a part of a rotation, 4 to 8; all else follows, see `Precision`.
+        spare: Bits that centres do without, 0 to 6; by default they are as fine as splats are
+            small.
 
     Raises:
         OutputError: A value is NaN, infinite or beyond what a codebook holds, or there are more
             splats than a texture holds; nothing has been written then.
     """
-    files = contents(splats, None, tell, Packing(palette_size, Precision(bits)))
+    files = contents(splats, None, tell, Packing(palette_size, Precision(bits, spare)))
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in files.items():
             bundle.writestr(plain_entry(name), data)
@@ -107,6 +110,7 @@ def write_folder(
     overwrite: bool = False,
     palette_size: int | None = None,
     bits: int = USUAL_BITS,
+    spare: int | None = None,
 ) -> None:
     """Write `meta.json` and its textures to a folder, which appears whole or not at all.
 
@@ -116,12 +120,13 @@ def write_folder(
         overwrite: Replace a folder that nanogs wrote.
         palette_size: As for `write`.
         bits: As for `write`.
+        spare: As for `write`.
 
     Raises:
         OutputError: As for `write`, or the folder exists and may not be replaced, or it cannot be
             made.
     """
-    packing = Packing(palette_size, Precision(bits))
+    packing = Packing(palette_size, Precision(bits, spare))
     with atomic_folder(path, ours, overwrite=overwrite) as folder:
         for name, data in contents(splats, packing=packing).items():
             (folder / name).write_bytes(data)
@@ -240,8 +245,13 @@ def _codebooks(*wanted: tuple[F32, int]) -> list[F32]:
     return spread.results(wanted, lambda values: codebook(*values))
 
 
-def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[float]]]:
-    """(N, 3) codes of the coordinates' signed logarithms, and the bounds that they lie between."""
+def spare_bits(splats: Splats, bits: int = USUAL_BITS) -> int:
+    """Bits that centres do without unless told otherwise, as `write` has it for so many bits."""
+    return _spare(splats, Precision(bits), _bounds(_logarithms(splats))[2])
+
+
+def _logarithms(splats: Splats) -> F64:
+    """(N, 3) signed logarithms of 1 and the coordinates."""
     logarithms = np.empty((len(splats), 3))
 
     def take(rows: slice) -> None:
@@ -249,13 +259,27 @@ def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[fl
         np.copysign(np.log1p(np.abs(means, dtype=np.float64), out=some), means, out=some)
 
     spread.each(slices(len(splats)), take)
+    return logarithms
+
+
+def _bounds(logarithms: F64) -> tuple[F64, F64, F64]:
+    """(3,) the least and the largest logarithms, and how far these are apart, 1 where they meet."""
     low, high = logarithms.min(axis=0), logarithms.max(axis=0)
-    range_ = np.where(high > low, high - low, 1)
+    return low, high, np.where(high > low, high - low, 1)
+
+
+def _spare(splats: Splats, precision: Precision, range_: F64) -> int:
+    """Bits that centres do without, whose logarithms reach so far."""
     apart = range_ / _LAST
     # A step of the logarithm of 1 + |x| is one of x times 1 + |x|.
-    step = 1 << precision.spare_bits(
-        [splats], lambda s: (1 + np.abs(s.means, dtype=np.float64)) * apart
-    )
+    return precision.spare_bits([splats], lambda s: (1 + np.abs(s.means, dtype=np.float64)) * apart)
+
+
+def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[float]]]:
+    """(N, 3) codes of the coordinates' signed logarithms, and the bounds that they lie between."""
+    logarithms = _logarithms(splats)
+    low, high, range_ = _bounds(logarithms)
+    step = 1 << _spare(splats, precision, range_)
     steps = _LAST // step  # the last code that is used stands for the highest
     codes = np.empty((len(splats), 3), np.uint16)
 

@@ -1,10 +1,11 @@
 """Niantic's `.spz`: columns of bytes, packed by gzip or zstd."""
 
 from nanogs.io.format import Format, FormatOptions, WriteOption
-from nanogs.io.precision import FEWEST_BITS, MOST_BITS
+from nanogs.io.precision import FEWEST_BITS, MOST_BITS, MOST_SPARE_BITS
 from nanogs.io.spz import write
 from nanogs.io.spz.header import GZIP, MAGIC, RECORDED_FRAMES
 from nanogs.io.spz.read import open_spz
+from nanogs.source import Source
 
 _FRAME = (
     "not stated in the file; y up (rub) by the specification, though many files have y down (rdf)"
@@ -18,6 +19,10 @@ def _version(options: FormatOptions) -> int:
     bits = options.get("bits") or MOST_BITS
     usual = write.usual_version(bits, stating=bool(options.get("frame")))
     return options.get("spz_version") or usual
+
+
+def _settled(source: Source, options: FormatOptions) -> FormatOptions:
+    return {"spare_bits": write.spare_bits(source, options.get("bits") or MOST_BITS)}
 
 
 def _check_options(options: FormatOptions) -> None:
@@ -38,10 +43,12 @@ FORMATS = (
             "palette": WriteOption("palette_size", range(1, write.MOST_ENTRIES + 1), whole=True),
             "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1), _FIRST_BITS),
             "sh_bits": WriteOption("sh_bits", range(2, 9), _FIRST_SH_BITS),
+            "spare_bits": WriteOption("spare", range(MOST_SPARE_BITS + 1)),
             "frame": WriteOption("frame", RECORDED_FRAMES),
         },
         states_frame=lambda options: _version(options) == write.STATING,
         check_options=_check_options,
+        settled=_settled,
         tells=True,
         streams=True,
         starts=(MAGIC, GZIP),

@@ -100,6 +100,7 @@ def write(
     palette_size: int | None = None,
     bits: int = MOST_BITS,
     sh_bits: int = SH_BITS,
+    spare: int | None = None,
     frame: str | None = None,
     gzip_level: int = BEST,
 ) -> None:
@@ -116,15 +117,18 @@ def write(
             file, or with a frame.
         palette_size: Most sets of higher coefficients that splats may have; by default each splat
             has its own. Splats of one set then follow each other.
-        bits: How fine values are, 4 to 8, see `STEPS`; centres follow, see `Precision.spare_bits`.
-            With fewer than 8, rows of small files go in another order, see `packing`.
+        bits: How fine values are, 4 to 8, see `STEPS`. With fewer than 8, rows of small files go in
+            another order, see `packing`.
         sh_bits: Of a coefficient of degree 1, 2 to 8; higher ones have one less.
+        spare: Bits that centres do without, 0 to 6; by default they are as fine as splats are
+            small, see `Precision.spare_bits`.
         frame: The frame of the axes, which the file then states; of version 4 alone, since readers
             of older ones expect nothing after the columns.
         gzip_level: Of versions 2 and 3, see `packing.write_gzip`.
 
     Raises:
-        OptionError: A frame or a record is to be in a file of another version.
+        OptionError: A frame or a record is to be in a file of another version, or centres are to do
+            without more bits than they have.
         OutputError: A value is NaN or infinite, or a centre is too far out; nothing has been
             written then.
         OSError: The system refuses to write.
@@ -137,7 +141,7 @@ def write(
         what = "states its frame" if frame else "holds the extension records of the model"
         check_states(version, what)
     degree, count = source.columns.sh_degree, source.count
-    fraction = fraction_bits(source, Precision(bits))
+    fraction = fraction_bits(source, Precision(bits, spare))
     movable, groups = not of_splats(elements, count), None
     if palette_size is not None and degree and count:
         source, groups = _sharing(source.load(), palette_size, tell, movable=movable)
@@ -229,9 +233,10 @@ def losses(splats: Splats, *, records: bool = True) -> tuple[str, ...]:
 def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
     """Bits behind the binary point: 12 or more, less those that large splats have no use for.
 
-    Very large scenes have fewer, and then all of them.
+    Very large scenes have fewer, and then all of them unless told otherwise.
 
     Raises:
+        OptionError: Centres are to do without more bits than there are.
         OutputError: A value is NaN or infinite, or a centre is too far out for whole numbers of 24
             bits.
     """
@@ -242,10 +247,29 @@ def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
             f"A centre is {reach:g} from the origin along an axis, but {SUFFIX} ends at"
             f" {_FIXED_MAX:,}; move the model to the origin or scale it down."
         )
-    if bits < USUAL_FRACTION_BITS:
-        return bits
+    spare = _spare(source, precision, bits)
+    if spare > bits:
+        raise OptionError(
+            f"Of {bits} bits behind the point, `spare_bits={spare}` leaves none; give fewer."
+        )
+    return bits - spare
+
+
+def spare_bits(source: Source, bits: int = MOST_BITS) -> int:
+    """Bits that centres do without unless told otherwise, as `write` has it for so many bits.
+
+    Raises:
+        OutputError: As for `fraction_bits`.
+    """
+    return fraction_bits(source, Precision(bits, 0)) - fraction_bits(source, Precision(bits))
+
+
+def _spare(source: Source, precision: Precision, bits: int) -> int:
+    """Bits that centres do without, of so many behind the point."""
+    if precision.spare is None and bits < USUAL_FRACTION_BITS:
+        return 0
     step = np.full((1, 1), math.ldexp(1.0, -bits))
-    return bits - precision.spare_bits(source.blocks(), lambda _block: step)
+    return precision.spare_bits(source.blocks(), lambda _block: step)
 
 
 def _reach(blocks: Iterable[Splats]) -> float:
