@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import nanogs
 from builders import random_splats
 from nanogs.clock import StageClock
-from nanogs.errors import TooSmallError
+from nanogs.errors import ModelError, TooSmallError
 from nanogs.fit.shared import Shared
 from nanogs.io import as_packed
 from nanogs.pipeline.held_files import HeldFiles
@@ -324,6 +324,28 @@ def test_a_size_without_room_is_said_before_anything_is_grown(splats, monkeypatc
     monkeypatch.setattr("nanogs.pipeline.job.Job.build", None)
     with pytest.raises(TooSmallError, match="a file of one splat"):
         nanogs.simplify(splats, size=100, format=".sog", **FEW)
+
+
+@pytest.mark.parametrize("way", ["held", "stored"])
+def test_what_no_view_shows_is_packed_without_looking(splats, tmp_path, monkeypatch, way):
+    """Views to learn from show something then: splats as large as all space are seen from some."""
+
+    def unseen(*_given):
+        raise ModelError("The reference is seen in none of the views.")
+
+    monkeypatch.setattr("nanogs.scoring.held_out._shown", unseen)
+    out = tmp_path / "a.spz"
+    if way == "held":
+        small, report = nanogs.simplify(splats, size=9000, format=".spz", **FEW)
+        nanogs.save(small, out, format_options=report.format_options)
+    else:
+        nanogs.save(splats, tmp_path / "in.ply")
+        report = nanogs.simplify_blocks(tmp_path / "in.ply", out, size=9000, block=1500, **FEW)
+    assert 8500 < out.stat().st_size == report.achieved_size <= 9000
+    assert report.packings == ()
+    assert any("was not chosen by looking" in note for note in report.notes)
+    with pytest.raises(ModelError, match="none of the views"):
+        nanogs.simplify(splats, psnr=30, format=".spz", **FEW)
 
 
 @pytest.mark.parametrize("suffix", [".sog", ".spz", ".ply"])

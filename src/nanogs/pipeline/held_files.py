@@ -53,6 +53,11 @@ class HeldFiles:
         """As `Files` says."""
         return self.sample_bytes(result.splats, options)
 
+    def shows(self) -> bool:
+        """As `Files` says."""
+        with self.clock.time("measure"):
+            return bool(self.views.kinds)
+
     def seen(self, result: Outcome, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
         """As `Files` says."""
         with self.clock.time("encode"):

@@ -16,6 +16,7 @@ from nanogs.report import PackingReport
 from nanogs.splats import Splats
 
 T = TypeVar("T")
+BLIND = "Nothing of the model is visible, so how the file is packed was not chosen by looking."
 CUTS = 0.5, 0.8  # of the count that fills a size, of plain cuts that tell what more splats bring
 
 
@@ -29,6 +30,7 @@ class Packed:
         packings: What was tried.
         highest: Degree of the harmonics that there might be.
         tight: Whether nothing fits that is not packed as small as may be.
+        blind: Whether views would have told what is best, but show nothing of the model.
     """
 
     packing: Packing
@@ -36,6 +38,7 @@ class Packed:
     packings: tuple[PackingReport, ...]
     highest: int
     tight: bool = False
+    blind: bool = False
 
     def entries(self, count: int) -> dict[str, Any]:
         """What the report of a result of so many splats has of it."""
@@ -43,7 +46,9 @@ class Packed:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A sentence where harmonics were left out that might have been kept."""
+        """What a user might not expect, a sentence each."""
+        if self.blind:
+            return (BLIND,)
         kept = self.packing.sh_degree
         why = "nothing else fits" if self.tight else "so the file shows more"
         left = f"Spherical harmonics above degree {kept} are left out: {why}."
@@ -75,9 +80,10 @@ class Packer(Generic[T]):
         """Choose how results are packed."""
         choices = self.wish.choices(self.sample.sh_degree)
         self.progress.begin("guess")
-        if not self.results.looks or not choices.any:
+        looks = self.results.looks and choices.any
+        if not looks or not self.files.shows():
             packing = self._unseen(choices)
-            return Packed(packing, self.guess(packing), (), packing.sh_degree)
+            return Packed(packing, self.guess(packing), (), packing.sh_degree, blind=looks)
         self.progress.begin("pack")
         slope = self._slope(choices)
         given = self.guess, self._attempt, self.results.available

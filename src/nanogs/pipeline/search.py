@@ -221,6 +221,11 @@ class _Files:
         ):
             return bytes_on_disk(path)
 
+    def shows(self) -> bool:
+        """As `Files` says."""
+        with self.clock.time("measure"):
+            return bool(self.views.kinds)
+
     def seen(self, result: Result, sh_degree: int, options: Mapping[str, Any]) -> PackingReport:
         """As `Files` says."""
         with self.clock.time("encode"), result_of(result.work, result.level) as source:

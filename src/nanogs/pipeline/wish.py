@@ -26,6 +26,9 @@ class Files(Protocol[R_contra]):
     def bytes_of(self, result: R_contra, options: Options) -> int:
         """Bytes of a result's file."""
 
+    def shows(self) -> bool:
+        """Whether views by which is chosen show the original, so that files can be looked at."""
+
     def seen(self, result: R_contra, sh_degree: int, options: Options) -> PackingReport:
         """What a result's file takes and shows, on views by which is chosen.
 

@@ -92,7 +92,7 @@ class ToChooseBy:
     """The original on several kinds of views, each of which counts as much.
 
     Attributes:
-        kinds: The views of each kind.
+        kinds: The views of each kind; none where nothing of the original is visible.
     """
 
     kinds: tuple[HeldOut, ...]
@@ -135,13 +135,16 @@ def to_choose_by(
         original: As `held_out` takes it, and so is what follows; it raises what that does.
         max_memory: See there.
         automatic: Whether automatic views alone count, as where a PSNR of such ones is asked for.
+            They must show something then.
     """
-    kinds = [_shown(original, Protocol(pixels=(PIXELS, PIXELS), split="train"), untold, max_memory)]
-    if not automatic:
-        pixels = PIXELS // 2
-        roaming = Protocol(ROAMING, (pixels, pixels), "roam", "train")
-        with suppress(ModelError):  # there is no place from which something fills a picture
-            kinds.append(_shown(original, roaming, untold, max_memory))
+    usual = Protocol(pixels=(PIXELS, PIXELS), split="train")
+    if automatic:
+        return ToChooseBy((_shown(original, usual, untold, max_memory),))
+    pixels = PIXELS // 2
+    kinds = []
+    for protocol in (usual, Protocol(ROAMING, (pixels, pixels), "roam", "train")):
+        with suppress(ModelError):  # such views show nothing
+            kinds.append(_shown(original, protocol, untold, max_memory))
     return ToChooseBy(tuple(kinds))
 
 
