@@ -114,6 +114,8 @@ def take_note(notes: Path, words: list[str]) -> None:
 
 def text_of(kind: types.Type) -> str:
     """A type as Numba reads it: float32[:, ::1] is an array whose rows lie one after the other."""
+    if isinstance(kind, types.UniTuple):
+        return f"UniTuple({text_of(kind.dtype)}, {kind.count})"
     if not isinstance(kind, types.Array):
         return {"bool": "boolean"}.get(str(kind), str(kind))
     axes = [":"] * (kind.ndim - 1) + ["::1" if kind.layout == "C" else ":"]
