@@ -1,14 +1,22 @@
-"""Palettes: the nearest entries are found by one sum, and in doubt by another, which counts."""
+"""Palettes: points that cost least to merge share an entry, and go to the nearest of those near."""
+
+import os
+import subprocess
+import sys
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nanogs.io.palette import _Search
+from nanogs.io.cells import by_label, nearby_cells
+from nanogs.io.palette import palette
+from nanogs.io.ward import _Nodes, _Table, merge_near, settle
 from nanogs.kernels.closest import LANES, TOGETHER, closest
-from nanogs.kernels.kmeans import nearest_entries, squared_errors
 from nanogs.kernels.policy import kernel
+from nanogs.kernels.ward import NOBODY
+from nanogs.progress import untold
 from nanogs.threads import use_threads
 
 
@@ -34,61 +42,232 @@ def test_the_two_least_sums_of_each_lane(find):
         assert second == pytest.approx(sums[:, 1] if tiles > 1 else np.inf, abs=1e-5)
 
 
-def searched(seed, step, scale, cells=3, points=400, dimensions=9):
-    """A search after one round in which each point looks into all cells; entries have twins."""
-    rng = np.random.default_rng(seed)
-
-    def some(count):
-        values = rng.normal(size=(count, dimensions))
-        return ((np.rint(values / step) * step if step else values) * scale).astype(np.float32)
-
-    shares = rng.integers(1, 90, cells)
-    entries = some(shares.sum())
-    entries[1::2] = entries[: 2 * (len(entries) // 2) : 2]
-    around = np.argsort(rng.random((points, cells)), axis=1).astype(np.int32)
-    bounds = np.concatenate([[0], np.cumsum(shares)])
-    search = _Search(some(points), np.ones(points, np.float32), entries, around, bounds)
-    search.assign(cells)
-    return search
+# ---- looking for partners ----------------------------------------------------------------------
 
 
-def counting(search, probes):
-    """Labels by the sums that count, all of them."""
-    labels = np.empty_like(search.labels)
-    nearest_entries(
-        np.arange(len(labels)), search.points, search.cells, probes, search.bounds, search.columns,
-        search.squares, labels,
-    )  # fmt: skip
-    return labels
+def some_points(seed, count, step=0.0, dimensions=9):
+    """Of values between -1 and 1, or of few values, so that many distances are equal."""
+    values = np.random.default_rng(seed).uniform(-1, 1, (count, dimensions))
+    return (np.rint(values / step) * step if step else values).astype(np.float32)
 
 
-@given(st.integers(0, 99), st.sampled_from([0, 0.5, 2]), st.sampled_from([1, 1e-21, 1e-15, 1e17]))
-@example(0, 2, 1)
+def cells_in_any_order(seed, count, cells):
+    order = np.random.default_rng(seed).random((count, cells)).argsort(axis=1)
+    return order.astype(np.int32)
+
+
+def costs_of(points, weights):
+    """(N, N) what merging two costs, in float64; infinite for one with itself."""
+    wide = points.astype(float)
+    squares = ((wide[:, None] - wide) ** 2).sum(axis=-1)
+    v, w = weights[:, None].astype(float), weights.astype(float)
+    costs = squares * v * w / (v + w)
+    np.fill_diagonal(costs, np.inf)
+    return costs
+
+
+@given(st.integers(0, 99), st.sampled_from([0, 0.5]), st.integers(2, 300), st.integers(1, 4))
 @settings(deadline=None, max_examples=40)
-def test_labels_are_those_of_the_sums_that_count(seed, step, scale):
-    """Where distances are equal, or all but equal, as where they are not."""
-    search = searched(seed, step, scale)
-    assert np.array_equal(search.labels, counting(search, search.cells.shape[1]))
+def test_the_nearest_point_in_all_cells_is_found(seed, step, count, cells):
+    """Where distances are equal, or all but equal, the lower one is."""
+    points, weights = some_points(seed, count, step), np.ones(count, np.float32)
+    nodes = _Nodes(points, weights, cells_in_any_order(seed, count, cells))
+    nodes.prepare(np.arange(count))
+    nodes.look(np.arange(count))
+    costs = costs_of(points, weights)
+    found, cost = nodes.partners[:, 0], nodes.costs[:, 0]
+    assert cost == pytest.approx(costs.min(axis=1), rel=1e-5, abs=1e-7)
+    if step:  # sums of such numbers have no rounding
+        assert np.array_equal(found, costs.argmin(axis=1))
 
 
-@given(st.integers(0, 99), st.sampled_from([0, 2]))
-@settings(deadline=None, max_examples=20)
-def test_rounds_that_look_at_moved_entries_alone_find_the_same(seed, step):
-    search = searched(seed, step, 1, points=300)
-    for probes in (1, 1, 1, 2, 3, 3, 3, 1):
-        search.move()
-        search.assign(probes)
-        assert np.array_equal(search.labels, counting(search, probes))
+def test_partners_come_at_what_they_cost_the_cheapest_first():
+    rng = np.random.default_rng(2)
+    points, weights = some_points(2, 400), rng.uniform(0.1, 9, 400).astype(np.float32)
+    nodes = _Nodes(points, weights, cells_in_any_order(2, 400, 3))
+    nodes.prepare(np.arange(400))
+    nodes.look(np.arange(400))
+    costs = costs_of(points, weights)
+    exact = np.take_along_axis(costs, nodes.partners.astype(int), axis=1)
+    assert nodes.costs == pytest.approx(exact, rel=1e-5)
+    assert (np.diff(nodes.costs, axis=1) >= 0).all()
+    assert all(len(set(row)) == len(row) for row in nodes.partners.tolist())
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_entries_in_all_cells_are_the_nearest(threads):
-    with use_threads(threads):
-        search = searched(3, 0, 1, points=2000)
-    points, entries = search.points.astype(float), search.centres
-    every = ((points[:, None] - entries) ** 2).sum(axis=-1)
-    found = every[np.arange(len(points)), search.labels]
-    assert found == pytest.approx(every.min(axis=1), rel=1e-5)
-    errors = np.empty(len(points), np.float32)
-    squared_errors(search.points, search.columns, search.labels, errors)
-    assert errors == pytest.approx(found, rel=1e-4)
+def test_who_is_alone_in_the_cells_that_it_looks_into_finds_nobody():
+    points, cells = some_points(3, 40), np.full((40, 1), 1, np.int32)
+    cells[7] = 0
+    nodes = _Nodes(points, np.ones(40, np.float32), cells)
+    nodes.prepare(np.arange(40))
+    nodes.look(np.arange(40))
+    assert (nodes.partners[7] == NOBODY).all()
+    assert not np.isfinite(nodes.costs[7]).any()
+    assert not (nodes.partners == 7).any()
+
+
+# ---- merging -----------------------------------------------------------------------------------
+
+
+def merged_plainly(points, weights, size):
+    """Ward's method, one merge at a time: the squared error at the end."""
+    nodes, weights = list(points.astype(float)), list(weights.astype(float))
+    total = 0.0
+    while len(nodes) > size:
+        costs = costs_of(np.array(nodes), np.array(weights))
+        a, b = np.unravel_index(costs.argmin(), costs.shape)
+        total += costs[a, b]
+        v, w = weights[a], weights[b]
+        nodes[a] = (v * nodes[a] + w * nodes[b]) / (v + w)
+        weights[a] = v + w
+        del nodes[b], weights[b]
+    return total
+
+
+def squared_error(points, weights, labels):
+    error = 0.0
+    for label in np.unique(labels):
+        own, w = points[labels == label].astype(float), weights[labels == label].astype(float)
+        error += (w[:, None] * (own - np.average(own, axis=0, weights=w)) ** 2).sum()
+    return error
+
+
+@pytest.mark.parametrize("size", [1, 5, 40, 100, 129])
+def test_merging_many_at_a_time_is_nearly_as_good_as_one_by_one(size):
+    rng = np.random.default_rng(4)
+    points, weights = some_points(4, 130), rng.uniform(0.2, 5, 130).astype(np.float32)
+    cells = np.zeros((130, 1), np.int32)
+    labels, home = merge_near(points, weights, cells, size, untold)
+    assert np.array_equal(np.unique(labels), np.arange(size))
+    assert home.tolist() == [0] * size
+    error = squared_error(points, weights, labels)
+    assert error <= 1.1 * merged_plainly(points, weights, size) + 1e-9
+
+
+@given(st.integers(0, 99), st.integers(1, 4), st.sampled_from([0, 0.5, 1]), st.floats(0.05, 0.99))
+@settings(deadline=None, max_examples=40)
+def test_there_are_as_many_groups_as_asked_for(seed, cells, step, share):
+    """In cells of any shape, of points many of which are equal; parts add up to all."""
+    points = some_points(seed, 300, step, dimensions=3)
+    size = max(int(share * 300), 8 * cells)
+    around = cells_in_any_order(seed, 300, cells)[:, : max(cells - 1, 1)]
+    told = []
+    labels, home = merge_near(
+        points, np.ones(300, np.float32), around, size, lambda *parts: told.append(parts)
+    )
+    assert np.array_equal(np.unique(labels), np.arange(size))
+    assert told[-1] == (300 - size, 300 - size)
+    settled = settle(points, np.ones(300, np.float32), around, labels, home)
+    assert np.array_equal(np.unique(settled), np.arange(size))
+
+
+def test_points_go_to_the_nearest_mean_and_no_group_is_left_empty():
+    points, weights = some_points(5, 500), np.ones(500, np.float32)
+    cells = cells_in_any_order(5, 500, 2)
+    labels = np.random.default_rng(5).integers(0, 20, 500).astype(np.int32)
+    labels[:20] = np.arange(20)
+    settled = settle(points, weights, cells, labels, np.arange(20, dtype=np.int32) % 2)
+    means = np.array([points[labels == k].mean(axis=0, dtype=float) for k in range(20)])
+    every = ((points[:, None].astype(float) - means) ** 2).sum(axis=-1)
+    assert every[np.arange(500), settled] == pytest.approx(every.min(axis=1), rel=1e-5)
+    # Two groups of the same mean: the first takes the points of both, and the second keeps its own.
+    twins = np.repeat(some_points(6, 2), 2, axis=0) * np.float32([[1], [-1]] * 2)
+    settled = settle(
+        twins, weights[:4], np.zeros((4, 1), np.int32), np.int32([0, 0, 1, 1]), np.int32([0, 0])
+    )
+    assert sorted(np.unique(settled)) == [0, 1]
+
+
+def test_a_table_has_each_point_once():
+    points = some_points(7, 100)
+    home = np.random.default_rng(7).integers(0, 5, 50).astype(np.int32)
+    rows = np.arange(0, 100, 2)
+    lengths = (points**2).sum(axis=1)
+    table = _Table(points, lengths, rows, home, 6)
+    held = table.holders[table.holders != NOBODY]
+    assert np.array_equal(np.sort(held), rows)
+    assert np.isinf(table.squares[table.holders == NOBODY]).all()
+    for row in rows:
+        cell = home[row // 2]
+        block = table.values[9 * table.bounds[cell] :][: 9 * table.widths[cell]]
+        column = block.reshape(9, -1)[:, table.places[row] - table.bounds[cell]]
+        assert np.array_equal(column, points[row])
+
+
+# ---- palettes ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("exponent", [-100, -60, 60, 110])
+def test_labels_do_not_depend_on_the_unit(exponent):
+    points = some_points(8, 3000, dimensions=24)
+    found = palette(points, 700)
+    scaled = palette(np.ldexp(points, exponent), 700)
+    assert np.array_equal(scaled.labels, found.labels)
+    assert np.array_equal(scaled.entries, np.ldexp(found.entries, exponent))
+
+
+def test_what_all_share_does_not_hide_how_points_differ():
+    points = np.round(some_points(9, 3000) * 4096) / np.float32(4096)
+    found, shifted = palette(points, 700), palette(points + np.float32(512), 700)
+    errors = [
+        np.square(points - (each.entries[each.labels] - offset)).sum()
+        for each, offset in ((found, 0), (shifted, 512))
+    ]
+    assert errors[1] == pytest.approx(errors[0], rel=0.01)
+
+
+def test_entries_are_the_means_of_their_points():
+    rng = np.random.default_rng(10)
+    points, weights = some_points(10, 2000, dimensions=45), rng.uniform(0.1, 5, 2000)
+    found = palette(points, 300, weights)
+    assert len(found.entries) == 300
+    for label in range(0, 300, 7):
+        own = found.labels == label
+        mean = np.average(points[own].astype(float), axis=0, weights=weights[own])
+        assert found.entries[label] == pytest.approx(mean, abs=1e-6)
+
+
+SAME = """
+import sys
+import numpy as np
+from nanogs.io.palette import palette
+points = np.random.default_rng(11).normal(size=(6000, 24)).astype(np.float32)
+points[::3] = np.round(points[::3] * 2) / 2
+found = palette(points, 900, np.random.default_rng(12).uniform(0.01, 9, 6000))
+sys.stdout.write(f"{found.labels.tobytes().hex()} {found.entries.tobytes().hex()}")
+"""
+
+
+def test_plain_kernels_and_vectors_find_the_same():
+    found = [
+        subprocess.run(
+            [sys.executable, "-c", SAME],
+            env={**os.environ, "NANOGS_SIMD": wish},
+            capture_output=True,
+            check=True,
+            text=True,
+        ).stdout
+        for wish in ("0", "1")
+    ]
+    assert found[0] == found[1] != ""
+
+
+def test_any_number_of_threads_finds_the_same():
+    points, found = some_points(13, 20_000, 0.25), []
+    for threads in (1, 2):
+        with use_threads(threads):
+            found.append(palette(points, 3000))
+    assert np.array_equal(found[0].labels, found[1].labels)
+    assert np.array_equal(found[0].entries, found[1].entries)
+
+
+def test_cells_are_near_the_nearest_first():
+    points = some_points(14, 4000)
+    cells = nearby_cells(points, 12, 2)
+    assert cells.shape == (4000, 2)
+    assert (cells[:, 0] != cells[:, 1]).all()
+    starts, order = by_label(cells[:, 0], 12)
+    centres = [points[order[a:b]].mean(axis=0) for a, b in pairwise(starts)]
+    away = np.linalg.norm(points[:, None] - np.array(centres), axis=-1)
+    own = np.take_along_axis(away, cells.astype(int), axis=1)
+    assert (own[:, 0] < own[:, 1]).mean() > 0.9
+    assert (own[:, 0] <= away.min(axis=1) + 1e-6).mean() > 0.8

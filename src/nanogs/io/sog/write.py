@@ -144,7 +144,7 @@ def contents(
         splats: N splats.
         groups: (N,) numbers from 0 on. Splats go in their order, those of one group in Morton
             order; by default all are one group.
-        tell: Told of the rounds in which the palette is looked for.
+        tell: Told of the merges that the palette comes of.
         packing: How much may be rounded off.
 
     Raises:

@@ -110,7 +110,7 @@ def write(
         model: The model; of a source, no more than a column is held, and that as it is written,
             unless there is a palette, or all columns are so small that they are packed as a whole.
         file: Open for binary writing.
-        tell: Told of the rounds in which a palette is looked for.
+        tell: Told of the merges that a palette comes of.
         version: 3 (gzip), which Spark reads; 4 (zstd), as today's reference writer has it; or 2
             (gzip), which older readers know, with rotations of less precision. By default 3, with
             fewer bits than 8 2, but 4 for a model with extension records, which were read of such a

@@ -1,0 +1,59 @@
+"""How far palettes of harmonics are from the splats that share them, and how long they take.
+
+    python benchmarks/palettes.py [SCENES] [--only skull,flowers:0.1] [--sets 1.5,3,8,32]
+        [--repeats 3]
+
+Of each scene, or of what `fast` merges it to, the higher harmonics are given a palette of an entry
+for so many sets, 65,536 at most. The error is the mean square, weighed by how much of each splat is
+seen; to be held against that of another version, run there. Seconds are the least.
+"""
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+import nanogs
+from measured import SCENES
+from nanogs.io.palette import palette
+from nanogs.io.precision import visibility
+
+ROOT = Path(__file__).resolve().parents[1]
+MOST = 65_536
+
+
+def main() -> None:
+    """Print a row for every scene and size of the palette."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    beside = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
+    parser.add_argument("scenes", nargs="?", type=Path, default=Path(beside))
+    parser.add_argument("--only", default="skull,flowers:0.1,flowers")
+    parser.add_argument("--sets", default="1.5,3,8,32", help="sets of harmonics for an entry")
+    parser.add_argument("--repeats", type=int, default=3)
+    options = parser.parse_args()
+    print("| scene | sets of harmonics | entries | weighted error | seconds |\n" + "|---" * 5 + "|")
+    for wanted in options.only.split(","):
+        name, _, ratio = wanted.partition(":")
+        model = nanogs.load(options.scenes / SCENES[name])
+        if ratio:
+            model, _ = nanogs.simplify(model, ratio=float(ratio), preset="fast")
+        points, weights = model.sh[:, 1:].reshape(len(model), -1), visibility(model)
+        sizes = [int(len(model) / float(sets)) for sets in options.sets.split(",")]
+        for size in dict.fromkeys(min(size, MOST) for size in sizes):
+            seconds = []
+            for _ in range(options.repeats):
+                start = time.perf_counter()
+                found = palette(points, size, weights)
+                seconds.append(time.perf_counter() - start)
+            squares = np.square(points - found.entries[found.labels]).sum(axis=1, dtype=np.float64)
+            error, least = float(np.average(squares, weights=weights)), min(seconds)
+            count = len(found.entries)
+            print(
+                f"| {wanted} | {len(model):,} | {count:,} | {error:.3g} | {least:.2f} |", flush=True
+            )
+
+
+if __name__ == "__main__":
+    main()

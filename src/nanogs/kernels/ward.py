@@ -1,0 +1,294 @@
+"""Kernels that merge near points into fewer, with the least squared error.
+
+Source: Ward, "Hierarchical grouping to optimize an objective function", 1963. To merge points a and
+b of weights v and w costs v w / (v + w) |a - b|², which is what the squared errors grow by.
+
+Points lie in cells. The table has a block for each cell, with the points of the cell side by side:
+D rows, as wide as a multiple of 16, one point a column. A column without a point has an infinite
+square.
+"""
+
+import math
+
+import numpy as np
+
+from nanogs._types import F32, I32, I64
+from nanogs.kernels.closest import LANES, TOGETHER, closest
+from nanogs.kernels.policy import exact_inline, exact_kernel, inline, parallel_kernel
+
+EMPTY = np.float32(math.inf)  # the square of a column without a point
+NOBODY = np.int32(-1)
+TWO = np.float32(2)
+
+
+@exact_inline
+def _apart(points: F32, i: int, j: int) -> np.float32:
+    """|a - b|² of two points, the same on every machine; D is a multiple of three."""
+    x, y, z = np.float32(0), np.float32(0), np.float32(0)
+    for d in range(0, points.shape[1], 3):
+        u = points[i, d] - points[j, d]
+        v = points[i, d + 1] - points[j, d + 1]
+        w = points[i, d + 2] - points[j, d + 2]
+        x += u * u
+        y += v * v
+        z += w * w
+    return np.float32(x + y + z)
+
+
+@exact_inline
+def _cost(points: F32, weights: F32, i: int, j: int) -> np.float32:
+    """What merging two points costs."""
+    v, w = weights[i], weights[j]
+    return np.float32(_apart(points, i, j) * (v / (v + w) * w))
+
+
+@exact_inline
+def _nearest(points: F32, i: int, holders: I32, start: int, stop: int) -> int:
+    """The nearest other point among every sixteenth column, the lower of equal ones."""
+    least, found = EMPTY, NOBODY
+    for column in range(start, stop, LANES):
+        other = holders[column]
+        if other != NOBODY and other != i:
+            apart = _apart(points, i, other)
+            if apart < least or (apart == least and other < found):
+                least, found = apart, other
+    return int(found)
+
+
+@inline
+def _enter(partners: I32, costs: F32, i: int, partner: int, cost: np.float32) -> None:
+    """Put a partner among the cheapest of a point, if it is one; of equal ones the lower goes."""
+    last = costs.shape[1] - 1
+    if not (cost < costs[i, last] or (cost == costs[i, last] and partner < partners[i, last])):
+        return
+    place = last
+    while place > 0 and (
+        cost < costs[i, place - 1]
+        or (cost == costs[i, place - 1] and partner < partners[i, place - 1])
+    ):
+        costs[i, place], partners[i, place] = costs[i, place - 1], partners[i, place - 1]
+        place -= 1
+    costs[i, place], partners[i, place] = cost, partner
+
+
+@parallel_kernel("bounds", least=2)
+def lay_out(
+    start: int, stop: int,
+    bounds: I64, starts: I64, order: I64, points: F32, lengths: F32, table: F32, squares: F32,
+    holders: I32, places: I64,
+) -> None:  # fmt: skip
+    """Fill the blocks of cells with their points.
+
+    bounds: (C,) the first column of each cell; starts: (C + 1,) where its points are in `order`;
+    points: (N, D); lengths: (N,) squared; table: (S D,) out; squares: (S,) out; holders: (S,) out,
+    the point of each column; places: (N,) out, the column of each point.
+    """
+    dimensions = points.shape[1]
+    for cell in range(start, stop):
+        count = starts[cell + 1] - starts[cell]
+        width = -(-count // LANES) * LANES
+        base = bounds[cell] * dimensions
+        for c in range(width):
+            squares[bounds[cell] + c] = EMPTY
+            holders[bounds[cell] + c] = NOBODY
+            for d in range(dimensions):
+                table[base + d * width + c] = np.float32(0)
+        for c in range(count):
+            i = order[starts[cell] + c]
+            places[i] = bounds[cell] + c
+            squares[bounds[cell] + c] = lengths[i]
+            holders[bounds[cell] + c] = np.int32(i)
+            for d in range(dimensions):
+                table[base + d * width + c] = points[i, d]
+
+
+@inline
+def _take_nearest(
+    i: int, points: F32, lengths: F32, weights: F32, first: int, width: int, holders: I32,
+    lowest: F32, second: F32, tiles: I32, rounding: np.float32, partners: I32, costs: F32,
+) -> None:  # fmt: skip
+    """Take the nearest point of each lane of a cell for a partner, where it is cheap enough.
+
+    i: the point; first, width: columns of the cell; lowest, second: (16,) of the lanes, squared
+    distances less the point's own square; tiles: (16,) of the lowest; the others as below.
+    """
+    last = costs.shape[1] - 1
+    hidden, nearest = -1, EMPTY  # the lane in which the point itself is the nearest
+    for lane in range(LANES):
+        if lowest[lane] == EMPTY:
+            continue
+        partner = holders[first + tiles[lane] * LANES + lane]
+        if partner == i:
+            hidden = lane
+            continue
+        nearest = min(nearest, lowest[lane])
+        doubt = rounding * (lengths[i] + lengths[partner])
+        v, w = weights[i], weights[partner]
+        if (lowest[lane] + lengths[i] - 2 * doubt) * (v / (v + w) * w) > costs[i, last]:
+            continue  # even at the least that it may cost
+        if second[lane] - lowest[lane] <= doubt:
+            partner = _nearest(points, i, holders, first + lane, first + width)
+        _enter(partners, costs, i, partner, _cost(points, weights, i, partner))
+    if hidden < 0 or second[hidden] == EMPTY:
+        return
+    if second[hidden] - 4 * rounding * lengths[i] <= nearest:
+        partner = _nearest(points, i, holders, first + hidden, first + width)
+        _enter(partners, costs, i, partner, _cost(points, weights, i, partner))
+
+
+@parallel_kernel("pieces", least=1)
+def near_partners(
+    start: int, stop: int,
+    pieces: I64, order: I64, points: F32, lengths: F32, weights: F32, bounds: I64, widths: I64,
+    table: F32, squares: F32, holders: I32, rounding: np.float32, partners: I32, costs: F32,
+) -> None:  # fmt: skip
+    """Look in cells for the cheapest partners of points, beside those found before.
+
+    Of each sixteenth of a cell the nearest point is taken. Where a second one is as near but for
+    rounding, all are looked at, so that the same is found on every machine.
+
+    Args:
+        start: First piece of the range.
+        stop: The piece after its last.
+        pieces: (Q, 3) a cell, and from where to where in `order` the points that look into it are.
+        order: Points by the cell to look into.
+        points: (N, D), D a multiple of three.
+        lengths: (N,) squared.
+        weights: (N,) positive.
+        bounds: (C,) the first column of each cell.
+        widths: (C,) its columns, a multiple of 16.
+        table: (S D,) the blocks of all cells.
+        squares: (S,) of the columns.
+        holders: (S,) the point of each column.
+        rounding: Of sums of so many terms, as a share of the squares.
+        partners: (N, P) in and out, the cheapest partners, the cheapest first; NOBODY for none.
+        costs: (N, P) in and out, infinite for none.
+    """
+    dimensions = points.shape[1]
+    factors = np.empty((TOGETHER, dimensions), np.float32)
+    lowest = np.empty((TOGETHER, LANES), np.float32)
+    second = np.empty((TOGETHER, LANES), np.float32)
+    tiles = np.empty((TOGETHER, LANES), np.int32)
+    for piece in range(start, stop):
+        cell, at, end = pieces[piece, 0], pieces[piece, 1], pieces[piece, 2]
+        first, width = bounds[cell], widths[cell]
+        if width == 0:
+            continue
+        block = table[first * dimensions : (first + width) * dimensions]
+        columns = block.reshape((dimensions, width))
+        own = squares[first : first + width]
+        while at < end:
+            for j in range(TOGETHER):
+                i = order[min(at + j, end - 1)]
+                for d in range(dimensions):
+                    factors[j, d] = points[i, d] * -TWO
+            closest(factors, columns, own, width // LANES, lowest, second, tiles)
+            for j in range(min(TOGETHER, end - at)):
+                _take_nearest(
+                    order[at + j], points, lengths, weights, first, width, holders, lowest[j],
+                    second[j], tiles[j], rounding, partners, costs,
+                )  # fmt: skip
+            at += TOGETHER
+
+
+@parallel_kernel("labels")
+def own_costs(
+    start: int, stop: int, labels: I32, points: F32, weights: F32, partners: I32, costs: F32
+) -> None:
+    """Enter the partners that points have, at what they cost.
+
+    labels: (M,) the partner of each of the last M points; points: (N, D); weights: (N,); partners,
+    costs: (N, 1) out.
+    """
+    first = len(points) - len(labels)
+    for m in range(start, stop):
+        i = first + m
+        partners[i, 0] = labels[m]
+        costs[i, 0] = _cost(points, weights, i, labels[m])
+
+
+@parallel_kernel("rows")
+def cheapest(
+    start: int, stop: int,
+    rows: I64, parents: I32, changed: I32, searched: I32, partners: I32, costs: F32, best: I32,
+    least: F32,
+) -> None:  # fmt: skip
+    """The cheapest partner of each point that is still there and as it was.
+
+    rows: (R,) points; parents: (N,) their own number, of points that are still there; changed: (N,)
+    the pass in which a point last moved; searched: (N,) that in which its partners were found;
+    partners, costs: of `near_partners`; best: (R,) out, the partner, or NOBODY if none is left;
+    least: (R,) out, its cost, or if none is left what another costs at least.
+    """
+    count = partners.shape[1]
+    for r in range(start, stop):
+        i = rows[r]
+        best[r], least[r] = NOBODY, EMPTY
+        for p in range(count):
+            j = partners[i, p]
+            if j == NOBODY:
+                break
+            least[r] = costs[i, p]
+            if parents[j] == j and changed[j] <= searched[i]:
+                best[r] = j
+                break
+
+
+@exact_kernel
+def merge_pairs(
+    rows: I64, best: I32, most: int, now: int, points: F32, lengths: F32, weights: F32,
+    parents: I32, changed: I32, places: I64, cells: I32, bounds: I64, widths: I64, table: F32,
+    squares: F32, holders: I32, merged: I64,
+) -> int:  # fmt: skip
+    """Merge pairs in the order given, each point once; the heavier one stays, with their mean.
+
+    Args:
+        rows: (R,) points, the cheapest pair first.
+        best: (R,) their partners.
+        most: Merges at most.
+        now: The pass.
+        points: (N, D) in and out.
+        lengths: (N,) squared, in and out.
+        weights: (N,) in and out.
+        parents: (N,) in and out, the point into which each was merged, or itself.
+        changed: (N,) in and out, the pass in which each was last merged.
+        places: (N,) the column of each.
+        cells: (N,) the cell in which each lies.
+        bounds: (C,) the first column of each cell.
+        widths: (C,) its columns.
+        table: (S D,) in and out.
+        squares: (S,) in and out.
+        holders: (S,) in and out.
+        merged: (most,) out, the points that stayed.
+
+    Returns:
+        How many merges there were.
+    """
+    dimensions = points.shape[1]
+    count = 0
+    for r in range(len(rows)):
+        a, b = rows[r], np.int64(best[r])
+        if b == NOBODY or changed[a] == now or changed[b] == now:
+            continue
+        if weights[b] > weights[a] or (weights[b] == weights[a] and b < a):
+            a, b = b, a
+        v, w = weights[a], weights[b]
+        cell = cells[a]
+        column = bounds[cell] * dimensions + places[a] - bounds[cell]
+        square = np.float32(0)
+        for d in range(dimensions):
+            mean = (v * points[a, d] + w * points[b, d]) / (v + w)
+            points[a, d] = mean
+            table[column + d * widths[cell]] = mean
+            square += mean * mean
+        lengths[a] = square
+        weights[a] = v + w
+        squares[places[a]], squares[places[b]] = square, EMPTY
+        holders[places[b]] = NOBODY
+        parents[b] = np.int32(a)
+        changed[a] = changed[b] = now
+        merged[count] = a
+        count += 1
+        if count == most:
+            break
+    return count
