@@ -94,6 +94,16 @@ def test_partners_come_at_what_they_cost_the_cheapest_first():
     assert all(len(set(row)) == len(row) for row in nodes.partners.tolist())
 
 
+def test_where_rounding_hides_what_is_nearest_all_are_looked_at():
+    """Of squares of 30 nothing is left of differences of a thousandth."""
+    points = np.float32(1.9) + some_points(15, 300) / np.float32(1000)
+    nodes = _Nodes(points, np.ones(300, np.float32), np.zeros((300, 1), np.int32))
+    nodes.prepare(np.arange(300))
+    nodes.look(np.arange(300))
+    costs = costs_of(points, np.ones(300))
+    assert nodes.costs[:, 0] == pytest.approx(costs.min(axis=1), rel=1e-3)
+
+
 def test_who_is_alone_in_the_cells_that_it_looks_into_finds_nobody():
     points, cells = some_points(3, 40), np.full((40, 1), 1, np.int32)
     cells[7] = 0
@@ -141,6 +151,29 @@ def test_merging_many_at_a_time_is_nearly_as_good_as_one_by_one(size):
     assert home.tolist() == [0] * size
     error = squared_error(points, weights, labels)
     assert error <= 1.1 * merged_plainly(points, weights, size) + 1e-9
+
+
+def test_what_is_merged_becomes_the_weighted_mean_where_the_heavier_one_was():
+    rng = np.random.default_rng(16)
+    points, weights = some_points(16, 200), rng.uniform(0.2, 5, 200).astype(np.float32)
+    nodes, rows = _Nodes(points, weights, np.zeros((200, 1), np.int32)), np.arange(200)
+    nodes.prepare(rows)
+    nodes.look(rows)
+    merged = nodes.merge(rows, 40)
+    assert 10 < len(merged) == len(set(merged.tolist())) <= 40
+    for a in merged:
+        [b] = np.flatnonzero((nodes.parents == a) & (rows != a))
+        assert weights[a] >= weights[b]
+        v, w = float(weights[a]), float(weights[b])
+        mean = (v * points[a].astype(float) + w * points[b]) / (v + w)
+        assert nodes.points[a] == pytest.approx(mean, abs=1e-6)
+        assert nodes.weights[a] == pytest.approx(v + w)
+        assert nodes.lengths[a] == pytest.approx((mean**2).sum(), rel=1e-5)
+        block = nodes.table.values.reshape(9, -1)
+        assert np.array_equal(block[:, nodes.table.places[a]], nodes.points[a])
+        assert np.isinf(nodes.table.squares[nodes.table.places[b]])
+    others = (nodes.parents == rows) & ~np.isin(rows, merged)
+    assert np.array_equal(nodes.points[others], points[others])
 
 
 @given(st.integers(0, 99), st.integers(1, 4), st.sampled_from([0, 0.5, 1]), st.floats(0.05, 0.99))
