@@ -16,9 +16,10 @@ from nanogs.fit.groups import Group
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.rounds import Outcome, fit
 from nanogs.fit.targets import Fitting
+from nanogs.io.cells import by_label
 from nanogs.io.palette import palette
 from nanogs.io.precision import visibility
-from nanogs.kernels.kmeans import group, weighted_means
+from nanogs.kernels.kmeans import weighted_means
 from nanogs.progress import Parts
 from nanogs.splats import Splats
 
@@ -42,9 +43,7 @@ class Shared:
     @classmethod
     def of(cls, labels: I32, entries: int, weights: F64) -> "Shared":
         """Splats by the entry that they have."""
-        starts, order = np.empty(entries + 1, np.int64), np.empty(len(labels), np.int64)
-        group(labels, starts, order)
-        return cls(labels, starts, order, weights.astype(np.float32))
+        return cls(labels, *by_label(labels, entries), weights.astype(np.float32))
 
     def level(self, sh: F32) -> None:
         """Give all splats of an entry the mean of their higher harmonics, (N, K, 3), in place."""
