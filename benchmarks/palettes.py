@@ -19,9 +19,9 @@ import nanogs
 from measured import SCENES
 from nanogs.io.palette import palette
 from nanogs.io.precision import visibility
+from nanogs.io.sog.meta import PALETTE_MAX
 
 ROOT = Path(__file__).resolve().parents[1]
-MOST = 65_536
 
 
 def main() -> None:
@@ -41,7 +41,7 @@ def main() -> None:
             model, _ = nanogs.simplify(model, ratio=float(ratio), preset="fast")
         points, weights = model.sh[:, 1:].reshape(len(model), -1), visibility(model)
         sizes = [int(len(model) / float(sets)) for sets in options.sets.split(",")]
-        for size in dict.fromkeys(min(size, MOST) for size in sizes):
+        for size in dict.fromkeys(min(size, PALETTE_MAX) for size in sizes):
             seconds = []
             for _ in range(options.repeats):
                 start = time.perf_counter()

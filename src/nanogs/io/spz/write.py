@@ -241,12 +241,7 @@ def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
             bits.
     """
     source = source_of(model)
-    reach = _reach(limits.storable(source, SUFFIX))
-    if (bits := _bits(reach)) < 0:
-        raise UnstorableError(
-            f"A centre is {reach:g} from the origin along an axis, but {SUFFIX} ends at"
-            f" {_FIXED_MAX:,}; move the model to the origin or scale it down."
-        )
+    bits = _possible_bits(source)
     spare = _spare(source, precision, bits)
     if spare > bits:
         raise OptionError(
@@ -261,7 +256,18 @@ def spare_bits(source: Source, bits: int = MOST_BITS) -> int:
     Raises:
         OutputError: As for `fraction_bits`.
     """
-    return fraction_bits(source, Precision(bits, 0)) - fraction_bits(source, Precision(bits))
+    return _spare(source, Precision(bits), _possible_bits(source))
+
+
+def _possible_bits(source: Source) -> int:
+    """Bits behind the binary point that there may be; it raises what `fraction_bits` does."""
+    reach = _reach(limits.storable(source, SUFFIX))
+    if (bits := _bits(reach)) < 0:
+        raise UnstorableError(
+            f"A centre is {reach:g} from the origin along an axis, but {SUFFIX} ends at"
+            f" {_FIXED_MAX:,}; move the model to the origin or scale it down."
+        )
+    return bits
 
 
 def _spare(source: Source, precision: Precision, bits: int) -> int:
