@@ -4,6 +4,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from nanogs import io
 from nanogs.io.ply.header import TYPE_NAMES
 from nanogs.splats import ExtraElement, RenderMode, Splats
 
@@ -81,3 +82,14 @@ def assert_same(a, b):
         assert column.tobytes() == right[name].tobytes(), name
     assert a.render_mode is b.render_mode
     assert a.comments == b.comments
+
+
+def assert_written_alike(model, name, most):
+    """A file that is given the spare bits that follow from its model, 1 to `most`, is the same."""
+    for options in ({}, {"bits": 5}):
+        settled = io.settled(model, name, options)
+        assert settled["spare_bits"] in range(1, most + 1)
+        plain, given = (io.as_packed(model, name, o) for o in (options, options | settled))
+        assert_same(plain[0], given[0])
+        finer = io.as_packed(model, name, {**options, "spare_bits": 0})
+        assert finer[1] > plain[1] == given[1]
