@@ -28,6 +28,7 @@ from nanogs.pipeline.packing import (
     slope_of,
     unseen_packing,
 )
+from nanogs.pipeline.settings import Sharing
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import held_out
 from nanogs.views.automatic import automatic_cameras
@@ -272,6 +273,22 @@ def test_what_the_user_fixes_is_not_chosen(splats):
     assert as_packed(small, "a.sog", given_options)[1] == report.achieved_size
     _, free = nanogs.simplify(splats, size=30_000, format=".sog", sh_degree=1, **FEW)
     assert {each.sh_degree for each in free.packings} == {1}
+
+
+def test_a_palette_of_a_given_size_is_fitted_at_that_size(splats):
+    """How many splats share its entries follows from the final count, not from the first guess."""
+    fixed = {"palette": 700}
+    small, _ = nanogs.simplify(
+        splats, size=30_000, format=".spz", sh_degree=2, format_options=fixed, **FEW
+    )
+    assert sets_of(small) == 700
+
+
+@pytest.mark.parametrize(("share", "most", "entries"), [(8, 1000, 100), (1, 50, 50), (2000, 9, 1)])
+def test_parts_of_a_result_have_their_share_of_its_palette(share, most, entries):
+    sharing = Sharing(share, most)
+    assert sharing.entries(800) == sharing.entries(800, 800) == entries
+    assert sharing.entries(200, 800) == max(entries // 4, 1)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".glb"])

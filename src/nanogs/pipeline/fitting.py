@@ -55,7 +55,7 @@ def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
         views=len(views.fitting),
         validation=sum(len(group.targets) for group in views.deciding),
     )
-    entries = scene.settings.entries(len(part))
+    entries = scene.settings.entries(len(part), scene.target(level))
     fitted, report = fit_to_views(
         part, views.fitting, views.deciding, parameters, views.count, scene.threads, scene.tell,
         entries,

@@ -8,7 +8,7 @@ from nanogs.pipeline.foreseen import result_stages
 from nanogs.pipeline.results import M
 from nanogs.pipeline.run import Run, brief, is_done, plain
 from nanogs.pipeline.scene import Task
-from nanogs.pipeline.settings import Settings
+from nanogs.pipeline.settings import Settings, Sharing
 from nanogs.pipeline.stages import level_stages
 from nanogs.pipeline.work import Work
 from nanogs.progress import Stage, Tracker
@@ -85,9 +85,9 @@ class JobResults:
         """As `Results` says."""
         return replace(self, settings=brief(self.settings))
 
-    def packed(self, sh_degree: int, share: float | None) -> "JobResults":
+    def packed(self, sh_degree: int, sharing: Sharing | None) -> "JobResults":
         """As `Results` says."""
-        return replace(self, settings=replace(self.settings, sh_degree=sh_degree, share=share))
+        return replace(self, settings=replace(self.settings, sh_degree=sh_degree, sharing=sharing))
 
     def stages(self, count: int) -> list[Stage]:
         """As `Results` says."""

@@ -113,9 +113,9 @@ class Packer(Generic[T]):
 
         return guess_count(some, available, self.wish.size, encode)
 
-    def made(self, packing: Packing, count: int) -> Results[T]:
-        """Results that are made for a packing, their palette as for a count."""
-        return self.results.packed(packing.sh_degree, self.wish.share(packing, count))
+    def made(self, packing: Packing) -> Results[T]:
+        """Results that are made for a packing."""
+        return self.results.packed(packing.sh_degree, self.wish.sharing(packing))
 
     def within(self, count: int) -> int:
         """The nearest count that can be delivered."""
@@ -137,7 +137,7 @@ class Packer(Generic[T]):
     def _attempt(self, packing: Packing, count: int, look: Look) -> list[PackingReport]:
         """Make a result and look at files of it; see `packing.Try`."""
         count = self.within(count)
-        some = self.made(packing, count)
+        some = self.made(packing)
         brief = some.brief()
         stages = [*brief.stages(count), Stage("encode", 1.0)]
         part = self.progress.within(self.tried, PACKINGS, stages)
@@ -194,7 +194,7 @@ class PackNear(Generic[T]):
         packer = Packer(self.results, wish, self.sample(), self.files, self.progress)
         packed = packer.pack()
         self.packed = packed if packed.packings else None
-        return packer.made(packed.packing, packed.count), packed.count
+        return packer.made(packed.packing), packed.count
 
     def options(self, result: T) -> dict[str, Any]:
         """Options of the format that a result is packed with."""

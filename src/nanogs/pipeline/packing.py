@@ -15,6 +15,7 @@ from typing import Any
 
 from nanogs.method.choose import quality
 from nanogs.pipeline.fit_size import AIM
+from nanogs.pipeline.settings import Sharing
 from nanogs.report import PackingReport
 
 PALETTE = "palette"  # the option of a format
@@ -52,16 +53,16 @@ class Packing:
     entries: int = 1 << 16
     settled: tuple[tuple[str, int], ...] = ()
 
-    def share_of(self, count: int) -> float | None:
-        """Splats for an entry of the palette of a result, or None where there is no choice."""
+    @property
+    def sharing(self) -> Sharing | None:
+        """How splats share entries of the palette, or None where there is no choice."""
         if self.share is None or self.sh_degree == 0:
             return None
-        return max(self.share, count / self.entries)
+        return Sharing(self.share, self.entries)
 
     def options(self, count: int) -> dict[str, Any]:
         """Options of the format for a result of so many splats."""
-        share = self.share_of(count)
-        palette = {PALETTE: max(int(count / share), 1)} if share else {}
+        palette = {PALETTE: self.sharing.entries(count)} if self.sharing else {}
         return dict(self.bits) | dict(self.settled) | palette
 
 
@@ -378,7 +379,7 @@ class _Search:
                 if chosen[name] != began:
                     break
         packing = replace(packing, bits=tuple(chosen.items()))
-        if lower and packing.share_of(best.count):
+        if lower and packing.sharing:
             probes.append(seen(replace(packing, share=SMALLER[0])))
         for degree in reversed(self.choices.degrees[:-1]) if lower else ():
             probes.append(seen(replace(packing, sh_degree=degree)))

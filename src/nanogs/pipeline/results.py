@@ -9,6 +9,7 @@ from nanogs.pipeline.foreseen import delivery_stages
 from nanogs.pipeline.one_block import OneBlock
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import brief, deliver, plain
+from nanogs.pipeline.settings import Sharing
 from nanogs.progress import Stage, Tracker
 
 T = TypeVar("T")
@@ -36,12 +37,12 @@ class Results(Protocol[T]):
     def brief(self) -> Self:
         """Results that are fitted in few steps; see `run.brief`."""
 
-    def packed(self, sh_degree: int, share: float | None) -> Self:
+    def packed(self, sh_degree: int, sharing: Sharing | None) -> Self:
         """Results whose harmonics are of a degree at most, and fitted as a palette has them.
 
         Args:
             sh_degree: Of the harmonics, as far as the scene's are.
-            share: Splats for an entry of the palette, or None where each has its own harmonics.
+            sharing: How many sets of higher ones there are, or None where each splat has its own.
         """
 
     def stages(self, count: int) -> list[Stage]:
@@ -99,9 +100,9 @@ class HeldResults:
         """As `Results` says."""
         return replace(self, scene=replace(self.scene, settings=brief(self.scene.settings)))
 
-    def packed(self, sh_degree: int, share: float | None) -> "HeldResults":
+    def packed(self, sh_degree: int, sharing: Sharing | None) -> "HeldResults":
         """As `Results` says."""
-        settings = replace(self.scene.settings, sh_degree=sh_degree, share=share)
+        settings = replace(self.scene.settings, sh_degree=sh_degree, sharing=sharing)
         return replace(self, scene=replace(self.scene, settings=settings))
 
     def stages(self, count: int) -> list[Stage]:

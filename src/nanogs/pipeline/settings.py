@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.filters import Plain
@@ -92,6 +92,23 @@ class Sought:
         return self.psnr is not None or self.draw_cost is not None
 
 
+class Sharing(NamedTuple):
+    """How many sets of higher harmonics a result has, as a palette has entries.
+
+    Attributes:
+        share: Splats for each set.
+        most: Sets that the whole result has at most.
+    """
+
+    share: float
+    most: int
+
+    def entries(self, count: int, whole: int | None = None) -> int:
+        """Sets of so many splats, which may be a part of the whole result."""
+        part = count / max(whole, count, 1) if whole is not None else 1.0
+        return max(int(min(count / self.share, self.most * part)), 1)
+
+
 @dataclass(frozen=True, slots=True)
 class Settings:
     """The settings of a job.
@@ -110,8 +127,8 @@ class Settings:
         frame: From and to which results are turned, or None.
         asked: The views that were asked for.
         sh_degree: The highest of the results' harmonics, or None for all.
-        share: Splats for each different set of higher harmonics, as a palette has them, or None
-            where each has its own.
+        sharing: How many sets of higher harmonics results have, or None where each splat has its
+            own.
         search: What a count is searched for, or None where it is known beforehand.
         environment: The environment beside levels, in words; no task hangs on it.
     """
@@ -129,7 +146,7 @@ class Settings:
     frame: tuple[str, str] | None = None
     asked: Asked = AUTOMATIC
     sh_degree: int | None = None
-    share: float | None = None
+    sharing: Sharing | None = None
     search: Sought | None = None
     environment: str = ""
 
@@ -143,11 +160,19 @@ class Settings:
         """The columns of the results."""
         return self.layout.reduced(self.sh_degree)
 
-    def entries(self, count: int) -> int | None:
-        """Sets of higher harmonics that so many splats share; None where each has its own."""
-        if self.share is None or self.delivered.sh_degree == 0:
+    def entries(self, count: int, whole: int) -> int | None:
+        """Sets of higher harmonics that so many splats of a result share.
+
+        Args:
+            count: The splats.
+            whole: Splats of the result.
+
+        Returns:
+            Their number, or None where each splat has its own.
+        """
+        if self.sharing is None or self.delivered.sh_degree == 0:
             return None
-        return max(int(count / self.share), 1)
+        return self.sharing.entries(count, whole)
 
     @property
     def read(self) -> int:

@@ -63,7 +63,7 @@ def _smallest(packer: Packer[T]) -> Packing:
         packer.progress.begin("guess")
         if packer.guess(packing) > FEW * fewest:
             return packing
-        chosen = packer.made(packing, fewest)
+        chosen = packer.made(packing)
         part = packer.progress.within(0, 1, chosen.stages(fewest))
         size = partial(packer.files.bytes_of, options=packing.options(fewest))
         _, needed = chosen.marked(fewest, size, part)
@@ -79,7 +79,7 @@ def _filled(packer: Packer[T], packed: Packed) -> tuple[T, Filled]:
         TooSmallError: Not even the fewest splats fit, so packed.
     """
     wish, files, progress, packing = packer.wish, packer.files, packer.progress, packed.packing
-    chosen = packer.made(packing, packed.count)
+    chosen = packer.made(packing)
     if (known := wish.known.file_bytes) is not None:
         like = packer.sample.with_sh_degree(packing.sh_degree)
         count = count_for_size(chosen.available, wish.size, lambda n: known(like, n))

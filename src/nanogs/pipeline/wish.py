@@ -5,6 +5,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from nanogs.io.format import Format
 from nanogs.pipeline.packing import PALETTE, SMALLER, Bits, Choices, Packing
+from nanogs.pipeline.settings import Sharing
 from nanogs.report import PackingReport
 from nanogs.splats import Splats
 
@@ -92,11 +93,11 @@ class Wish(NamedTuple):
         option = self.known.options.get(PALETTE)
         return max(option.values) if option else 0
 
-    def share(self, packing: Packing, count: int) -> float | None:
-        """Splats for an entry of the palette, of a result of so many; None without one."""
+    def sharing(self, packing: Packing) -> Sharing | None:
+        """How splats share entries of the palette; None without one."""
         if PALETTE in self.given and packing.sh_degree:
-            return max(count / int(self.given[PALETTE]), 1.0)
-        return packing.share_of(count)
+            return Sharing(1.0, int(self.given[PALETTE]))
+        return packing.sharing
 
     def smallest(self, degree: int) -> Packing:
         """The packing of the smallest files, of a model with harmonics of a degree."""
