@@ -9,9 +9,13 @@ import nanogs
 from builders import random_splats
 from looking import judged, looked
 from nanogs.errors import ModelError
+from nanogs.fit.targets import Fitting, make_target
+from nanogs.io import precision
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method import visibility
 from nanogs.method.parameters import PICTURES, ForestParameters
+from nanogs.pipeline.fitting import HIDDEN, weights_of_colours
+from nanogs.raster.rendering import prepare
 from nanogs.report import StopReason
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
@@ -66,6 +70,26 @@ def test_the_report_says_what_share_of_the_model_is_seen():
 def test_weights_of_hidden_splats_are_a_hundredth():
     weights = visibility.visible_weights(np.array([2.0, 2.0, 2.0]), np.array([1.0, 0.5, 0.0]), 0.01)
     assert weights == pytest.approx([2.0, 1.01, 0.02])
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_colours_of_splats_that_views_hardly_show_count_a_tenth(whole):
+    """In views that are reduced, or in parts of views, which keep their pixels."""
+    splats = box_with_something_inside()
+    cameras = automatic_cameras(splats, 3, width=300, height=300)
+    if not whole:
+        cameras = [camera.cropped(20, 20, 250, 250) for camera in cameras]
+    fitting = Fitting([make_target(prepare(splats), camera) for camera in cameras])
+    weights = weights_of_colours(splats, fitting) / precision.visibility(splats)
+    assert weights[-1] == pytest.approx(HIDDEN, abs=0.01)
+    assert 0.5 < weights.max() <= 1.0 + 1e-12
+    # What others hide that are drawn beside it, and what no view holds.
+    alone = splats.take(np.array([len(splats) - 1]))
+    walls = prepare(splats.take(np.arange(len(splats) - 1)))
+    beside = dataclasses.replace(fitting, surroundings=walls)
+    [hidden] = weights_of_colours(alone, beside) / precision.visibility(alone)
+    assert hidden == pytest.approx(weights[-1], abs=1e-6)
+    assert weights_of_colours(alone, Fitting([])) == pytest.approx(precision.visibility(alone))
 
 
 def test_the_original_is_judged_as_perfect_and_one_view_in_six_decides():

@@ -18,6 +18,7 @@ from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.fit.groups import Group
+    from nanogs.fit.shared import Sets
     from nanogs.fit.targets import Fitting
     from nanogs.raster.camera import Camera
 
@@ -96,7 +97,7 @@ def fit_to_views(
     original_count: int,
     threads: int,
     tell: Parts,
-    entries: int | None = None,
+    sets: "Sets | None" = None,
 ) -> tuple[Splats, RefitReport]:
     """Fit a small model to given views.
 
@@ -108,17 +109,17 @@ def fit_to_views(
         original_count: Splats of the original, for the report.
         threads: Threads in use, for the report.
         tell: Told of the steps made.
-        entries: Sets of higher harmonics that splats are to share at most, if they are.
+        sets: Of higher harmonics that splats are to share, if they are.
     """
     from nanogs.fit.rounds import fit
     from nanogs.fit.shared import fit_shared
 
     clock = StageClock()
     with clock.time("fit"):
-        if entries is None:
+        if sets is None:
             fitted, outcome = fit(small, fitting, deciding, parameters, tell)
         else:
-            fitted, outcome = fit_shared(small, entries, fitting, deciding, parameters, tell)
+            fitted, outcome = fit_shared(small, sets, fitting, deciding, parameters, tell)
     report = RefitReport(
         parameters=asdict(parameters),
         original_count=original_count,

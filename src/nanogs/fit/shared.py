@@ -8,6 +8,7 @@ cannot show.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,10 +19,21 @@ from nanogs.fit.rounds import Outcome, fit
 from nanogs.fit.targets import Fitting
 from nanogs.io.cells import by_label
 from nanogs.io.palette import palette
-from nanogs.io.precision import visibility
 from nanogs.kernels.kmeans import weighted_means
 from nanogs.progress import Parts
 from nanogs.splats import Splats
+
+
+class Sets(NamedTuple):
+    """Sets of higher harmonics that splats are to share.
+
+    Attributes:
+        most: How many there are at most.
+        weights: (N,) float64, positive, how much an error of each splat's colour counts.
+    """
+
+    most: int
+    weights: F64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +68,7 @@ class Shared:
 
 def fit_shared(
     small: Splats,
-    entries: int,
+    sets: Sets,
     fitting: Fitting,
     deciding: Sequence[Group],
     parameters: RefitParameters,
@@ -66,7 +78,7 @@ def fit_shared(
 
     Args:
         small: N splats with harmonics.
-        entries: Most that the higher harmonics of all splats may differ in.
+        sets: Of harmonics that they share.
         fitting: Views to fit to.
         deciding: Views that decide what is kept.
         parameters: Of the fit.
@@ -75,9 +87,8 @@ def fit_shared(
     Returns:
         The fitted model, of so many sets of higher harmonics at most, and what happened.
     """
-    weights = visibility(small)
-    found = palette(small.sh[:, 1:].reshape(len(small), -1), entries, weights)
-    shared = Shared.of(found.labels, len(found.entries), weights)
+    found = palette(small.sh[:, 1:].reshape(len(small), -1), sets.most, sets.weights)
+    shared = Shared.of(found.labels, len(found.entries), sets.weights)
     begun = _with(small, found.entries[found.labels])
     fitted, outcome = fit(begun, fitting, deciding, parameters, tell, shared)
     # Rows that no view has moved kept what their entry was at the beginning.

@@ -9,17 +9,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nanogs._types import F64
 from nanogs.fit.api import fit_to_views
 from nanogs.fit.groups import Group
 from nanogs.fit.report import GroupReport, RefitReport, RefitStop
+from nanogs.fit.shared import Sets
 from nanogs.fit.targets import Fitting, make_target
-from nanogs.method.visibility import SHOWN
+from nanogs.io.precision import visibility
+from nanogs.method.visibility import SHOWN, light_in, visibility_of, visible_weights
 from nanogs.pipeline.scene import FitViews, Scene
 from nanogs.pipeline.seen import looks_at
 from nanogs.pipeline.views import deciding_count, parts_of
 from nanogs.pipeline.weights import fit_parameters
 from nanogs.raster.camera import Camera, spread
 from nanogs.raster.rendering import prepare, together
+from nanogs.splats import Splats
 from nanogs.store.columns import count_of
 from nanogs.store.tables import Record
 
@@ -27,6 +31,10 @@ if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
 LEAST = 16.0  # pixels of a block that a view has to show
+# Views that tell which colours count, and their pixels along the longer side. They do not show all:
+# what is hidden in all of them counts this much of what is in full sight.
+GLANCES, GLANCE = 12, 256
+HIDDEN = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,12 +63,27 @@ def fit_part(scene: Scene, name: str, block: int, level: int) -> Record:
         views=len(views.fitting),
         validation=sum(len(group.targets) for group in views.deciding),
     )
-    entries = scene.settings.entries(len(part), scene.target(level))
+    most = scene.settings.entries(len(part), scene.target(level))
+    sets = Sets(most, weights_of_colours(part, views.fitting)) if most else None
     fitted, report = fit_to_views(
         part, views.fitting, views.deciding, parameters, views.count, scene.threads, scene.tell,
-        entries,
+        sets,
     )  # fmt: skip
     return scene.keep_fit(name, level, fitted, report)
+
+
+def weights_of_colours(part: Splats, fitting: Fitting) -> F64:
+    """(N,) how much an error of a splat's colour counts: less where views hardly show it.
+
+    Args:
+        part: N splats.
+        fitting: Views, with what is drawn beside the splats.
+    """
+    cameras = [view.camera for view in spread(fitting.kept, GLANCES)]
+    small = [each if each.whole else each.reduced(GLANCE) for each in cameras]
+    light = light_in(together(prepare(part), fitting.surroundings), small)
+    visible, _ = visibility_of(light, None)
+    return visible_weights(visibility(part), visible[: len(part)], HIDDEN)
 
 
 def fit_report(work: "Work", level: int) -> RefitReport | None:
