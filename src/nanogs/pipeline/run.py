@@ -188,13 +188,13 @@ def plain(settings: Settings, rounds: int | None = None) -> Settings:
 
 
 def brief(settings: Settings) -> Settings:
-    """Settings by which results are fitted in half of the steps or fewer, to be compared.
+    """Settings by which results are fitted in a third of the steps or fewer, to be compared.
 
     Args:
         settings: Others.
     """
     given = settings.parameters
-    return replace(settings, parameters=replace(given, steps=min(-(-given.steps // 2), BRIEF)))
+    return replace(settings, parameters=replace(given, steps=min(-(-given.steps // 3), BRIEF)))
 
 
 def _do_here(
