@@ -103,9 +103,9 @@ class Sharing(NamedTuple):
     share: float
     most: int
 
-    def entries(self, count: int, whole: int | None = None) -> int:
-        """Sets of so many splats, which may be a part of the whole result."""
-        part = count / max(whole, count, 1) if whole is not None else 1.0
+    def entries(self, count: int, whole: int = 0) -> int:
+        """Sets of so many splats, which are all of a result, or a part of a larger whole."""
+        part = count / max(whole, count, 1)
         return max(int(min(count / self.share, self.most * part)), 1)
 
 
