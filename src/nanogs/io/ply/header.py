@@ -5,6 +5,7 @@ Text is decoded as UTF-8 with `surrogateescape`, so that comments in any encodin
 
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -54,7 +55,12 @@ class Element:
 
     def dtype(self, order: str = "=") -> np.dtype[np.void]:
         """The packed row as a structured dtype of the given byte order (`<`, `>` or `=`)."""
-        return np.dtype([(prop.name, f"{order}{prop.code}") for prop in self.properties])
+        return _row(order, tuple(self.properties))
+
+
+@lru_cache(maxsize=8)  # a model is read in hundreds of parts
+def _row(order: str, properties: tuple[Property, ...]) -> np.dtype[np.void]:
+    return np.dtype([(prop.name, f"{order}{prop.code}") for prop in properties])
 
 
 @dataclass(slots=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -219,32 +220,36 @@ class _Vertex:
         self.targets[columns.OPACITY] = self.opacity_logits
         self.targets.update(self.extras)
 
-    def _together(self, rows: "np.dtype[Any]") -> Iterator[tuple[Sequence[str], Any, Array]]:
-        """Arrays whose columns follow each other in the rows, as they do in most files.
+    @cached_property
+    def _copies(self) -> tuple[list[tuple[Any, str, Array]], dict[str, Array]]:
+        """How blocks are copied: arrays whose columns follow each other in the rows, and the rest.
 
-        Yields:
-            Names of the columns, a type of the rows with all of them as the one field, and the
-            array.
+        Returns:
+            Of each such array a type of the rows with all its columns as the one field, the name of
+            that, and the array; and where each of the other columns goes.
         """
-        fields: Any = rows.fields
+        text = self.header.encoding == "ascii"
+        rows: Any = self.element.dtype("=" if text else self.header.order)
+        together, alone = [], dict(self.targets)
         for names, array in self.arrays:
             if not names:
                 continue
-            kind, start = fields[names[0]][:2]
+            kind, start = rows.fields[names[0]][:2]
             if kind.newbyteorder("=") == array.dtype and all(
-                fields[name][:2] == (kind, start + i * kind.itemsize)
+                rows.fields[name][:2] == (kind, start + i * kind.itemsize)
                 for i, name in enumerate(names)
             ):
                 row: Any = {"names": [names[0]], "formats": [(kind, array.shape[1:])]}
                 row |= {"offsets": [start], "itemsize": rows.itemsize}
-                yield names, np.dtype(row), array
+                together.append((np.dtype(row), names[0], array))
+                for name in names:
+                    del alone[name]
+        return together, alone
 
     def put(self, block: Block) -> None:
-        alone = dict(self.targets)
-        for names, row, array in self._together(block.values.dtype):
-            array[block.rows] = block.values.view(row)[names[0]]
-            for name in names:
-                del alone[name]
+        together, alone = self._copies
+        for row, name, array in together:
+            _copy(block.values.view(row)[name], array[block.rows])
         for name, target in alone.items():
             source = block.values[name]
             with np.errstate(over="ignore"):
@@ -294,6 +299,12 @@ class _Vertex:
         for name, start in sorted(self.overflowed, key=lambda at: (at[1], order.index(at[0]))):
             counts[name] = counts.get(name, 0) + self.overflowed[name, start]
         return counts
+
+
+def _copy(values: Array, out: Array) -> None:
+    """Copy (R, C) values, or (R, 3, C) ones channel by channel, whose rows are longer."""
+    for channel in range(out.shape[1]) if out.ndim == 3 else [...]:
+        out[:, channel] = values[:, channel]
 
 
 def _some(names: list[str]) -> str:
