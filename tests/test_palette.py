@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nanogs.io import palette as palettes
 from nanogs.io.cells import by_label, nearby_cells
 from nanogs.io.palette import palette
 from nanogs.io.ward import _Nodes, _Table, merge_near, settle
@@ -257,6 +258,28 @@ def test_entries_are_the_means_of_their_points():
         own = found.labels == label
         mean = np.average(points[own].astype(float), axis=0, weights=weights[own])
         assert found.entries[label] == pytest.approx(mean, abs=1e-6)
+
+
+@settings(deadline=None)
+@given(seed=st.integers(0, 9), rows=st.integers(1, 60), kinds=st.integers(1, 4))
+def test_rows_are_told_apart_however_their_keys_fall(seed, rows, kinds):
+    rng = np.random.default_rng(seed)
+    points = rng.integers(-1, 2, (kinds, 3)).astype(np.float32)[rng.integers(0, kinds, rows)]
+    points[::2] *= np.float32(-1) if seed % 2 else np.float32(1)  # -0 is 0
+    _, first = np.unique(points + np.float32(0), axis=0, return_index=True)
+    for keys in (palettes._keys, lambda rows: np.zeros(len(rows), np.uint64)):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(palettes, "_keys", keys)
+            distinct, places, counts = palettes._distinct(points)
+        assert np.array_equal(distinct, points[np.sort(first)])
+        assert np.array_equal(distinct[places], points)
+        assert np.array_equal(counts, np.bincount(places))
+
+
+def test_keys_differ_where_rows_do():
+    steps = np.arange(-200, 200, dtype=np.float32) / np.float32(8)  # of few bits each
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    assert len(np.unique(palettes._keys(grid))) == len(grid)
 
 
 SAME = """

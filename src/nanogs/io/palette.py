@@ -4,12 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs._types import F32, F64, I32, I64
+from nanogs import spread
+from nanogs._types import F32, F64, I32, I64, U64, Array
 from nanogs.progress import Parts, untold
+from nanogs.slices import slices
 
 _CELL = 256  # points, about, as long as there are not too many cells
 _MOST_CELLS = 1024  # a point is held against all of them
 _NEAR = 2  # cells in which a point looks for others
+_ODD = np.uint64(0x9E3779B97F4A7C15)  # Knuth's multiplier, 2^64 over the golden ratio
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,13 +60,42 @@ def _in_order_of_use(entries: F32, labels: I32, *, exact: bool) -> Palette:
 
 
 def _distinct(points: F32) -> tuple[F32, I64, I64]:
-    """Distinct rows, for each point its row among them, and how many points each stands for."""
+    """Distinct rows as they come, for each point its row there, and points of each row."""
     rows = np.ascontiguousarray(points + np.float32(0))  # -0 becomes 0
-    keys = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
-    _, first, inverse, counts = np.unique(
-        keys, return_index=True, return_inverse=True, return_counts=True
-    )
-    return rows[first], inverse, counts
+    first, places, counts = _groups(_keys(rows))
+    if not np.array_equal(rows[first[places]], rows):  # two rows of one key
+        whole = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
+        first, places, counts = _groups(whole)
+    return rows[first], places, counts
+
+
+def _groups(keys: Array) -> tuple[I64, I64, I64]:
+    """Where each distinct key is first, ascending, for each key its place there, and how often."""
+    order = np.argsort(keys)
+    ordered = keys[order]
+    starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
+    counts = np.diff(starts, append=len(keys))
+    first = np.minimum.reduceat(order, starts)
+    as_they_come = np.argsort(first)
+    numbers, places = np.empty(len(first), np.int64), np.empty(len(keys), np.int64)
+    numbers[as_they_come] = np.arange(len(first))
+    places[order] = np.repeat(numbers, counts)
+    return first[as_they_come], places, counts[as_they_come]
+
+
+def _keys(rows: F32) -> U64:
+    """(N,) numbers that differ, but for chance, where rows do: sorted in a tenth of the time."""
+    bits, keys = rows.view(np.uint32), np.zeros(len(rows), np.uint64)
+
+    def mix(part: slice) -> None:
+        some = keys[part]
+        for column in bits[part].T:
+            some += column
+            some *= _ODD
+            some ^= some >> np.uint64(29)
+
+    spread.each(slices(len(keys)), mix)
+    return keys
 
 
 def _cluster(points: F32, weights: F32, size: int, tell: Parts) -> tuple[F32, I32]:
