@@ -8,11 +8,11 @@ more room.
 
 import json
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -39,6 +39,7 @@ _DEVIATIONS = 1.0
 META = "meta.json"
 ENVIRONMENT = "env"  # its folder, as the format's own tool calls it
 _Node = tuple[dict[str, Any], F64]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +67,20 @@ class StreamedSog(ChunkLayout):
         from nanogs.io.sog import write as sog_write  # here, as `--help` does without
 
         runs = _runs(level.counts, self.chunks_a_file * self.most, self.least)
-        for number, (first, end) in enumerate(runs):
-            part, leaves = level.take(first, end)
-            folder, places = f"{prefix}{number}", list(_places(part, level.counts, first, end))
-            files = sog_write.contents(part, leaves)
-            tell(level.counts[:end].sum(), level.counts.sum())
-            yield [folder, places], {f"{folder}/{name}": data for name, data in files.items()}
+
+        def begun() -> Iterator[tuple[str, list[Any], Callable[[], dict[str, bytes]]]]:
+            for number, (first, end) in enumerate(runs):
+                part, leaves = level.take(first, end)
+                places = list(_places(part, level.counts, first, end))
+                files = sog_write.begun(pool, part, leaves)
+                tell(level.counts[:end].sum(), level.counts.sum())
+                yield f"{prefix}{number}", places, files
+
+        with sog_write.encoders() as pool:
+            # The textures of one are encoded while the palette of the next is found.
+            for folder, places, files in _late(begun()):
+                made = files()
+                yield [folder, places], {f"{folder}/{name}": made[name] for name in made}
 
     @property
     def fewest(self) -> int:
@@ -187,6 +196,15 @@ def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[list[An
             box = box_around(part.take(rows), _DEVIATIONS)
             yield [leaf, offset, count, box.tolist()]
             offset += count
+
+
+def _late(parts: Iterable[T]) -> Iterator[T]:
+    """Each part when the next one has come, and the last at the end."""
+    waiting = list[T]()
+    for part in parts:
+        yield from waiting
+        waiting = [part]
+    yield from waiting
 
 
 def made_files(folder: Path) -> frozenset[str] | None:

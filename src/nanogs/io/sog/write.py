@@ -150,19 +150,48 @@ def contents(
     Raises:
         OutputError: As for `write`.
     """
+    with encoders() as pool:
+        return begun(pool, splats, groups, tell, packing)()
+
+
+def encoders() -> ThreadPoolExecutor:
+    """Threads that textures are encoded on, to be closed."""
     import numba
 
+    return ThreadPoolExecutor(numba.get_num_threads())
+
+
+def begun(
+    pool: ThreadPoolExecutor,
+    splats: Splats,
+    groups: I64 | None = None,
+    tell: Parts = untold,
+    packing: Packing = USUAL,
+) -> Callable[[], dict[str, bytes]]:
+    """Compute the textures and leave their encoding to a pool.
+
+    Args:
+        pool: From `encoders`.
+        splats: As for `contents`.
+        groups: As for `contents`.
+        tell: As for `contents`.
+        packing: As for `contents`.
+
+    Returns:
+        What waits for the textures and gives the `contents`.
+
+    Raises:
+        OutputError: As for `write`.
+    """
     _refuse_unstorable(splats)
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        encoding: dict[str, Future[bytes]] = {}
+    encoding: dict[str, Future[bytes]] = {}
 
-        def submit(name: str, texels: U8) -> None:
-            encoding[name] = pool.submit(encode, texels)
+    def submit(name: str, texels: U8) -> None:
+        encoding[name] = pool.submit(encode, texels)
 
-        meta = _encode(splats, groups, packing, submit, tell)
-        files = {name: future.result() for name, future in encoding.items()}
-    text = json.dumps(meta, separators=(",", ":"), allow_nan=False)
-    return files | {"meta.json": text.encode()}
+    meta = _encode(splats, groups, packing, submit, tell)
+    text = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()
+    return lambda: {name: made.result() for name, made in encoding.items()} | {"meta.json": text}
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
