@@ -142,4 +142,7 @@ def open_blocks(left: F32) -> int:
 
 @two_ways
 def prefetch(array: Array, row: int) -> None:
-    """Ask for the first 64 bytes of a row of a two-dimensional array; changes nothing."""
+    """Ask for the first 64 bytes of a row of a two-dimensional array; changes nothing.
+
+    An array of three dimensions counts as one of two, of as many columns as its second one.
+    """

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, F64, I64, Bool, F
-from nanogs.kernels.blocks import TILE
+from nanogs.kernels.blocks import TILE, prefetch
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
 
@@ -33,6 +33,7 @@ GUARD = 1.3  # x/z and y/z in the Jacobian stay within this many half fields of 
 MIN_ALPHA = 1.0 / 255.0
 WIDER = 1.001  # than a bound, so that rounding makes it no less
 SLACK = 1e-4  # widens bounds only, so that rounding never loses a pixel: alpha is tested exactly
+AHEAD = 8  # splats whose rows are asked for before they are read or written
 HIDDEN = 0  # stands for the tiles of a splat that reaches no pixel
 LARGEST = 32767 * TILE  # pixels along a side of an image: a box of tiles is packed into 64 bits
 
@@ -230,6 +231,10 @@ def project_splats(
         lens[1] * lens[1] * (1.0 + max(bounds[2] * bounds[2], bounds[3] * bounds[3])),
     )
     for i in range(start, stop):
+        ahead = min(i + AHEAD, len(means) - 1)
+        prefetch(geometry, ahead)
+        for third in range(3):  # of what a splat has, (K, 3)
+            prefetch(sh, 3 * ahead + third)
         boxes[i] = HIDDEN
         if not keep[i]:
             continue
