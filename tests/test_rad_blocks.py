@@ -92,16 +92,19 @@ def test_each_splat_lies_among_those_that_it_stands_for(made, scene, tmp_path):
 
 
 def test_it_looks_as_a_tree_made_in_memory(model, scene, made, tmp_path):
-    """Of each level, as of those above the coarsest: no seam between blocks is seen."""
+    """Of all levels, those above the coarsest too: no seam between blocks is seen."""
     write(scene, tmp_path / "a.rad", block=None)
     camera = seen_from_the_start(model)
     whole = render(model, camera).shown()
-    for level in range(len(RATIOS) + 2):
-        marks = [
+    behind = [
+        np.subtract(*(
             psnr(render(nanogs.load(path, level=level), camera).shown(), whole)
-            for path in (made[0], tmp_path / "a.rad")
-        ]
-        assert marks[0] > marks[1] - 1
+            for path in (tmp_path / "a.rad", made[0])
+        ))
+        for level in range(len(RATIOS) + 2)
+    ]  # fmt: skip
+    assert max(behind) < 1.5
+    assert np.mean(behind) < 0.5
 
 
 @pytest.mark.slow

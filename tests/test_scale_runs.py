@@ -33,8 +33,8 @@ from nanogs.progress import Tracker
 from nanogs.source import Layout
 from nanogs.store.scratch import FolderScratch
 
-COUNT = 40_000
-BLOCK = {"preset": "fast", "rounds": 1, "block": 14_000, "threads": 1}
+COUNT = 60_000
+BLOCK = {"preset": "fast", "rounds": 1, "block": 21_000, "threads": 1}
 
 
 @pytest.fixture(scope="module")

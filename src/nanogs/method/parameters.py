@@ -41,7 +41,7 @@ class ForestParameters:
         view_size: Pixels along the longer side of a view.
     """
 
-    k: int = parameter(8, 1, help="Neighbours in the graph.")
+    k: int = parameter(5, 1, help="Neighbours in the graph.")
     lambda_app: float = parameter(1.0, help="Weight of the colours.")
     balance: float = parameter(
         USUAL_BALANCE, 0, 1, help="From groups of equal size (0) to groups of equal error (1)."

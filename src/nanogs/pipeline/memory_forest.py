@@ -13,8 +13,8 @@ _MIXED = _I4 + 2 * _F8  # of a pair of splats, whose features are theirs: second
 _MERGE = 2 * _I4 + _I4 + 2 * _F4  # children, level and increments, one a merge
 _TREE = 3 * _F8 + _I4 + 12 + 1  # scaled centres and their rows, boxes, a flag
 # Pairs for each splat and neighbour: both directions of most neighbours coincide. Measured 0.55 to
-# 0.66 on trained scenes at k = 8 to 16; the plan takes the upper end.
-_PAIRS_PER_NEIGHBOUR = 0.66
+# 0.67 on trained scenes at k = 5 to 16; the plan takes the upper end.
+_PAIRS_PER_NEIGHBOUR = 0.67
 _LEFT = 0.55  # share of the nodes that a pass leaves; trained scenes: 0.52 to 0.56
 _CUT = 2 * _F8 + _F8 + _F8 + 1  # sums and scores of all nodes, a copy for the median, flags
 _TILES = 3  # tiles of a view of 560 pixels that a splat lies in, on average: 2.3 to 3.2
