@@ -138,21 +138,30 @@ def prepare(splats: Splats) -> PreparedSplats:
         Arrays that `render` and `project` read; means and sh are shared, not copied.
     """
     refuse_other(splats)
-    finite = splats.finite()
-    opacities = splats.opacities().astype(np.float32)
-    keep = finite & (opacities >= projection.MIN_ALPHA)
-    with np.errstate(invalid="ignore", over="ignore"):
-        factors = rotations(splats.unit_quats()) * splats.scales()[:, None, :]
+    n = len(splats)
+    factors, opacities = np.empty((n, 3, 3), np.float32), np.empty(n, np.float32)
+    reaches, finite, keep = np.empty(n, np.float32), np.empty(n, bool), np.empty(n, bool)
+
+    def activate(rows: slice) -> None:
+        some = splats.span(rows.start, rows.stop)
+        finite[rows] = some.finite()
+        opacities[rows] = some.opacities()
+        keep[rows] = finite[rows] & (opacities[rows] >= projection.MIN_ALPHA)
+        reaches[rows] = projection.reaches_of(opacities[rows])
+        with np.errstate(invalid="ignore", over="ignore"):
+            factors[rows] = rotations(some.unit_quats()) * some.scales()[:, None, :]
+
+    spread.each(slices(n), activate)
     return PreparedSplats(
         means=splats.means,
-        factors=np.ascontiguousarray(factors),
+        factors=factors,
         opacities=opacities,
-        reaches=projection.reaches_of(opacities),
+        reaches=reaches,
         sh=np.ascontiguousarray(splats.sh),
         keep=keep,
         sh_degree=splats.sh_degree,
         render_mode=splats.render_mode,
-        skipped=int(len(splats) - np.count_nonzero(finite)),
+        skipped=n - int(np.count_nonzero(finite)),
     )
 
 
