@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from nanogs import spread
 from nanogs._arrays import as_array, as_floats, as_rows
 from nanogs._types import F32, F64, I32, I64, Array, Bool, F
 from nanogs.errors import ModelError, OptionError
+from nanogs.slices import slices
 from nanogs.stored import alphas, unit
 
 MAX_SH_DEGREE = 4
@@ -232,13 +234,13 @@ class Splats:
         A log-scale of -inf is a scale of zero and counts as finite; a scale or a centre beyond
         what float32 can hold does not.
         """
-        ok = ~np.isnan(self.opacity_logits)
-        most = np.finfo(np.float32).max
-        for column in (self.means, self.scales(), self.quats, self.sh):
-            flags = np.isfinite(column) if column.dtype == np.float32 else np.abs(column) <= most
-            if not flags.all():  # a reduction by rows takes ten times as long, and is rarely needed
-                ok &= flags.reshape(len(self), -1).all(axis=1)
-        return ok
+        found = np.empty(len(self), bool)
+
+        def look(rows: slice) -> None:
+            found[rows] = _finite(self.span(rows.start, rows.stop))
+
+        spread.each(slices(len(self)), look)
+        return found
 
     def take(self, rows: I64 | I32 | Bool | slice) -> "Splats":
         """The given rows (indices, a mask or a slice), every column and tag with them."""
@@ -264,6 +266,17 @@ class Splats:
         if degree >= self.sh_degree:
             return self
         return replace(self, sh=np.ascontiguousarray(self.sh[:, : (degree + 1) ** 2]))
+
+
+def _finite(splats: Splats) -> Bool:
+    """As `Splats.finite` says."""
+    ok = ~np.isnan(splats.opacity_logits)
+    most = np.finfo(np.float32).max
+    for column in (splats.means, splats.scales(), splats.quats, splats.sh):
+        flags = np.isfinite(column) if column.dtype == np.float32 else np.abs(column) <= most
+        if not flags.all():  # a reduction by rows takes ten times as long, and is rarely needed
+            ok &= flags.reshape(len(splats), -1).all(axis=1)
+    return ok
 
 
 def pick(column: Array, rows: I64 | I32 | Bool | slice) -> Array:

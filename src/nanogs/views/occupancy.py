@@ -3,14 +3,14 @@
 Only for choosing where cameras stand; nothing here renders.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from nanogs._types import F64, I64
 from nanogs.errors import ModelError
-from nanogs.source import Source, joined_rows
+from nanogs.source import Source, joined_rows, source_of
 from nanogs.splats import Splats
 from nanogs.stored import rotations
 
@@ -93,12 +93,18 @@ def sample(model: Splats | Source) -> Matter:
     return Matter(means, kept.opacities(), arms, scales.min(axis=1), stride)
 
 
+def _visible(splats: Splats) -> I64:
+    """The rows that are neither transparent nor broken."""
+    return np.flatnonzero(splats.finite() & (splats.opacities() > FAINTEST))
+
+
 def _thinned(model: Splats | Source) -> tuple[Splats, int]:
     """Every so many-th of the visible splats, and how many that is."""
+    # What is in memory is looked at once; of what is not, nothing is kept between the two passes.
+    whole = [(model, _visible(model))] if isinstance(model, Splats) else None
 
-    def blocks() -> Iterator[tuple[Splats, I64]]:
-        for block in [model] if isinstance(model, Splats) else model.blocks():
-            yield block, np.flatnonzero(block.finite() & (block.opacities() > FAINTEST))
+    def blocks() -> Iterable[tuple[Splats, I64]]:
+        return whole or ((block, _visible(block)) for block in source_of(model).blocks())
 
     total = sum(len(visible) for _, visible in blocks())
     if not total:
