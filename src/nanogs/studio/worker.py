@@ -12,6 +12,7 @@ from multiprocessing.connection import Connection
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from nanogs.allocation import keep_freed_memory
 from nanogs.cleanup import clean_all, when_undisturbed
 from nanogs.errors import NanogsError
 from nanogs.progress import Progress, Step
@@ -205,6 +206,7 @@ def work(connection: Connection, scene: Scene, manner: Manner) -> None:
     inbox = Inbox(line)
     from nanogs.studio.desk import Desk  # which brings Numba
 
+    keep_freed_memory()
     desk = Desk(scene, manner)
     threading.Thread(target=_draft_sooner, args=(desk, line, inbox), daemon=True).start()
     while True:
