@@ -17,7 +17,7 @@ ROOT = Path(nanogs.__file__).parent
 # stands for all modules in it.
 ORDER = """
 _version _types errors ranges formatting findings quantities defaults stored place protocol sh
-charts costs switches progress clock cleanup threads slices spread sorting morton
+charts costs switches progress clock cleanup allocation threads slices spread sorting morton
 kernels
 card
 bar neighbours percentiles

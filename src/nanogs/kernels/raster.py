@@ -208,22 +208,25 @@ def blend_tiles(
         _write_tile(x0, y0, left, planes, background, image, transmittance)
 
 
-@parallel_kernel("totals", each=1)
-def sum_entries(start: int, stop: int, entries: I32, partial: F32, totals: F64) -> None:
+@parallel_kernel("totals", least=1)
+def sum_entries(
+    start: int, stop: int, entries: I32, partial: F32, bounds: I64, totals: F64
+) -> None:
     """Add each entry's partial sums to its splat's totals, in the order of the tiles.
 
     Args:
-        start: First splat of the range.
-        stop: The splat after its last.
+        start: First run of entries of the range.
+        stop: The run after its last.
         entries: (E,) from `list_tiles`.
         partial: (E, P) from `blend_tiles`.
-        totals: (N, P) in and out.
+        bounds: (runs + 1,) where each run begins.
+        totals: (runs, N, P) in and out, those of each run.
     """
-    for e in range(len(entries)):
-        i = entries[e]
-        if start <= i < stop:
+    for run in range(start, stop):
+        for e in range(bounds[run], bounds[run + 1]):
+            i = entries[e]
             for p in range(partial.shape[1]):
-                totals[i, p] += partial[e, p]
+                totals[run, i, p] += partial[e, p]
 
 
 @parallel_kernel("totals")

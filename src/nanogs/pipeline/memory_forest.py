@@ -24,7 +24,7 @@ COMPARED = 64  # and while it is held against the original's, or pulls
 _BATCH = 2 * _I4 + 2 * _F4 + 2 * _F8  # of a pair, in a batch of which the costs are computed
 PREPARED = 9 * _F4 + 2 * _F4 + 1  # factors, alpha, reach and mask, as the rasteriser reads them
 DRAWN = 8 * _F8 + 7 * _F4 + 4 * _I8 + _TILES * _I4  # one view's projection, order and lists
-SHARES = 5 * _F8 + _TILES * _F4  # of every splat in a view and in all
+SHARES = 6 * _F8 + _TILES * _F4  # of every splat in a view and in all
 _GROUPS = 12  # see `reassign.NEIGHBOURS`
 # That a splat of the result lies in. In views of 560 pixels it is 3 to 8, of half and of a tenth of
 # the splats; what else is counted makes up for it, measured, and in larger views it does not.

@@ -27,6 +27,7 @@ from nanogs.stored import rotations
 if TYPE_CHECKING:
     from nanogs.card.engine import Engine, Model, View
 
+_RUNS = 2  # of entries that are added up apart; fixed, so that threads do not matter
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
 
 
@@ -408,10 +409,24 @@ def blend(
         probes,
         partial,
     )
-    totals = np.zeros((len(features), len(probes)))
-    if len(probes):
-        raster.sum_entries(view.entries, partial, totals)
-    return image, left, totals
+    return image, left, _sums(view.entries, partial, len(features))
+
+
+def _sums(entries: I32, partial: F32, count: int) -> F64:
+    """(N, P) float64, what entries have added up to, each splat's (E, P) float32."""
+    columns = partial.shape[1]
+    if not columns:
+        return np.zeros((count, 0))
+    totals: F64 = np.zeros((_RUNS, count, columns))
+    whole: F64 = totals[0]
+    raster.sum_entries(entries, partial, len(entries) * np.arange(_RUNS + 1) // _RUNS, totals)
+
+    def add(rows: slice) -> None:
+        for run in range(1, _RUNS):
+            whole[rows] += totals[run, rows]
+
+    spread.each(slices(count, SLICE_STEPS), add)
+    return whole
 
 
 def probe(view: Projection, camera: Camera, probes: F32) -> F64:
