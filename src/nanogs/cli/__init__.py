@@ -23,7 +23,6 @@ def _run() -> int:
     with uncollected():
         import typer
 
-        from nanogs.allocation import keep_freed_memory
         from nanogs.cli.app import app
         from nanogs.cli.wording import wording
         from nanogs.errors import NanogsError
@@ -32,7 +31,6 @@ def _run() -> int:
     try:
         if not {"--help", "-h", "--version"} & set(sys.argv):  # these need nothing else
             refuse_without_numpy()
-            keep_freed_memory()
         code = app(prog_name="nanogs", standalone_mode=False)
         sys.stdout.flush()
     except NanogsError as error:

@@ -7,6 +7,7 @@ from os import cpu_count
 from typing import Any, TypeVar
 
 from nanogs.ahead import compile_ahead, nothing_compiled
+from nanogs.allocation import keep_freed_memory
 from nanogs.cli.console import err, key_value_table, show
 from nanogs.cli.filtering import parse_changes
 from nanogs.cli.importing import uncollected
@@ -211,6 +212,7 @@ def carry_out(plan: Plan, do: Callable[[Request], T]) -> T:
     """Do what is asked of the library, in memory or with whoever does the tasks of blocks."""
     wish = plan.wish
     if not plan.divided:
+        keep_freed_memory()
         _prepare_kernels(wish)
     with uncollected():
         import_stages(wish.parameters)
