@@ -94,10 +94,10 @@ def test_after_it_no_preset_compiles_anything(tmp_path):
     places = (
         "from nanogs.kernels.needed import *; print(*(one.folder for one in needed()), sep='\\n')"
     )
-    told = dict.fromkeys(run("-c", places).stdout.splitlines())
-    kept = dict.fromkeys(one.folder for one in needed())
+    theirs = dict.fromkeys(run("-c", places).stdout.splitlines())
+    ours = dict.fromkeys(one.folder for one in needed())
     missing = ("radix.", "assign.", "nodes.principal_axes")
-    for folder, place in zip(kept, map(Path, told), strict=True):
+    for folder, place in zip(ours, map(Path, theirs), strict=True):
         shutil.copytree(folder, place, dirs_exist_ok=True)
         for name in missing:
             for index in place.glob(f"{name}*.nbi"):

@@ -44,19 +44,19 @@ def palette(points: F32, size: int, weights: F64 | None = None, tell: Parts = un
     """
     distinct, inverse, counts = _distinct(points)
     if len(distinct) <= size:
-        return _in_order_of_use(distinct, inverse.astype(np.int32), exact=True)
+        return Palette(distinct, inverse.astype(np.int32), exact=True)
     totals = counts if weights is None else np.bincount(inverse, weights)
     entries, labels = _cluster(distinct, (totals / totals.mean()).astype(np.float32), size, tell)
-    return _in_order_of_use(entries, labels[inverse], exact=False)
+    return _in_order_of_use(entries, labels[inverse])
 
 
-def _in_order_of_use(entries: F32, labels: I32, *, exact: bool) -> Palette:
+def _in_order_of_use(entries: F32, labels: I32) -> Palette:
     """Neighbouring points then often have neighbouring labels."""
     _, first = np.unique(labels, return_index=True)  # each is used
     order = np.argsort(first, kind="stable")
     places = np.empty(len(entries), np.int32)
     places[order] = np.arange(len(order))
-    return Palette(entries[order], places[labels], exact)
+    return Palette(entries[order], places[labels], exact=False)
 
 
 def _distinct(points: F32) -> tuple[F32, I64, I64]:

@@ -20,7 +20,6 @@ from nanogs.pipeline.presets import Parameters, parameters, renders
 from nanogs.pipeline.target import Goal
 from nanogs.progress import Tracker
 from nanogs.report import SimplifyReport, StopReason
-from nanogs.slices import slices
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -205,9 +204,7 @@ def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
     Raises:
         ModelError: None is, or one is not and the policy is "error".
     """
-    finite = np.empty(len(splats), dtype=bool)
-    for part in slices(len(splats)):  # as fast on one thread, which frees what others could not use
-        finite[part] = splats.span(part.start, part.stop).finite()
+    finite = splats.finite()
     rows = np.flatnonzero(finite).astype(np.int32)
     if len(rows) == 0:
         raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")

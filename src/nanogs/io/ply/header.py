@@ -81,8 +81,8 @@ class Header:
 
     @property
     def order(self) -> str:
-        """Byte order of a binary body, as numpy writes it."""
-        return ">" if self.encoding == "binary_big_endian" else "<"
+        """Byte order of the rows as they are read, as numpy writes it: of text, the machine's."""
+        return {"ascii": "=", "binary_big_endian": ">"}.get(self.encoding, "<")
 
     @property
     def all_comments(self) -> list[str]:

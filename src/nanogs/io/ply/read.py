@@ -228,8 +228,7 @@ class _Vertex:
             Of each such array a type of the rows with all its columns as the one field, the name of
             that, and the array; and where each of the other columns goes.
         """
-        text = self.header.encoding == "ascii"
-        rows: Any = self.element.dtype("=" if text else self.header.order)
+        rows: Any = self.element.dtype(self.header.order)
         together, alone = [], dict(self.targets)
         for names, array in self.arrays:
             if not names:
