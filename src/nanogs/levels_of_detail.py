@@ -45,6 +45,7 @@ from nanogs.scoring.file_judge import file_judge
 from nanogs.sink import Environment
 from nanogs.source import InMemory, Joined, Source
 from nanogs.splats import Splats
+from nanogs.threads import use_threads
 
 _FIELDS = frozenset(each.name for each in fields(Request))
 
@@ -221,10 +222,11 @@ def _written(
     import_stages(request.parameters)
     stages = _stages(request, plan.splats, sink)
     tracker = Tracker(told, [*reading_stages(request.edits, plan.splats), *stages])
-    manifest, reports = _whole(
-        request, read_changed(request.inputs, request.edits, tracker, StageClock()), sink,
-        tracker.passing(), sky,
-    )  # fmt: skip
+    with use_threads(request.threads):  # files are read and written on no more than that
+        manifest, reports = _whole(
+            request, read_changed(request.inputs, request.edits, tracker, StageClock()), sink,
+            tracker.passing(), sky,
+        )  # fmt: skip
     return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)
 
 

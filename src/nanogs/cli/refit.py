@@ -106,9 +106,10 @@ def _refit_files(
     from nanogs.io import open as open_model
     from nanogs.pipeline.cameras import fit_cameras
     from nanogs.progress import Tracker
+    from nanogs.threads import use_threads
 
     start, clock = time.perf_counter(), StageClock()
-    with shown(quiet=run.hushed) as watch:
+    with shown(quiet=run.hushed) as watch, use_threads(run.threads):
         progress = Tracker(watch, _stages(original, small, target, parameters))
         progress.begin("read")
         with clock.time("read"):

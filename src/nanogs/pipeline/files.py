@@ -35,6 +35,7 @@ from nanogs.scoring.file_judge import file_costs, file_judge
 from nanogs.sink import OneFile
 from nanogs.splats import Splats
 from nanogs.store.columns import no_splats
+from nanogs.threads import use_threads
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -242,11 +243,20 @@ def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
 
 def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
     """Read, simplify and write; what the whole call took is in the report."""
-    start, clock, goal = time.perf_counter(), StageClock(), request.goal
-    output, options = request.output, request.format_options
+    start = time.perf_counter()
     request.goes_on()
-    check_writable(output, overwrite=request.overwrite, format_options=options)
+    check_writable(
+        request.output, overwrite=request.overwrite, format_options=request.format_options
+    )
     import_stages(request.parameters)
+    with use_threads(request.threads):  # files are read and written on no more than that
+        report = _from_file_to_file(request, plan, told)
+    return replace(report, total_seconds=time.perf_counter() - start)
+
+
+def _from_file_to_file(request: Request, plan: Plan, told: Progress | None) -> SimplifyReport:
+    clock, goal = StageClock(), request.goal
+    output, options = request.output, request.format_options
     tracker = Tracker(told, _stages(request, plan))
     splats, filtered, notes = read_changed(request.inputs, request.edits, tracker, clock)
     small, report = simplify(
@@ -290,7 +300,6 @@ def _in_memory(request: Request, plan: Plan, told: Progress | None) -> SimplifyR
         read_count=plan.splats,
         filters=filtered,
         seconds=_around(clock, report.seconds),
-        total_seconds=time.perf_counter() - start,
     )
 
 

@@ -1,0 +1,38 @@
+"""What `--threads` asks for holds for all of a command."""
+
+import pytest
+
+import nanogs
+from builders import random_splats
+from launch import run_here
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a model that is read in several parts, and a smaller one."""
+    folder = tmp_path_factory.mktemp("models")
+    large = random_splats(8000, degree=0)
+    nanogs.save(large, folder / "large.ply")
+    nanogs.save(nanogs.simplify(large, count=400, preset="fast")[0], folder / "small.ply")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "simplify large.ply {out}/out.sog --count 400 --preset fast --measure",
+        "simplify large.ply {out}/out.ply --count 400 --steps 2",
+        "lod large.ply {out}/lod-meta.json --levels 0.5,0.1 --preset fast --no-measure",
+        "refit large.ply small.ply {out}/out.ply --views 2 --pixels 64 --rounds 1",
+        "compare large.ply small.ply --views 1 --pixels 64",
+        "render large.ply {out} --views 1 --pixels 64",
+        "view large.ply small.ply -o {out}/page.html",
+    ],
+)
+def test_one_thread_reads_computes_and_writes(folder, tmp_path, monkeypatch, command):
+    def no_pool():
+        raise AssertionError("another thread is asked for")
+
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr("nanogs.spread._pool", no_pool)
+    assert run_here(*command.format(out=tmp_path).split(), "--threads", "1") == 0
