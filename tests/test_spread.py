@@ -1,6 +1,7 @@
 """How the range of a kernel is spread over threads."""
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -125,6 +126,48 @@ def test_a_part_that_fails_reaches_the_caller(threads):
 
     with use_threads(threads), pytest.raises(ZeroDivisionError):
         each(range(20), fail)
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
+@pytest.mark.parametrize("fails", ["here", "elsewhere"])
+def test_after_a_failure_nothing_begins_and_nobody_works_on(fails):
+    met = threading.Barrier(2, timeout=20)
+    done = []
+
+    def work(part):
+        if part < 2:
+            met.wait()
+            if (threading.current_thread() is threading.main_thread()) == (fails == "here"):
+                raise ZeroDivisionError
+            time.sleep(0.2)
+        done.append(part)
+
+    with use_threads(2), pytest.raises(ZeroDivisionError):
+        each(range(50), work)
+    assert len(done) == 1  # what had begun; nothing follows
+    time.sleep(0.1)
+    assert len(done) == 1
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
+@pytest.mark.parametrize("signalled", [False, True])
+def test_an_interrupt_does_not_wait_for_parts_that_nobody_has_begun(signalled):
+    begun = []
+
+    def work(part):
+        begun.append(part)
+        own = threading.current_thread() is threading.main_thread()
+        if own and not signalled:
+            raise KeyboardInterrupt
+        if signalled and not own:
+            signal.raise_signal(signal.SIGINT)  # which the main thread answers to
+        time.sleep(0.05)
+
+    started = time.perf_counter()
+    with use_threads(2), pytest.raises(KeyboardInterrupt):
+        each(range(200), work)
+    assert len(begun) < 100
+    assert time.perf_counter() - started < 4
 
 
 def test_work_within_work_of_the_pool_stays_on_its_thread():

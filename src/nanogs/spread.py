@@ -7,7 +7,7 @@ of each is optimised as a function of its own and again with all that surrounds 
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from threading import Lock, local
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar
 from nanogs.threads import most_threads
 
 if TYPE_CHECKING:
-    from concurrent.futures import ThreadPoolExecutor
+    from concurrent.futures import Future, ThreadPoolExecutor
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -53,14 +53,8 @@ class Spread(Generic[P]):
         count = len(args[self._place])  # type: ignore[arg-type]
         threads = _threads()
         parts = max(1, min(threads * self._each, count // self._least))
-        threads = min(threads, parts)
-        ranges = iter([(count * p // parts, count * (p + 1) // parts) for p in range(parts)])
-
-        def work() -> None:
-            for start, stop in ranges:
-                self._compiled(start, stop, *args)
-
-        _on(threads, work)
+        ranges = [(count * p // parts, count * (p + 1) // parts) for p in range(parts)]
+        _on(threads, ranges, lambda part: self._compiled(*part, *args))
 
     def here(self, *args: P.args, **kwargs: P.kwargs) -> None:
         """Run the whole range on this thread alone: for a part of what is spread already."""
@@ -75,18 +69,7 @@ def each(parts: Iterable[T], work: Callable[[T], None]) -> None:
         parts: What the work takes; what it does for one must not touch what it does for another.
         work: Called once for each.
     """
-    every = list(parts)
-    waiting, lock = iter(every), Lock()
-
-    def work_on() -> None:
-        while True:
-            with lock:
-                part = next(waiting, None)
-            if part is None:
-                return
-            work(part)
-
-    _on(min(_threads(), len(every)), work_on)
+    _on(_threads(), list(parts), work)
 
 
 def results(parts: Iterable[T], work: Callable[[T], R]) -> list[R]:
@@ -101,17 +84,53 @@ def results(parts: Iterable[T], work: Callable[[T], R]) -> list[R]:
     return [found[number] for number in range(len(every))]
 
 
-def _on(threads: int, work: Callable[[], None]) -> None:
-    """Call it on so many threads, this one among them.
+class _Parts(Generic[T]):
+    """Parts of some work, of which each is taken once, by one of several threads."""
+
+    def __init__(self, parts: Sequence[T]) -> None:
+        self._waiting, self._lock = list(reversed(parts)), Lock()
+
+    def work_on(self, work: Callable[[T], None]) -> None:
+        """Take one part after the other, until none is left or one has failed anywhere."""
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    return
+                part = self._waiting.pop()
+            try:
+                work(part)
+            except BaseException:
+                self.drop()
+                raise
+
+    def drop(self) -> None:
+        """Leave what nobody has begun."""
+        with self._lock:
+            self._waiting.clear()
+
+
+def _on(threads: int, parts: Sequence[T], work: Callable[[T], None]) -> None:
+    """Work on parts with at most so many threads, this one among them; none works on afterwards.
 
     On this one alone, if it is of the pool: all that are would wait for each other.
     """
-    others = [] if _own.of_pool else [_pool().submit(work) for _ in range(threads - 1)]
+    shared, more = _Parts(parts), 0 if _own.of_pool else min(threads, len(parts)) - 1
+    others = [_pool().submit(shared.work_on, work) for _ in range(more)]
     try:
-        work()
-    finally:
-        for other in others:
-            other.result()
+        shared.work_on(work)
+        failures = _ended(others)
+    except BaseException:  # an interrupt may come while others are waited for
+        shared.drop()
+        _ended(others)
+        raise
+    if failures:
+        raise failures[0]
+
+
+def _ended(others: "Sequence[Future[None]]") -> list[BaseException]:
+    """Wait for those that have begun, let the others be, and say what failed."""
+    failures = [other.exception() for other in others if not other.cancel()]
+    return [failure for failure in failures if failure is not None]
 
 
 class _Own(local):
