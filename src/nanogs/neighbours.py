@@ -84,6 +84,8 @@ def _scaled(means: F64) -> F64:
         ends.append(max(-float(means[part].min()), float(means[part].max())))
 
     spread.each(slices(len(means), SLICE_STEPS), measure)
+    if not np.isfinite(ends).all():  # kernels would read beyond their arrays
+        raise ValueError("centres must be finite")
     exponent = _EXPONENT - int(np.frexp(max(ends))[1])
     scaled = np.empty((3, len(means)))
 

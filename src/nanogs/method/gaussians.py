@@ -96,7 +96,9 @@ def scene_origin(means: F) -> F64:
     Args:
         means: (N, 3) finite, scene units; evenly spread rows of a large model.
     """
-    origin: F64 = np.median(means[:: len(means) // _SAMPLE + 1], axis=0).astype(np.float64)
+    # In float32 the mean of the two in the middle may overflow.
+    some = means[:: len(means) // _SAMPLE + 1].astype(np.float64)
+    origin: F64 = np.median(some, axis=0)
     return origin
 
 
