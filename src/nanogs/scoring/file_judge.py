@@ -67,11 +67,11 @@ class FileJudge:
             with use_threads(self.threads):
                 return self._judged(self.views, path, level)
         except (ModelError, FormatError) as error:
-            self.notes = (*self.notes, _unmeasured(error))
+            self._say(error)
             return None
 
     def costs(self, path: Path, level: int = 0) -> tuple[DrawCost, ...]:
-        """What a file takes to draw, and the model; nothing where that is not measured.
+        """What a file takes to draw, and the model; nothing where that cannot be measured.
 
         Args:
             path: The file.
@@ -81,11 +81,15 @@ class FileJudge:
             return ()
         from nanogs.threads import use_threads
 
-        with use_threads(self.threads), open_model(path, level=level) as file:
-            return self.drawing.cost(self._source_back(file)), self.drawing.original
+        try:
+            with use_threads(self.threads), open_model(path, level=level) as file:
+                return self.drawing.cost(self._source_back(file)), self.drawing.original
+        except (ModelError, FormatError) as error:
+            self._say(error)
+            return ()
 
     def at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> Switch | None:
-        """A level where a viewer begins to draw it; None where that is not measured.
+        """A level where a viewer begins to draw it; None where that cannot be measured.
 
         Args:
             path: The file.
@@ -97,11 +101,15 @@ class FileJudge:
         from nanogs.scoring.switch_views import switch_views, typical_deviation
         from nanogs.threads import use_threads
 
-        with use_threads(self.threads), self._read(path, level) as model:
-            if self._switching is None:
-                cameras = [view.camera for view in self.views.views]
-                self._switching = switch_views(self.original, cameras, self.max_memory)
-            return self._switching.judge(model, pixel_of(level, typical_deviation(model)))
+        try:
+            with use_threads(self.threads), self._read(path, level) as model:
+                if self._switching is None:
+                    cameras = [view.camera for view in self.views.views]
+                    self._switching = switch_views(self.original, cameras, self.max_memory)
+                return self._switching.judge(model, pixel_of(level, typical_deviation(model)))
+        except (ModelError, FormatError) as error:
+            self._say(error)
+            return None
 
     def beside(self, path: Path, result: Splats) -> tuple[Judged | None, PackingLoss | None]:
         """What was measured of a file, and what packing alone cost where its format rounds.
@@ -120,8 +128,14 @@ class FileJudge:
                 both = self._turned_back(result), self._turned_back(load(path))
                 return self.views.judge_packed(*both, suffix)
         except (ModelError, FormatError) as error:
-            self.notes = (*self.notes, _unmeasured(error))
+            self._say(error)
             return None, None
+
+    def _say(self, error: Exception) -> None:
+        """Add a note on what was not measured, once for all files."""
+        note = _unmeasured(error)
+        if note not in self.notes:
+            self.notes = (*self.notes, note)
 
     def _turned_back(self, splats: Splats) -> Splats:
         return change_frame(splats, self.turn[1], self.turn[0]) if self.turn else splats
@@ -211,9 +225,9 @@ def file_costs(
     try:
         with use_threads(threads):
             judge = FileJudge(turn=turn, threads=threads, drawing=_drawing(original))
-        return judge.costs(path)
     except ModelError:  # nothing of it is seen, of which what is measured beside it tells
         return ()
+    return judge.costs(path)
 
 
 def _unmeasured(reason: object) -> str:
