@@ -42,14 +42,24 @@ def processes(workers: int) -> Iterator[Executor]:
     """
     pool = ProcessPoolExecutor(workers, get_context("spawn"), _attend)
     with cleaned_up(_end_children):
-        # Processes inherit what is blocked in the thread that starts them.
-        mask = getattr(signal, "pthread_sigmask", lambda *_: None)  # not on Windows
-        mask(getattr(signal, "SIG_BLOCK", 0), {signal.SIGINT})
-        for _ in range(workers):  # each starts one
-            pool.submit(_load)
-        mask(getattr(signal, "SIG_UNBLOCK", 0), {signal.SIGINT})
+        with _interrupts_blocked():  # processes inherit that from the thread that starts them
+            for _ in range(workers):  # each starts one
+                pool.submit(_load)
         yield pool
         pool.shutdown()
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Have interrupts wait, where the system can: not on Windows."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _attend() -> None:

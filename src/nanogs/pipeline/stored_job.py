@@ -123,8 +123,8 @@ class BlockJob:
                 scratch.prepare()
                 if resumed:
                     scratch.tidy()
-                else:  # last of all, so that nothing is left of what could not be begun
-                    write_manifest(self.folder, self.settings, scratch.place)
+                else:
+                    self._begin(scratch)
                 try:
                     done = run_tasks(
                         scratch, self.settings, runner, threads, clock, progress, resumed=resumed,
@@ -178,6 +178,14 @@ class BlockJob:
         """One of its own for each job: what others keep beside it is not taken for the job's."""
         name = SCRATCH if self.scratch is None else f"nanogs-{secrets.token_hex(8)}"
         return f"{self._above()}/{name}"
+
+    def _begin(self, scratch: Scratch) -> None:
+        """Note the job, last of all, so that nothing is left of what could not be begun."""
+        try:
+            write_manifest(self.folder, self.settings, scratch.place)
+        except BaseException:
+            scratch.remove()
+            raise
 
     def _remove(self, scratch: Scratch) -> None:
         """Take away everything; the notes of results go last, with which they are known again."""
