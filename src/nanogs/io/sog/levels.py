@@ -30,6 +30,7 @@ from nanogs.splats import RenderMode, Splats, empty_arrays, padded
 
 # Python takes up to 25 times a JSON text's size; a leaf has some 500 bytes for 10 K splats or more.
 MAX_MANIFEST_BYTES = 8 << 20
+_DIGITS = 3  # of the number of a level, at most
 _MAX_LEVELS = 64
 
 
@@ -165,7 +166,8 @@ def _leaves(tree: object, depth: int, files: int, where: str) -> Iterator[Leaf]:
         open_nodes += [table(child, where) for child in reversed(children)]
         entries = []
         for key, given in table(node.get("lods") or {}, f"{where}, lods").items():
-            level = integer(int(key) if key.isdecimal() else None, f"{where}, lods", 0, depth - 1)
+            number = int(key) if key.isdecimal() and len(key) <= _DIGITS else None
+            level = integer(number, f"{where}, lods", 0, depth - 1)
             entry = _entry(table(given, f"{where}, lods"), files, f"{where}, lods")
             entries.append((level, *entry))
         if entries:

@@ -79,13 +79,14 @@ def decode(data: bytes, where: str) -> U8:
     Raises:
         FormatError: The file is damaged.
     """
-    from PIL import Image
+    from PIL.Image import DecompressionBombError
+    from PIL.WebPImagePlugin import WebPImageFile  # Image.open warns of fewer texels than we write
 
     width, height = size(data, where)
     try:
-        with Image.open(io.BytesIO(data), formats=["WEBP"]) as image:
+        with WebPImageFile(io.BytesIO(data)) as image:
             texels = np.asarray(image.convert("RGBA"))
-    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+    except (OSError, ValueError, SyntaxError, EOFError, DecompressionBombError) as error:
         raise _error(where, f"cannot be decoded ({error})") from error
     if texels.shape != (height, width, 4):
         raise _error(where, "is a damaged WebP file")
