@@ -65,9 +65,10 @@ class RefitReport:
         fit_views: Names of the cameras fitted to.
         validation_views: Names of the cameras that decided.
         groups: What was gained on each group of the validation views.
-        psnr_before: The input on the validation views, mean over the groups, dB.
+        psnr_before: What the fit begins with on the validation views, mean over the groups, dB: the
+            input, whose splats share harmonics already where the file will have a palette.
         psnr_after: The result on them, dB; never below `psnr_before`.
-        improved: False where the input was returned as it was.
+        improved: False where nothing was moved.
         rounds: The rounds in order.
         stop: Why it stopped.
         seconds: Time by stage, seconds.

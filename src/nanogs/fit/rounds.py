@@ -131,7 +131,8 @@ def fit(
             stop = RefitStop.OPTIMUM
             break
     improved = any(report.share for report in reports)
-    notes = () if improved else ("nothing helped on the validation views: the model is unchanged",)
+    nothing = "Nothing helped on the validation views, so that the fit changed nothing."
+    notes = () if improved else (nothing,)
     outcome = Outcome(
         guard.reports(),
         _mean(guard.before),
