@@ -20,6 +20,9 @@ class ModelError(NanogsError):
     """A model's arrays disagree with each other or hold no usable splat."""
 
 
+NONE_USABLE = "No splat is usable: every one holds a NaN or an infinite value."
+
+
 class OptionError(NanogsError):
     """An option or a combination of options makes no sense for this input."""
 

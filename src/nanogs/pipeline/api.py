@@ -1,7 +1,6 @@
 """`nanogs.simplify`: from a model and a wish to a smaller model and a report."""
 
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -34,7 +33,7 @@ from nanogs.splats import Splats, refuse_misaligned_elements
 if TYPE_CHECKING:
     from nanogs.pipeline.held_files import HeldFiles
     from nanogs.pipeline.wish import Wish
-    from nanogs.raster.camera import Camera
+    from nanogs.views.cameras import Cameras
 
 
 def simplify(
@@ -50,7 +49,7 @@ def simplify(
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
     frame: tuple[str, str] | None = None,
-    cameras: Sequence["Camera"] | None = None,
+    cameras: "Cameras | None" = None,
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,
@@ -84,7 +83,8 @@ def simplify(
             where `size` is searched for and the preset renders, whichever shows most.
         frame: From and to which the result is turned, such as ("rdf", "rub"); a size and a PSNR are
             of the file of what is turned.
-        cameras: Views that matter, for presets that render; by default automatic.
+        cameras: Views that matter, for presets that render: "auto", "orbit", "inside", "roam", a
+            file or folder of cameras, or cameras; by default automatic.
         nan: What to do with splats that hold a NaN or an infinity (an infinite opacity logit is
             data and does not count): "drop" them and say so in the report, or raise.
         device: Where presets that render look and fit: "cpu", which is the default; "cuda" for a

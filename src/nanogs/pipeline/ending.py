@@ -165,7 +165,7 @@ def result_of(work: Work, level: int) -> Iterator[Source]:
     with Parts(work, level) as parts:
         source: Source = parts
         if parts.count > target:
-            source = InMemory(further(parts.load(), target, work.settings))
+            source = InMemory(further(parts.load(), target, work.settings, work.threads))
         yield source if work.settings.frame is None else Turned(source, *work.settings.frame)
 
 

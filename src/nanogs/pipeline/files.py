@@ -1,6 +1,5 @@
 """`nanogs.simplify_blocks`: from files to a smaller one, in memory or in blocks."""
 
-import os
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -20,7 +19,7 @@ from nanogs.io.limits import degree_left_out
 from nanogs.io.stand_ins import at_hand
 from nanogs.io.urls import place
 from nanogs.pipeline.api import simplify
-from nanogs.pipeline.cameras import requested_cameras
+from nanogs.pipeline.cameras import chosen_cameras
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.job import NanPolicy, import_stages
 from nanogs.pipeline.presets import DEFAULT_PRESET, renders
@@ -305,13 +304,7 @@ def _from_file_to_file(request: Request, plan: Plan, told: Progress | None) -> S
 
 def cameras_of(request: Request, splats: Splats) -> "Sequence[Camera] | None":
     """Cameras for presets that render; None for those that they choose themselves."""
-    given = request.cameras
-    if given is None or isinstance(given, str | PathLike):
-        named = "auto" if given is None else os.fspath(given)
-        return requested_cameras(splats, named, request.up, request.parameters)
-    from nanogs.views.cameras import given_cameras
-
-    return given_cameras(given)
+    return chosen_cameras(splats, request.cameras, request.up, request.parameters)
 
 
 def _stages(request: Request, plan: Plan) -> list[Stage]:
@@ -328,5 +321,7 @@ def _stages(request: Request, plan: Plan) -> list[Stage]:
 
 def _around(clock: StageClock, inner: dict[str, float]) -> dict[str, float]:
     """Seconds of reading, then those of the method, then those of what follows."""
-    first = {name: value for name, value in clock.seconds.items() if name in ("read", "filter")}
-    return first | inner | clock.seconds
+    before = {name: value for name, value in clock.seconds.items() if name in ("read", "filter")}
+    total = StageClock(before | inner)
+    total.add({name: value for name, value in clock.seconds.items() if name not in before})
+    return total.seconds

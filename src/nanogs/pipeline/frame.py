@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F64, U64
-from nanogs.errors import ModelError
+from nanogs.errors import NONE_USABLE, ModelError
 from nanogs.method.extent import Dilation, dilation
 from nanogs.method.gaussians import scene_origin
 from nanogs.method.nodes import activate_nodes, thinnest_axis
@@ -78,7 +78,7 @@ def survey(settings: Settings, unpacked: Unpacked | None = None) -> Frame:
     """
     some = sample(settings, unpacked)
     if len(some) == 0:
-        raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
+        raise ModelError(NONE_USABLE)
     origin = scene_origin(some.means)
     means = some.means - origin
     added = dilation(means, some.opacities(), some.render_mode, settings.parameters.pixels)

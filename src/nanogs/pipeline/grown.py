@@ -1,7 +1,7 @@
 """`nanogs.grow`: a model whose merges are known, so that any count is a moment away."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -25,8 +25,8 @@ from nanogs.splats import Splats, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.pipeline.one_block import OneBlock
-    from nanogs.raster.camera import Camera
     from nanogs.scoring.held_out import HeldOut
+    from nanogs.views.cameras import Cameras
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +196,7 @@ def grow(
     *,
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
-    cameras: Sequence["Camera"] | None = None,
+    cameras: "Cameras | None" = None,
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,

@@ -9,11 +9,12 @@ import numpy as np
 
 from nanogs._types import I32
 from nanogs.clock import StageClock
-from nanogs.errors import ModelError
+from nanogs.errors import NONE_USABLE, ModelError
 from nanogs.formatting import counted
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.cameras import chosen_cameras, refuse_unused_views
 from nanogs.pipeline.memory import plan_memory
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.presets import Parameters, parameters, renders
@@ -25,6 +26,7 @@ from nanogs.splats import Splats
 if TYPE_CHECKING:
     from nanogs.pipeline.one_block import OneBlock
     from nanogs.raster.camera import Camera
+    from nanogs.views.cameras import Cameras
 
 NanPolicy = Literal["drop", "error"]
 Deliver = Callable[[int, StageClock, Tracker], Outcome]
@@ -172,7 +174,7 @@ def prepare_job(
     splats: Splats,
     preset: str,
     overrides: dict[str, Any],
-    cameras: "Sequence[Camera] | None",
+    cameras: "Cameras | None",
     nan: NanPolicy,
     sh_degree: int | None = None,
 ) -> Job:
@@ -181,13 +183,16 @@ def prepare_job(
     A method that does not look at views gets the model without harmonics above the degree.
 
     Raises:
-        OptionError: There is no such preset or parameter.
+        OptionError: There is no such preset or parameter, or views are given that are no cameras or
+            mean nothing to the preset.
         ModelError: No splat is usable, or `nan="error"` and one is not.
     """
     chosen = parameters(preset, overrides)
+    refuse_unused_views(preset, chosen, given=cameras is not None)
     if sh_degree is not None and not renders(chosen):
         splats = splats.with_sh_degree(sh_degree)
-    return Job(splats, usable_rows(splats, nan), preset, chosen, cameras, sh_degree)
+    rows, views = usable_rows(splats, nan), chosen_cameras(splats, cameras, None, chosen)
+    return Job(splats, rows, preset, chosen, views, sh_degree)
 
 
 def import_stages(chosen: Parameters) -> None:
@@ -207,7 +212,7 @@ def usable_rows(splats: Splats, nan: NanPolicy) -> I32:
     finite = splats.finite()
     rows = np.flatnonzero(finite).astype(np.int32)
     if len(rows) == 0:
-        raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
+        raise ModelError(NONE_USABLE if len(splats) else "The model has no splats.")
     if nan == "error" and len(rows) < len(splats):
         first = int(np.flatnonzero(~finite)[0])
         raise ModelError(

@@ -22,7 +22,7 @@ from nanogs.report import SimplifyReport
 from nanogs.splats import Splats, refuse_misaligned_elements
 
 if TYPE_CHECKING:
-    from nanogs.raster.camera import Camera
+    from nanogs.views.cameras import Cameras
 
 
 def levels(
@@ -31,7 +31,7 @@ def levels(
     *,
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
-    cameras: Sequence["Camera"] | None = None,
+    cameras: "Cameras | None" = None,
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,
@@ -49,7 +49,8 @@ def levels(
         ratios: Compaction ratios in (0, 1], from the finest level to the coarsest.
         preset: Name of a preset; `paper` grows no forest, so that each level is a run of its own.
         sh_degree: As `simplify` takes it.
-        cameras: Views that matter, for presets that render; by default automatic ones.
+        cameras: Views that matter, for presets that render: "auto", "orbit", "inside", "roam", a
+            file or folder of cameras, or cameras; by default automatic.
         nan: As `simplify` takes it.
         device: As `simplify` takes it.
         threads: Threads to use; all by default. The result does not depend on it.
@@ -81,7 +82,7 @@ def judged_levels(
     judged: bool,
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
-    cameras: Sequence["Camera"] | None = None,
+    cameras: "Cameras | None" = None,
     nan: NanPolicy = "drop",
     device: str | None = None,
     threads: int | None = None,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import I64, U64
-from nanogs.errors import CrowdedError, ModelError
+from nanogs.errors import NONE_USABLE, CrowdedError, ModelError
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.spill import DIGEST
 from nanogs.store.columns import CODES
@@ -73,7 +73,7 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
     """
     splats = sum(int(record.facts["splats"]) for record in segments)
     if splats == 0:
-        raise ModelError("No splat is usable: every one holds a NaN or an infinite value.")
+        raise ModelError(NONE_USABLE)
     slack = 2 * settings.every * len(segments)  # half of it at either end of a range
     room = max(settings.block - slack, 1)
     splitters = _splitters(scratch, segments, settings.every, -(-splats // room))

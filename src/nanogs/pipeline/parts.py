@@ -74,10 +74,10 @@ class Parts(Source):
             self._table = None
 
 
-def further(small: Splats, target: int, settings: Settings) -> Splats:
+def further(small: Splats, target: int, settings: Settings, threads: int) -> Splats:
     """The model of a count below what blocks can be cut to, which are few splats by then."""
     given = asdict(settings.parameters) | {"measure": False, "steps": 0}
-    return simplify(small, count=target, preset="fast", **given)[0]
+    return simplify(small, count=target, preset="fast", threads=threads, **given)[0]
 
 
 def write_rest(work: "Work", name: str, level: int) -> Record:
@@ -94,7 +94,7 @@ def write_rest(work: "Work", name: str, level: int) -> Record:
     if sum(map(count_of, records)) <= target:
         return write_table(work.scratch, name, {}, {BOUNDS: None})
     parts = [read_part(work.scratch, work.settings.delivered, record) for record in records]
-    small = further(concatenate(parts), target, work.settings)
+    small = further(concatenate(parts), target, work.settings, work.threads)
     codes = work.frame.codes(small)
     order = np.argsort(codes, kind="stable")
     blocks = _filled(work, level)

@@ -18,7 +18,8 @@ from nanogs.io.retag import checked_mode
 from nanogs.io.stand_ins import refuse_address
 from nanogs.memory import Memory, allowed_memory
 from nanogs.pipeline.api import refuse_device, refuse_searches, refuse_small
-from nanogs.pipeline.asked import asked_views
+from nanogs.pipeline.asked import AUTO, asked_views
+from nanogs.pipeline.cameras import refuse_unused_views
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
 from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory
@@ -141,11 +142,13 @@ class Request:
 
         Raises:
             OptionError: A search is asked of a preset that has none, or there is no such degree,
-                device or format to write, or the device would have nothing to do.
+                device or format to write, or the device or views would have nothing to do.
         """
         refuse_device(self.device, self.preset, self.parameters, self.goal)
         refuse_searches(self.goal, self.preset, self.output)
         check_degree(self.sh_degree)
+        given = self.cameras not in (None, AUTO) or self.up is not None
+        refuse_unused_views(self.preset, self.parameters, given=given)
 
     def refuse_small(self, some: Splats) -> None:
         """Refuse a size that is far too small for any result.

@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from operator import index
+from typing import SupportsFloat
 
 from nanogs.errors import OptionError, TooSmallError
 from nanogs.formatting import counted
@@ -32,7 +34,11 @@ class Goal:
     draw_cost: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse none, several, and values that mean nothing."""
+        """Refuse none, several, and values that mean nothing; NumPy's numbers become Python's."""
+        for name in ("count", "size"):
+            object.__setattr__(self, name, _whole(name, getattr(self, name)))
+        for name in ("ratio", "psnr", "draw_cost"):
+            object.__setattr__(self, name, _real(name, getattr(self, name)))
         wishes = self.ratio, self.count, self.size, self.psnr, self.draw_cost
         if sum(wish is not None for wish in wishes) != 1:
             raise OptionError("Give exactly one of `ratio`, `count`, `size`, `psnr`, `draw_cost`.")
@@ -69,6 +75,25 @@ class Goal:
         if self.size is not None:
             return count_for_size(available, self.size, file_bytes)
         return target_count(available, self.ratio, self.count)
+
+
+def _whole(name: str, value: object) -> int | None:
+    if value is None:
+        return None
+    try:
+        if not isinstance(value, bool):
+            return index(value)  # type: ignore[arg-type]
+    except TypeError:
+        pass
+    raise OptionError(f"The {name} must be a whole number, not {value!r}.")
+
+
+def _real(name: str, value: object) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, SupportsFloat) and not isinstance(value, bool):
+        return float(value)
+    raise OptionError(f"`{name}` must be a number, not {value!r}.")
 
 
 def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:

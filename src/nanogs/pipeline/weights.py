@@ -85,7 +85,7 @@ def read_weight(splats: int) -> float:
 def write_weight(suffix: str, splats: int) -> float:
     """The stage of writing a file; SOG looks for a palette."""
     millions = splats / _MILLION
-    return 1 + 25 * millions if suffix in (".sog", "meta.json") else 0.3 * millions
+    return 1 + 25 * millions if suffix in (".sog", ".json", "meta.json") else 0.3 * millions
 
 
 def measure_stage(splats: int) -> Stage:
