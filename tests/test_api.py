@@ -15,9 +15,12 @@ import pytest
 import nanogs
 from builders import cloud_pair, random_splats
 from launch import run
+from nanogs.clock import StageClock
 from nanogs.errors import FormatError, ModelError, OptionError
+from nanogs.pipeline.files import _around
 from nanogs.raster.rendering import prepare
 from nanogs.views.automatic import automatic_cameras
+from nanogs.views.cameras import cameras_for
 from strategies import assert_same
 
 SMALL = {"views": 2, "pixels": (48, 32)}
@@ -195,6 +198,59 @@ def test_models_and_paths_the_wrong_way_round(tmp_path):
         with pytest.raises(ModelError, match=r"not the path 'a\.ply'; nanogs\.load\('a\.ply'\)"):
             call("a.ply")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("goal", "message"),
+    [
+        ({"count": 10.0}, r"count must be a whole number, not 10\.0"),
+        ({"count": True}, "count must be a whole number"),
+        ({"ratio": "0.1"}, "`ratio` must be a number, not '0.1'"),
+        ({"psnr": "30"}, "`psnr` must be a number"),
+    ],
+)
+def test_a_goal_is_a_number(pair, goal, message):
+    with pytest.raises(OptionError, match=message):
+        nanogs.simplify(pair[0], preset="fast", **goal)
+
+
+@pytest.mark.parametrize("goal", [{"count": np.int64(9)}, {"ratio": np.float32(0.25)}])
+def test_numbers_of_numpy_reach_no_report(pair, goal):
+    _, report = nanogs.simplify(pair[0], preset="fast", **goal)
+    assert json.loads(json.dumps(report.to_dict()))["achieved_count"] == report.achieved_count
+
+
+def test_views_are_named_or_given_and_not_ignored(pair, files, tmp_path):
+    quick = {"view_size": 64, "views": 4, "further": 0, "steps": 1}
+    named, _ = nanogs.simplify(pair[0], count=9, cameras="orbit", **quick)
+    cameras = cameras_for(pair[0], "orbit", count=4, width=64, height=64, split="fit")
+    given, _ = nanogs.simplify(pair[0], count=9, cameras=cameras, **quick)
+    assert (named.means == given.means).all()
+    with pytest.raises(OptionError, match="or at least one nanogs"):
+        nanogs.simplify(pair[0], count=9, cameras=[])
+    for views in ({"cameras": "roam"}, {"cameras": cameras}):
+        with pytest.raises(OptionError, match="renders nothing here"):
+            nanogs.simplify(pair[0], count=9, preset="fast", **views)
+        with pytest.raises(OptionError, match="renders nothing here"):
+            list(nanogs.levels(pair[0], [0.5], preset="fast", **views))
+    out = tmp_path / "out.ply"
+    for views in ({"cameras": "roam"}, {"up": (0, 0, 1)}):
+        with pytest.raises(OptionError, match="renders nothing here"):
+            nanogs.simplify_blocks(files[0], out, count=9, preset="fast", **views)
+    nanogs.simplify_blocks(files[0], out, count=9, preset="fast", cameras="auto")
+
+
+def test_a_model_without_splats_is_called_that(pair):
+    with pytest.raises(ModelError, match="has no splats"):
+        nanogs.simplify(pair[0].take(np.zeros(0, np.int64)), count=1, preset="fast")
+
+
+def test_seconds_of_a_stage_add_up():
+    """The method and what is around it may both measure."""
+    around = StageClock({"read": 1.0, "measure": 0.25, "write": 2.0})
+    found = _around(around, {"fit": 4.0, "measure": 8.0})
+    assert found == {"read": 1.0, "fit": 4.0, "measure": 8.25, "write": 2.0}
+    assert list(found) == ["read", "fit", "measure", "write"]
 
 
 # ---- compare --------------------------------------------------------------------------------

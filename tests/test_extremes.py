@@ -12,6 +12,7 @@ from builders import random_splats
 from nanogs.errors import OutputError
 from nanogs.method.extent import dilation
 from nanogs.method.gaussians import scene_origin
+from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.presets import PRESETS
 from nanogs.splats import RenderMode
 
@@ -105,6 +106,25 @@ def test_strays_far_away_do_not_change_the_rest(preset, distance):
     covered = [np.sum(m.opacities() * np.exp(2 * m.log_scales.mean(axis=1))) for m in
                (small.take(near), alone)]  # fmt: skip
     assert covered[0] == pytest.approx(covered[1], rel=0.1)
+
+
+@every_preset
+@pytest.mark.parametrize("place", [1.8e38, LARGEST])
+def test_a_scene_at_the_end_of_single_precision(preset, place):
+    """The sum of two such centres overflows float32."""
+    splats = random_splats(40)
+    splats.means[:, 0] = place
+    small, report = nanogs.simplify(splats, count=10, preset=preset)
+    assert (len(small), report.stop) == (10, "target")
+    assert_finite(small)
+
+
+def test_centres_that_are_not_finite_are_not_searched():
+    """The search would read beyond its arrays."""
+    means = random_splats(40).means.astype(np.float64)
+    means[3, 1] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        nearest_neighbours(means, 4, 1)
 
 
 def test_a_centre_beyond_single_precision_is_not_finite():

@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import shutil
+import signal
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +21,7 @@ from crashes import CrashError
 from nanogs.errors import FormatError, ModelError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
 from nanogs.method.parameters import ForestParameters
-from nanogs.pipeline import run, stages
+from nanogs.pipeline import cluster, run, stages
 from nanogs.pipeline.budget import budget
 from nanogs.pipeline.folder import LOCK, MANIFEST, locked, read_manifest, write_manifest
 from nanogs.pipeline.forests import BINS, histogram_of, keys, scores_of
@@ -471,6 +472,29 @@ def test_an_output_that_exists_is_kept_unless_told(scene, tmp_path):
     assert (out.read_text(), names(tmp_path)) == ("mine", ["small.ply"])
     nanogs.simplify_blocks(scene, out, ratio=0.3, overwrite=True, **FAST)
     assert len(nanogs.load(out)) == 360
+
+
+def test_a_job_that_cannot_be_noted_leaves_nothing(scene, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("nanogs.pipeline.stored_job.write_manifest", full)
+    with pytest.raises(OSError, match="No space"):
+        nanogs.simplify_blocks(
+            scene, tmp_path / "a.ply", ratio=0.3, scratch=str(tmp_path / "far"), **FAST
+        )
+    assert names(tmp_path) == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="as on Windows")
+def test_interrupts_come_again_where_no_process_can_be_started(monkeypatch):
+    def none(*_):
+        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("nanogs.pipeline.cluster.ProcessPoolExecutor.submit", none)
+    with pytest.raises(OSError, match="unavailable"), cluster.processes(1):
+        pass
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, set())
 
 
 def test_a_full_disk_is_said_and_the_job_kept(scene, tmp_path, expected, monkeypatch):

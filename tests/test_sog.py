@@ -224,6 +224,19 @@ def test_damaged_bundles_give_an_error_or_a_model(tmp_path):
     assert min(outcomes.values()) > 5, outcomes
 
 
+def test_as_many_texels_are_read_as_are_written(tmp_path, monkeypatch, recwarn):
+    """Pillow warns of pictures of more pixels than a web page has, and refuses twice that."""
+    path = tmp_path / "a.sog"
+    splats = random_splats(2000, degree=0)
+    io.save(splats, path)
+    monkeypatch.setattr("PIL.Image.MAX_IMAGE_PIXELS", 1500)
+    assert len(io.load(path)) == 2000
+    assert len(recwarn) == 0
+    monkeypatch.setattr("PIL.Image.MAX_IMAGE_PIXELS", 900)
+    with pytest.raises(FormatError, match="cannot be decoded"):
+        io.load(path)
+
+
 def flip(rng, data):
     out = bytearray(data)
     for _ in range(rng.integers(1, 4)):
@@ -330,6 +343,7 @@ def test_a_model_without_levels_has_none_to_choose_from(tmp_path):
         ({"tree": None}, "tree must be a JSON object"),
         ({"tree": {}}, "holds nothing of level 0"),
         ({"tree": leaf(_x=(0, 0, 1))}, "lods must be an integer"),
+        ({"tree": leaf(**{"_" + "9" * 5000: (0, 0, 1)})}, "lods must be an integer"),
         ({"tree": leaf(_0=(0, 0, 9))}, "fewer than its lod-meta.json says"),
         ({"tree": {"children": [leaf(_0=(0, 0, 2)), leaf(_0=(0, 1, 2))]}}, "twice in a level"),
         ({"environment": "../env/meta.json"}, "environment must name files below its own"),

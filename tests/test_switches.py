@@ -146,6 +146,22 @@ def test_levels_made_in_blocks_say_it_too(scene, tmp_path):
     assert astuple(made.levels[1].switch) == pytest.approx(astuple(again), rel=1e-6)
 
 
+@pytest.mark.parametrize("block", [None, 300])
+def test_levels_of_a_faint_model_are_kept_without(tmp_path, block):
+    """From afar no view shows anything opaque."""
+    splats = random_splats(300)
+    splats.opacity_logits[:] = -5
+    splats.log_scales[:] = -5
+    nanogs.save(splats, tmp_path / "faint.ply")
+    made, _ = nanogs.write_levels(
+        tmp_path / "faint.ply", tmp_path / "l", [1, 0.5, 0.2], preset="fast",
+        layout="streamed sog", environment="none", block=block, measured=True,
+    )  # fmt: skip
+    assert [level.switch for level in made.levels] == [None] * 3
+    assert sum("Nothing was measured" in note for note in made.notes) == 1
+    assert len(nanogs.load(tmp_path / "l/lod-meta.json", level=1)) == 150
+
+
 def test_files_that_no_viewer_chooses_among_have_none(splats, tmp_path):
     made, _ = nanogs.write_levels(splats, tmp_path / "l", [1, 0.1], preset="fast", measured=True)
     assert "switch" not in made.to_dict()["levels"][1]
