@@ -27,8 +27,7 @@ _FITTED, _FITTING = 450, 1_900  # a splat of the original, and of the model that
 _ROOM = 88  # a splat of the original, kept for its next view while a step is made
 _FIT_KEPT = 8  # a pixel of each view that is fitted to
 _READ = 1.4  # the model and what a reader of a packed file holds beside it, over the model
-# What writing holds beside the model, over the model; palettes take most.
-_WRITE, _SHARED = 0.4, 7.0
+_WHOLE = 0.4  # what is held beside the model where something has to see all of it
 _ROWS = 25_000_000  # blocks of rows on their way from file to file, filtered and turned
 # A splat: of .spz of version 4 a column is packed whole, and .compressed.ply is sorted by centres.
 _COLUMN = {".spz": 90, ".compressed.ply": 60}
@@ -157,9 +156,9 @@ def convert_bytes(
     held = known is None or known.holds_whole(options or {})
     if known is not None and not held and not whole:
         return _held(source) + _ROWS + _columns_bytes(known.suffix, info)
-    shared = held and known is not None and "palette" in known.options
-    more = _SHARED if shared else _WRITE
-    return max(_read(info), int(model_bytes(info) * (1 + more)))
+    model = model_bytes(info)
+    more = known.beside(model) if known is not None and held else int(_WHOLE * model)
+    return max(_read(info), model + more)
 
 
 def _columns_bytes(suffix: str, info: FileInfo) -> int:

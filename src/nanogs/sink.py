@@ -357,7 +357,7 @@ def refuse_large(
     """
     registry.writer(path)  # which refuses folders
     known = registry.writable(path)
-    most = held_splats(row, max_memory)
+    most = held_splats(path, row, max_memory)
     if known.holds_whole(options or {}) and most is not None and count > most:
         so = " with a palette" if known.streams else ""
         raise OptionError(
@@ -366,11 +366,14 @@ def refuse_large(
         )
 
 
-def held_splats(row: int, max_memory: int | None) -> int | None:
-    """Splats that a writer may hold whole; None for any number.
+def held_splats(path: Path, row: int, max_memory: int | None) -> int | None:
+    """Splats of a file that a writer may hold whole; None for any number.
 
     Args:
+        path: What is to be written.
         row: Bytes of a splat.
         max_memory: Bytes, or None for no limit.
     """
-    return None if max_memory is None else max_memory // (3 * row)
+    if max_memory is None:
+        return None
+    return max_memory // (row + registry.writable(path).beside(row))

@@ -67,6 +67,10 @@ class WriteOption:
         return " or ".join(map(str, self.values))
 
 
+# Bytes that writing takes beside a model that it holds, over those of the model.
+_PACKED, _PALETTE = 0.4, 7.0
+
+
 @dataclass(frozen=True, slots=True)
 class Format:
     """One format: what its files are called, and how they are read and written.
@@ -119,6 +123,10 @@ class Format:
         """Whether writing with such options holds the whole model, and not some rows of it."""
         given = [name for name, value in options.items() if value is not None]
         return not self.streams or any(self.options[n].whole for n in given if n in self.options)
+
+    def beside(self, model: int) -> int:
+        """Bytes that writing takes beside a model of so many bytes, where it holds that whole."""
+        return int(model * (_PALETTE if "palette" in self.options else _PACKED))
 
     @property
     def writable(self) -> bool:

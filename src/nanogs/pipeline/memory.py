@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from nanogs.block_layouts import PLACED, Chunked, Linked
+from nanogs.io.format import Format
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.memory_forest import forest_stages, graph_bytes, match_bytes, pairs_of
 from nanogs.pipeline.presets import Parameters
@@ -65,6 +66,20 @@ def plan_memory(
         )
     stages = {stage: count * row + more for stage, more in held.items()}
     return MemoryPlan(count * row, working_set, stages, max(stages.values()))
+
+
+def plan_writing(plan: MemoryPlan, splats: int, target: int, known: Format) -> MemoryPlan:
+    """Memory of making a file whose writer holds the whole result.
+
+    Args:
+        plan: Of making the result.
+        splats: Of the model.
+        target: Splats of the result.
+        known: The format of the file.
+    """
+    small = plan.input_columns // max(splats, 1) * target
+    held = plan.input_columns + small + known.beside(small)
+    return replace(plan, stages=plan.stages | {"write": held}, peak=max(plan.peak, held))
 
 
 def plan_chunks(

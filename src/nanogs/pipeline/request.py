@@ -22,7 +22,7 @@ from nanogs.pipeline.asked import AUTO, asked_views
 from nanogs.pipeline.cameras import refuse_unused_views
 from nanogs.pipeline.folder import MANIFEST, job_folder, refuse_finished
 from nanogs.pipeline.job import NanPolicy
-from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory
+from nanogs.pipeline.memory import MemoryPlan, plan_chunks, plan_memory, plan_writing
 from nanogs.pipeline.presets import DEFAULT_PRESET, Parameters, parameters, renders
 from nanogs.pipeline.rows import Changes, check_degree, open_parts
 from nanogs.pipeline.target import Goal, is_searched, target_count
@@ -265,6 +265,9 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
     judged = measured or (not request.ratios and request.searches(degree))
     plan = plan_memory(splats, degree, extra, request.parameters, target, judged=judged)
     if request.chunks is None:
+        known = None if request.ratios else registry.writable(request.output)
+        if known is not None and known.holds_whole(request.format_options or {}):
+            return plan_writing(plan, splats, target, known)
         return plan
     return plan_chunks(plan, splats, degree, target, request.ratios, request.chunks)
 

@@ -151,7 +151,7 @@ class Search:
             self.options or {},
             settings.sh_degree,
             looks=renders(settings.parameters),
-            most=held_splats(row_bytes(settings.layout), self.max_memory),
+            most=held_splats(self.output, row_bytes(settings.layout), self.max_memory),
         )
 
     @contextmanager
