@@ -202,7 +202,7 @@ def test_store(timed, scene):
             scene["splats"],
             scene["origin"],
             scene["pixel"],
-            sheets=True,
+            freely=True,
         ).grown(1.1),
         scene["merged"].features,
     )

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 import nanogs
 import twins
 from nanogs.kernels.sheets import DENSE, FLATNESS
-from nanogs.method.growth import SHEET_GROWTH, growth_on_sheets
+from nanogs.method.growth import MOST_GROWTH, growth_on_sheets
 from nanogs.method.nodes import Nodes, gather
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import prepare, render
@@ -62,7 +62,7 @@ def test_growth_equals_the_twin(thickness, size):
     turn = Rotation.random(random_state=3).as_matrix()
     points = rng.normal(size=(30, 3)) * [1.5, 1, thickness] @ turn.T
     nodes = nodes_at(points, turn @ np.diag([size**2, size**2, 1e-4]) @ turn.T)
-    assert twin_growth(nodes) < SHEET_GROWTH
+    assert twin_growth(nodes) < MOST_GROWTH
     assert growths(nodes) == pytest.approx(twin_growth(nodes), rel=1e-9)
 
 
@@ -71,7 +71,7 @@ def test_only_sheets_grow():
     small = 1e-4 * np.eye(3)
     sheet = rng.normal(size=(20, 3)) * [1, 1, 0]
     line, cloud = sheet * [1, 0.01, 0], rng.normal(size=(20, 3))
-    assert growths(nodes_at(sheet, small), 1.1) == SHEET_GROWTH
+    assert growths(nodes_at(sheet, small), 1.1) == MOST_GROWTH
     for points in (line, cloud, sheet[:3], np.zeros((20, 3))):
         assert growths(nodes_at(points, small), 1.1) == 1.1
 

@@ -1,5 +1,6 @@
 """Nearest neighbours of every centre: exact, and the same for any number of threads."""
 
+import numba
 import numpy as np
 
 from nanogs import spread
@@ -14,7 +15,7 @@ from nanogs.threads import use_threads
 _EXPONENT = 500  # coordinates are scaled to 2^500: their squares fit, and so do those of 2^-1000
 
 
-def nearest_neighbours(means: F64, k: int, threads: int) -> I32:
+def nearest_neighbours(means: F64, k: int, threads: int | None = None) -> I32:
     """Exact nearest neighbours of every row among the others.
 
     They are the k first by (squared distance in float64, row), with one exception: in a group of
@@ -24,7 +25,7 @@ def nearest_neighbours(means: F64, k: int, threads: int) -> I32:
     Args:
         means: (N, 3) finite, scene units.
         k: Neighbours wanted; fewer where N - 1 is less.
-        threads: Threads for the search.
+        threads: Threads for the search; by default those in use.
 
     Returns:
         (N, min(k, N - 1)) int32 rows, nearest first, never the row itself.
@@ -35,6 +36,7 @@ def nearest_neighbours(means: F64, k: int, threads: int) -> I32:
     if k <= 0:
         return neighbours
     crowded = np.empty(n, dtype=bool)
+    threads = numba.get_num_threads() if threads is None else threads
     with use_threads(threads):
         _search(_scaled(means), threads, neighbours, crowded)
         if crowded.any():

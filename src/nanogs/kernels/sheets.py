@@ -5,25 +5,12 @@ import math
 from nanogs._types import F64, I32, I64
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import inline, parallel_kernel
-from nanogs.kernels.quaternion import Row3
-from nanogs.kernels.symmetric3 import Symmetric3, eigen
+from nanogs.kernels.symmetric3 import Symmetric3, adjugate_product, eigen
 
 FEWEST = 4  # means that may be said to lie in a plane
 FLATNESS = 0.04  # thickness of a sheet over its width
 NARROWEST = 0.1  # width of a sheet over its length
 DENSE = 3.6  # layers of Gaussians that let no light through
-
-
-@inline
-def _across(s: Symmetric3, n: Row3) -> float:
-    """Determinant of a covariance as seen along a unit vector, n^T adj(S) n."""
-    xx, xy, xz, yy, yz, zz = s
-    x, y, z = n
-    return (
-        x * x * (yy * zz - yz * yz) + y * y * (xx * zz - xz * xz) + z * z * (xx * yy - xy * xy)
-        + 2.0 * (x * y * (xz * yz - xy * zz) + x * z * (xy * yz - xz * yy)
-                 + y * z * (xy * xz - xx * yz))
-    )  # fmt: skip
 
 
 @inline
@@ -35,7 +22,7 @@ def _growth(means: Symmetric3, whole: Symmetric3) -> float:
     if not middle > NARROWEST * NARROWEST * high:
         return 0.0
     axis = 0 if a == low else (1 if b == low else 2)
-    across = _across(whole, (first[axis], second[axis], third[axis]))
+    across = adjugate_product(whole, (first[axis], second[axis], third[axis]))
     flat = math.exp(-max(low, 0.0) / (middle * FLATNESS * FLATNESS))
     # A piece of the sheet, evenly filled, is 12 s1 s2 large; the Gaussian covers 2 pi of its own.
     layers = 2.0 * math.pi * math.sqrt(max(across, 0.0)) / (12.0 * math.sqrt(middle * high))

@@ -71,6 +71,18 @@ def determinant(s: Symmetric3) -> float:
 
 
 @inline
+def adjugate_product(s: Symmetric3, d: Row3) -> float:
+    """d^T adj(S) d: for a unit vector, the determinant of a covariance as seen along it."""
+    xx, xy, xz, yy, yz, zz = s
+    x, y, z = d
+    return (
+        x * x * (yy * zz - yz * yz) + y * y * (xx * zz - xz * xz) + z * z * (xx * yy - xy * xy)
+        + 2.0 * (x * y * (xz * yz - xy * zz) + x * z * (xy * yz - xz * yy)
+                 + y * z * (xy * xz - xx * yz))
+    )  # fmt: skip
+
+
+@inline
 def resolved(s: Symmetric3) -> bool:
     """Whether the determinant of a covariance is more than what rounding leaves of its products.
 

@@ -4,11 +4,15 @@ import numpy as np
 
 from nanogs._types import F32, F64, I32
 from nanogs.kernels.sheets import sheet_growths
+from nanogs.kernels.sides import covered_sides
 from nanogs.method.integrals import exponential_integral
 from nanogs.method.nodes import Nodes, member_lists
+from nanogs.neighbours import nearest_neighbours
 from nanogs.slices import slices
 
-SHEET_GROWTH = 1.8  # most that an axis of a group on a sheet may grow
+# Most that an axis of a group may grow that lies on a sheet, or between others on all sides.
+MOST_GROWTH = 1.8
+_AROUND = 16  # nearest groups that may cover the sides of one
 
 
 def blocked(coverages: F64, areas: F64) -> F64:
@@ -73,6 +77,28 @@ def widened(scales: F32, larger: F64) -> F32:
     return scales * factors.astype(np.float32)
 
 
+def covered_around(merged: Nodes, alphas: F64, groups: I32, scales: F32, quats: F32) -> F64:
+    """(R,) float64 in [0, 1], how far others cover all four sides of some groups.
+
+    Where they do, a group that grows fills gaps between it and them; where they do not, it reaches
+    beyond the surface.
+
+    Args:
+        merged: G nodes from `gather`.
+        alphas: (G,) float64 of all, as they are stored.
+        groups: (R,) int32, rows of those asked for.
+        scales: (R, 3) float32 of these, scene units.
+        quats: (R, 4) float32 of these, wxyz, unit.
+    """
+    shares = np.zeros(len(groups))
+    if len(groups) and len(merged) > 1:
+        neighbours = nearest_neighbours(merged.means, _AROUND)
+        covered_sides(
+            groups, scales, quats, neighbours, merged.means, merged.covariances, alphas, shares
+        )
+    return shares
+
+
 def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32, growth: float) -> F64:
     """(G,) float64: most that the axes of each group may grow, more on flat sheets.
 
@@ -91,4 +117,4 @@ def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32, growth: float) -
         starts, members, leaves.weights, leaves.means,
         merged.weights, merged.means, merged.covariances, growths,
     )  # fmt: skip
-    return np.maximum(np.minimum(growths, SHEET_GROWTH), growth)
+    return np.maximum(np.minimum(growths, MOST_GROWTH), growth)

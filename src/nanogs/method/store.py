@@ -9,7 +9,7 @@ from nanogs._types import F32, F64, I32, I64, Array, Bool
 from nanogs.kernels.nodes import principal_axes
 from nanogs.method.extent import Dilation
 from nanogs.method.gaussians import LEAST_ALPHA, LEAST_SCALE
-from nanogs.method.growth import area_needs, blocked, widened
+from nanogs.method.growth import MOST_GROWTH, area_needs, blocked, covered_around, widened
 from nanogs.method.nodes import Nodes, footprints, gather, stored_order
 from nanogs.slices import slices
 from nanogs.splats import Splats, pick
@@ -27,6 +27,8 @@ class Groups:
         scales: (M, 3) float32 of the new ones without growth, scene units.
         needed: (M,) float64, how much larger they have to be to block enough light.
         least: (M,) float64, from 1, how much larger those on flat sheets become in any case.
+        covered: (M,) float64 in [0, 1], how far others cover all sides of each: the more, the more
+            it may grow.
     """
 
     model: Splats
@@ -34,10 +36,15 @@ class Groups:
     scales: F32
     needed: F64
     least: F64
+    covered: F64
 
     def grown(self, growth: float) -> Splats:
-        """The model, whose axes may grow by so much at most; its other columns are shared."""
-        larger = np.maximum(np.clip(self.needed, 1.0, growth**2), self.least)
+        """The model, whose axes may grow by so much at most; its other columns are shared.
+
+        Those that others cover on all sides may grow by `MOST_GROWTH`, if that is more.
+        """
+        most = growth + max(MOST_GROWTH - growth, 0.0) * self.covered
+        larger = np.maximum(np.clip(self.needed, 1.0, most**2), self.least)
         log_scales = self.model.log_scales.copy()
         scales = np.maximum(widened(self.scales, larger), np.float32(LEAST_SCALE))
         log_scales[self.new] = np.log(scales)
@@ -51,7 +58,7 @@ def store_groups(
     origin: F64,
     dilation: Dilation,
     *,
-    sheets: bool,
+    freely: bool,
 ) -> Groups:
     """Stored values of groups, in the order of their dominant members in the input.
 
@@ -65,7 +72,8 @@ def store_groups(
         splats: The input.
         origin: (3,) what `activate_nodes` took off the centres, scene units.
         dilation: As `activate_nodes` takes it.
-        sheets: Those of groups on flat sheets may grow more (`growth.growth_on_sheets`).
+        freely: Groups on flat sheets, and those that others cover on all sides, may grow more
+            (`growth.growth_on_sheets`, `growth.covered_around`).
     """
     groups = int(labels.max()) + 1
     sources, order, new = stored_order(leaves, labels, groups)
@@ -78,9 +86,13 @@ def store_groups(
     quats = np.empty((len(scales), 4), np.float32)
     areas = footprints(merged.covariances, dilation.at(merged.means))
     principal_axes(merged.covariances[new], scales, quats)
-    needed, least = area_needs(merged, leaves, labels, areas, sheets=sheets)
-    alphas = blocked(merged.coverages[new], areas[new]) / areas[new]
-    alphas = np.clip(alphas, LEAST_ALPHA, MOST_OPAQUE)
+    needed, least = area_needs(merged, leaves, labels, areas, sheets=freely)
+    every = np.clip(blocked(merged.coverages, areas) / areas, LEAST_ALPHA, MOST_OPAQUE)
+    alphas, covered = every[new], np.zeros(len(scales))
+    if freely:
+        asked = np.flatnonzero(needed[new] > 1.0)
+        rows = np.flatnonzero(new)[asked].astype(np.int32)
+        covered[asked] = covered_around(merged, every, rows, scales[asked], quats[asked])
     sh = merged.features.reshape(groups, *splats.sh.shape[1:])
     stored = _of_sources(splats, sources, sh)
     stored.means[new] = merged.means[new] + origin
@@ -92,7 +104,7 @@ def store_groups(
         sh[alone[part]] = pick(splats.sh, sources[alone[part]])
 
     spread.each(slices(len(alone)), restore)
-    return Groups(stored, new, scales, needed[new], least[new])
+    return Groups(stored, new, scales, needed[new], least[new], covered)
 
 
 def _of_sources(splats: Splats, sources: I64, sh: F32) -> Splats:

@@ -286,7 +286,7 @@ class OneBlock(Scene):
         del self._stored[:-1]
         groups = store_groups(
             self._leaves, members.labels, self.splats, origin, added,
-            sheets=not self.measures,
+            freely=not self.measures,
         )  # fmt: skip
         self._stored.append((members.labels, groups))
         return groups

@@ -233,9 +233,9 @@ class Work(Scene):
     def stored(self, members: Members) -> Groups:
         """The groups of a block as splats."""
         leaves = leaves_of(members.splats, members.rows, self.frame, self.seen(members.visible))
-        frame, sheets = self.frame, not self.measures
+        frame, freely = self.frame, not self.measures
         return store_groups(
-            leaves, members.labels, members.splats, frame.centre(), frame.dilation(), sheets=sheets
+            leaves, members.labels, members.splats, frame.centre(), frame.dilation(), freely=freely
         )
 
     def visible_with(self, block: int, halo: Sequence[Halo]) -> F64:

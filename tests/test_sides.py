@@ -1,0 +1,139 @@
+"""Growth of merged splats that others cover on all sides."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import nanogs
+import twins
+from nanogs.kernels.sides import AWAY, ENOUGH, THICK
+from nanogs.method.growth import MOST_GROWTH, covered_around
+from nanogs.method.nodes import Nodes
+from nanogs.method.store import Groups
+from nanogs.neighbours import nearest_neighbours
+from nanogs.raster.rendering import prepare, render
+from nanogs.splats import Splats
+from nanogs.views.automatic import automatic_cameras
+
+
+def nodes_of(means, scales, turns):
+    """Nodes, the scales and the quaternions, wxyz, of splats turned by (G, 3, 3)."""
+    covariances = np.array([twins.pack(t @ np.diag(s**2) @ t.T)
+                            for s, t in zip(scales, turns, strict=True)])  # fmt: skip
+    ones, rows = np.ones(len(means)), np.arange(len(means), dtype=np.int32)
+    nodes = Nodes(ones, ones, means, covariances, np.zeros((len(means), 3), np.float32), rows)
+    quats = Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]]
+    return nodes, scales.astype(np.float32), quats.astype(np.float32)
+
+
+def twin(means, scales, turns, alphas, k):
+    """(G,) as the kernel says it, by NumPy's solver."""
+    neighbours = nearest_neighbours(means, k)
+    shares = []
+    for own in range(len(means)):
+        by_length = np.argsort(scales[own])
+        thick = (THICK * scales[own][by_length[1]]) ** 2
+        sums = []
+        for axis in by_length[1:]:
+            for side in (-1, 1):
+                point = means[own] + side * AWAY * scales[own][axis] * turns[own][:, axis]
+                total = 0.0
+                for other in neighbours[own]:
+                    matrix = turns[other] @ np.diag(scales[other] ** 2) @ turns[other].T
+                    d = point - means[other]
+                    squared = d @ np.linalg.solve(matrix + thick * np.eye(3), d)
+                    total += alphas[other] * np.exp(-0.5 * squared)
+                sums.append(total)
+        shares.append(min(1.0, min(sums) / ENOUGH))
+    return np.array(shares)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_covers_the_sides_equals_the_twin(seed):
+    rng = np.random.default_rng(seed)
+    count = 60
+    means = rng.normal(size=(count, 3)) * [1, 1, 0.1]
+    scales = rng.uniform(0.05, 0.4, (count, 3))
+    turns = Rotation.random(count, random_state=seed).as_matrix()
+    alphas = rng.uniform(0.1, 1, count)
+    nodes, stored, quats = nodes_of(means, scales, turns)
+    some = np.arange(0, count, 2, dtype=np.int32)
+    found = covered_around(nodes, alphas, some, stored[some], quats[some])
+    expected = twin(means, scales, turns, alphas, 16)[some]
+    assert found == pytest.approx(expected, rel=1e-4, abs=1e-6)
+    assert 0 < expected.mean() < 1
+
+
+def test_those_in_the_middle_are_covered_and_those_at_the_edge_are_not():
+    places = np.arange(-4.0, 5.0)
+    x, y = (axis.ravel() for axis in np.meshgrid(places, places))
+    means = np.stack([x, y, 0 * x], axis=1)
+    scales = np.tile([0.29, 0.28, 0.01], (len(means), 1))  # those of squares of side 1
+    nodes, stored, quats = nodes_of(means, scales, np.tile(np.eye(3), (len(means), 1, 1)))
+    rows = np.arange(len(means), dtype=np.int32)
+    found = covered_around(nodes, np.ones(len(means)), rows, stored, quats)
+    edge = np.maximum(np.abs(x), np.abs(y)) == 4
+    assert (found[edge] < 1e-3).all()
+    assert (found[~edge] == 1).all()
+    faint = covered_around(nodes, np.full(len(means), 0.1), rows, stored, quats)
+    assert (faint[~edge] < 0.5).all()
+
+
+def test_one_group_alone_is_covered_by_none():
+    nodes, stored, quats = nodes_of(np.zeros((1, 3)), np.ones((1, 3)), np.eye(3)[None])
+    one = np.zeros(1, np.int32)
+    assert covered_around(nodes, np.ones(1), one, stored, quats).tolist() == [0.0]
+
+
+def shell(count):
+    """Opaque splats of many sizes on a sphere, too rough to be a sheet."""
+    rng = np.random.default_rng(5)
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    size = 6 / np.sqrt(count) * rng.uniform(0.5, 1.5, (count, 2))
+    axes = np.cross(np.tile([0, 0, 1.0], (count, 1)), normals)
+    angles = np.arccos(np.clip(normals[:, 2], -1, 1)) / np.maximum(
+        np.linalg.norm(axes, axis=1), 1e-9
+    )
+    quats = Rotation.from_rotvec(axes * angles[:, None]).as_quat()[:, [3, 0, 1, 2]]
+    means = normals * rng.normal(1, 0.02, (count, 1))
+    return Splats(
+        means=means.astype(np.float32),
+        log_scales=np.log(np.column_stack([size, 0.1 * size[:, :1]])).astype(np.float32),
+        quats=quats.astype(np.float32),
+        opacity_logits=np.full(count, 3, np.float32),
+        sh=np.tile(np.float32([0.8, 0.2, -0.5]), (count, 1, 1)),
+    )
+
+
+def test_a_rough_wall_lets_less_light_through(monkeypatch):
+    splats = shell(20_000)
+    cameras = automatic_cameras(splats, 4, width=128, height=128)
+    before = [render(prepare(splats), camera).alpha for camera in cameras]
+
+    def lost():
+        small = prepare(nanogs.simplify(splats, ratio=0.02, preset="fast")[0])
+        after = [render(small, camera).alpha for camera in cameras]
+        pairs = zip(before, after, strict=True)
+        return np.mean([(a - b)[a > 0.98].mean() for a, b in pairs])
+
+    with_it = lost()
+    monkeypatch.setattr(
+        "nanogs.method.store.covered_around", lambda *given: np.zeros(len(given[2]))
+    )
+    assert with_it < 0.5 * lost()
+
+
+def test_the_covered_may_grow_more_and_others_as_much_as_all():
+    needed, covered = np.array([4.0, 4.0, 4.0, 1.1]), np.array([0.0, 0.5, 1.0, 1.0])
+    model = shell(4)
+    scales = np.exp(model.log_scales)
+    groups = Groups(model, np.ones(4, bool), scales, needed, np.ones(4), covered)
+
+    def areas(growth):
+        larger = np.exp(groups.grown(growth).log_scales)
+        return (larger / scales).prod(axis=1)
+
+    half = 1.25 + 0.5 * (MOST_GROWTH - 1.25)
+    assert areas(1.25) == pytest.approx([1.25**2, half**2, MOST_GROWTH**2, 1.1], rel=1e-5)
+    assert areas(3.0) == pytest.approx(needed, rel=1e-5)
