@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from builders import random_splats
 from conftest import scene_path
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import ModelError, OptionError
+from nanogs.raster.rendering import render
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.poses import look_at, low_discrepancy
@@ -281,3 +283,14 @@ def product(a, b):
     v, w = a[1:], b[:, 1:]
     scalars = a[0] * b[:, :1] - w @ v[:, None]
     return np.hstack([scalars, a[0] * w + b[:, :1] * v + np.cross(np.broadcast_to(v, w.shape), w)])
+
+
+@pytest.mark.parametrize("count", [5, 8, 10, 20])
+def test_a_few_splats_are_no_room(count):
+    """By chance most of a few lie near the faces of some box; views from inside showed nothing."""
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        splats = random_splats(count, degree=0)
+        splats.means[:] = rng.normal(size=(count, 3))
+        for camera in automatic_cameras(splats, 8, width=32, height=32, split="test"):
+            assert render(splats, camera).alpha.max() > 0

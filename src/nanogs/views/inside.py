@@ -13,6 +13,7 @@ WALL_SHARE = 0.55  # of a room's area, in its six walls; a sphere has 0.48
 FACE_SHARE = 0.06  # of a room's area, in a wall that counts
 FACES = 4  # that a room has at least: one may be open, the ceiling unseen
 GROUND_SHARE = 0.5  # of the walls' area: a face with more is the ground of an open scene
+FEWEST = 50  # splats of a room: of fewer, chance puts most near the faces of some box
 CONTENT = 0.02  # of a room's area, well inside it; a closed box has none
 TURNS = 18  # tried within a quarter turn
 SAMPLE = 6_000  # splats that a box is fitted to; shares come out to a hundredth
@@ -44,6 +45,8 @@ class Box:
 
 def is_room(matter: Matter, core: Core, up: F64) -> bool:
     """Whether four walls or more hold most of the area, and something stands inside."""
+    if len(core.rows) < FEWEST:
+        return False
     box = fit_box(matter, core, up)
     area = box.faces.sum()
     walled = area > WALL_SHARE and (box.faces > FACE_SHARE).sum() >= FACES

@@ -243,8 +243,9 @@ def _shown(splats: PreparedSplats, candidate: Candidate) -> F64 | None:
     view = project(splats, camera, sh_degree=0)
     depths = view.features[:, 3]
     features = np.ones((len(depths), 3), np.float32)
-    features[:, 0] = np.abs(depths - distance) <= ABOUT * distance
-    features[:, 1] = depths < LENS * distance
+    with np.errstate(invalid="ignore"):  # rows that are not drawn hold junk
+        features[:, 0] = np.abs(depths - distance) <= ABOUT * distance
+        features[:, 1] = depths < LENS * distance
     ones = np.ones((1, camera.height, camera.width), np.float32)
     image, _, totals = blend(view, camera, features, np.zeros(3, np.float32), ones)
     hit = middle(image)[0] >= HIT
