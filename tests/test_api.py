@@ -240,6 +240,28 @@ def test_views_are_named_or_given_and_not_ignored(pair, files, tmp_path):
     nanogs.simplify_blocks(files[0], out, count=9, preset="fast", cameras="auto")
 
 
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda m: nanogs.simplify(m, count=9, preset="fast", k=3.5), "k must be a whole number"),
+        (lambda m: nanogs.simplify(m, count=9, preset="fast", growth="a"), "growth must be a num"),
+        (lambda m: nanogs.save(m, "o.sog", format_options={"bits": 6.0}), "`bits` must be a whole"),
+        (lambda m: nanogs.render(m, "orbit", background="white"), "three finite numbers, not 'whi"),
+        (lambda m: nanogs.levels(m, 0.5), r"such as \[0.5, 0.1\], not 0.5"),
+        (lambda m: nanogs.filters.crop_box(m, 1, 2), "three finite numbers x,y,z, not 1"),
+        (lambda m: nanogs.filters.crop_box(m, "abc", "d"), "three finite numbers x,y,z, not 'abc'"),
+    ],
+)
+def test_what_python_is_given_is_refused_in_a_sentence(pair, call, message):
+    with pytest.raises(OptionError, match=message):
+        call(pair[0])
+
+
+def test_one_format_needs_no_list(pair):
+    cost = nanogs.packing_cost(pair[0], ".spz")
+    assert [file.format for file in cost.files] == [".spz"]
+
+
 def test_a_model_without_splats_is_called_that(pair):
     with pytest.raises(ModelError, match="has no splats"):
         nanogs.simplify(pair[0].take(np.zeros(0, np.int64)), count=1, preset="fast")

@@ -339,8 +339,11 @@ def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:
 
 
 def _point(values: Sequence[float]) -> F64:
-    point = np.array(values, np.float64)
+    try:
+        point = np.array(values, np.float64)
+    except (TypeError, ValueError):
+        raise OptionError(f"A point is three finite numbers x,y,z, not {values!r}.") from None
     if point.shape != (3,) or not np.isfinite(point).all():
-        given = ",".join(f"{value:g}" for value in values)
+        given = ",".join(f"{value:g}" for value in point.ravel())
         raise OptionError(f"A point is three finite numbers x,y,z, not {given}.")
     return point

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, SupportsFloat, SupportsIndex
 
 from nanogs.errors import OptionError
 
@@ -76,5 +76,10 @@ def check_ranges(chosen: Any) -> None:  # noqa: ANN401 - any dataclass
     """
     for name, known in known_parameters(chosen).items():
         value = getattr(chosen, name)
-        if expected := known.expected(value):
+        whole = next(each.type for each in fields(chosen) if each.name == name) is int
+        number = isinstance(value, SupportsIndex if whole else SupportsFloat)
+        if isinstance(value, bool) or not number:
+            kind = "a whole number" if whole else "a number"
+            raise OptionError(f"{name} must be {kind}, not {value!r}.")
+        if expected := known.expected(float(value)):
             raise OptionError(f"{name} must be {expected}, not {value:g}.")

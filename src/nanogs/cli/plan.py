@@ -78,6 +78,11 @@ class Plan:
         info, most = self.info, self.count or self.info.splats
         return memory_of(self.wish, info.splats, info.sh_degree, info.extra_bytes(), most)
 
+    @property
+    def read(self) -> bool:
+        """Whether planning reads the splats, of which only usable ones count; or headers alone."""
+        return self.divided or self.wish.goal.size is not None or bool(self.wish.filters)
+
     def shown(self) -> "Plan":
         """The plan with what only the splats tell: a count, what filters leave, and blocks.
 
@@ -92,7 +97,7 @@ class Plan:
                 left = count_of(wish.goal, blocks.splats, settings.delivered, wish.sizer)
             info = replace(self.info, splats=blocks.splats)
             return replace(self, blocks=blocks, info=info, count=left)
-        if wish.goal.size is None and not wish.filters:
+        if not self.read:
             return self
         splats = prepare(read_parts(wish.inputs, wish.render_mode), wish.edits).splats
         rows, goal = usable_rows(splats, wish.nan), wish.goal

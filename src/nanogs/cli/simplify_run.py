@@ -91,4 +91,5 @@ def print_plan(run: Run) -> None:
         text = f"as few splats as reach {plan.wish.goal.psnr:g} dB on {Protocol().text}"
     else:
         text = f"{counted(plan.count, 'splat')} ({plan.count / plan.info.splats:.3%})"
+        text += "" if plan.read else ", if none holds a NaN or an infinite value"
     show_plan(plan, text)

@@ -134,7 +134,7 @@ def keywords(known: Format, options: FormatOptions) -> dict[str, Any]:
             continue
         if (option := known.options.get(name)) is None:
             raise OptionError(_foreign(name, known))
-        if isinstance(value, bool) or value not in option.values:
+        if isinstance(value, bool | float) or value not in option.values:  # 6.0 equals 6
             raise OptionError(f"`{name}` must be {option.allowed}, not {value!r}.")
         chosen[option.keyword] = value
     known.check_options(options)

@@ -1,7 +1,7 @@
 """`nanogs.levels`: several ratios of one model, from one build."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -125,6 +125,8 @@ def check_ratios(ratios: Sequence[float]) -> None:
     Raises:
         OptionError: It is empty, a ratio is out of range, or they do not fall from one to the next.
     """
+    if not isinstance(ratios, Iterable):
+        raise OptionError(f"The ratios of levels are several, such as [0.5, 0.1], not {ratios!r}.")
     if len(ratios) == 0:
         raise OptionError("Give at least one ratio for the levels.")
     for ratio in ratios:

@@ -479,9 +479,12 @@ def background_of(background: tuple[float, float, float], *, depth: bool) -> F32
     Raises:
         OptionError: It is not three finite numbers.
     """
-    values = np.array([*background, 0.0], np.float32)
+    try:
+        values = np.array([*background, 0.0], np.float32)
+    except (TypeError, ValueError):
+        values = np.empty(0, np.float32)  # which is no colour either
     if values.shape != (4,) or not np.isfinite(values).all():
-        raise OptionError(f"background must be three finite numbers, not {background}.")
+        raise OptionError(f"background must be three finite numbers, not {background!r}.")
     return values if depth else values[:3]
 
 

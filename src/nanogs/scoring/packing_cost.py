@@ -90,7 +90,7 @@ class PackingCost:
 
 def packing_cost(
     model: Model,
-    formats: Sequence[str],
+    formats: str | Sequence[str],
     *,
     format_options: FormatOptions | None = None,
     threads: int | None = None,
@@ -103,7 +103,7 @@ def packing_cost(
 
     Args:
         model: The model, or its path.
-        formats: Suffixes of formats, such as [".sog", ".spz"].
+        formats: Suffix of a format, or several, such as [".sog", ".spz"].
         format_options: As `save` takes them; each format gets those that it has.
         threads: Threads to use; all by default. The result does not depend on it.
         max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
@@ -124,7 +124,7 @@ def packing_cost(
             or the model is a file of the format already.
         OutputError: A file cannot be written.
     """
-    packing = packing_of(formats, format_options)
+    packing = packing_of([formats] if isinstance(formats, str) else formats, format_options)
     limit = None if max_memory is None else as_bytes(max_memory)
     with ExitStack() as stack:
         given = model_in(place(model)) if isinstance(model, str | PathLike) else model

@@ -196,7 +196,8 @@ def begun(
 
 def losses(splats: Splats) -> tuple[str, ...]:
     """Name what a SOG file cannot hold of a model, one sentence each."""
-    return tuple(limits.left_out(splats, ".sog", max_degree=MAX_DEGREE))
+    left_out = limits.left_out(splats, ".sog", max_degree=MAX_DEGREE)
+    return (*left_out, *limits.rounded(splats, ".sog"))
 
 
 def _refuse_unstorable(splats: Splats) -> None:
