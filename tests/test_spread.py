@@ -152,14 +152,15 @@ def test_after_a_failure_nothing_begins_and_nobody_works_on(fails):
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
 @pytest.mark.parametrize("signalled", [False, True])
 def test_an_interrupt_does_not_wait_for_parts_that_nobody_has_begun(signalled):
-    begun = []
+    begun, sent = [], []
 
     def work(part):
         begun.append(part)
         own = threading.current_thread() is threading.main_thread()
         if own and not signalled:
             raise KeyboardInterrupt
-        if signalled and not own:
+        if signalled and not own and not sent:
+            sent.append(part)  # a second one would come after the first was answered
             signal.raise_signal(signal.SIGINT)  # which the main thread answers to
         time.sleep(0.05)
 
