@@ -234,6 +234,8 @@ def test_compare_refuses(files, tmp_path):
     assert_refused(run("compare", scene, tmp_path / "no.ply"), "no.ply")
     assert_refused(run("compare", scene, small, "--cameras", "orbitt"), "orbitt")
     assert_refused(run("compare", scene, small, "--pixels", "big"), "big")
+    mistyped = run("compare", scene, small, "--sizes", "512,abc")
+    assert_refused(mistyped, "Sizes of views are like 512,1280x720", "'abc'")
     assert_refused(run("compare", scene, small, "--metrics", "vmaf"), "vmaf")
     (tmp_path / "page.html").write_text("mine")
     assert_refused(run("compare", scene, small, "--report", tmp_path / "page.html"), "-w")

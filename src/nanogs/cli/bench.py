@@ -11,6 +11,7 @@ import typer
 from nanogs.cli import options
 from nanogs.cli.groups import with_options
 from nanogs.errors import OptionError
+from nanogs.protocol import PIXELS
 
 if TYPE_CHECKING:
     from nanogs.bench.rows import BenchRow
@@ -93,7 +94,7 @@ def bench(
         str, typer.Option(help="Further metrics: lpips, flip; with commas between.")
     ] = "",
     views: options.ViewsOfKinds = None,
-    sizes: options.Sizes = "512",
+    sizes: options.Sizes = None,
     cameras: Annotated[
         str | None,
         typer.Option(
@@ -139,7 +140,7 @@ def bench(
         methods=tuple(chosen),
         externals=dict(_external(text) for text in external or []),
         views=views,
-        sizes=tuple(map(_square, sizes.split(","))),
+        sizes=tuple(map(_square, options.parse_sizes(sizes or str(PIXELS)))),
         kinds=tuple(_list(kinds)),
         background=None if background is None else options.parse_background(background),
         metrics=tuple(_list(metrics)),
@@ -231,10 +232,12 @@ def _list(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def _square(text: str) -> int:
-    width, height = options.parse_pixels(text)
+def _square(size: tuple[int, int]) -> int:
+    width, height = size
     if width != height:
-        raise OptionError(f"The views to measure on are square: give one number, not {text!r}.")
+        raise OptionError(
+            f"The views to measure on are square: give one number, not {width}x{height}."
+        )
     return width
 
 

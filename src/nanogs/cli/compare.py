@@ -9,6 +9,7 @@ import typer
 
 from nanogs.cli import options
 from nanogs.cli.groups import with_options
+from nanogs.cli.looking import Given, refuse_beside_file, refuse_beside_photos
 from nanogs.errors import OptionError
 from nanogs.formatting import NONE, bytes_text, number_text
 from nanogs.protocol import BLACK, PIXELS, Background
@@ -62,10 +63,15 @@ def compare(
         ),
     ] = None,
     split: Annotated[
-        str, typer.Option(help="Photographs to use: test or train.", rich_help_panel=options.VIEWS)
-    ] = "test",
+        str | None,
+        typer.Option(
+            help="Photographs to use: test or train.",
+            rich_help_panel=options.VIEWS,
+            show_default="test",
+        ),
+    ] = None,
     views: options.ViewsOfKinds = None,
-    sizes: options.Sizes = str(PIXELS),
+    sizes: options.Sizes = None,
     cameras: options.Kinds = "auto",
     up: options.Up = None,
     background: options.PhotoBackground = None,
@@ -103,9 +109,17 @@ def compare(
     from nanogs.io.atomic import check_writable
 
     formats = options.parse_packed(packed, of_format)
-    pixels = options.parse_sizes(sizes)
+    pixels = options.parse_sizes(str(PIXELS) if sizes is None else sizes)
     color = None if background is None else options.parse_background(background)
     extras = [name.strip() for name in metrics.split(",") if name.strip()]
+    # A page turns its models by --up, wherever its pictures are from.
+    found: Given = {"--views": views, "--sizes": sizes}
+    found["--up"] = None if report and interactive else up
+    if not mixed:
+        kinds = None if cameras == "auto" else cameras
+        of_photos: Given = {"--images": images, "--split": split}
+        refuse_beside_photos(photos, of_photos, {"--cameras": kinds, **found})
+    refuse_beside_file(cameras, found)
     if report:
         check_writable(report, overwrite=run.overwrite)
     if report and interactive and not is_built():
@@ -123,7 +137,7 @@ def compare(
         _compare_mixed(
             named, run, budget=budget, cameras=cameras, views=views, pixels=pixels, up=up,
             background=color or BLACK, report=report, photos=photos, images=images,
-            metrics=metrics, packed=packed, render_mode=render_mode,
+            split=split, metrics=metrics, packed=packed, render_mode=render_mode,
             device="" if device == "cpu" else device,
         )  # fmt: skip
         return
@@ -137,7 +151,7 @@ def compare(
         comparison = compare_files(
             first, others,
             cameras=cameras, views=views, sizes=pixels, up=up,
-            background=color, extras=extras, photos=photos, images=images, split=split,
+            background=color, extras=extras, photos=photos, images=images, split=split or "test",
             report=report, interactive=interactive, overwrite=run.overwrite, progress=progress,
             packed=formats, format_options=of_format, render_mode=render_mode,
             max_memory=run.max_memory,

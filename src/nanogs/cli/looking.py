@@ -1,4 +1,4 @@
-"""Options of `nanogs info` about what it looks at; without any of them it renders nothing."""
+"""Options of `nanogs info` about what it looks at, and which of views go together."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +14,43 @@ if TYPE_CHECKING:
     from nanogs.scoring.modes import Looked
 
 _view = options.in_panel(options.VIEWS)
+Given = dict[str, object]
+"""Values of options by their names; None for what is not given."""
+
+
+def refuse_beside_photos(photos: Path | None, of_photos: Given, found: Given) -> None:
+    """Refuse options for photographs without these, and for views that are found beside them.
+
+    Raises:
+        OptionError: One is given.
+    """
+    for option, value in (of_photos if photos is None else found).items():
+        if value is not None and photos is None:
+            raise OptionError(f"{option} is for photographs; name their folder with --photos.")
+        if value is not None:
+            raise OptionError(f"{option} is without effect beside --photos, which has views.")
+
+
+def refuse_beside_file(cameras: str | None, found: Given) -> None:
+    """Refuse options for views that are found where they are read from a file.
+
+    Args:
+        cameras: As the option says; what is no file is left to those who look for one.
+        found: The other options.
+
+    Raises:
+        OptionError: One is given.
+    """
+    given = next((option for option, value in found.items() if value is not None), None)
+    if cameras is None or given is None:
+        return
+    from nanogs.views.cameras import FOUND
+
+    if cameras not in FOUND and Path(cameras).exists():
+        raise OptionError(
+            f"{given} is without effect beside --cameras {cameras}, which has views; leave one of"
+            " them out."
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,14 +66,7 @@ class Looking:
             min=1,
         ),
     ] = None
-    pixels: Annotated[
-        str | None,
-        _view(
-            "Width and height of an automatic view: 512 or 1280x720.",
-            metavar="W[xH]",
-            show_default=str(PIXELS),
-        ),
-    ] = None
+    pixels: Annotated[str | None, options.pixels(PIXELS)] = None
     cameras: Annotated[
         str | None,
         _view(
@@ -70,14 +100,11 @@ class Looking:
             OptionError: Options are given that are for photographs, or for views that are found,
                 without these.
         """
-        of_photos: dict[str, object] = {"--images": self.images, "--split": self.split}
-        found: dict[str, object] = {"--views": self.views, "--pixels": self.pixels}
-        found |= {"--cameras": self.cameras, "--up": self.up}
-        for option, value in (of_photos if self.photos is None else found).items():
-            if value is not None and self.photos is None:
-                raise OptionError(f"{option} is for photographs; name their folder with --photos.")
-            if value is not None:
-                raise OptionError(f"{option} is without effect beside --photos, which has views.")
+        of_photos: Given = {"--images": self.images, "--split": self.split}
+        found: Given = {"--views": self.views, "--pixels": self.pixels, "--up": self.up}
+        refuse_beside_photos(self.photos, of_photos, {"--cameras": self.cameras, **found})
+        refuse_beside_file(self.cameras, found)
+        found["--cameras"] = self.cameras
         looks = bool(self.photos) or any(value is not None for value in found.values())
         others = (self.background, *(() if packed else (self.threads, self.max_memory)))
         if not looks and any(value is not None for value in others):

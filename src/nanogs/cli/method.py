@@ -10,6 +10,7 @@ import typer
 from nanogs.cli import file_options, options
 from nanogs.cli.blocks import Blocks
 from nanogs.cli.groups import Fields
+from nanogs.cli.looking import refuse_beside_file
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.cameras import refuse_unused_views
@@ -104,9 +105,10 @@ class Method(options.Telling):
         """Refuse what does not go together, as far as the options alone tell.
 
         Raises:
-            OptionError: A value is out of range, views are given where nothing is rendered, or
-                options for blocks contradict each other.
+            OptionError: A value is out of range, views are given where nothing is rendered, an up
+                direction beside views of a file, or options for blocks contradict each other.
         """
         given = "views" in self.overrides or self.cameras != "auto" or self.up is not None
         refuse_unused_views(self.preset, self.chosen, given=given)
+        refuse_beside_file(self.cameras, {"--up": self.up})
         self.blocks.check(paths)

@@ -88,29 +88,39 @@ def in_panel(panel: str) -> Callable[..., Any]:
 
 
 _view = in_panel(VIEWS)
+
+
+def views(usual: int | str) -> Any:  # noqa: ANN401 - as typer has it
+    """The option --views of a command that takes so many by default."""
+    return _view("Number of automatic views.", "--views", min=1, show_default=str(usual))
+
+
+def pixels(usual: int | str) -> Any:  # noqa: ANN401 - as typer has it
+    """The option --pixels of a command whose views are of that size by default."""
+    about = "Width and height of an automatic view: 512 or 1280x720."
+    return _view(about, "--pixels", metavar="W[xH]", show_default=str(usual))
+
+
 _KINDS = (
     "auto, orbit (around an object), inside (a room or landscape), roam (anywhere, near and far), "
 )
 _FILES = "or a file or folder: transforms.json, cameras.json, COLMAP."
 
-Views = Annotated[int, _view("Number of automatic views.", "--views", min=1)]
 ViewsOfKinds = Annotated[
     int | None,
     _view(
         "Number of automatic views of each kind.", "--views", min=1, show_default="8; 24 of roam"
     ),
 ]
-Pixels = Annotated[
-    str, _view("Width and height of an automatic view: 512 or 1280x720.", metavar="W[xH]")
-]
 Sizes = Annotated[
-    str,
+    str | None,
     _view(
         "Width and height of the automatic views, 512 or 1280x720; several with commas between,"
         " each for itself.",
         "--sizes",
         "--pixels",
         metavar="W[xH],...",
+        show_default="512",
     ),
 ]
 Cameras = Annotated[str, _view(f"{_KINDS}{_FILES}", metavar="CAMERAS")]
@@ -306,12 +316,19 @@ def parse_pixels(text: str) -> tuple[int, int]:
     Raises:
         OptionError: It is neither, or not between 1 and 16384.
     """
+    size = _size_of(text)
+    if size is None:
+        raise OptionError(f"--pixels must be like 512 or 1280x720, up to 16384, not {text!r}.")
+    return size
+
+
+def _size_of(text: str) -> tuple[int, int] | None:
     match = re.fullmatch(r"(\d+)(?:x(\d+))?", text.strip().lower())
     if match:
         width, height = int(match[1]), int(match[2] or match[1])
         if min(width, height) >= 1 and max(width, height) <= 16384:
             return width, height
-    raise OptionError(f"--pixels must be like 512 or 1280x720, up to 16384, not {text!r}.")
+    return None
 
 
 def parse_sizes(text: str) -> list[tuple[int, int]]:
@@ -320,7 +337,15 @@ def parse_sizes(text: str) -> list[tuple[int, int]]:
     Raises:
         OptionError: One is no size.
     """
-    return [parse_pixels(part) for part in text.split(",")]
+    sizes = []
+    for part in text.split(","):
+        size = _size_of(part)
+        if size is None:
+            raise OptionError(
+                f"Sizes of views are like 512,1280x720, up to 16384 pixels, not {part.strip()!r}."
+            )
+        sizes.append(size)
+    return sizes
 
 
 def parse_packed(text: str, of_format: dict[str, Any]) -> list[str]:

@@ -10,6 +10,7 @@ import typer
 
 from nanogs.cli import options
 from nanogs.cli.groups import Fields, with_options
+from nanogs.cli.looking import refuse_beside_file
 from nanogs.fit.parameters import RefitParameters
 from nanogs.ranges import known_parameters
 
@@ -67,6 +68,7 @@ def refit(
     from nanogs.needs import refit_bytes
 
     chosen = RefitParameters(**given)
+    refuse_beside_file(cameras, {"--up": up})
     check_writable(target, overwrite=run.overwrite)
     check_device(device)
     bar = a_bar(quiet=run.hushed)

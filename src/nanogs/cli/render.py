@@ -8,9 +8,11 @@ import typer
 
 from nanogs.cli import options
 from nanogs.cli.groups import with_options
+from nanogs.cli.looking import refuse_beside_file
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
 
+_PIXELS = "1280x720"
 _OTHERS = (".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".exr")
 
 
@@ -31,17 +33,8 @@ def render(
             help="Folder for the PNG files; or one .png file, for one view.",
         ),
     ],
-    views: Annotated[
-        int | None,
-        typer.Option(
-            "--views",
-            min=1,
-            help="Number of automatic views.",
-            show_default="8, or 1 for a .png",
-            rich_help_panel=options.VIEWS,
-        ),
-    ] = None,
-    pixels: options.Pixels = "1280x720",
+    views: Annotated[int | None, options.views("8, or 1 for a .png")] = None,
+    pixels: Annotated[str | None, options.pixels(_PIXELS)] = None,
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     background: options.BackgroundOption = "black",
@@ -64,7 +57,8 @@ def render(
     from nanogs.io.stand_ins import refuse_address
 
     count = views or (1 if _is_picture(target) else 8)
-    width, height = options.parse_pixels(pixels)
+    width, height = options.parse_pixels(_PIXELS if pixels is None else pixels)
+    refuse_beside_file(cameras, {"--views": views, "--pixels": pixels, "--up": up})
     # Straight alpha is taken from a rendering over black.
     color = options.parse_background("black" if transparent else background)
     from nanogs.card.device import device_notes, use_device

@@ -10,6 +10,7 @@ import typer
 
 from nanogs.cli import options
 from nanogs.cli.groups import with_options
+from nanogs.cli.looking import refuse_beside_file
 from nanogs.defaults import PAGE_SPLATS
 from nanogs.errors import OptionError
 from nanogs.formatting import bytes_text
@@ -55,8 +56,8 @@ def view(
             "--open/--no-open", help="Open the page in a browser.", show_default="on a terminal"
         ),
     ] = None,
-    views: options.Views = VIEWS,
-    pixels: options.Pixels = str(PIXELS),
+    views: Annotated[int | None, options.views(VIEWS)] = None,
+    pixels: Annotated[str | None, options.pixels(PIXELS)] = None,
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     background: options.BackgroundOption = "black",
@@ -74,7 +75,8 @@ def view(
     from nanogs.scoring.viewing import page_path, view_files
     from nanogs.view.bundle import check_built
 
-    width, height = options.parse_pixels(pixels)
+    width, height = options.parse_pixels(str(PIXELS) if pixels is None else pixels)
+    refuse_beside_file(cameras, {"--views": views, "--pixels": pixels})
     color = options.parse_background(background)
     inputs = [options.parse_named(text) for text in models]
     if len(inputs) > 2:
@@ -89,7 +91,7 @@ def view(
     ):
         named = [(name, file) for (name, _), file in zip(inputs, files, strict=True)]
         report = view_files(
-            named, page, cameras=cameras, views=views, width=width, height=height, up=up,
+            named, page, cameras=cameras, views=views or VIEWS, width=width, height=height, up=up,
             background=color, psnr=psnr, level=level, render_mode=render_mode,
             overwrite=run.overwrite, progress=progress, max_memory=run.max_memory,
         )  # fmt: skip

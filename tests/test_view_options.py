@@ -1,0 +1,79 @@
+"""Options of views that have no effect beside others are refused, whatever command takes them."""
+
+import json
+
+import numpy as np
+import pytest
+
+import nanogs
+from builders import random_splats
+from dataset_files import write_json
+from launch import run
+from test_cli import assert_refused
+
+SMALL = ("--views", "1", "--pixels", "32")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A model, and the cameras of a data set without its photographs."""
+    folder = tmp_path_factory.mktemp("views")
+    nanogs.save(random_splats(300), folder / "a.ply")
+    pose = np.eye(4)
+    pose[2, 3] = 4.0
+    frames = [{"file_path": "./r_0.png", "transform_matrix": pose.tolist()}]
+    cameras = {"camera_angle_x": 0.9, "w": 48, "h": 32, "frames": frames}
+    write_json(folder / "cams.json", cameras)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("given", "option"),
+    [
+        (["--photos", "data", "--views", "3"], "--views"),
+        (["--photos", "data", "--pixels", "64"], "--sizes"),
+        (["--photos", "data", "--cameras", "orbit"], "--cameras"),
+        (["--photos", "data", "--up", "0,0,1"], "--up"),
+        (["--images", "images_4"], "--images"),
+        (["--split", "train"], "--split"),
+        (["--cameras", "cams.json", "--views", "2"], "--views"),
+        (["--cameras", "cams.json", "--sizes", "64"], "--sizes"),
+        (["--cameras", "cams.json", "--up", "0,0,1"], "--up"),
+        (["--mixed", "--split", "train"], "--split"),
+        (["--mixed", "--cameras", "cams.json", "--views", "2"], "--views"),
+    ],
+)
+def test_compare(folder, given, option):
+    assert_refused(run("compare", "a.ply", "a.ply", *given, cwd=folder), f"{option} ")
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (["info", "a.ply", "--views", "2"], "--views"),
+        (["render", "a.ply", "out", "--views", "2"], "--views"),
+        (["render", "a.ply", "out", "--pixels", "64"], "--pixels"),
+        (["view", "a.ply", "a.ply", "--pixels", "64"], "--pixels"),
+        (["simplify", "a.ply", "b.ply", "-r", "0.5", "--up", "1,0,0"], "--up"),
+        (["lod", "a.ply", "out", "--up", "1,0,0"], "--up"),
+        (["refit", "a.ply", "a.ply", "b.ply", "--up", "1,0,0"], "--up"),
+    ],
+)
+def test_a_camera_file_has_views_of_its_own(folder, words, option):
+    result = run(*words, "--cameras", "cams.json", cwd=folder)
+    assert_refused(result, f"{option} is without effect beside --cameras cams.json")
+    assert not [path for path in folder.iterdir() if path.name not in ("a.ply", "cams.json")]
+
+
+def test_what_has_an_effect_is_taken(folder, tmp_path):
+    page = ("--up", "0,0,1", "--report", tmp_path / "page.html", "-w")
+    for given in (SMALL, ("--cameras", "cams.json"), ("--cameras", "cams.json", *page)):
+        result = run("compare", "a.ply", "a.ply", *given, "--json", cwd=folder)
+        assert result.returncode == 0, result.stderr
+        size = [32, 32] if given is SMALL else [48, 32]
+        assert json.loads(result.stdout)["protocol"]["pixels"] == size
+    fit = ("--cameras", "cams.json", "--views", "1", "--pixels", "16", "--rounds", "1")
+    result = run("refit", "a.ply", "a.ply", tmp_path / "b.ply", *fit, cwd=folder)
+    assert "without effect" not in result.stderr
+    mistyped = run("render", "a.ply", tmp_path / "out", "--cameras", "orbti", *SMALL, cwd=folder)
+    assert_refused(mistyped, "no camera file 'orbti'")
