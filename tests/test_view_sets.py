@@ -73,6 +73,8 @@ def test_fewer_views_than_asked_for_are_said(monkeypatch):
 def test_sources_are_kinds_or_one_path():
     assert parse_sources("auto, roam") == ["auto", "roam"]
     assert parse_sources("a,b.json") == ["a,b.json"]
+    with pytest.raises(OptionError, match="'orbti' is no kind of cameras"):
+        parse_sources("auto,orbti")
 
 
 @pytest.mark.parametrize(

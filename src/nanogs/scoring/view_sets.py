@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeAlias
 
-from nanogs.errors import OptionError
+from nanogs.errors import OptionError, did_you_mean
 from nanogs.formatting import counted
 from nanogs.protocol import Kind, usual_views
 from nanogs.raster.camera import Camera
@@ -31,9 +32,20 @@ class ViewSet:
 
 
 def parse_sources(text: str) -> list[str]:
-    """Kinds of cameras with commas between, such as "auto,roam"; or else the path of a file."""
+    """Kinds of cameras with commas between, such as "auto,roam"; or else the path of a file.
+
+    Raises:
+        OptionError: Some are kinds and some are not.
+    """
     names = [name.strip() for name in text.split(",")]
-    return names if all(name in FOUND for name in names) else [text]
+    others = [name for name in names if name not in FOUND]
+    if others and len(others) < len(names) and not Path(text).exists():
+        meant = did_you_mean(others[0], FOUND)
+        raise OptionError(
+            f"{others[0]!r} is no kind of cameras{meant}; choose from {', '.join(FOUND)}, or give a"
+            " camera file alone."
+        )
+    return [text] if others else names
 
 
 def found_views(sources: Sequence[str], views: int | None) -> list[int]:
