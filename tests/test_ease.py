@@ -138,6 +138,13 @@ def test_levels_are_no_single_file(folder, tmp_path, name):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_levels_do_not_go_to_stdout(folder, tmp_path):
+    for source in (folder / "a.ply", "-"):
+        result = launch.run("lod", source, "-", data=(folder / "a.ply").read_bytes(), cwd=tmp_path)
+        assert_refused(result, "Levels do not go to stdout", "name a folder")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_render_writes_one_picture(folder, tmp_path):
     picture = tmp_path / "pic.png"
     result = run("render", folder / "a.ply", picture, "--pixels", "32x24", "--depth")
@@ -148,6 +155,18 @@ def test_render_writes_one_picture(folder, tmp_path):
     assert_refused(several, "one picture", "3 views", "folder")
     assert_refused(run("render", folder / "a.ply", tmp_path / "p.jpg"), "PNG", "p.png")
     assert not (tmp_path / "new.png").exists()
+    missing = run("render", folder / "a.ply", tmp_path / "new" / "x.png")
+    assert_refused(missing, "new does not exist; create it first")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_picture_keeps_the_name_that_it_is_given(folder, tmp_path):
+    small = ("--pixels", "32", "--depth", "--json")
+    result = run("render", folder / "a.ply", tmp_path / "Pic.PNG", *small)
+    assert result.returncode == 0, result.stderr
+    named = [str(tmp_path / name) for name in ("Pic.PNG", "Pic_depth.PNG")]
+    assert json.loads(result.stdout)["images"] == named
+    assert sorted(map(str, tmp_path.iterdir())) == named
 
 
 # view

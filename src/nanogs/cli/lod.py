@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from nanogs.cli import file_options, options
+from nanogs.cli.blocks import DASH
 from nanogs.cli.groups import with_options
 from nanogs.cli.importing import uncollected
 from nanogs.cli.method import Method
@@ -154,7 +155,8 @@ def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
     """The files of the model, and the output.
 
     Raises:
-        OptionError: There is none of one, or several models without --join.
+        OptionError: There is none of one, or several models without --join, or the output is
+            stdout.
     """
     from nanogs.cli.many import refuse_units
 
@@ -165,6 +167,10 @@ def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
         raise OptionError(
             f"These are {len(paths) - 1} models before OUT; name one, or give --join where they are"
             " parts of one scene."
+        )
+    if paths[-1] == DASH:
+        raise OptionError(
+            "Levels do not go to stdout; name a folder in place of -, or a .ssog or .rad file."
         )
     return list(paths[:-1]), paths[-1]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from nanogs._types import Array
 from nanogs.errors import OptionError
 from nanogs.formatting import undrawn
-from nanogs.io.atomic import atomic_write
+from nanogs.io.atomic import atomic_write, check_writable
 from nanogs.io.folder import atomic_folder
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.raster.camera import Camera
@@ -39,7 +39,8 @@ def render_images(
     Args:
         model: The model.
         cameras: The views; their names become file names.
-        target: A folder, made if it is missing (not its parents); or, of one camera, a `.png` file.
+        target: A folder, made if it is missing (not its parents); or, of one camera, a `.png` file
+            in a folder that is there.
         background: RGB in [0, 1].
         transparent: Write RGBA with straight alpha and no background.
         depth: Also write `<name>_depth.png`, 16 bits: 65535 is the nearest depth of the view, 1 the
@@ -56,14 +57,14 @@ def render_images(
         OptionError: Two cameras give one file name, or there are several for one file.
         OutputError: The folder cannot be made, or a file exists or cannot be written.
     """
-    folder, names = _places(target, cameras)
+    folder, names, suffix = _places(target, cameras, overwrite=overwrite)
     tracker = Tracker(progress, [Stage("render", 1.0)])
     shown = renderings(
         drawable(model, room), cameras, background=background, depth=depth, tell=tracker.part
     )
     options = {"transparent": transparent, "depth": depth, "overwrite": overwrite}
     with _filled(folder) as place:
-        files, notes = _write(shown, names, place, **options)
+        files, notes = _write(shown, names, suffix, place, **options)
     tracker.finish()
     return [str(folder / name) for name in files], [*lens_notes(cameras), *notes]
 
@@ -85,6 +86,7 @@ def _nothing_of(_folder: Path) -> None:
 def _write(
     shown: Iterable[Rendering],
     names: Iterable[str],
+    suffix: str,
     folder: Path,
     *,
     transparent: bool,
@@ -97,9 +99,9 @@ def _write(
     skipped = 0
     for rendering, name in zip(shown, names, strict=True):
         skipped = rendering.skipped
-        images: dict[str, Array] = {f"{name}.png": color_image(rendering, transparent)}
+        images: dict[str, Array] = {f"{name}{suffix}": color_image(rendering, transparent)}
         if depth:
-            images[f"{name}_depth.png"] = depth_image(rendering)
+            images[f"{name}_depth{suffix}"] = depth_image(rendering)
         for file_name, image in images.items():
             save_png(image, folder / file_name, overwrite=overwrite)
             written.append(file_name)
@@ -111,15 +113,18 @@ def _write(
     return written, list(notes)
 
 
-def _places(target: Path, cameras: Sequence[Camera]) -> tuple[Path, list[str]]:
-    """The folder of the files and their names without suffix."""
+def _places(
+    target: Path, cameras: Sequence[Camera], *, overwrite: bool
+) -> tuple[Path, list[str], str]:
+    """The folder of the files, their names without suffix, and this."""
     if target.suffix.lower() != ".png":
-        return target, file_names(cameras)
+        return target, file_names(cameras), ".png"
     if len(cameras) > 1:
         raise OptionError(
             f"{target} is one picture, and there are {len(cameras)} views; name a folder for them."
         )
-    return target.parent, [target.stem]
+    check_writable(target, overwrite=overwrite)
+    return target.parent, [target.stem], target.suffix
 
 
 def file_names(cameras: Sequence[Camera]) -> list[str]:
