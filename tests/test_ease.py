@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,6 +53,11 @@ def test_a_folder_with_one_model_stands_for_it(folder, tmp_path):
         ("simplify nowhere/ {out}/a.ply -r 0.5", "nowhere: no such file or folder; check the path"),
         ("view nowhere", "nowhere: no such file or folder; check the path"),
         ("compare - {a}", "This command does not read stdin"),
+        ("refit {a} - {out}/b.ply", "This command does not read stdin"),
+        ("render - {out}/pictures", "This command does not read stdin"),
+        ("studio -", "This command does not read stdin"),
+        ("refit {a} {a} -", "This command does not write to stdout"),
+        ("render {a} -", "This command does not write to stdout"),
         ("compare {a} {a} --report {out}/a.pdf", "pages are written as HTML; name"),
         ("view {a} -o {out}/a.png", "pages are written as HTML; name"),
         (
@@ -130,6 +136,33 @@ def test_info_reads_stdin(folder):
 
 
 # Names of what is written
+
+
+def test_levels_in_a_format_that_is_not_written_are_not_advised(folder, tmp_path):
+    said = run("lod", folder / "a.ply", tmp_path / "out.ksplat")
+    assert_refused(said, "name a folder", "out/.")
+    assert "--format" not in said.stderr
+
+
+def test_tiles_of_a_scene_too_large_for_packing_name_the_way_without(tmp_path):
+    model = random_splats(200)
+    far = replace(model, means=model.means * np.float32(1e9))
+    nanogs.save(far, tmp_path / "far.ply")
+    given = ("lod", tmp_path / "far.ply", tmp_path / "tiles/tileset.json", "--preset", "fast")
+    given += ("--levels", "0.5", "-q", "--no-measure")
+    assert_refused(run(*given), "tiles that are not packed (--plain)")
+    assert run(*given, "--plain").returncode == 0
+
+
+def test_what_is_no_model_is_said_of_the_input(folder, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    for command in (("simplify", "-r", "0.5"), ("convert",)):
+        name, *more = command
+        given = ("notes.txt", folder / "a.ply", "--out-dir", "out", *more, "-w")
+        result = launch.run(name, *given, *(["--preset", "fast"] if more else []), cwd=tmp_path)
+        assert result.returncode == 2
+        assert "error: notes.txt: unknown suffix" in result.stderr
+        assert (tmp_path / "out" / "a.ply").is_file()
 
 
 @pytest.mark.parametrize("name", ["out.sog", "out.ply", "out.html"])

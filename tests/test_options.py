@@ -106,6 +106,17 @@ def test_each_wrong_value_has_a_sentence_of_its_own(scene, arguments, words):
     assert "Input should be" not in result.stderr
 
 
+def test_what_is_too_large_is_said_in_words(scene):
+    said = run("studio", scene, "--port", "99999")
+    assert_refused(said, "--port takes 65535 or less, not '99999'")
+
+
+def test_a_preset_names_the_options_that_it_has(scene, tmp_path):
+    said = run("simplify", scene, tmp_path / "b.ply", "-r", "0.5", "--preset", "fast", "--tau", "3")
+    assert_refused(said, "--tau does not go with the preset fast", "--lambda-app, ", "--view-size")
+    assert not re.search("lambda_app|halves|measure", said.stderr)
+
+
 def test_sizes_are_bytes_and_views_have_pixels(scene, tmp_path):
     for command in ("render", "compare", "view", "refit", "bench"):
         names = {name for param in COMMANDS[command].params for name in param.opts}

@@ -99,7 +99,21 @@ def test_a_result_that_cannot_be_measured_says_why(tmp_path):
     nanogs.save(unseen, tmp_path / "a.ply")
     judge = file_judge(unseen, ".ply")
     assert judge.of(tmp_path / "a.ply") is None
-    assert judge.notes[0].startswith("Nothing was measured: The PSNR cannot be measured: ")
+    assert judge.notes[0].startswith("Nothing was measured: The model shows nothing")
+
+
+@pytest.mark.parametrize("preset", ["default", "fast"])
+def test_a_model_that_shows_nothing_is_told_of_once(tmp_path, preset):
+    unseen = make_scene(10)
+    unseen.opacity_logits[:] = -50
+    nanogs.save(unseen, tmp_path / "a.ply")
+    result = run(
+        "simplify", tmp_path / "a.ply", tmp_path / "b.ply", "-r", "0.5", "--preset", preset,
+        "--measure", *(FEW if preset == "default" else ()),
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert result.stderr.count("The model shows nothing") == 1
+    assert "cannot be measured" not in result.stderr
 
 
 def test_a_file_that_cannot_be_read_any_more_says_why(tmp_path):

@@ -14,6 +14,7 @@ Kind = Literal["auto", "orbit", "inside", "roam", "given", "photographs"]
 VIEWS = 8
 ROAMING = 24  # views, where they roam: they differ more
 PIXELS = 512  # along both sides of a view
+UNMEASURED = "The PSNR cannot be measured: "  # begins the reason, where it is asked for
 BLACK: Background = (0.0, 0.0, 0.0)
 WHITE: Background = (1.0, 1.0, 1.0)
 

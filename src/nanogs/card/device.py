@@ -71,7 +71,7 @@ def device_notes(asked: str | None, used: str) -> tuple[str, ...]:
         used: What it gave.
     """
     if used == CPU:
-        return (f"{_NONE}: pictures were made on the CPU",) if asked == AUTO else ()
+        return (f"{_NONE}: the CPU did its work",) if asked == AUTO else ()
     return (f"pictures were made on {used}",)
 
 

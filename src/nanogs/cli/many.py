@@ -22,6 +22,7 @@ from nanogs.cli.streams import Streams
 from nanogs.cli.wording import wording
 from nanogs.errors import NanogsError, OptionError, OutputError
 from nanogs.formatting import counted
+from nanogs.io import registry
 from nanogs.io.collect import Pair, collect, model_in, pair_up
 from nanogs.progress import Progress
 from nanogs.quantities import is_unit
@@ -160,6 +161,7 @@ def _run_several(
         try:
             told = watch.of_file(number, len(pairs))
             with notes_about(name), streams.at_hand(pair, within(told)) as near:
+                registry.reader(near.source)  # which says so first where it is no model
                 runs.append(run_one(near, told))
                 if show:
                     show(runs[-1])

@@ -11,6 +11,7 @@ from nanogs.cli import file_options, options
 from nanogs.cli.blocks import Blocks
 from nanogs.cli.groups import Fields
 from nanogs.cli.looking import refuse_beside_file
+from nanogs.errors import OptionError
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.cameras import refuse_unused_views
@@ -52,6 +53,22 @@ def _parameters() -> Fields:
 
 
 PARAMETERS = _parameters()
+
+
+def refuse_others(preset: str, given: dict[str, Any]) -> None:
+    """Refuse options of parameters that a preset does not have.
+
+    Raises:
+        OptionError: One is given.
+    """
+    known = known_parameters(PRESETS[preset]) if preset in PRESETS else {}
+    for name in given:
+        if known and name not in known:
+            options = (f"--{each.replace('_', '-')}" for each in known if each in PARAMETERS)
+            raise OptionError(
+                f"--{name.replace('_', '-')} does not go with the preset {preset}, which takes"
+                f" {', '.join(options)}; leave it out, or choose another preset."
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,6 +116,7 @@ class Method(options.Telling):
         Raises:
             OptionError: There is no such preset or parameter, or a value is out of range.
         """
+        refuse_others(self.preset, self.overrides)
         return parameters(self.preset, self.overrides)
 
     def check(self, paths: Sequence[Path]) -> None:

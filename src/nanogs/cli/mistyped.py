@@ -14,6 +14,7 @@ _TAKES = (
     ("integer", "a whole number"),
     ("number|float", "a number"),
     ("greater than or equal|not in the range", "a larger number"),
+    ("less than or equal", "a smaller number"),
 )
 
 
@@ -67,8 +68,9 @@ def _bad_value(error: Any) -> str:  # noqa: ANN401
     if param is None or not takes:
         return ""
     number = re.search(r"(?:equal to|x>=) ?(-?[\d.]+)", message)
-    least = f"{number[1].rstrip('.')} or more" if number else takes
-    return f"{max(param.opts, key=len)} takes {least}, not {_given(error, message)}"
+    side = "less" if takes == "a smaller number" else "more"
+    bound = f"{number[1].rstrip('.')} or {side}" if number else takes
+    return f"{max(param.opts, key=len)} takes {bound}, not {_given(error, message)}"
 
 
 def _given(error: Any, message: str) -> str:  # noqa: ANN401

@@ -413,6 +413,28 @@ def parse_place(text: str | Path) -> Path:
     return place(text)
 
 
+def parse_model(text: str | Path) -> Path:
+    """The same of a model for a command that does not read stdin.
+
+    Raises:
+        OptionError: It is `-`.
+    """
+    if str(text) == "-":
+        raise OptionError("This command does not read stdin; put the model in a file, and name it.")
+    return parse_place(text)
+
+
+def parse_output(text: str | Path) -> Path:
+    """The same of what a command writes that does not write to stdout.
+
+    Raises:
+        OptionError: It is `-`.
+    """
+    if str(text) == "-":
+        raise OptionError("This command does not write to stdout; name a file or folder.")
+    return parse_place(text)
+
+
 def parse_page(text: str | Path) -> Path:
     """A file for a page.
 
@@ -430,7 +452,7 @@ def parse_named(text: str) -> tuple[str, Path]:
     from nanogs.io.urls import is_url
 
     if text == "-":
-        raise OptionError("This command does not read stdin; put the model in a file, and name it.")
+        return text, parse_model(text)
     name, separator, path = text.partition("=")
     if separator and name and not is_url(text) and not Path(text).exists():
         return name, parse_place(path)

@@ -33,18 +33,18 @@ def refit(
         Path,
         typer.Argument(
             metavar="ORIGINAL",
-            parser=options.parse_place,
+            parser=options.parse_model,
             help="The model to look like; each of the three is a file or its URL.",
         ),
     ],
     small: Annotated[
         Path,
         typer.Argument(
-            metavar="SMALL", parser=options.parse_place, help="The model to fit, from any tool."
+            metavar="SMALL", parser=options.parse_model, help="The model to fit, from any tool."
         ),
     ],
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", parser=options.parse_place, help="File to write.")
+        Path, typer.Argument(metavar="OUT", parser=options.parse_output, help="File to write.")
     ],
     cameras: options.Cameras = "auto",
     up: options.Up = None,

@@ -22,14 +22,14 @@ def render(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="IN", parser=options.parse_place, help="Model to read: a file or its URL."
+            metavar="IN", parser=options.parse_model, help="Model to read: a file or its URL."
         ),
     ],
     target: Annotated[
         Path,
         typer.Argument(
             metavar="OUT",
-            parser=options.parse_place,
+            parser=options.parse_output,
             help="Folder for the PNG files; or one .png file, for one view.",
         ),
     ],

@@ -16,7 +16,7 @@ def studio(
     model: Annotated[
         Path,
         typer.Argument(
-            metavar="SCENE", parser=options.parse_place, help="Model to make smaller, a file."
+            metavar="SCENE", parser=options.parse_model, help="Model to make smaller, a file."
         ),
     ],
     port: Annotated[

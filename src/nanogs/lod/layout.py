@@ -93,9 +93,10 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
             f" that, as in {path.parent / path.stem / StreamedSog.name}, or a folder."
         )
     if known := registry.find(path):
+        given = f', and give `format="{known.suffix.lstrip(".")}"`' if known.write else ""
         raise OptionError(
             f"{path} is the name of one {known.suffix} file, and levels are several: name a folder,"
-            f' as in {path.with_suffix("")}/, and give `format="{known.suffix.lstrip(".")}"`.'
+            f" as in {path.with_suffix('')}/{given}."
         )
     if suffix is None:
         return Output(path, Layout.FILES)

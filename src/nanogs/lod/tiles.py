@@ -20,6 +20,7 @@ from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
+from nanogs.errors import UnstorableError
 from nanogs.io.registry import TILESET
 from nanogs.lod.boxes import box_around
 from nanogs.lod.chunks import (
@@ -110,10 +111,24 @@ class Tiles(ChunkLayout):
                 yield [node, None, None, 0.0], {}
                 continue
             name, file = f"{prefix}{number}.glb", io.BytesIO()
-            form_of(packed=self.packed).write(part, file)
+            self._pack(part, file)
             box = box_around(part, _DEVIATIONS)
             tell(number + 1, len(nodes))
             yield [node, name, box.tolist(), _width(part)], {name: file.getvalue()}
+
+    def _pack(self, part: Splats, file: io.BytesIO) -> None:
+        """Write the contents of a tile.
+
+        Raises:
+            OutputError: They cannot be written; where that is for how they are packed, it says so.
+        """
+        try:
+            form_of(packed=self.packed).write(part, file)
+        except UnstorableError as error:
+            if not self.packed:
+                raise
+            text = f"{str(error).rstrip('.')}, or write tiles that are not packed (`plain=True`)."
+            raise UnstorableError(text) from error
 
     def switch_pixel(self, level: int, deviation: float) -> float:  # noqa: ARG002 - by size
         """As `ChunkLayout` says."""

@@ -295,7 +295,7 @@ def _from_file_to_file(request: Request, plan: Plan, told: Progress | None) -> S
         original_cost=costs[1],
         judged=judged,
         packed=packed,
-        notes=(*report.notes, *notes, *losses(small, output)),
+        notes=tuple(dict.fromkeys((*report.notes, *notes, *losses(small, output)))),
         read_count=plan.splats,
         filters=filtered,
         seconds=_around(clock, report.seconds),

@@ -12,7 +12,7 @@ from nanogs.frames import change_frame
 from nanogs.io import load, registry
 from nanogs.io import open as open_model
 from nanogs.progress import Parts, untold
-from nanogs.protocol import Judged, PackingLoss
+from nanogs.protocol import UNMEASURED, Judged, PackingLoss
 from nanogs.scoring.packing import rounds
 from nanogs.source import Source, Turned
 from nanogs.splats import Splats
@@ -231,4 +231,4 @@ def file_costs(
 
 
 def _unmeasured(reason: object) -> str:
-    return f"Nothing was measured: {reason}"
+    return f"Nothing was measured: {str(reason).removeprefix(UNMEASURED)}"

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from nanogs.errors import ModelError
 from nanogs.metrics import psnr
 from nanogs.progress import Parts, untold
-from nanogs.protocol import BLACK, PIXELS, Judged, PackingLoss, Protocol
+from nanogs.protocol import BLACK, PIXELS, UNMEASURED, Judged, PackingLoss, Protocol
 from nanogs.raster.rendering import PreparedSplats
 from nanogs.scoring.scores import (
     ModelScore,
@@ -164,7 +164,7 @@ def _shown(
         )
         views, _ = reference_views(drawn, cameras, BLACK, tell, depth=False)
     except ModelError as error:
-        raise ModelError(f"The PSNR cannot be measured: {error}") from None
+        raise ModelError(f"{UNMEASURED}{error}") from None
     return HeldOut(views, replace(protocol, views=len(views)), max_memory)
 
 
