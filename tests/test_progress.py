@@ -127,6 +127,16 @@ def test_searches(preset, goal):
     assert len({step.fraction for step in told if step.stage in searching}) > 3
 
 
+def test_a_size_that_tells_the_count_has_the_stages_of_a_count(tmp_path):
+    told = []
+    nanogs.save(random_splats(300), tmp_path / "a.ply")
+    given = {"preset": "fast", "progress": told.append}
+    nanogs.simplify_blocks(tmp_path / "a.ply", tmp_path / "b.splat", size=3200, **given)
+    assert_true(told)
+    numbers = {step.stage: step.number for step in told}
+    assert len(set(numbers.values())) == len(numbers) == told[0].stages
+
+
 def test_long_stages_tell_their_parts():
     told = []
     nanogs.simplify(random_splats(400), ratio=0.2, preset="best", progress=told.append)
