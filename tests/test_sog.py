@@ -296,6 +296,7 @@ def test_levels_are_read_one_at_a_time(streamed):
         io.load(path, level=2)
     result = run(path, path.parent / "coarse.ply", "--level", "1")
     assert result.returncode == 0, result.stderr
+    assert "note: Level 1 was read, of 2 from 0, the finest, on." in result.stderr
     assert colours(io.load(path.parent / "coarse.ply")) == [(3, 0), (3, 1)]
 
 

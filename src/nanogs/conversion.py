@@ -15,7 +15,7 @@ from nanogs.findings import join_findings
 from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
 from nanogs.io import open as open_model
 from nanogs.io.frames import repeated
-from nanogs.io.parts import FileSource
+from nanogs.io.parts import FileSource, level_note
 from nanogs.io.stand_ins import at_hand
 from nanogs.io.urls import place
 from nanogs.pipeline.weights import read_weight, write_weight
@@ -130,6 +130,7 @@ def convert(
             model, took = _changed(file, path, filters, sh_degree, frame)
             # Asked now, as the output may take the place of the input.
             notes, lost = _said(model, path)
+            said = (*_which(file, level), *said)
             count, degree, read_bytes = model.count, model.columns.sh_degree, file.info.file_bytes
         tracker.begin("write")
         with clock.time("write"):
@@ -185,6 +186,13 @@ def _changed(
     if frame:
         source = Turned(source, *frame)
     return source if registry.writable(target).streams else InMemory(source.load()), took
+
+
+def _which(file: FileSource, level: int) -> tuple[str, ...]:
+    """Say which level was read of several; of 3D Tiles reading says so itself."""
+    if file.path.name == registry.TILESET or len(file.levels) < 2:
+        return ()
+    return (level_note(level, len(file.levels)),)
 
 
 def _said(model: Source, target: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -27,6 +27,11 @@ from nanogs.source import Layout, Source
 from nanogs.splats import Splats
 
 
+def level_note(level: int, levels: int) -> str:
+    """Say which level was read, of how many."""
+    return f"Level {level} was read, of {levels} from 0, the finest, on."
+
+
 class FileSource(Source):
     """A model in a file; what is held of it does not grow with its size.
 

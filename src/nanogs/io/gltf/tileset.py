@@ -24,7 +24,7 @@ from nanogs.errors import FormatError
 from nanogs.io.gltf import read as gltf
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import local_path, numbers, read_json, refused, rows, table
-from nanogs.io.parts import Whole, check_level
+from nanogs.io.parts import Whole, check_level, level_note
 from nanogs.io.sog.levels import common_mode, joined_info, joined_notes
 from nanogs.place import text_of
 from nanogs.splats import Splats, concatenate
@@ -126,7 +126,7 @@ class TilesLevel(Whole):
         tileset = self._tileset
         places = [(file, tile.above) for tile in self._tiles for file in tile.contents]
         models = [gltf.open_gltf(file, above).load() for file, above in places]
-        which = f"Level {self._level} was read, of {tileset.levels()} from 0, the finest, on."
+        which = level_note(self._level, tileset.levels())
         notes = joined_notes([model.notes for model in models], [which, *tileset.notes])
         mode = common_mode({model.render_mode for model in models})
         comments = dict.fromkeys(line for model in models for line in model.comments)
