@@ -122,7 +122,10 @@ def test_what_is_refused(scene, tmp_path):
     refused(run("convert", "-", tmp_path / "there.ply", data=data), "already; add -w to replace it")
     (tmp_path / "there.ply").unlink()
     refused(run("convert", scene, tmp_path / "a.ply", "--to", "ply"), "--to is for OUT -")
-    refused(run("convert", scene, "-", "--from", "ply"), "--from is for IN -")
+    refused(run("convert", scene, "-", "--from", "ply"), "--from is for IN -", "says it")
+    named = run("convert", "noext", "a.ply", "--from", "ply")
+    refused(named, "--from is for IN - alone; pipe the file into it, as in - --from ply < noext")
+    refused(run("convert", scene, "out", "--to", "ply"), "--to is for OUT - alone; name out.ply")
     refused(run("convert", "-", "--out-dir", tmp_path, data=data), "--out-dir")
     refused(run("simplify", "-", "-", "-r", "2", data=data), "ratio")
     assert list(tmp_path.iterdir()) == []

@@ -47,7 +47,9 @@ class Streams:
         ):
             by_url = place == "IN" and isinstance(path, Address | StandIn)
             if given is not None and path != DASH and not by_url:
-                raise OptionError(f"{option} is for {place} - alone; the name of {path} says it.")
+                raise OptionError(
+                    f"{option} is for {place} - alone; {_instead(path, place, given)}."
+                )
         if pair.source == DASH and sys.stdin.isatty():
             raise OptionError("IN is - and stdin is a terminal; pipe a model into it.")
         if pair.target == DASH and sys.stdout.isatty():
@@ -145,6 +147,15 @@ class Streams:
         named = raw.with_name(f"stdin{suffix}")
         registry.reader(named)
         return raw.rename(named)
+
+
+def _instead(path: Path, place: str, given: str) -> str:
+    """The remedy where an option for streams is given for a file."""
+    if registry.find(path) is not None:
+        return f"the name of {path} says it"
+    if place == "IN":
+        return f"pipe the file into it, as in - --from {given} < {path}"
+    return f"name {path}{registry.suffix_of(given)}"
 
 
 def _own_suffix(source: Path) -> str:
