@@ -343,6 +343,26 @@ def test_the_command_says_what_each_view_draws(scene, stream):
     assert "at seams" in shown.stdout
 
 
+def test_what_hinders_mixing_is_said(scene, stream):
+    looks = ("--views", 1, "--pixels", 32)
+
+    def said(model, budget):
+        result = run("compare", scene, model, "--mixed", "--budget", budget, *looks)
+        assert result.returncode == 0, result.stderr
+        return " ".join(result.stderr.split())
+
+    least = said(stream, 1)
+    assert "the coarsest level, 90 splats, is drawn whatever the budget" in least
+    assert "levels of at most 1 splat:" in least
+    assert "a --budget between the splats of two levels (900, 360, 90) mixes them" in said(
+        stream, 360
+    )
+    whole = scene.with_name("whole.ssog")
+    made = run("lod", scene, whole, "--preset", "fast", "--levels", "0.5,0.2", "-q")
+    assert made.returncode == 0, made.stderr
+    assert "the stream is one chunk, make it of smaller ones (--chunk)" in said(whole, 600)
+
+
 def test_a_seam_that_is_seen_is_said(scene, stream, monkeypatch):
     looks = {"budget": 500, "views": 2, "pixels": 64}
     monkeypatch.setattr("nanogs.scoring.mixed.SEAM_LOSS", -99.0)

@@ -7,7 +7,7 @@ from rich.text import Text
 
 from nanogs.cli.console import out, say, show
 from nanogs.errors import OptionError
-from nanogs.formatting import NONE, number_text
+from nanogs.formatting import NONE, counted, number_text
 
 if TYPE_CHECKING:
     from nanogs.scoring.mixed import MixedComparison, MixedScore
@@ -57,7 +57,9 @@ def _cells(view: "MixedView") -> tuple[str, ...]:
 
 
 def _means(score: "MixedScore") -> str:
-    chosen = "by distance" if score.budget is None else f"of at most {score.budget:,} splats"
+    chosen = (
+        "by distance" if score.budget is None else f"of at most {counted(score.budget, 'splat')}"
+    )
     mixed = f"{number_text(score.psnr)} dB / {number_text(score.ssim, 4)} on {score.protocol.text}"
     coarse = f"{number_text(score.coarse_psnr)} dB / {number_text(score.coarse_ssim, 4)}"
     seams = "no levels meet"

@@ -11,6 +11,7 @@ import numpy as np
 
 from nanogs.bar import drawn
 from nanogs.errors import OptionError
+from nanogs.formatting import counted
 from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
 from nanogs.io.registry import ARCHIVE, LEVELS
@@ -168,7 +169,7 @@ def compare_mixed(
                 levels = tuple(np.diff(stream.ends).tolist())
                 apart = stream.chunks.environment
                 scores.append(_means(name, levels, apart, budget, protocol, marks))
-                notes += _notes(scores[-1])
+                notes += _notes(scores[-1], len(stream.chunks.boxes))
         told.finish()
     return MixedComparison(called[0], len(whole), tuple(scores), tuple(dict.fromkeys(notes)))
 
@@ -252,14 +253,26 @@ def _means(
     )
 
 
-def _notes(score: MixedScore) -> list[str]:
-    where = f"{score.name}, {score.protocol.label}"
-    if score.seam_loss is None:
-        unmixed = (
-            f"{where}: no levels meet in any view, so that nothing is said of seams; a `budget`"
-            " below the splats of the finest level mixes them."
+def _notes(score: MixedScore, chunks: int) -> list[str]:
+    """What the reader of a score should know.
+
+    Args:
+        score: Of a stream.
+        chunks: How many it has.
+    """
+    where, least = f"{score.name}, {score.protocol.label}", score.levels[-1]
+    if score.budget is not None and score.budget < least:
+        floor = (
+            f"{where}: the coarsest level, {counted(least, 'splat')}, is drawn whatever the budget;"
+            f" give a `budget` of {least:,} or more, or make a coarser level (`levels`)."
         )
-        return [unmixed]
+        return [floor]
+    if score.seam_loss is None:
+        unmixed = f"{where}: no levels meet in any view, so that nothing is said of seams; "
+        if chunks == 1:
+            return [f"{unmixed}the stream is one chunk, make it of smaller ones (`chunk`)."]
+        counts = ", ".join(f"{count:,}" for count in score.levels)
+        return [f"{unmixed}a `budget` between the splats of two levels ({counts}) mixes them."]
     if score.seam_loss <= SEAM_LOSS:
         return []
     worse = (
