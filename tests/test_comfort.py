@@ -67,6 +67,8 @@ def test_mistyped_options_and_commands_are_told_the_right_ones():
 def test_presets_are_listed():
     text = run("presets").stdout
     assert all(f"{name} " in text for name in PRESETS)
+    assert text.count("balance 0.5 or 1,") == 2  # as those that measure try them
+    assert text.count("balance 0.8,") == 1
     report = json.loads(run("presets", "--json").stdout)
     assert set(report) == set(PRESETS)
     assert report["paper"]["tau"] == 0.1
