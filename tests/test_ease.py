@@ -53,6 +53,8 @@ def test_a_folder_with_one_model_stands_for_it(folder, tmp_path):
         ("simplify nowhere/ {out}/a.ply -r 0.5", "nowhere: no such file or folder; check the path"),
         ("view nowhere", "nowhere: no such file or folder; check the path"),
         ("compare - {a}", "This command does not read stdin"),
+        ("compare {a} half=-", "This command does not read stdin"),
+        ("view -", "This command does not read stdin"),
         ("refit {a} - {out}/b.ply", "This command does not read stdin"),
         ("render - {out}/pictures", "This command does not read stdin"),
         ("studio -", "This command does not read stdin"),

@@ -451,10 +451,8 @@ def parse_named(text: str) -> tuple[str, Path]:
     """A name and a path or URL from `name=path`; the file's own name where none is given."""
     from nanogs.io.urls import is_url
 
-    if text == "-":
-        return text, parse_model(text)
     name, separator, path = text.partition("=")
     if separator and name and not is_url(text) and not Path(text).exists():
-        return name, parse_place(path)
-    given = parse_place(text)
+        return name, parse_model(path)
+    given = parse_model(text)
     return given.name, given
