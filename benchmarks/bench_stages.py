@@ -49,7 +49,7 @@ def splats():
 
 @pytest.fixture(scope="module")
 def scene(splats):
-    """What the stages hand on to each other."""
+    """Inputs and outputs of the stages, which hand them on to each other."""
     rows = np.flatnonzero(splats.finite())
     origin = gaussians.scene_origin(splats.means[rows])
     alphas = splats.opacities()[rows]

@@ -1,4 +1,4 @@
-"""What simplifying in blocks costs: against in memory, on real scenes and views of several kinds.
+"""Cost of simplifying in blocks: against in memory, on real scenes and views of several kinds.
 
     python benchmarks/blocks.py                              # default, six blocks, a tenth
     python benchmarks/blocks.py --preset best --scenes biker,kitchen --blocks 4

@@ -1,4 +1,4 @@
-"""What `quality.py` has measured, kept as JSON lines, and how it measures what is missing."""
+"""Measurements of `quality.py`, kept as JSON lines, and how missing ones are made."""
 
 import hashlib
 import json
@@ -50,7 +50,7 @@ Tell = Callable[[str], None]
 
 
 class Key(NamedTuple):
-    """What is measured."""
+    """Key of a measurement."""
 
     scene: str
     ratio: float
@@ -60,7 +60,7 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True)
 class Views:
-    """What a scene's results are held against, of one kind."""
+    """Views of one kind that a scene's results are compared with."""
 
     views: list[ReferenceView]
     background: Background

@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def arguments() -> argparse.Namespace:
-    """What the caller wants."""
+    """Parse the command line."""
     default = os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes")
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="?", type=Path, default=Path(default))

@@ -76,7 +76,7 @@ def models(name: str, scene: Splats, options: argparse.Namespace) -> Iterator[tu
 
 
 def plain(model: Splats) -> Splats:
-    """What every format can be given: finite splats in float32, nothing beside them."""
+    """The part of a model that every format can hold: finite splats in float32, nothing else."""
     model = model.take(np.flatnonzero(model.finite() & np.isfinite(model.log_scales).all(axis=1)))
     return replace(model, means=model.means.astype(np.float32), comments=(), notes=())
 
@@ -141,7 +141,7 @@ def gsply_writes(source: Path, target: Path, version: int = 3) -> Path:
 
 
 def by_ply(convert: Callable[[Path, Path], Path], path: Path) -> Splats:
-    """What another program makes of a file, by way of its `.ply`."""
+    """The model that another program reads from a file, by way of its `.ply`."""
     return io.load(convert(path, path.with_name("read.ply")))
 
 

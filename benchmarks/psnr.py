@@ -46,7 +46,7 @@ def _row(model: Path, asked: str, preset: str, out: Path) -> str:
 
 
 def _nanogs(*words: object) -> dict[str, Any]:
-    """What a command says with `--json`."""
+    """Run a command of nanogs and return its JSON."""
     command = [sys.executable, "-m", "nanogs", *map(str, words), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
     if done.returncode not in (0, 3):  # 3: not what was asked for, and the report says so

@@ -67,7 +67,7 @@ def chosen_methods(options: argparse.Namespace) -> list[str]:
 
 
 def arguments() -> argparse.Namespace:
-    """What the caller wants."""
+    """Parse the command line."""
     folder = Path(os.environ.get("NANOGS_SCENES", ROOT.parent / "shared" / "scenes"))
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", default=",".join(SCENES), help="names of scenes")

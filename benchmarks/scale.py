@@ -249,7 +249,7 @@ def tree(args: argparse.Namespace) -> None:
 
 
 def chance(args: argparse.Namespace) -> None:
-    """What chance does to the method in memory, to compare blocks with."""
+    """Print how much results in memory differ by chance, to compare blocks with."""
     from seams import chance
 
     for path in args.scenes:

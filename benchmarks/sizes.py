@@ -146,7 +146,7 @@ def _next(fits: int, fits_bytes: int, over: int, over_bytes: int, size: int, tri
 
 
 def command(bench: Bench, options: argparse.Namespace) -> str:
-    """What measures the files beside ours; scenes that need an up direction have runs of their own.
+    """The command that measures the files beside ours; scenes that need an up direction run apart.
 
     Args:
         bench: Where the scenes are.

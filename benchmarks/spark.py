@@ -1,4 +1,4 @@
-"""What Spark draws of trees of levels of detail at equal numbers of splats: ours, and its own.
+"""Trees of levels of detail drawn by Spark at equal numbers of splats: ours, and its own.
 
     python benchmarks/spark.py [--scenes biker.spz,plant.splat] [--shares 0.25,0.1] [--views 2]
 

@@ -40,7 +40,7 @@ def page_at(address, width, height):
 
 
 def pixels_of(seen, name, **options):
-    """What a page or a part of it shows, (H, W, 3) float32 in [0, 1]; kept where one asks for it.
+    """Picture of a page or a part of it, (H, W, 3) float32 in [0, 1]; kept where one asks for it.
 
     Args:
         seen: The page, or what a locator of it finds.

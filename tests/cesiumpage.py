@@ -53,7 +53,7 @@ TURN = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
 
 
 def in_cesium(path, camera, folder, *, error=0.01, calm=30):
-    """What CesiumJS draws of a tileset, (H, W, 3) float32 in [0, 1], and what it says of itself.
+    """Picture of a tileset by CesiumJS, (H, W, 3) float32 in [0, 1], and what it says of itself.
 
     Args:
         path: Its `tileset.json`, in a place of its own, so without a place on Earth.

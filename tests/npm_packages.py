@@ -23,7 +23,7 @@ def package(name):
 
 
 def node(script, *arguments):
-    """What a script prints that may require the packages; skips the test without Node."""
+    """Output of a script that may require the packages; skips the test without Node."""
     command = shutil.which("node")
     if command is None:
         pytest.skip("Node is absent")

@@ -14,7 +14,7 @@ from nanogs.store.tables import write_table
 
 @contextmanager
 def in_parts(path):
-    """What reads rows of a file; its columns are unpacked first, where they must be."""
+    """Yield a reader of a file's rows; its columns are unpacked first, where they must be."""
     with io.open(path) as source:
         assert not isinstance(source, Whole), f"{path} is not read in parts"
         if not isinstance(source, Packed):

@@ -91,7 +91,7 @@ def moved(splats, i, parameter, amount):
 
 @dataclasses.dataclass
 class Wide:
-    """What the twins read of a model, in float64: differences need the digits."""
+    """A model as the twins read it, in float64: differences need the digits."""
 
     means: np.ndarray
     log_scales: np.ndarray

@@ -196,7 +196,7 @@ def inside_gltf(rng, files):
 
 
 def inside_packed_glb(rng, files):
-    """What is packed in a `.glb` file, its lengths right again."""
+    """Damage the packed content of a `.glb` file, and set its lengths right again."""
     ((name, data),) = files.items()
     (length,) = struct.unpack_from("<I", data, 12)
     content = json.loads(data[20 : 20 + length])

@@ -60,7 +60,7 @@ draw();
 
 
 def in_spark(path, camera, folder, *, mesh=None, calm=8, **options):
-    """What Spark draws of a file, (H, W, 3) float32 in [0, 1], and what it says of itself.
+    """Picture of a file by Spark, (H, W, 3) float32 in [0, 1], and what it says of itself.
 
     Args:
         path: The file.

@@ -67,7 +67,7 @@ class Started:
 
 
 class Page:
-    """What a page does: it asks, and takes events."""
+    """A page without a browser: it asks, and takes events."""
 
     def __init__(self, studio, name=None):
         self.studio, self.name, self.number = studio, name or token_hex(8), 0

@@ -29,7 +29,7 @@ LAYOUT = {"name": "3D Tiles", "suffix": "tileset.json", "example": "scene/tilese
 
 
 class Fake:
-    """What a page asked, and a way to tell it things.
+    """A server that keeps the requests of a page, and tells it things.
 
     Attributes:
         asked: Path and JSON of each request, in order.
@@ -62,7 +62,7 @@ class Fake:
         }  # fmt: skip
 
     def model(self, name, splats=1):
-        """What events say of a model."""
+        """A model as events describe it."""
         return {"id": name, "splats": splats, "mip": False, "note": None}
 
     def tell(self, **event):

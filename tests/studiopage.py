@@ -53,7 +53,7 @@ class StudioPage:
 
     @property
     def unexpected(self):
-        """What the console said of errors, but for those that a test brings about."""
+        """Errors on the console, but for those that a test brings about."""
         return [text for text in self.errors if not any(word in text for word in self.expected)]
 
     def at(self, name):
@@ -61,11 +61,11 @@ class StudioPage:
         return self.page.locator(f"#{name}")
 
     def text(self, name):
-        """What it says."""
+        """The text of a part of the page."""
         return self.at(name).text_content().strip()
 
     def value(self, name):
-        """What is in a field, as a number."""
+        """The content of a field, as a number."""
         return float(self.at(name).input_value().replace(",", "") or "nan")
 
     @property

@@ -25,7 +25,7 @@ def standing_at(camera):
 
 
 def in_supersplat(path, folder, count, width=320, height=240, **camera):
-    """What it shows when it draws so many splats, and the files that it asked for.
+    """Picture of a model by SuperSplat once it draws so many splats, and the files it asked for.
 
     Args:
         path: The model.

@@ -1,4 +1,4 @@
-"""What Python offers beside the command: names, paths in place of models, scores and pictures."""
+"""Python's side of the library: names, paths in place of models, scores and pictures."""
 
 import inspect
 import json

@@ -37,7 +37,7 @@ def pair():
 
 @pytest.fixture
 def screen(monkeypatch):
-    """What bars are drawn on, a terminal."""
+    """The terminal that bars are drawn on."""
     file = io.StringIO()
     console = partial(rich.console.Console, file=file, force_terminal=True, width=100)
     monkeypatch.setattr(rich.console, "Console", lambda **_options: console())

@@ -1,4 +1,4 @@
-"""What is left of a run that is ended in the middle: nothing, at any moment."""
+"""A run that is ended in the middle leaves nothing behind, at any moment."""
 
 import os
 import random

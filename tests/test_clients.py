@@ -1,4 +1,4 @@
-"""What is written for the web, in the programs that show it there: three real scenes each.
+"""Files for the web in the programs that show them there: three real scenes each.
 
 Pictures are held against our own render of the same camera: other rasterisers, other sorts of
 depth, but the same model at the same place, the same way up, in the same colours.

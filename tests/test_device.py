@@ -36,7 +36,7 @@ def no_card(monkeypatch):
 
 
 def refused(capsys, *arguments):
-    """What the command says of an error, whose exit code is 2."""
+    """Run the command, which must end with exit code 2, and return its error."""
     assert run_here(*arguments) == 2
     return " ".join(capsys.readouterr().err.split())
 

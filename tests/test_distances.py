@@ -1,4 +1,4 @@
-"""What splats cover and block from near and from far, and how far away that is."""
+"""Coverage and blocking of splats from near and from far, and how far away that is."""
 
 from decimal import Decimal, localcontext
 

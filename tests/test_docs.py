@@ -73,7 +73,7 @@ def shown_commands(page):
 
 
 def check_values(name, values):
-    """What the parser leaves to the command: presets, formats, directions, and what is written."""
+    """Check values that the parser leaves to the command: presets, formats, directions, outputs."""
     formats = {known.suffix.lstrip(".") for known in registry.formats()}
     if values.get("preset"):
         assert values["preset"] in PRESETS

@@ -34,7 +34,7 @@ class Parameter:
 
 @pytest.fixture
 def shown(tmp_path, monkeypatch, small_views):
-    """What pages may use: a scene as a file and as a model, and gsplat's dictionary."""
+    """Names that pages may use: a scene as a file and as a model, and gsplat's dictionary."""
     monkeypatch.chdir(tmp_path)
     scene = make_scene(600, sh_degree=1)
     nanogs.save(scene, "scene.ply")
@@ -53,7 +53,7 @@ def test_python_that_is_shown_runs(page, shown, capsys):
 
 
 def check_results(names, out):
-    """What the page says of its own results is so."""
+    """Check that the page's own results are as it says."""
     assert len(names["fast"]) == 50
     assert len(names["small"]) == 60
     assert len(names["first"]) == 100

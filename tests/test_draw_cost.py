@@ -1,4 +1,4 @@
-"""What a model takes to draw: splats a pixel, tile pairs, and the share of the largest."""
+"""Cost of drawing a model: splats a pixel, tile pairs, and the share of the largest."""
 
 import json
 from dataclasses import replace

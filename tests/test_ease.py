@@ -1,4 +1,4 @@
-"""What a first guess at a command line does: names of files and folders, pipes, and silence."""
+"""First guesses at a command line work: names of files and folders, pipes, and silence."""
 
 import json
 import subprocess

@@ -93,7 +93,7 @@ def test_pixels_and_the_origin_stay_where_most_splats_are(distance):
 @every_preset
 @pytest.mark.parametrize("distance", [1e8, 1e15])
 def test_strays_far_away_do_not_change_the_rest(preset, distance):
-    """What is not near them is merged as it would be without them."""
+    """Splats far from the strays are merged as they would be without them."""
     splats = random_splats(1500, seed=3)
     strays = replace(random_splats(4, seed=4), render_mode=splats.render_mode)
     strays.means[:] += np.float32([distance, 0, 0]) * np.float32([[1], [-1], [0.5], [1]])

@@ -17,7 +17,7 @@ WRITTEN = [known.suffix for known in registry.formats() if known.write]
 
 @pytest.fixture(autouse=True)
 def own_temporary_folder(tmp_path, monkeypatch):
-    """What is left behind is seen."""
+    """Make a temporary folder of the test's own, which must be empty at the end."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))

@@ -1,4 +1,4 @@
-"""What is free, by made-up descriptions of a system, and what happens where it is not enough."""
+"""Free memory, by made-up descriptions of a system, and what happens where it is not enough."""
 
 import json
 import subprocess

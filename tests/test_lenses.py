@@ -77,7 +77,7 @@ def pattern(x, y):
 
 @cache
 def taken(model):
-    """What a camera with that lens sees of the pattern: each pixel's ray is found by iteration."""
+    """The pattern as a camera with that lens sees it: each pixel's ray is found by iteration."""
     (fx, fy, cx, cy), lens = split_params(model)
     u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
     wanted = np.stack([(u - cx) / fx, (v - cy) / fy], axis=-1)

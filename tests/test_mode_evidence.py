@@ -1,4 +1,4 @@
-"""What speaks for drawing a model as `default` or as `mip`, and `nanogs info` that looks."""
+"""Evidence for drawing a model as `default` or as `mip`, and `nanogs info` that looks."""
 
 import json
 import math

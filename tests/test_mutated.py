@@ -157,7 +157,7 @@ def test_bombs_are_refused_by_what_they_state(tmp_path, name):
 
 @pytest.mark.parametrize("suffix", [".sog", ".spz", ".npz"])
 def test_equal_splats_are_no_bomb(tmp_path, suffix):
-    """What packs best of all and is honest."""
+    """Equal splats pack best of all, and yet the file is an honest one."""
     model = random_splats(1).take(np.zeros(100_000, np.int64))
     path = tmp_path / f"a{suffix}"
     io.save(model, path)

@@ -1,4 +1,4 @@
-"""What options take, what is said of values they do not take, and what the help shows."""
+"""Values that options take, what is said of others, and what the help shows."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""What the project says of itself: its extras, its Pythons, its files."""
+"""The project's statements about itself: its extras, its Pythons, its files."""
 
 import ast
 import re

@@ -155,7 +155,7 @@ def test_a_larger_palette_may_want_finer_bits():
 
 
 def test_bits_are_compared_at_the_size():
-    """What splats bring is overrated: by that 4 bits were the best, then 5, and 6 in truth."""
+    """The slope is overrated here: by it 4 bits were the best, then 5, and 6 in truth."""
     model = MadeUp(0, 8.0, 6)
     model.bit = 0.05
     choices = Choices([0], palettes=False, bits=BITS)
@@ -188,7 +188,7 @@ def test_what_nearly_all_splats_bring_is_measured_near_the_size():
 
 @pytest.mark.parametrize("edge", [*range(5000, 8200, 200)])
 def test_a_result_is_packed_as_the_one_that_was_judged(edge):
-    """What an option that follows from the splats was, it stays: files would leap in size."""
+    """An option that followed from the splats stays as it was: files would leap in size."""
 
     class Leaping(MadeUp):
         """From a count on, centres take a byte more."""

@@ -1,4 +1,4 @@
-"""What packing alone costs: the file of a model beside the same model unpacked."""
+"""The cost of packing alone: the file of a model beside the same model unpacked."""
 
 import json
 import tempfile

@@ -35,7 +35,7 @@ def placed(folder, files):
 
 
 def assert_spans(path, spans):
-    """What is read of a file in parts is what the whole has there."""
+    """Assert that rows read of a file in parts are those that the whole has there."""
     expected = whole(path)
     with in_parts(path) as read:
         for start, stop in spans:

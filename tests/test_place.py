@@ -62,7 +62,7 @@ def test_the_origin_is_where_pyproj_has_it(pyproj, name):
 
 @pytest.mark.parametrize("name", PLACES)
 def test_the_axes_are_east_north_and_up_of_pyproj(pyproj, name):
-    """What is 100 m along each axis, by the topocentric frame of PROJ."""
+    """Points 100 m along each axis are where the topocentric frame of PROJ has them."""
     longitude, latitude, height = PLACES[name]
     tangent = pyproj.Transformer.from_pipeline(
         "+proj=pipeline +step +proj=topocentric +ellps=WGS84"
@@ -212,7 +212,7 @@ def root_transform(path):
 
 
 def test_only_the_root_says_the_place(placed, nowhere):
-    """Whatever else is in the folder is the same to the last byte."""
+    """All other files of the folder are the same to the last byte."""
     assert np.array_equal(root_transform(placed), ZURICH.matrix())
     data, other = (json.loads(path.read_text()) for path in (placed, nowhere))
     data["root"]["transform"] = other["root"]["transform"]

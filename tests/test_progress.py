@@ -1,4 +1,4 @@
-"""What the library tells of its progress."""
+"""Steps by which the library tells of its progress."""
 
 import itertools
 

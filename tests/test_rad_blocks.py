@@ -125,7 +125,7 @@ def test_spark_draws_it(model, made, tmp_path):
     "ratios", [(1, 0.5, 0.02), (1, 0.5, 0.02, 0.0005), (1, 0.002), (0.01, 0.002), (1,), (0.4,)]
 )
 def test_levels_that_blocks_cannot_be_cut_to(model, scene, tmp_path, ratios):
-    """What is left to do is done above the blocks' trees, or where no level is left, without."""
+    """Levels of any counts become one tree, whatever trees of blocks can hold of them."""
     manifest, _ = write(scene, tmp_path / "a.rad", ratios)
     wanted = [int(np.ceil(3000 * ratio)) for ratio in ratios]
     assert [level.count for level in manifest.levels] == wanted

@@ -1,4 +1,4 @@
-"""What is written as `.rad`, opened in Spark's npm package in a real browser."""
+"""Files written as `.rad`, opened in Spark's npm package in a real browser."""
 
 import dataclasses
 

@@ -60,7 +60,7 @@ def make_splats(n=12, seed=0, degree=0, size=-1.2, mode=RenderMode.DEFAULT):
 
 
 def pulls_of(splats, camera, residual, precision, wanted=ALL_BLOCKS):
-    """What the kernels sum up, with the features they were given."""
+    """Sums of the kernels, with the features they were given."""
     view = project(prepare(splats), camera)
     features = np.zeros_like(view.features)
     features[view.order, :3] = view.features[view.order, :3] - np.float32(0.5)

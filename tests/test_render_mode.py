@@ -42,7 +42,7 @@ def models(tmp_path_factory):
 
 
 def done(*arguments):
-    """What a run of the command said as JSON."""
+    """Run the command and return its JSON."""
     result = run(*arguments, "--json")
     assert result.returncode == 0, result.stderr
     return json.loads(result.stdout)

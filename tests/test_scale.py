@@ -66,7 +66,7 @@ def expected(scene, tmp_path_factory):
 
 
 def names(folder):
-    """What is in a folder."""
+    """Names of the entries of a folder."""
     return [path.name for path in folder.iterdir()]
 
 

@@ -41,7 +41,7 @@ def parts(request, tmp_path_factory):
 
 @pytest.fixture
 def scene(parts, tmp_path):
-    """What filters leave of both parts, in one file."""
+    """The filtered splats of both parts, in one file."""
     path = tmp_path / "scene.ply"
     with Filtered(Joined([nanogs.open(part) for part in parts]), KEPT) as left:
         nanogs.save(left, path)

@@ -69,7 +69,7 @@ def started(scene, out, *more, env=None):
 
 
 def ended(child, code=0, seconds=200):
-    """What the command says to people when it has ended: one line, if in error."""
+    """Wait for the command to end and return its stderr: one line, if in error."""
     try:
         text = child.communicate(timeout=seconds)[1]
     except subprocess.TimeoutExpired:
@@ -95,7 +95,7 @@ def records(out):
 
 
 def crash_at(stage, done):
-    """What a run is told its progress by, and ends it."""
+    """A listener to progress that ends the run at a stage."""
 
     def progress(step):
         if (step.stage, step.done) == (stage, done):
@@ -279,13 +279,13 @@ def answers(port):
 
 
 def ask(url, method="GET", data=None):
-    """What the store answers."""
+    """The store's answer to a request."""
     with urllib.request.urlopen(urllib.request.Request(url, data, method=method)) as answer:
         return answer.read()
 
 
 def keys(store):
-    """What the bucket holds, unfinished uploads among it."""
+    """Keys in the bucket, with those of unfinished uploads."""
     text = ask(f"{store}/bucket?list-type=2") + ask(f"{store}/bucket?uploads")
     return re.findall("<Key>(.*?)</Key>", text.decode())
 
@@ -428,7 +428,7 @@ def test_a_relative_scratch_is_found_from_elsewhere(scene, tmp_path, expected, m
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_models_in_a_store(tmp_path, keyed):
-    """What is sent is there whole or not at all; nothing is replaced unasked."""
+    """A file that is sent is there whole or not at all; nothing is replaced unasked."""
     source, url = tmp_path / "in.ply", "s3://bucket/models/a b.spz"
     nanogs.save(random_splats(1200), source)
     nanogs.convert(source, tmp_path / "a.spz")

@@ -44,7 +44,7 @@ def splats():
 
 @pytest.fixture(scope="module")
 def memory():
-    """What blocks of a sixth of the scene need, as the command takes it."""
+    """Memory that blocks of a sixth of the scene need, as the command takes it."""
     layout = Layout(0, False, (), "default", (), ())
     held = held_bytes(COUNT // 6, COUNT, layout, PRESETS["fast"], 0.1)
     return f"{int((LIBRARIES + held) / 0.95)}B"

@@ -39,7 +39,7 @@ def nodes_at(points, covariance):
 
 
 def twin_growth(nodes):
-    """What `sheet_growths` says, of all nodes as one group, by NumPy's eigenvectors."""
+    """The growth of `sheet_growths`, of all nodes as one group, by NumPy's eigenvectors."""
     shares = nodes.weights / nodes.weights.sum()
     offsets = nodes.means - shares @ nodes.means
     between = (shares[:, None] * offsets).T @ offsets

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def python(code, **variables):
-    """What a process of its own says: stdout, and stderr."""
+    """Run code in a process of its own, and return its stdout and stderr."""
     environment = {k: v for k, v in os.environ.items() if k != choice.VARIABLE}
     run = subprocess.run(
         [sys.executable, "-c", code], env=environment | variables, capture_output=True, text=True

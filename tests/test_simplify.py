@@ -449,7 +449,7 @@ def test_the_plan_is_pinned():
 
 
 def test_a_result_that_cannot_be_fitted_is_delivered_as_it_is():
-    """What one splat of two shows can hardly be fitted to them: the promise holds."""
+    """One splat can hardly be fitted to show what two do: the promise holds."""
     best, report = nanogs.simplify(random_splats(2), count=1, preset="best")
     assert len(best) == 1
     unfitted, _ = nanogs.simplify(random_splats(2), count=1, preset="best", steps=0)

@@ -193,7 +193,7 @@ def recorded(tmp_path, records, count=4):
 
 
 def records_in(path):
-    """What lies between the header and the table of contents, where version 4 has its records."""
+    """Bytes between the header and the table of contents, where version 4 has its records."""
     data = path.read_bytes()
     assert struct.unpack_from("<I", data, 4)[0] == 4
     return data[32 : struct.unpack_from("<I", data, 16)[0]]

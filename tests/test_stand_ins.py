@@ -1,4 +1,4 @@
-"""What downloads leave in a file's place is called by its name, whatever format was asked for."""
+"""Placeholders that downloads leave in a file's place are named, whatever format was asked for."""
 
 import pytest
 

@@ -30,7 +30,7 @@ from test_free_memory import command
 
 
 def squeezed(capsys):
-    """What was said on stderr, on one line."""
+    """All of stderr on one line."""
     return " ".join(capsys.readouterr().err.split())
 
 

@@ -1,4 +1,4 @@
-"""What a page asks, as the library and as the command take it: the same, whatever is chosen."""
+"""A page's choices as the library and as the command take them: the same, whatever is chosen."""
 
 import dataclasses
 import math
@@ -74,7 +74,7 @@ def caught(monkeypatch, where, call):
 
 
 def comparable(request):
-    """What decides the bytes, with the two ways to say nothing as one."""
+    """Fields that decide the bytes, with the two ways to say nothing as one."""
     plain = {field.name: getattr(request, field.name) for field in dataclasses.fields(request)}
     plain["filters"] = [each.plain for each in request.filters]
     plain["cameras"] = None if request.cameras == "auto" else request.cameras

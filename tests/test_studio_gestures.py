@@ -1,4 +1,4 @@
-"""Whatever is done to the page of `nanogs studio`, in whatever order: no error, and no lost job."""
+"""Random gestures on the page of `nanogs studio`, in any order: no error, and no lost job."""
 
 import re
 

@@ -135,7 +135,7 @@ def contents(path):
 
 
 def by_hand(scene, words, folder):
-    """What the command writes in an empty folder with the scene alone; names and bytes."""
+    """Run the command in an empty folder with the scene alone; names and bytes of its files."""
     folder.mkdir()
     shutil.copy(scene, folder)
     done = run(*words, cwd=folder)

@@ -1,4 +1,4 @@
-"""What `--threads` asks for holds for all of a command."""
+"""The number of `--threads` holds for all of a command."""
 
 import pytest
 

@@ -154,7 +154,7 @@ def test_the_tiles_of_a_level_are_the_level(splats, made):
 
 
 def test_contents_lie_in_their_boxes_once_the_frames_are_turned(made):
-    """What is in the file, by the node's transform and then from y up to z up."""
+    """The file's contents, turned by the node's transform and then from y up to z up."""
     path, _ = made
     for tile, _ in tiles(path):
         document, _ = glb(path.parent / tile["content"]["uri"])

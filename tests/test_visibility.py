@@ -1,4 +1,4 @@
-"""What views of the original show, and what it does to a result."""
+"""Visibility of splats in views of the original, and its effect on a result."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""What is built from the sources: the viewer and its licences are in it, or the build fails."""
+"""The built packages have the viewer and its licences in them, or the build fails."""
 
 import os
 import re

@@ -11,6 +11,10 @@ from nanogs.findings import Finding, Names, join_findings, negative_scales, of_p
 from nanogs.formatting import counted, undrawn
 
 SOURCES = sorted(Path(nanogs.__file__).parent.rglob("*.py"))
+TESTS = sorted(Path(__file__).parent.glob("*.py"))
+BENCHMARKS = sorted((Path(__file__).parents[1] / "benchmarks").glob("*.py"))
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+WHAT = re.compile(r"What(ever)?\b")
 # A number in a sentence before a plural that a single thing would make wrong.
 PLURAL = re.compile(
     r"\{[^{}]*\}\s+(splats|bytes|views|rows|photographs)\s+(with|have|has|are|were|is)\b"
@@ -73,3 +77,13 @@ def test_no_sentence_says_one_splats():
     assert len(found) > 200
     always_many = {"sink.py"}  # "... splats are too many"
     assert {name for name, each in found.items() if each} == always_many
+
+
+def test_no_docstring_begins_with_what():
+    """A docstring begins with the thing itself, or with what is done; "what" only points at it."""
+    found = set()
+    for path in [*SOURCES, *TESTS, *BENCHMARKS]:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, DOCUMENTED) and WHAT.match(ast.get_docstring(node) or ""):
+                found.add(f"{path.name}: {getattr(node, 'name', 'the module')}")
+    assert found == set()

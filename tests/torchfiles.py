@@ -101,7 +101,7 @@ def pickled(value, tensor=None):
 
 
 def gsplat(model):
-    """What gsplat's trainer saves of a model."""
+    """A checkpoint of gsplat's trainer."""
     splats = {
         "means": model.means,
         "scales": model.log_scales,
@@ -114,7 +114,7 @@ def gsplat(model):
 
 
 def captured(model):
-    """What the reference trainer saves: what `capture` gives, and the iteration."""
+    """A checkpoint of the reference trainer: what `capture` gives, and the iteration."""
     n = len(model)
     moments = {0: {"step": 9.0, "exp_avg": np.ones((n, 3), np.float32)}}
     optimiser = {"state": moments, "param_groups": [{"lr": 0.1, "name": "xyz", "params": [0]}]}
@@ -138,7 +138,7 @@ def captured(model):
 
 
 def nerfstudio(model, prefix="_model.gauss_params."):
-    """What nerfstudio's trainer saves of a model, optimisers and schedulers among it."""
+    """A checkpoint of nerfstudio's trainer, optimisers and schedulers among it."""
     splats = {
         f"{prefix}means": model.means,
         f"{prefix}scales": model.log_scales,

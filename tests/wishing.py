@@ -33,7 +33,7 @@ SPANS = 0.3  # dB above an asked PSNR
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What is asked for, and of what.
+    """A wish, and the model that it is for.
 
     Attributes:
         model: What kind of model it is.
@@ -69,7 +69,7 @@ class Wish:
 
 @dataclass(frozen=True, slots=True)
 class Met:
-    """What came of a wish.
+    """The outcome of a wish.
 
     Attributes:
         used: Bytes of the file over the size, or None where none was asked for.
@@ -301,7 +301,7 @@ def _commanded(wish: Wish, source: Path, out: Path) -> dict[str, Any]:
 
 
 def _faults(wish: Wish, folder: Path, out: Path, report: dict[str, Any]) -> list[str]:
-    """What is not as it should be, a few words each."""
+    """Faults of a result, a few words each."""
     faults, taken = [], out.stat().st_size
     left = {path.name for path in folder.iterdir()} - {"in.ply", out.name}
     if left:

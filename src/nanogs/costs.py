@@ -1,4 +1,4 @@
-"""What a model takes to draw: numbers that a count of splats does not tell."""
+"""Cost of drawing a model: numbers that a count of splats does not tell."""
 
 from dataclasses import asdict, astuple, dataclass
 from typing import Any
@@ -11,7 +11,7 @@ LARGEST = 0.01  # share of the splats that are called the largest
 
 @dataclass(frozen=True, slots=True)
 class DrawCost:
-    """What pictures of a model take to draw, on some views.
+    """Cost of drawing pictures of a model, on some views.
 
     A splat *covers* a pixel where its alpha there is 1/255 or more, whatever stands before it.
     Viewers that draw splats as triangles shade each of these; tile rasterisers, as those of 3DGS

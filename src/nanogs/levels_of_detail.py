@@ -170,7 +170,7 @@ def sink_of(
     source: str | None = None,
     layout: Layout | str = Layout.FILES,
 ) -> LevelsSink:
-    """What takes the levels that are asked for; see `write_levels`."""
+    """The sink for the levels that are asked for; see `write_levels`."""
     name = source or ", ".join(path.name for path in request.inputs) or "a model"
     if layout == Layout.TREE:
         return LevelsTree(request.output, request.overwrite, name)

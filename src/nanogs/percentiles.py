@@ -55,7 +55,7 @@ class Percentiles:
             self._lower[half] += np.bincount(bits[upper == half] & 0xFFFF, minlength=_HALVES)
 
     def values(self) -> list[float] | None:
-        """What the percentages were asked for: between two values in proportion; None of none."""
+        """The percentiles asked for, interpolated between two values; None without values."""
         if not self._count:
             return None
         if not self.again:

@@ -153,7 +153,7 @@ def columns(matrix: F64) -> tuple[float, ...]:
 
 
 def text_of(matrix: F64) -> str:
-    """What puts a scene there: the fields of a `Place`, or the 16 numbers, column after column."""
+    """Text of the fields of a `Place`, or of the matrix's 16 numbers, column after column."""
     place = Place.of(matrix)
     if place is None:
         texts = (repr(value + 0.0).removesuffix(".0") for value in columns(matrix))

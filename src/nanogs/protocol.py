@@ -88,7 +88,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class PackingLoss:
-    """What packing alone did to a model, on the views of its scores.
+    """Loss of quality by packing alone, on the views of a model's scores.
 
     Attributes:
         format: Suffix of the file's format.

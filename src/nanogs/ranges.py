@@ -9,7 +9,7 @@ from nanogs.errors import OptionError
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """What is known of a parameter beside its name, its type and its default.
+    """A parameter's range, unit and help: what its field holds beside name, type and default.
 
     Attributes:
         low: The least value.
@@ -30,7 +30,7 @@ class Parameter:
     views: bool
 
     def expected(self, value: float) -> str:
-        """What a value has to be, to follow "must be"; empty where it is so."""
+        """The words that follow "must be" where a value is refused; empty where it is not."""
         if not math.isfinite(value):
             return "a finite number"
         enough = value > self.low if self.above else value >= self.low
@@ -60,7 +60,7 @@ def parameter(
 
 
 def known_parameters(kind: Any) -> dict[str, Parameter]:  # noqa: ANN401 - any dataclass
-    """What is known of the parameters of a dataclass, or of an instance of one, by name."""
+    """The `Parameter` of each field that has one, by name; of a dataclass or an instance."""
     found = {each.name: each.metadata.get("parameter") for each in fields(kind)}
     return {name: known for name, known in found.items() if known}
 

@@ -108,10 +108,10 @@ class Judge(Protocol):
         """Why one was not measured so far, one sentence each."""
 
     def of(self, path: Path, level: int = 0) -> Judged | None:
-        """What was measured of a file, or of a level in there; None where nothing can be."""
+        """Scores of a file, or of a level in there; None where nothing can be measured."""
 
     def costs(self, path: Path, level: int = 0) -> Sequence[DrawCost]:
-        """What it takes to draw, and the model; nothing where that is not measured."""
+        """Costs of drawing it and the model; none where they are not measured."""
 
     def at_switch(self, path: Path, level: int, pixel_of: PixelOf) -> Switch | None:
         """A level where a viewer begins to draw it; None where that is not measured."""
@@ -202,7 +202,7 @@ class Sink(Protocol):
 
     @property
     def environment(self) -> Environment | None:
-        """What is drawn with every result, or None."""
+        """The environment that is drawn with every result, or None."""
 
     @property
     def suffix(self) -> str:

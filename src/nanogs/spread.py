@@ -73,7 +73,7 @@ def each(parts: Iterable[T], work: Callable[[T], None]) -> None:
 
 
 def results(parts: Iterable[T], work: Callable[[T], R]) -> list[R]:
-    """What some work makes of each part, in the order of the parts; see `each`."""
+    """Do some work on each part, and return its results in the order of the parts; see `each`."""
     every = list(parts)
     found: dict[int, R] = {}
 

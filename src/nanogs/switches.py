@@ -59,7 +59,7 @@ class Switch:
 
     @property
     def text(self) -> str:
-        """What was measured, and where: "35.10 dB / 0.9713 from 15 units on"."""
+        """Scores at the distance they were measured at: "35.10 dB / 0.9713 from 15 units on"."""
         return f"{self.marks} from {self.distance_text} units on"
 
     @property

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Warmth:
-    """What is on the disk.
+    """Kernels on the disk, and how many of them were compiled now.
 
     Attributes:
         kernels: How many there are.

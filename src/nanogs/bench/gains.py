@@ -13,7 +13,7 @@ from nanogs.bench.rows import ORIGINAL, BenchRow, SetScore
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """What a method gains on another at equal size, on one scene (see `bjontegaard`).
+    """Gain of a method on another at equal size, on one scene (see `bjontegaard`).
 
     Attributes:
         scene: The scene.

@@ -86,7 +86,7 @@ def method_row(
     settings: BenchSettings,
     folder: Path,
 ) -> BenchRow:
-    """What a method of ours makes, in a process of its own, and its score."""
+    """Run a method of ours in a process of its own, and score its result."""
     row = empty_row(scene, method, wish)
     output = folder / f"result{wish.format or '.ply'}"
     job = Job(

@@ -136,7 +136,7 @@ class BenchRow:
 
     @property
     def wish(self) -> Wish:
-        """What was asked for."""
+        """The size or ratio that was asked for."""
         return Wish(self.ratio, self.format, self.size)
 
     @property

@@ -62,7 +62,7 @@ class BenchSettings:
 
     @property
     def wishes(self) -> tuple[Wish, ...]:
-        """What is asked of every method, files by format and ascending size."""
+        """Sizes or ratios asked of every method; files by format and ascending size."""
         if not self.file_sizes:
             return tuple(Wish(ratio) for ratio in self.ratios)
         sizes = sorted(self.file_sizes)

@@ -1,4 +1,4 @@
-"""What methods gain at equal size, as a table; and all of a run with file sizes as a page."""
+"""Gains of methods at equal size, as a table; and all of a run with file sizes as a page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

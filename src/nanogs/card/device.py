@@ -64,7 +64,7 @@ def check_device(name: str | None) -> None:
 
 
 def device_notes(asked: str | None, used: str) -> tuple[str, ...]:
-    """What a report says of the device: nothing of the CPU, unless a card was hoped for.
+    """Notes of a report on the device: none of the CPU, unless a card was looked for.
 
     Args:
         asked: What `use_device` was asked for.

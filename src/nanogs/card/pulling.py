@@ -244,7 +244,7 @@ def tint(
     alpha_scale: wp.float32,
     tinted: wp.array2d[wp.float32],
 ) -> None:
-    """What a fit blends: colours less `white`, and `alpha_scale` in place of the depth.
+    """Write what a fit blends: colours less `white`, and `alpha_scale` in place of the depth.
 
     features: (N, 4); depths: (N,) infinite for splats that are not drawn; tinted: (N, 4) out.
     """

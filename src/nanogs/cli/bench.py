@@ -205,7 +205,7 @@ def _run(
 
 
 def _wishes(ratios: str | None, sizes: str | None, formats: str | None) -> dict[str, Any]:
-    """What is asked of every method, as settings have it: ratios, or files of sizes."""
+    """Fields of the settings that say what is asked of every method: ratios, or sizes of files."""
     from nanogs.io.registry import suffix_of
     from nanogs.quantities import parse_bytes
 

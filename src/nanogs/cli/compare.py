@@ -249,7 +249,7 @@ def _drawn_text(one: "Comparison", model: "ModelScore") -> str:
 
 
 def _packing_table(comparison: "Comparison") -> "Table":
-    """What packing alone costs: a row for each file of a model."""
+    """Table of what packing alone costs: a row for each file of a model."""
     from rich.table import Table
     from rich.text import Text
 

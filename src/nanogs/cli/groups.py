@@ -56,7 +56,7 @@ def _spread(name: str, kind: Any, default: Any) -> list[Parameter]:  # noqa: ANN
 
 
 def _gathered(kind: Any, name: str, given: dict[str, Any]) -> Any:  # noqa: ANN401
-    """What a parameter of the command is called with."""
+    """The argument for a parameter of the command: as given, or made of the options it gathers."""
     inside = _inside(kind)
     if inside is None:
         return given[name]

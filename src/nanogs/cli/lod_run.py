@@ -27,7 +27,7 @@ from nanogs.switches import SCREEN, Switch
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """What is asked for, as the options say it.
+    """A run of `lod`, as its options ask for it.
 
     Attributes:
         wish: What is asked of the library.

@@ -112,7 +112,7 @@ class Looking:
         return looks
 
     def looked(self, model: "Model", progress: "Progress") -> "Looked":
-        """What is seen of a model.
+        """Look at a model: evidence of its render mode, and what it takes to draw.
 
         Raises:
             NanogsError: As for `nanogs.mode_evidence`.

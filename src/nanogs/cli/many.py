@@ -30,7 +30,7 @@ from nanogs.quantities import is_unit
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What became of a file.
+    """Outcome of a run on one file: the library's report, and what the command adds.
 
     Attributes:
         report: The library's, a dataclass with `to_dict`.

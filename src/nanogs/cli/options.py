@@ -79,7 +79,7 @@ VIEWS = "Views (automatic, or from a file)"
 
 
 def in_panel(panel: str) -> Callable[..., Any]:
-    """What makes options of a panel of the help, as `typer.Option` does; the help comes first."""
+    """Return a maker of options in a panel of the help: `typer.Option`, but with the help first."""
 
     def option(help: str, *names: str, **more: Any) -> Any:  # noqa: A002, ANN401 - typer's own
         return typer.Option(*names, help=help, rich_help_panel=panel, **more)
@@ -252,7 +252,7 @@ Device = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Telling:
-    """What a command says of its run."""
+    """The options `--json` and `--quiet`, and the end of a run told as they ask."""
 
     json: Json = False
     quiet: Quiet = False

@@ -1,4 +1,4 @@
-"""What `simplify` and `lod` are going to do, for the plan that is shown and for the run."""
+"""The plan of a run of `simplify` or `lod`: shown with `--dry-run`, or carried out."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -112,7 +112,7 @@ class Plan:
         return plan_job(wish, *size)
 
     def notes(self) -> list[str]:
-        """What the user should know of how it is done, one sentence each."""
+        """Notes for the user on how it is done, one sentence each."""
         if not self.divided:
             return self.method.blocks.unused()
         each = self.process_memory
@@ -148,7 +148,7 @@ class Plan:
         return f"{self.name} takes about {peak} of memory, and {self.free}"
 
     def to_dict(self) -> dict[str, Any]:
-        """What would be done, for JSON."""
+        """The plan as plain values, for JSON."""
         return {
             "input": self.name,
             "input_count": self.info.splats,
@@ -160,7 +160,7 @@ class Plan:
 
 
 def wish_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: ANN401 - its fields
-    """What is asked of the library, but for the files; threads are shared by workers.
+    """Make the request to the library, but for its files; workers share the threads.
 
     Args:
         method: What the options say of how.

@@ -58,7 +58,7 @@ def summary(run: Run) -> str:
 
 
 def _cost_text(report: SimplifyReport) -> str:
-    """What the result takes to draw, beside the original: "41.9 % of its splats a pixel"."""
+    """Cost of drawing the result beside the original: "41.9% of the splats a pixel (7.3)"."""
     if report.cost is None or report.original_cost is None:
         return ""
     share = report.cost.share_of(report.original_cost)

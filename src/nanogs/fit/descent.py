@@ -82,7 +82,7 @@ class Descent:
         self._count = 0
 
     def averaging(self) -> "Averaging":
-        """What takes the mean of states as they are when told to."""
+        """A mean of states of this descent, which adds the present one whenever it is told to."""
         return MeanOf(self)
 
     def rest(self) -> None:

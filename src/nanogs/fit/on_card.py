@@ -62,7 +62,7 @@ class CardDescent(Descent):
         )
 
     def averaging(self) -> "CardAveraging":
-        """What takes the mean of states as they are when told to, on the device."""
+        """A mean of states of this descent, on the device; it adds the present one when told to."""
         return CardAveraging(self._moving)
 
     def _level(self, shared: "Shared") -> None:

@@ -56,7 +56,7 @@ class Around(FileSource):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is taken otherwise than the file says; see `FileSource`."""
+        """Sentences on values that are read otherwise than the file says; see `FileSource`."""
         return self.file.remarks
 
     def _changed(self, splats: Splats) -> Splats:

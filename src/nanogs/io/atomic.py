@@ -88,7 +88,7 @@ def _take_place(made: Path, target: Path, path: Path, *, overwrite: bool) -> Non
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """What the system refuses in the block becomes an `OutputError`.
+    """Turn an `OSError` of the block into an `OutputError`.
 
     Args:
         path: What is written.

@@ -98,7 +98,7 @@ class FileSource(Source):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is taken otherwise than the file says, as the caller asked; one sentence each."""
+        """Sentences on values that are read otherwise than the file says, as the caller asked."""
         return ()
 
 

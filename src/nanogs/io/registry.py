@@ -215,7 +215,7 @@ def file_of(format: str) -> Path:  # noqa: A002 - as `load` has it
 
 
 def _instead(path: Path) -> str:
-    """What may have been meant by a name that is of no format, and all that is written."""
+    """The end of an error on a format's name: what may have been meant, and what is written."""
     suffixes = [known.suffix for known in formats() if known.writable]
     meant = _meant(path, suffixes) if find(path) is None else ""
     return f"{meant}; it writes {', '.join(suffixes)}"

@@ -41,14 +41,14 @@ class _Called(_Native):
             super().__init__(place)
 
         def with_segments(self, *segments: str | PathLike[str]) -> Path:  # type: ignore[override]
-            """What is made of it, such as its folder, is a path like any other."""
+            """Make a plain path of whatever is derived from this one, such as its folder."""
             return Path(*segments)
 
     else:
 
         @classmethod
         def _from_parsed_parts(cls, *parts: Any) -> Path:  # noqa: ANN401 - pathlib's own
-            """What `with_segments` is for, as Python 3.11 calls it."""
+            """Do as `with_segments`, by the name that Python 3.11 calls."""
             made: Path = _Native._from_parsed_parts(*parts)  # type: ignore[attr-defined]  # noqa: SLF001
             return made
 
@@ -109,7 +109,7 @@ class Address(_Called):
 
     @property
     def kind(self) -> str:
-        """What is before `://`, in small letters: "https", "s3"."""
+        """The protocol of the URL, in small letters: "https", "s3"."""
         return self.url.partition("://")[0].rpartition("::")[2].lower()
 
     @property

@@ -58,7 +58,7 @@ def opened(address: Address) -> Iterator[tuple[IO[bytes], int | None]]:
 
 
 class _Counted(io.RawIOBase):
-    """What is read of an answer, counted."""
+    """An HTTP answer as a stream that counts the bytes read."""
 
     def __init__(self, answer: http.client.HTTPResponse, size: int | None) -> None:
         self._answer, self.size, self.read_bytes = answer, size, 0

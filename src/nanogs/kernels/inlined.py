@@ -79,7 +79,7 @@ OPTIONS: dict[str, Any] = {
 
 
 class _Inlined(registry.CPUDispatcher):
-    """What kernels call; Python, which is to say a test, calls a function compiled for itself."""
+    """A function that kernels inline; called from Python, as by tests, it is compiled alone."""
 
     @cached_property
     def _alone(self) -> Callable[..., Any]:

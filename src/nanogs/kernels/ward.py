@@ -37,7 +37,7 @@ def _apart(points: F32, i: int, j: int) -> np.float32:
 
 @exact_inline
 def _cost(points: F32, weights: F32, i: int, j: int) -> np.float32:
-    """What merging two points costs."""
+    """Ward's cost of merging two points: |a - b|² times v w / (v + w), of their weights v and w."""
     v, w = weights[i], weights[j]
     return np.float32(_apart(points, i, j) * (v / (v + w) * w))
 

@@ -26,7 +26,7 @@ _ROUNDS = 8  # in which those without any take the nearest that can be spared
 
 
 class Shapes(NamedTuple):
-    """What of N splats decides.
+    """The values of N splats by which their links to a coarser level are decided.
 
     Attributes:
         means: (N, 3) float64, scene units.

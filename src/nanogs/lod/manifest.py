@@ -79,7 +79,7 @@ class ChunkedLevel:
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentFile:
-    """What belongs to every level beside them.
+    """The environment that is drawn with every level, as the manifest lists it.
 
     Attributes:
         source: Where it is from: the name of its file, or "auto" where it was found in the model.

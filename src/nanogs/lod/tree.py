@@ -236,7 +236,7 @@ def _places(layers: Sequence[Layer]) -> tuple[list[I64], list[I64]]:
 
 
 class Frame(NamedTuple):
-    """What splats are made nodes with; see `activate_nodes`."""
+    """Values by which splats are made nodes; see `activate_nodes`."""
 
     origin: F64
     added: Dilation

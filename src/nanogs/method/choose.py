@@ -1,4 +1,4 @@
-"""What candidates are chosen by, and which growths are tried."""
+"""Quality by which candidates are chosen, and the growths that are tried."""
 
 # Tried in turn after the usual one, as long as that helps clearly: thin opaque shells want more,
 # where merged splats would let light through at grazing angles.

@@ -40,7 +40,7 @@ AUTOMATIC = Asked()
 
 
 def asked_views(cameras: "Cameras | None", up: Sequence[float] | None) -> Asked:
-    """What was asked for; a file of cameras is read now, so that no worker needs it.
+    """Check the views asked for; a file of cameras is read now, so that no worker needs it.
 
     Args:
         cameras: A name of those that are found, a file or folder, or cameras; None for automatic.

@@ -112,7 +112,7 @@ class Ending:
 
     @contextmanager
     def _judge(self, work: Work, progress: Tracker) -> Iterator[FileJudge | None]:
-        """What measures files, as long as the model is open; None where nothing is measured."""
+        """Yield a judge of files while the model is open; None where nothing is measured."""
         if not self.measured:
             yield None
             return

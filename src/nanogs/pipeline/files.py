@@ -183,7 +183,7 @@ def simplify_files(request: Request, told: Progress | None) -> SimplifyReport:
 
 
 def fitted_for(request: Request, degree: int, output: Path) -> tuple[Request, tuple[str, ...]]:
-    """What is asked for, and a note where results have fewer harmonics than the model.
+    """Request the highest degree of harmonics that the format holds, and note if that is less.
 
     Fitted for what is written, a result makes up for what the format leaves out.
 
@@ -228,7 +228,7 @@ def _in_blocks(request: Request, told: Progress | None) -> SimplifyReport:
 
 
 def _size_notes(request: Request, report: SimplifyReport) -> tuple[str, ...]:
-    """What is to be said of a size that was known beforehand; a search has said it itself."""
+    """Notes on a size whose count was known beforehand; a search has its own."""
     if (sizer := request.sizer) is None or request.goal.size is None:
         return ()
     from nanogs.pipeline.fit_size import notes_on_known

@@ -129,7 +129,7 @@ def search_fit(
 
 
 def too_small(size: int, fewest: int, needed: int) -> TooSmallError:
-    """What to raise where not even the fewest splats fit, whose file takes so many bytes."""
+    """The error to raise where a file of the fewest splats is larger than the size."""
     if fewest == 1:
         held = "a file of one splat of this model"
     else:

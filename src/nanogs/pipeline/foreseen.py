@@ -102,7 +102,7 @@ def simplify_stages(
 def search_stages(
     measured: bool, parameters: ForestParameters, splats: int, suffix: str
 ) -> tuple[list[Stage], list[Stage]]:
-    """What comes before a search for a count, and the search itself.
+    """Stages before a search for a count, and those of the search itself.
 
     Args:
         measured: Whether what is asked is measured on views; else it is a size.

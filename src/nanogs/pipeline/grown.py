@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What a result is as a file.
+    """A result as a file: its size and its scores.
 
     Attributes:
         bytes: Of the file; of all files where the format is a folder.
@@ -101,7 +101,7 @@ class Grown:
     def simplify(
         self, count: int, *, progress: Progress | bool | None = None
     ) -> tuple[Splats, SimplifyReport]:
-        """What `nanogs.simplify` makes of the model for a count, without growing anew.
+        """Simplify to a count as `nanogs.simplify` does, without growing the forest anew.
 
         Args:
             count: Splats to deliver.

@@ -203,7 +203,7 @@ def plan_job(
 
 
 def sought_by(request: "Request", layout: Layout, splats: int) -> Sought | None:
-    """What a count is searched for; None where it is known beforehand.
+    """Target of the search for a count; None where the count is known beforehand.
 
     Args:
         request: What is asked for.

@@ -1,4 +1,4 @@
-"""What the stages have found of a result, as reports have it."""
+"""Findings of the stages, as reports have them."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any

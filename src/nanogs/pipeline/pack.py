@@ -41,12 +41,12 @@ class Packed:
     blind: bool = False
 
     def entries(self, count: int) -> dict[str, Any]:
-        """What the report of a result of so many splats has of it."""
+        """Fields of the report that say how a result of so many splats is packed."""
         return {"packings": self.packings, "format_options": self.packing.options(count)}
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user might not expect, a sentence each."""
+        """Notes on what a user might not expect, a sentence each."""
         if self.blind:
             return (BLIND,)
         kept = self.packing.sh_degree
@@ -122,7 +122,7 @@ class Packer(Generic[T]):
         return min(max(count, self.results.fewest), self.results.available)
 
     def _slope(self, choices: Choices) -> float:
-        """What more splats bring, by two plain cuts, whose palettes hide nothing of it."""
+        """Quality that more splats bring, from two plain cuts that no palette blurs."""
         packing, plain = replace(choices.first, share=None), self.results.plain(rounds=0)
         count = self.guess(choices.first)
 
@@ -201,7 +201,7 @@ class PackNear(Generic[T]):
         return self.packed.packing.options(self.files.count(result)) if self.packed else {}
 
     def entries(self, result: T) -> dict[str, Any]:
-        """What the report has of it."""
+        """Fields of the report that say how a result is packed; none where it was not."""
         return self.packed.entries(self.files.count(result)) if self.packed else {}
 
     @property

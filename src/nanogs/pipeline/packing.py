@@ -1,4 +1,4 @@
-"""What a size leaves to be chosen besides the count: harmonics, their palette and the bits.
+"""Choice of harmonics, palette and bits for a file of a given size.
 
 A megabyte holds many splats of one colour each, or fewer that shine; which of them shows more only
 looking tells. Each way of packing is tried at a count that about fills the size: a result is made
@@ -76,10 +76,10 @@ Try = Callable[[Packing, int, Look], list[PackingReport]]
 
 @dataclass(frozen=True, slots=True)
 class Bits:
-    """What an option that says how fine a format is may be.
+    """Values of an option that says how fine a format is.
 
     Attributes:
-        begin: What is tried first, which is mostly near the best.
+        begin: The value that is tried first, mostly near the best.
         values: All, ascending.
         unseen: The least where nothing is rendered.
     """
@@ -102,7 +102,7 @@ class Bits:
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What there is to choose.
+    """The degrees, palettes and bits that may be chosen.
 
     Attributes:
         degrees: Of the harmonics that may be written, ascending, at least one.
@@ -120,13 +120,13 @@ class Choices:
 
     @property
     def first(self) -> Packing:
-        """What is tried first: as much as there is, but a palette that is seldom far off."""
+        """The packing tried first: all harmonics, and a size of palette that is seldom far off."""
         palette = FIRST_SHARE if self.palettes and self.degrees[-1] else None
         bits = tuple((name, each.begin) for name, each in self.bits.items())
         return Packing(self.degrees[-1], palette, bits, self.entries)
 
     def quality(self, found: PackingReport) -> float:
-        """What a file shows, dB."""
+        """Quality of a file, dB."""
         return found.psnr if self.by_psnr else quality(found.psnr, found.ssim)
 
     @property
@@ -197,7 +197,7 @@ def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available:
 
 
 def slope_of(choices: Choices, less: PackingReport, more: PackingReport) -> float:
-    """What more splats bring, dB of quality for e times the bytes, by two files packed alike."""
+    """Quality that more splats bring, dB for e times the bytes, from two files packed alike."""
     wider = math.log(more.bytes / less.bytes)
     rise = choices.quality(more) - choices.quality(less)
     if wider <= 0 or not math.isfinite(rise):
@@ -214,7 +214,7 @@ def _plain(packing: Packing) -> Packing:
 
 @dataclass(slots=True)
 class _Search:
-    """What packings were found to be worth.
+    """A search for the best packing, with the files that it has seen.
 
     Attributes:
         found: Files of each degree and share of a palette that was tried, by their bits.
@@ -276,7 +276,7 @@ class _Search:
                 self.slope = max(self.slope, slope_of(self.choices, less, more))
 
     def _hope(self, packing: Packing, made: set[_Values], bits: _Values) -> float:
-        """What a result that fills the size may show with some bits, dB."""
+        """Quality, dB, that may be hoped for from a result that fills the size with some bits."""
         file = self.found[_plain(packing)][bits]
         over, slope = self._over(file), self.slope
         if over > 0 and bits not in made and packing.share is None:

@@ -1,4 +1,4 @@
-"""What is asked of files, and whether it is met in memory or in blocks."""
+"""A request for smaller files, and whether it is met in memory or in blocks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -97,7 +97,7 @@ class Request:
 
     @property
     def edits(self) -> Changes:
-        """What is left out of the model, how it is drawn, and where results are turned to.
+        """Changes to the model: splats and harmonics left out, render mode, frame of results.
 
         Harmonics are left out of results where these are fitted to all that views show.
         """

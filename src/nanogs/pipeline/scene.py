@@ -166,7 +166,7 @@ class Scene(ABC):
 
     @abstractmethod
     def hiding(self, block: int) -> PreparedSplats | None:
-        """What may hide a block, of other blocks; None where there are none."""
+        """Splats of other blocks that may hide a block; None where there are none."""
 
     @abstractmethod
     def closer_views(self, own: Block) -> Sequence[Camera]:
@@ -218,7 +218,7 @@ class Scene(ABC):
 
     @abstractmethod
     def surroundings(self, block: int) -> PreparedSplats | None:
-        """What is drawn with a block and held as it is; None where there are no other blocks."""
+        """Splats drawn with a block and not changed; None where there are no other blocks."""
 
     @property
     @abstractmethod
@@ -248,7 +248,7 @@ class Scene(ABC):
     @property
     @abstractmethod
     def passes(self) -> tuple[PassReport, ...]:
-        """What each pass of growing the forest did; of blocks, all together and without seconds."""
+        """Reports of the passes of growing the forest; of blocks, summed and without seconds."""
 
     @property
     @abstractmethod

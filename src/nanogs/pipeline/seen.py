@@ -1,4 +1,4 @@
-"""What the views show of each block of a scene that is kept in files."""
+"""Visibility of the splats of each block, of a scene that is kept in files."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING

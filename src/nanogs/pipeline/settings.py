@@ -70,7 +70,7 @@ class Sieve:
 
 @dataclass(frozen=True, slots=True)
 class Sought:
-    """What the count of a result is searched for: one of three, of a file of a format.
+    """Target of a search for a count: one of three limits, on a file of a format.
 
     Attributes:
         size: Bytes that the file may have, or None.

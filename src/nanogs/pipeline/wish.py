@@ -1,4 +1,4 @@
-"""What is asked of a file of a size, and who writes results to see what they take and show."""
+"""A wish for a file of a given size, and the interface that writes results and measures them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -31,7 +31,7 @@ class Files(Protocol[R_contra]):
         """Whether views by which is chosen show the original, so that files can be looked at."""
 
     def seen(self, result: R_contra, sh_degree: int, options: Options) -> PackingReport:
-        """What a result's file takes and shows, on views by which is chosen.
+        """Write a result to a file; measure its bytes, and its quality on the views for choosing.
 
         Args:
             result: The result.
@@ -41,7 +41,7 @@ class Files(Protocol[R_contra]):
 
 
 class Wish(NamedTuple):
-    """What is asked of a file, besides what can be chosen.
+    """A wish for a file of a given size, without what can be chosen.
 
     Attributes:
         size: Bytes that it may have.
@@ -62,7 +62,7 @@ class Wish(NamedTuple):
     most: int | None = None
 
     def choices(self, degree: int) -> Choices:
-        """What it leaves to be chosen, of a model with harmonics of a degree."""
+        """Choices that it leaves open, of a model with harmonics of a degree."""
         highest = min(degree, self.known.max_degree)
         wanted = highest if self.sh_degree is None else min(self.sh_degree, highest)
         degrees: Sequence[int] = [wanted]

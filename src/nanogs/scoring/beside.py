@@ -74,7 +74,7 @@ def files_of(models: Sequence[Splats | Source], packing: Packing) -> int:
 def notes_beside(
     models: Sequence[tuple[str, Splats | Source]], packing: Packing
 ) -> tuple[str, ...]:
-    """What to know of models and the files that are made of them."""
+    """Notes on models and on the files that are made of them."""
     notes = []
     for name, source in models:
         same = [suffix for suffix in packing if is_packed_so(source, suffix)]
@@ -89,7 +89,7 @@ def notes_beside(
 
 
 def remarks_on(models: Sequence[tuple[str, Splats | Source]]) -> tuple[str, ...]:
-    """What of the models is taken otherwise than their files say, behind their names."""
+    """Remarks on values that are read otherwise than the models' files say, behind their names."""
     return tuple(
         f"{name}: {remark}"
         for name, source in models

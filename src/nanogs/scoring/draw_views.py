@@ -29,7 +29,7 @@ class DrawViews:
     original: DrawCost
 
     def cost(self, model: Splats | Source) -> DrawCost:
-        """What another model takes on them.
+        """Cost of drawing another model on the same views.
 
         Raises:
             FormatError: The source cannot be read.

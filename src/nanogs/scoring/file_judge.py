@@ -53,7 +53,7 @@ class FileJudge:
     _switching: "SwitchViews | None" = None
 
     def of(self, path: Path, level: int = 0) -> Judged | None:
-        """What was measured of a file; None where nothing can be, of which a note then tells.
+        """Scores of a file; None where it cannot be measured, of which a note then tells.
 
         Args:
             path: The file.
@@ -71,7 +71,7 @@ class FileJudge:
             return None
 
     def costs(self, path: Path, level: int = 0) -> tuple[DrawCost, ...]:
-        """What a file takes to draw, and the model; nothing where that cannot be measured.
+        """Costs of drawing a file and the model; none where they cannot be measured.
 
         Args:
             path: The file.
@@ -112,7 +112,7 @@ class FileJudge:
             return None
 
     def beside(self, path: Path, result: Splats) -> tuple[Judged | None, PackingLoss | None]:
-        """What was measured of a file, and what packing alone cost where its format rounds.
+        """Scores of a file, and the loss by packing alone where its format rounds.
 
         Args:
             path: The file.
@@ -209,7 +209,7 @@ def file_costs(
     turn: tuple[str, str] | None = None,
     threads: int | None = None,
 ) -> tuple[DrawCost, ...]:
-    """What a file takes to draw, and the model that it was made of; nothing where none can tell.
+    """Costs of drawing a file and the model it was made of; none where they cannot be measured.
 
     Args:
         original: The model; of a source some rows are read at a time.

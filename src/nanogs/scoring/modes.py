@@ -39,7 +39,7 @@ MANY_FADED, FEW_THIN, LEAKING, CLEAR = 0.05, 0.2, 0.01, 0.1  # shares, and dB of
 
 @dataclass(frozen=True, slots=True)
 class ModeEvidence:
-    """What views of a model say of the rasteriser it was trained for: evidence, and no proof.
+    """Evidence, from views of a model, of the rasteriser it was trained for; no proof.
 
     Attributes:
         thin: Share of the splats in sight whose thinnest axis is on screen, at their distance, less
@@ -63,7 +63,7 @@ class ModeEvidence:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What each number says, the strongest evidence first."""
+        """A sentence on each number, the strongest evidence first."""
         told = []
         if self.photographs:
             plain, fine = (self.photographs[mode] for mode in MODES)
@@ -146,7 +146,7 @@ def mode_evidence(
 
 @dataclass(frozen=True, slots=True)
 class Looked:
-    """What `nanogs info` says of a model that it looks at.
+    """Findings of `nanogs info` on a model that it looks at.
 
     Attributes:
         modes: What speaks for either render mode.

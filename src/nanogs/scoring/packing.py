@@ -80,7 +80,7 @@ def is_packed_so(source: Splats | Source, suffix: str) -> bool:
 
 
 def notes_on(source: Splats | Source) -> tuple[str, ...]:
-    """What to know of a model whose file has rounded it before."""
+    """A note on a model that was rounded in its file before; none for others."""
     if not isinstance(source, FileSource) or _packed_as(source) not in _ROUNDED:
         return ()
     note = (

@@ -58,7 +58,7 @@ class Telling(Protocol):
 
 
 class Answers:
-    """What answers requests for a scene that is open.
+    """Answers to the requests of pages, for a scene that is open.
 
     One thread uses the forest at a time. While a result is measured, which takes no forest, another
     may make the draft of a newer request (`sooner`).

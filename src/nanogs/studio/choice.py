@@ -1,4 +1,4 @@
-"""What a page asks for, checked before anything is done. No NumPy here."""
+"""Choices made on a page, checked before anything is done. No NumPy here."""
 
 import math
 from collections.abc import Mapping

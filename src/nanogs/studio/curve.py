@@ -35,7 +35,7 @@ class Point:
 
 @dataclass(slots=True)
 class Curve:
-    """What is known of the results of one model, preset and format.
+    """Sizes and scores known of the results of one model, preset and format.
 
     Attributes:
         available: Splats of the model.

@@ -1,4 +1,4 @@
-"""What the worker does for each kind of job."""
+"""The work of the worker for each kind of job."""
 
 from typing import Any
 

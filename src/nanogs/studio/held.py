@@ -1,4 +1,4 @@
-"""What the worker holds: the scene as it was read, what filters leave of it, and its forest."""
+"""The state of the worker: the scene as read, what filters leave of it, and its forest."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,18 +30,18 @@ GrownKey: TypeAlias = tuple[ModelKey, str, int | None, str | None]
 
 
 def model_key(choice: Choice) -> ModelKey:
-    """What tells a model from another: how it is drawn, and what filters leave."""
+    """Key of a model: how it is drawn, and the filters."""
     return choice.render_mode, choice.filters
 
 
 def grown_key(choice: Choice) -> GrownKey:
-    """What tells a forest from another."""
+    """Key of a forest: its model, preset, degree of harmonics and up direction."""
     return model_key(choice), choice.preset, choice.sh_degree, choice.up
 
 
 @dataclass(frozen=True, slots=True)
 class Sifted:
-    """What filters leave of the scene.
+    """The model that filters leave of the scene.
 
     Attributes:
         splats: The model.
@@ -78,7 +78,7 @@ class Held:
         return self._whole[1]
 
     def sifted(self, choice: Choice) -> Sifted:
-        """What the filters of a choice leave.
+        """Filter the scene as a choice says, and make the result the present model.
 
         Raises:
             ModelError: Nothing.
@@ -91,7 +91,7 @@ class Held:
         return self._sifted[1]
 
     def previewed(self, choice: Choice) -> Sifted:
-        """What filters would leave, while the present model stays the present one.
+        """Filter the scene as a choice says, while the present model stays the present one.
 
         Raises:
             ModelError: Nothing.
@@ -139,7 +139,7 @@ class Held:
         return self.grown[1]
 
     def curve(self, choice: Choice, grown: "Grown") -> Curve:
-        """What is known of results of a choice."""
+        """The curve of a choice, with all that is known of its results."""
         key = grown_key(choice), choice.format
         if key not in self._curves:
             for oldest in list(self._curves)[: 1 - _CURVES]:

@@ -40,7 +40,7 @@ class Folder:
         return found
 
     def listed(self, text: object) -> dict[str, Any]:
-        """What a folder in it holds, for a dialogue; hidden files and links that lead out are not.
+        """Entries of a folder in it, for a dialogue; without hidden files and links that lead out.
 
         Raises:
             OptionError: It leads out, or is no folder that can be read.

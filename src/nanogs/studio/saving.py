@@ -45,7 +45,7 @@ def save(order: Order, held: Held, progress: Progress) -> Event:
 
 
 def _lines(report: SimplifyReport) -> Iterator[tuple[str, str]]:
-    """What there is to say of a result, each with what it is about."""
+    """Yield the lines that tell of a result: what each is about, and its text."""
     yield "splats", f"{report.achieved_count:,} of {report.read_count or report.input_count:,}"
     for each in report.filters:
         yield each.name, f"took {counted(each.removed, 'splat')}"

@@ -14,7 +14,7 @@ from nanogs.studio.turning import stated_up, states_frame
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What the header of the file says.
+    """The scene as the header of its file describes it.
 
     Attributes:
         path: The file, as it was named.

@@ -212,7 +212,7 @@ class Studio:
         return _json({"command": command, "message": message, "exists": exists})
 
     def _order(self, data: dict[str, Any]) -> Order:
-        """What a page wants saved, its path relative to the folder.
+        """The order to save what a page chose, its path relative to the folder.
 
         Raises:
             OptionError: It makes no sense, or would replace the scene itself.
@@ -227,7 +227,7 @@ class Studio:
         return Order(self._scene, self._manner, self._chosen(data), path, overwrite)
 
     def _unnamed(self, data: dict[str, Any]) -> Order:
-        """What a page chose, under a name that stands for any; it raises what `_order` does."""
+        """The order for a page's choice, under a placeholder name; raises as `_order` does."""
         choice = self._chosen(data)
         return Order(self._scene, self._manner, choice, shown_path(self._scene, choice))
 

@@ -46,7 +46,7 @@ class Line:
 
 
 class Inbox:
-    """What the server says, read by a thread of its own."""
+    """Messages of the server, read by a thread of its own."""
 
     def __init__(self, line: Line) -> None:
         """Begin to read.

@@ -73,7 +73,7 @@ def draw_cost(
 def views_of(
     cameras: Sequence[Camera], kind: Kind, split: str = "test", background: Background = BLACK
 ) -> Protocol:
-    """What views are, as numbers from them say it.
+    """The protocol of some views, as reports of numbers from them name it.
 
     Args:
         cameras: The views.

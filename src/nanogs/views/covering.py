@@ -1,4 +1,4 @@
-"""What views of a model take to draw, added up some rows at a time: no order of splats matters."""
+"""Cost of drawing a model on views, added up some rows at a time: their order does not matter."""
 
 from collections import Counter
 from collections.abc import Sequence

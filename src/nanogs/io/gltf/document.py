@@ -230,7 +230,7 @@ def _lying(path: Path, buffer: Part, lifted: Lifted) -> Section:
 
 
 def _head(buffer: Part, uri: bytes) -> bytes:
-    """What is before the comma of a `data:` URI."""
+    """The head of a `data:` URI, which is before its comma and has to say base64."""
     head, comma, _ = uri.partition(b",")
     if not comma or not head.endswith(b";base64"):
         raise buffer.error("has a data: URI that is not in base64")

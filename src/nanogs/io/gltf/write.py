@@ -94,7 +94,7 @@ def _encoded_bytes(size: int) -> int:
 
 
 def head(text: bytes, body_bytes: int) -> Iterator[bytes]:
-    """What comes before the buffer of a `.glb` file, whose sizes are multiples of 4.
+    """Bytes of a `.glb` file before its buffer; the sizes of both parts are multiples of 4.
 
     Args:
         text: The JSON.

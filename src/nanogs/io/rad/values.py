@@ -1,4 +1,4 @@
-"""What the columns of `.rad` stand for, and back; `header` has the encodings.
+"""Columns of `.rad` as values of splats, and back; `header` has the encodings.
 
 A damaged file may hold whatever bits there are; who reads it sets NumPy to ignore what they do.
 

@@ -195,7 +195,7 @@ def _deflated(columns: list[bytes]) -> list[bytes]:
 
 
 def _columns(block: Splats, degree: int) -> Iterator[tuple[dict[str, Any], bytes]]:
-    """What is said of each column of a chunk, and its bytes before they are packed."""
+    """Yield the entry of each column of a chunk, and its bytes before they are compressed."""
     yield _entry("center", "f32_lebytes"), by_byte(block.means.astype(np.float32))
     opacities = rounded_bytes(alphas(block.opacity_logits) * 255)[:, None]
     yield _entry("alpha", "r8", 0.0, 1.0), by_component(opacities)
