@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,11 @@ TESTS = sorted(Path(__file__).parent.glob("*.py"))
 BENCHMARKS = sorted((Path(__file__).parents[1] / "benchmarks").glob("*.py"))
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 WHAT = re.compile(r"What(ever)?\b")
+# Dotted names in backticks, but for those of files and of other packages.
+DOTTED = re.compile(r"`((?:[A-Za-z_]\w*\.)+[A-Za-z_]\w*)`")
+FILES = {"bin", "json", "lcc", "ply", "py", "rad", "txt"}
+FOREIGN = {"Client", "Transforms", "concurrent", "dataclasses", "json", "np", "numpy", "time"}
+FOREIGN |= {"torch", "typer"}
 # A number in a sentence before a plural that a single thing would make wrong.
 PLURAL = re.compile(
     r"\{[^{}]*\}\s+(splats|bytes|views|rows|photographs)\s+(with|have|has|are|were|is)\b"
@@ -87,3 +93,40 @@ def test_no_docstring_begins_with_what():
             if isinstance(node, DOCUMENTED) and WHAT.match(ast.get_docstring(node) or ""):
                 found.add(f"{path.name}: {getattr(node, 'name', 'the module')}")
     assert found == set()
+
+
+def members(body: list[ast.stmt]) -> Iterator[tuple[str, list[ast.stmt]]]:
+    """Each name that is defined or imported in a module or a class, and its own body."""
+    for node in body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            yield node.name, node.body if isinstance(node, ast.ClassDef) else []
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            yield from ((each.asname or each.name, []) for each in node.names)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [each for target in targets for each in ast.walk(target)]
+            yield from ((each.id, []) for each in names if isinstance(each, ast.Name))
+
+
+def known_names() -> set[str]:
+    """Modules, what they define and members of classes; any part of a whole name from the right."""
+    found = {f"nanogs.{name}" for name in nanogs.__all__}
+    for path in SOURCES:
+        parts = path.relative_to(SOURCES[0].parents[1]).with_suffix("").parts
+        module = ".".join(parts).removesuffix(".__init__")
+        found.add(module)
+        for name, body in members(ast.parse(path.read_text(encoding="utf-8")).body):
+            found.add(f"{module}.{name}")
+            found |= {f"{module}.{name}.{inner}" for inner, _ in members(body)}
+    return {".".join(name.split(".")[first:]) for name in found for first in range(name.count("."))}
+
+
+def test_dotted_names_in_docstrings_and_comments_exist():
+    """Whoever moves or renames something finds what speaks of it."""
+    known, stale = known_names(), set()
+    for path in SOURCES:
+        for name in DOTTED.findall(path.read_text(encoding="utf-8")):
+            ours = name.split(".")[0] not in FOREIGN and name.split(".")[-1] not in FILES
+            if ours and name not in known:
+                stale.add(f"{path.name}: {name}")
+    assert stale == set()

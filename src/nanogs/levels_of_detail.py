@@ -79,7 +79,7 @@ def write_levels(
         model: The model, a source of it, a path, or paths of the parts of one scene.
         folder: The folder to make.
         ratios: As `levels` takes them; by default the original and halves of halves, see
-            `lod.usual_ratios`.
+            `lod.usual.usual_ratios`.
         source: Name of the model for the manifest; by default that of its files.
         layout: "files", one a level; "streamed sog" or "3d tiles"; or "streamed sog archive" or
             "spark tree", for which `folder` is the `.ssog` or `.rad` file to make.
@@ -146,7 +146,7 @@ LevelsSink = LevelsFolder | LevelsTree
 def usual_levels(
     model: Splats | Source | Sequence[str | PathLike[str]], layout: Layout | str
 ) -> tuple[float, ...]:
-    """The levels of a model where nobody says which; see `lod.usual_ratios`.
+    """The levels of a model where nobody says which; see `lod.usual.usual_ratios`.
 
     Args:
         model: The model, a source of it, or paths of the parts of one scene.

@@ -28,7 +28,7 @@ class BenchSettings:
             sizes {size}, like 0.5MB, and {format}, like sog, take the place of {ratio}.
         views: Views of each kind for scenes without photographs; as many as usual by default.
         sizes: Their widths, which are their heights, pixels.
-        kinds: Their arrangements, names in `render.source.FOUND`.
+        kinds: Their arrangements, names in `nanogs.views.cameras.FOUND`.
         fit_views: Automatic views to learn from, for baselines that do. Presets look from views
             of their own, as they do without a bench.
         background: RGB in [0, 1] behind photographs and what is held against them; None for the

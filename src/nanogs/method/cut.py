@@ -64,7 +64,7 @@ def cut(forest: Forest, target: int, balance: float) -> I32:
 
     Args:
         forest: The merges.
-        target: Groups wanted, from `forest.fewest` to the number of splats.
+        target: Groups wanted, from `Forest.fewest` to the number of splats.
         balance: As `merge_scores` takes it.
 
     Returns:

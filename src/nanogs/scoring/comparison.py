@@ -154,7 +154,7 @@ def compare_models(
         cameras: The views.
         kind: Where they are from; all but "given" say that they are automatic test views.
         background: RGB in [0, 1] behind the splats.
-        extras: Further metrics, names in `scoring.EXTRA_METRICS`.
+        extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
         pictures: Also make the pictures for a page; otherwise the sheets are empty.
         costs: Also measure what each model takes to draw, and the reference.
         room: Bytes for the splats of pictures, to read models some rows at a time; None to hold
@@ -210,7 +210,7 @@ def compare_with_photographs(
         views: Cameras and photographs.
         split: Which of the data set's they are, "test" or "train".
         background: RGB in [0, 1] behind the splats and the photographs' transparent parts.
-        extras: Further metrics, names in `scoring.EXTRA_METRICS`.
+        extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
         pictures: Also make the pictures for a page.
         costs: Also measure what each model takes to draw.
         room: As for `compare_models`.

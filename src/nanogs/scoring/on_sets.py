@@ -27,7 +27,7 @@ def compare_on_sets(
         models: At least one.
         sets: At least one; the result is that on the first, which holds the further ones.
         background: RGB in [0, 1] behind the splats.
-        extras: Further metrics, names in `scoring.EXTRA_METRICS`.
+        extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
         pictures: Also make the pictures for a page, of each kind at its first size.
         room: As for `compare_models`.
         progress: Told of the stages "render" and "score" of each set.

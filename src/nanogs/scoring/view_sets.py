@@ -68,7 +68,7 @@ def view_sets(
 
     Args:
         model: The original.
-        sources: Names in `render.source.FOUND`, or one camera file.
+        sources: Names in `nanogs.views.cameras.FOUND`, or one camera file.
         sizes: Of the views that are found.
         views: How many of each source; as many as usual by default.
         up: (3,) direction of the views that are found; from the original by default.

@@ -7,8 +7,8 @@ to version 2; from version 3 on, the two top bits of the u32 tell the largest pa
 others follow in order from the top, a sign bit and 9 bits of magnitude over [0, sqrt(1/2)] each.
 
 The specification has y up and z backwards, but few files say so and most converters copy as we do,
-axes as they are. A frame that a file does state is told (`FileInfo.frame`). Alpha 0 and 255 become
--inf and +inf, as in every 8-bit format here.
+axes as they are. A frame that a file does state is told (`FileSource.frame`). Alpha 0 and 255
+become -inf and +inf, as in every 8-bit format here.
 """
 
 from collections.abc import Iterator, Mapping
