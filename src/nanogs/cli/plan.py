@@ -195,8 +195,8 @@ def plan_run(
     """Plan a run, and decide whether the model is held whole; only headers are read.
 
     Args:
-        wish: As `Plan` has it.
-        method: See there.
+        wish: What the library is asked for.
+        method: What the options say of how.
         piped: Whether a model comes from stdin or goes to stdout.
 
     Raises:

@@ -38,7 +38,7 @@ class Descent:
     Args:
         splats: The input; ridges pull back to its colours.
         views: The views to fit to, each in its turn; a view is drawn when its turn comes.
-        parameters: See there.
+        parameters: Steps, damping, floor, ridges and seed; see `RefitParameters`.
         shared: Which splats share their higher harmonics; by default each has its own.
     """
 

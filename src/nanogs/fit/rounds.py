@@ -97,7 +97,7 @@ def fit(
         small: The model.
         fitting: Views to fit to.
         deciding: Views that decide what is kept.
-        parameters: See there.
+        parameters: Rounds, steps, rate, damping and ridges; see `RefitParameters`.
         tell: Told of the steps made, and of how many there may be.
         shared: Which splats share their higher harmonics, as the model's do already; by default
             each has its own.

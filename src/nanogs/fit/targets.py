@@ -25,7 +25,7 @@ from nanogs.raster.rendering import (
 # Viewers show a model over any background. Over black and white alike the mean squared error of
 # a pixel with errors dc in its colours and da in its alpha is, for each channel,
 # (dc² + (dc - da)²) / 2 = (dc - da / 2)² + (da / 2)².
-WHITE = 0.5  # share of white; colours are blended less this much
+WHITE = 0.5  # weight of white beside black; subtracted from colours before they are blended
 ALPHA = math.sqrt(3 * WHITE * (1 - WHITE))  # the fourth channel: alpha times this
 
 ROWS = 32  # of an image that become bytes at once: they fit a processor's cache

@@ -46,8 +46,8 @@ def move_folder(folder: Path, path: Path, ours: Ours, *, overwrite: bool = False
     Args:
         folder: What is to be moved.
         path: Where to.
-        ours: As `atomic_folder` takes it.
-        overwrite: See there.
+        ours: Says what may be deleted of an existing folder.
+        overwrite: Whether an existing folder may be replaced; an empty one always is.
 
     Raises:
         OutputError: As for `atomic_folder`; the folder is then still where it was.

@@ -1,4 +1,4 @@
-"""A palette of vectors, up to 64 K of them, by merging; the same for any number of threads."""
+"""A palette of vectors, found by merging; the same for any number of threads."""
 
 from dataclasses import dataclass
 

@@ -265,7 +265,7 @@ def _standing_for(
         below: That one, in the order of the file.
         moments: Its nodes, without features; None for leaves.
         counts: How many rows each of the splats stands for, one after the other.
-        frame: See there.
+        frame: Values by which the rows are made nodes; see `activate_nodes`.
 
     Returns:
         The splats, and their nodes without features.

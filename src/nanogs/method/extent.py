@@ -11,7 +11,9 @@ from nanogs.kernels.surroundings import reach
 from nanogs.splats import RenderMode
 from nanogs.views.occupancy import quantiles
 
-SHARE = 0.25  # of the alpha makes a splat's surroundings: all of it near by, with a copy far away
+# Share of all alpha that lies within a splat's surroundings; less than half, so that a second copy
+# of the scene far away does not widen them.
+SHARE = 0.25
 ANCHORS = 64  # splats whose surroundings are measured; others have them from the nearest ones
 FARTHEST = 16.0  # times the usual radius; a stray's pixel must not outweigh all splats together
 _SAMPLE = 4096  # splats looked at; a stride thins larger models

@@ -139,7 +139,8 @@ def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
 
     found = spread.results(range(stretches), find)
     pairs = np.concatenate([*found, np.empty(0, np.int32)])
-    reached = (seconds.take(pairs) // STRETCH).astype(np.uint16)  # there are at most 2^15
+    # Rows are int32: fewer than 2^31 of them make at most 2^16 stretches.
+    reached = (seconds.take(pairs) // STRETCH).astype(np.uint16)
     order = np.argsort(reached, kind="stable")
     ends = np.searchsorted(reached.take(order), np.arange(stretches + 1))
     return pairs.take(order), ends

@@ -93,18 +93,22 @@ def judged_levels(
     """Make levels as `levels` does, where views of the original may be held beside.
 
     Args:
-        model: As `levels` takes it, and so are the others.
-        ratios: See there.
-        judged: Whether the caller holds each level against such views.
-        preset: See there.
-        sh_degree: See there.
-        cameras: See there.
-        nan: See there.
-        device: See there.
-        threads: See there.
-        max_memory: See there.
-        progress: See there.
-        **overrides: See there.
+        model: The model, which is not changed, or a path.
+        ratios: Compaction ratios in (0, 1], from the finest level to the coarsest.
+        judged: Whether the caller holds each level against views of the original, which take
+            memory beside it.
+        preset: Name of a preset.
+        sh_degree: As `simplify` takes it.
+        cameras: Views that matter, for presets that render, as `levels` takes them.
+        nan: As `simplify` takes it.
+        device: As `simplify` takes it.
+        threads: Threads to use; all by default.
+        max_memory: As `simplify` takes it.
+        progress: As `levels` takes it.
+        **overrides: Parameters of the preset to replace.
+
+    Raises:
+        NanogsError: As for `levels`.
     """
     check_ratios(ratios)
     refuse_device(device, preset, parameters(preset, overrides), Goal(ratio=ratios[0]))

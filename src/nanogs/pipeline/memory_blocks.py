@@ -24,8 +24,9 @@ from nanogs.source import Layout
 from nanogs.store.columns import row_bytes
 
 FINE, ROUGH = 0, 1  # coarse levels of the scene
-# Of the coarse levels: share of the scene's splats at most; as many for each of a block as memory
-# has room for, since they are only drawn; and how many there may be beside a block however small.
+# Splats of a coarse level, at most: this share of the scene's, and no more than this many for each
+# splat of a block, for which memory has room, since they are only drawn. The third number is always
+# allowed, however small the blocks.
 COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 18, 1 << 15)
 _CODES = 2 * 8  # Morton codes and their order
 _HISTOGRAM = 8 << 16  # of the scores of a forest, for each balance

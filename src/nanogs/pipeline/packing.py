@@ -25,8 +25,8 @@ LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
 # Between these a measured slope is believed, dB of quality for e times the bytes.
 SLOPES = 2.0, 40.0
 SAVED = 1.2  # splats more than the first bits leave room for, which coarser ones mostly make
-# Logarithms of the bytes over the size within which a result is not made again, and within which
-# bits can be told apart.
+# |log(bytes / size)| up to which a result need not be made again: for a packing, and for the bits
+# that are found best with it, whose files compare as they are when they are that near.
 NEAR, NEAR_BITS = 0.12, 0.03
 # dB by which a degree or a palette that nothing is fitted for may be behind and still be tried.
 BEHIND = 1.5

@@ -11,7 +11,9 @@ from nanogs.pipeline.packing import Packing
 from nanogs.pipeline.target import count_for_size
 
 T = TypeVar("T")
-FEW = 8  # times the fewest splats: more of the model's own hide that these would not fit
+# Where so many times the fewest splats fit by the guess, the fewest fit surely, and their file is
+# not made to see.
+FEW = 8
 
 
 class Filled(NamedTuple):

@@ -172,8 +172,8 @@ def file_judge(
     Args:
         original: The model; of a source some rows are read at a time, and of the files too.
         suffix: Format of the files.
-        turn: As `FileJudge` has it.
-        threads: See there.
+        turn: Frames from and to which the files' models were turned, or None.
+        threads: Threads to use, or None for all.
         tell: Told of the views rendered.
         max_memory: Bytes that this process may take, where a source is rendered; by default what is
             free.
@@ -214,8 +214,8 @@ def file_costs(
     Args:
         original: The model; of a source some rows are read at a time.
         path: The file.
-        turn: As `FileJudge` has it.
-        threads: See there.
+        turn: Frames from and to which the files' models were turned, or None.
+        threads: Threads to use, or None for all.
     """
     known = registry.find(path)
     if known is not None and not known.readable:

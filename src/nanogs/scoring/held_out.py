@@ -132,8 +132,9 @@ def to_choose_by(
     to be better. They differ much, hence so many; in a quarter of the pixels they tell the same.
 
     Args:
-        original: As `held_out` takes it, and so is what follows; it raises what that does.
-        max_memory: See there.
+        original: As `held_out` takes it; it raises what that does.
+        max_memory: Bytes that this process may take, where a source is rendered; by default what is
+            free.
         automatic: Whether automatic views alone count, as where a PSNR of such ones is asked for.
             They must show something then.
     """

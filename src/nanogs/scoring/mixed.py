@@ -44,8 +44,8 @@ class MixedScore:
         protocol: How it was measured.
         psnr: Mean over the views, dB.
         ssim: Mean over the views.
-        coarse_psnr: The same of the coarsest level that is drawn in each view, alone.
-        coarse_ssim: See there.
+        coarse_psnr: PSNR of the coarsest level that is drawn in each view, alone; mean, dB.
+        coarse_ssim: SSIM of that level, mean.
         seam_loss: How much worse the pixels at seams are than the coarser of the levels that meet
             there, drawn alone: of the squares of all views, dB; below 0 where they are better. None
             without seams.
@@ -113,15 +113,15 @@ def compare_mixed(
         names: Of the original and of the streams; by default those of their files.
         budget: Splats that the viewer draws at once, 1 or more: levels are as fine as that allows.
             By default they follow from distances alone.
-        cameras: As `compare` takes them, and so are the following.
-        views: See there.
-        pixels: See there.
-        up: See there.
-        background: See there.
-        threads: See there.
+        cameras: The views to draw, as `compare` takes them.
+        views: How many views, where they are found, as `compare` takes it.
+        pixels: Size of the views, as `compare` takes it.
+        up: Up direction of views that are found, or None.
+        background: RGB in [0, 1] behind the splats.
+        threads: Threads to use; all by default.
         max_memory: Bytes that this process may take, a number or a text such as "4GB"; by default
             what is free, less a tenth.
-        progress: See there.
+        progress: As `compare` takes it.
 
     Raises:
         FormatError: A model or the cameras cannot be read.

@@ -40,8 +40,8 @@ class Curve:
     Attributes:
         available: Splats of the model.
         fewest: The least count that can be had.
-        each: Bytes of a file of so many splats, exactly where `exact`, else about.
-        exact: See there.
+        each: Bytes of a file of so many splats, about or exactly.
+        exact: Whether `each` is exact.
         points: What was measured, by count and whether it is coarse.
     """
 
