@@ -157,7 +157,7 @@ class BlockJob:
             )
         before, place = found
         other = differences(before, self.settings)
-        if other or _above(place) != self._above():
+        if other or _parent_of(place) != self._scratch_parent():
             what = ", ".join(other) or "scratch"
             raise OutputError(
                 f"{self.folder} holds another job (its {what} differ); resume it with the same"
@@ -166,7 +166,7 @@ class BlockJob:
         self.ending.check_begun(self.folder)
         return place
 
-    def _above(self) -> str:
+    def _scratch_parent(self) -> str:
         """The folder or URL in which the job's own folder of intermediate files is."""
         if self.scratch is None:
             return str(self.folder.resolve())
@@ -177,7 +177,7 @@ class BlockJob:
     def _new_place(self) -> str:
         """One of its own for each job: what others keep beside it is not taken for the job's."""
         name = SCRATCH if self.scratch is None else f"nanogs-{secrets.token_hex(8)}"
-        return f"{self._above()}/{name}"
+        return f"{self._scratch_parent()}/{name}"
 
     def _begin(self, scratch: Scratch) -> None:
         """Note the job, last of all, so that nothing is left of what could not be begun."""
@@ -211,5 +211,6 @@ def _telling_of(folder: Path) -> Iterator[None]:
         raise
 
 
-def _above(place: str) -> str:
+def _parent_of(place: str) -> str:
+    """The folder or URL that a folder, or what is under a URL, is in."""
     return place.rpartition("/")[0] if is_url(place) else str(Path(place).parent)
