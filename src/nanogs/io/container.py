@@ -109,7 +109,17 @@ class Bundle(Folder):
         return entry
 
     def _error(self, name: str, what: str) -> FormatError:
-        return FormatError(f"{self.where(name)} {what}; export or download the model again.")
+        return damaged(self.where(name), what)
+
+
+def damaged(where: str, what: str) -> FormatError:
+    """The error for a file of a model that is not as it was written.
+
+    Args:
+        where: The file, as the user may call it.
+        what: What is wrong with it, to follow that.
+    """
+    return FormatError(f"{where} {what}; export or download the model again.")
 
 
 def plain_entry(name: str) -> zipfile.ZipInfo:

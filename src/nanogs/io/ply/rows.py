@@ -13,6 +13,7 @@ from nanogs.formatting import counted
 from nanogs.io.files import BLOCK_ROWS, reading
 from nanogs.io.parts import row_blocks
 from nanogs.io.ply.header import Element, Header
+from nanogs.slices import slices
 
 _MAX_TOKEN = 400  # characters; the longest double in plain decimals has about 330
 _AGAIN = "export or download it again."
@@ -124,16 +125,11 @@ def _check_ascii_size(header: Header) -> None:
         )
 
 
-def _spans(count: int) -> Iterator[slice]:
-    for start in range(0, count, BLOCK_ROWS):
-        yield slice(start, min(start + BLOCK_ROWS, count))
-
-
 def _ascii_blocks(header: Header) -> Iterator[Block]:
     with reading(header.path) as file:
         file.seek(header.size)
         for element in header.elements:
-            for span in _spans(element.count):
+            for span in slices(element.count, BLOCK_ROWS):
                 yield Block(element, span, _ascii_rows(header.path, file, element, span))
         while rest := file.read(1 << 20):
             if rest.strip():

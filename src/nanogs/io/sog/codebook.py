@@ -4,9 +4,9 @@ import numpy as np
 
 from nanogs import spread
 from nanogs._types import F32, F64, U8
+from nanogs.io.sog.meta import CODES
 from nanogs.slices import slices
 
-SIZE = 256
 BINS = 4096  # about, since an outlier leaves few evenly spaced ones to the others
 # Rare values matter for the picture, a few large splats above all: a bin weighs by a power of the
 # density of values in it.
@@ -14,7 +14,7 @@ RARITY = 0.5
 NOTHING = 20.0  # a log-scale that much below the least stands for -inf: 2e-9 of the smallest
 
 
-def codebook(values: F32, size: int = SIZE, power: float = RARITY) -> F32:
+def codebook(values: F32, size: int = CODES, power: float = RARITY) -> F32:
     """(256,) ascending: the values to quantise to, for the least weighted squared error.
 
     Args:
@@ -28,7 +28,7 @@ def codebook(values: F32, size: int = SIZE, power: float = RARITY) -> F32:
     entries = _entries(finite, size - len(nothing), power) if len(finite) else np.empty(0)
     book = np.concatenate([nothing, entries])
     # Unused entries repeat the last.
-    return np.pad(book, (0, SIZE - len(book)), mode="edge").astype(np.float32)
+    return np.pad(book, (0, CODES - len(book)), mode="edge").astype(np.float32)
 
 
 def nearest(values: F32, book: F32) -> U8:

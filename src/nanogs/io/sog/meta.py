@@ -32,7 +32,8 @@ from nanogs.splats import RenderMode
 from nanogs.stored import logit
 
 MAX_META_BYTES = 1 << 22  # a usual meta.json has 10 to 20 KB
-CODES = 256
+CODES = 256  # of a byte
+LAST_CODE = (1 << 16) - 1  # of a coordinate, whose codes have 16 bits
 PALETTE_COLUMNS = 64
 PALETTE_MAX = 1 << 16
 MODELS = {
@@ -41,7 +42,6 @@ MODELS = {
     "2dgs": RenderMode.SURFEL,
 }
 MAX_COUNT = MAX_SIDE**2
-_LAST = (1 << 16) - 1  # of the codes of a coordinate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,11 +82,11 @@ class Meta:
 
     def coordinates(self) -> F32:
         """(65536, 3): what each code stands for on each axis, scene units."""
-        return _coordinates(*self.bounds, np.arange(_LAST + 1))
+        return _coordinates(*self.bounds, np.arange(LAST_CODE + 1))
 
 
 def _coordinates(low: F64, high: F64, codes: I64) -> F32:
-    logarithm = low + (high - low) * (codes[:, None] / _LAST)
+    logarithm = low + (high - low) * (codes[:, None] / LAST_CODE)
     with np.errstate(over="ignore"):
         values = np.sign(logarithm) * (np.exp(np.abs(logarithm)) - 1)
         out: F32 = values.astype(np.float32)
@@ -174,7 +174,7 @@ class _Fields:
 
     def bounds(self) -> tuple[F64, F64]:
         low, high = self._bounds("means", 3)
-        if not np.isfinite(_coordinates(low, high, np.array([0, _LAST]))).all():
+        if not np.isfinite(_coordinates(low, high, np.array([0, LAST_CODE]))).all():
             raise refused(self._at("means"), "has bounds beyond single precision")
         return low, high
 

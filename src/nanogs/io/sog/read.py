@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, U8, U16, Array
-from nanogs.errors import FormatError
-from nanogs.io.container import Bundle, Folder
+from nanogs.io.container import Bundle, Folder, damaged
 from nanogs.io.files import BLOCK_ROWS, check_expansion, input_size, reading, splat_bytes
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import parse
 from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.rotations import whole_quats
-from nanogs.io.sog.meta import MAX_META_BYTES, PALETTE_COLUMNS, PALETTE_MAX, Meta, read_meta
+from nanogs.io.sog.meta import CODES, MAX_META_BYTES, PALETTE_COLUMNS, PALETTE_MAX, Meta, read_meta
 from nanogs.io.sog.texture import HEAD_BYTES, decode, size
 from nanogs.splats import Splats
 
@@ -68,7 +67,7 @@ class SogSource(Packed):
         with _opened(self.path, self._inside) as (container, name):
             where = container.where(name)
             if container.size(name) > MAX_META_BYTES:
-                raise _error(where, "is too large for a description of textures")
+                raise damaged(where, "is too large for a description of textures")
             return read_meta(parse(container.read(name, MAX_META_BYTES), where), where)
 
     @cached_property
@@ -170,7 +169,7 @@ class SogSource(Packed):
         if labels.max(initial=0) >= palette:
             with _opened(self.path, self._inside) as (container, _):
                 where = container.where(self.meta.files["shN_labels"])
-            raise _error(where, f"names entries beyond the palette's {palette}")
+            raise damaged(where, f"names entries beyond the palette's {palette}")
         entries = texture(_PALETTE).reshape(-1, coefficients, 3)
         if n < len(entries):  # those named are fewer than all
             sh[:, 1:] = self.meta.sh_rest[entries[labels]]
@@ -198,7 +197,7 @@ def _sh_degree(container: Folder, meta: Meta) -> int:
     name = meta.files[_PALETTE]
     width, _ = size(container.read(name, HEAD_BYTES), container.where(name))
     if width not in _DEGREE_OF_WIDTH:
-        raise _error(container.where(name), f"is {width} texels wide, not 192, 512 or 960")
+        raise damaged(container.where(name), f"is {width} texels wide, not 192, 512 or 960")
     return _DEGREE_OF_WIDTH[width]
 
 
@@ -217,9 +216,9 @@ def _checked_sizes(container: Folder, meta: Meta, degree: int) -> dict[str, tupl
             # Files are padded to whole blocks or, by some, to powers of two.
             fits = meta.count <= width * height <= 4 * meta.count + HEAD_BYTES
         if not fits:
-            raise _error(where, f"has {width} x {height} texels, which do not fit the model")
+            raise damaged(where, f"has {width} x {height} texels, which do not fit the model")
         if container.size(name) > 5 * width * height + HEAD_BYTES:
-            raise _error(where, "is larger than its texels can be")
+            raise damaged(where, "is larger than its texels can be")
     return sizes
 
 
@@ -242,7 +241,7 @@ def _lookup(values: Array, codes: Array) -> Array:
 
 def _quats(texels: U8) -> F32:
     """(N, 4) wxyz: A says which part was the largest and is left out; unit by construction."""
-    part = (np.arange(256) / 255 * 2 - 1) / np.sqrt(2)
+    part = (np.arange(CODES) / 255 * 2 - 1) / np.sqrt(2)
     out = np.empty((len(texels), 4), np.float32)
     for start in range(0, len(texels), BLOCK_ROWS):
         block = texels[start : start + BLOCK_ROWS]
@@ -250,7 +249,3 @@ def _quats(texels: U8) -> F32:
         quats[block[:, 3] < 252] = 1, 0, 0, 0
         out[start : start + BLOCK_ROWS] = quats
     return out
-
-
-def _error(where: str, what: str) -> FormatError:
-    return FormatError(f"{where} {what}; export or download the model again.")

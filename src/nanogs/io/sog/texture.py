@@ -10,7 +10,7 @@ import struct
 import numpy as np
 
 from nanogs._types import U8
-from nanogs.errors import FormatError
+from nanogs.io.container import damaged
 
 MAX_SIDE = 16_383  # of WebP: 14 bits
 HEAD_BYTES = 1 << 16  # enough for the chunks before the picture, profiles and the like aside
@@ -44,7 +44,7 @@ def size(data: bytes, where: str) -> tuple[int, int]:
         FormatError: It is no WebP file, or a lossy or moving one.
     """
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
-        raise _error(where, "is no WebP file")
+        raise damaged(where, "is no WebP file")
     at, canvas = 12, None
     while at + 13 <= len(data):
         name, length = struct.unpack_from("<4sI", data, at)
@@ -62,11 +62,11 @@ def size(data: bytes, where: str) -> tuple[int, int]:
                 for place in (12, 15)
             )
         if name in (b"VP8 ", b"ALPH"):
-            raise _error(where, "is a lossy WebP file, which garbles the values")
+            raise damaged(where, "is a lossy WebP file, which garbles the values")
         if name == b"ANIM":
-            raise _error(where, "is a moving picture")
+            raise damaged(where, "is a moving picture")
         at += 8 + length + length % 2
-    raise _error(where, "is a damaged WebP file")
+    raise damaged(where, "is a damaged WebP file")
 
 
 def decode(data: bytes, where: str) -> U8:
@@ -87,11 +87,7 @@ def decode(data: bytes, where: str) -> U8:
         with WebPImageFile(io.BytesIO(data)) as image:
             texels = np.asarray(image.convert("RGBA"))
     except (OSError, ValueError, SyntaxError, EOFError, DecompressionBombError) as error:
-        raise _error(where, f"cannot be decoded ({error})") from error
+        raise damaged(where, f"cannot be decoded ({error})") from error
     if texels.shape != (height, width, 4):
-        raise _error(where, "is a damaged WebP file")
+        raise damaged(where, "is a damaged WebP file")
     return texels.reshape(-1, 4)
-
-
-def _error(where: str, what: str) -> FormatError:
-    return FormatError(f"{where} {what}; export or download the model again.")

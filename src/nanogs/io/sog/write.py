@@ -30,6 +30,7 @@ from nanogs.io.precision import Precision, visibility
 from nanogs.io.rotations import least_turned, split_quats
 from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
+from nanogs.io.sog.meta import CODES, LAST_CODE
 from nanogs.io.sog.texture import MAX_SIDE, encode
 from nanogs.morton import spread_bits
 from nanogs.progress import Parts, untold
@@ -41,8 +42,6 @@ USUAL_BITS = 7  # with which files look no worse than those of PlayCanvas' own t
 _BLOCK = 4  # sides of textures are multiples of it
 _GENERATOR = "nanogs"
 _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
-_LAST = 65535  # of the codes of a coordinate
-_CODES = 256  # of a codebook
 # Entries of the codebook of a palette; a palette that rounds already needs fewer.
 _EXACT, _ROUNDED = 64, 32
 _SMALL_PALETTE = 1024  # models of so few splats keep a value each
@@ -300,7 +299,7 @@ def _bounds(logarithms: F64) -> tuple[F64, F64, F64]:
 
 def _spare(splats: Splats, precision: Precision, range_: F64) -> int:
     """Bits that centres do without, whose logarithms reach so far."""
-    apart = range_ / _LAST
+    apart = range_ / LAST_CODE
     # A step of the logarithm of 1 + |x| is one of x times 1 + |x|.
     return precision.spare_bits([splats], lambda s: (1 + np.abs(s.means, dtype=np.float64)) * apart)
 
@@ -310,14 +309,14 @@ def _codes(splats: Splats, precision: Precision) -> tuple[U16, dict[str, list[fl
     logarithms = _logarithms(splats)
     low, high, range_ = _bounds(logarithms)
     step = 1 << _spare(splats, precision, range_)
-    steps = _LAST // step  # the last code that is used stands for the highest
+    steps = LAST_CODE // step  # the last code that is used stands for the highest
     codes = np.empty((len(splats), 3), np.uint16)
 
     def encode_rows(rows: slice) -> None:
         codes[rows] = np.rint((logarithms[rows] - low) / range_ * steps) * step
 
     spread.each(slices(len(splats)), encode_rows)
-    highest = low + range_ * (_LAST / (steps * step))
+    highest = low + range_ * (LAST_CODE / (steps * step))
     return codes, {"mins": low.tolist(), "maxs": np.where(high > low, highest, high).tolist()}
 
 
@@ -379,7 +378,7 @@ def _higher(splats: Splats, packing: Packing, submit: Submit, tell: Parts) -> di
 
 def _few_values(entries: F32) -> bool:
     """Whether entries are of a codebook already, and not the means of splats that share them."""
-    return len(np.unique(entries)) <= _CODES
+    return len(np.unique(entries)) <= CODES
 
 
 def usual_palette(count: int) -> int:

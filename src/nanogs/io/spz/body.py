@@ -73,13 +73,10 @@ def _plain(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
     """The columns of versions 1 to 3; the extension records come after them."""
     inflater = Inflater(header.path, file) if header.gzip else None
     plain = inflater or file
-    plain.read(LEGACY_HEADER.size)
-    for width in header.columns().values():
-        for size in _pieces(header, width):
-            piece = plain.read(size)
-            if len(piece) < size:
-                raise damaged(header, f"the columns end before {counted(header.count, 'splat')}")
-            yield piece
+    for piece, size in _plain_pieces(header, plain):
+        if len(piece) < size:
+            raise damaged(header, f"the columns end before {counted(header.count, 'splat')}")
+        yield piece
     allowed = _MAX_EXTENSIONS if header.flags & EXTENSIONS else 0
     records = plain.read(allowed + 1)
     if len(records) > allowed:
@@ -87,6 +84,14 @@ def _plain(header: Header, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
     if inflater and inflater.trailing():
         raise damaged(header, "something follows its data")
     notes += _extension_notes(header, records)
+
+
+def _plain_pieces(header: Header, plain: "BinaryIO | Inflater") -> Iterator[tuple[bytes, int]]:
+    """The columns of versions 1 to 3 in pieces as they are, and the bytes each should have."""
+    plain.read(LEGACY_HEADER.size)
+    for width in header.columns().values():
+        for size in _pieces(header, width):
+            yield plain.read(size), size
 
 
 def _pieces(header: Header, width: int) -> Iterator[int]:
@@ -193,12 +198,9 @@ def _frame_in(header: Header, records: dict[int, bytes]) -> str:
 
 def _tail(header: Header, file: BinaryIO) -> bytes:
     """The extension records of versions 1 to 3, which follow the columns."""
-    inflater = Inflater(header.path, file) if header.gzip else None
-    plain = inflater or file
-    plain.read(LEGACY_HEADER.size)
-    for width in header.columns().values():
-        for size in _pieces(header, width):
-            plain.read(size)
+    plain = Inflater(header.path, file) if header.gzip else file
+    for _ in _plain_pieces(header, plain):
+        pass
     return plain.read(_MAX_EXTENSIONS + 1)
 
 
