@@ -16,7 +16,7 @@ _SPREADING = tuple(
 )
 
 
-def spread_bits(values: U64, axis: int) -> U64:
+def interleaved_bits(values: U64, axis: int) -> U64:
     """Put two zero bits between the low 21 bits of each value, shifted by the axis; in place."""
     for shift, mask in _SPREADING:
         values |= values << shift

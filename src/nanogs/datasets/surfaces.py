@@ -44,7 +44,7 @@ def unit(vectors: F64) -> F64:
     return scaled
 
 
-def spread(n: int, rng: np.random.Generator) -> F64:
+def r2_points(n: int, rng: np.random.Generator) -> F64:
     """(n, 2) points in [0, 1)², evenly spread with a slight jitter (the R2 sequence)."""
     steps = 0.7548776662466927 ** np.array([1, 2])  # powers of 1 / plastic number
     points = rng.random(2) + np.arange(n)[:, None] * steps
@@ -70,7 +70,7 @@ def _flat(
 
 def sheet(n: int, rng: np.random.Generator, origin: F64, edge_u: F64, edge_v: F64) -> Samples:
     """A parallelogram from `origin` along two orthogonal edges; its normal is u x v."""
-    where = spread(n, rng)
+    where = r2_points(n, rng)
     points = origin + where[:, :1] * edge_u + where[:, 1:] * edge_v
     across = np.cross(edge_u, edge_v)
     spacing = np.full(n, np.sqrt(np.linalg.norm(across) / max(n, 1)))
@@ -80,7 +80,7 @@ def sheet(n: int, rng: np.random.Generator, origin: F64, edge_u: F64, edge_v: F6
 
 def disc(n: int, rng: np.random.Generator, radius: float, dense: float) -> Samples:
     """A horizontal disc around the origin, sampled most densely within `dense` of it."""
-    where = spread(n, rng)
+    where = r2_points(n, rng)
     span = np.log1p((radius / dense) ** 2)
     squared = dense**2 * np.expm1(where[:, 0] * span)
     angle = 2 * np.pi * where[:, 1]
@@ -106,7 +106,7 @@ def revolve(
     radius, height = profile(grid)
     slope_r, slope_h = np.gradient(radius, grid), np.gradient(height, grid)
     area = np.concatenate([[0], np.cumsum((radius * np.hypot(slope_r, slope_h))[:-1])])
-    uv = spread(n, rng)
+    uv = r2_points(n, rng)
     s = np.interp(uv[:, 0] * area[-1], area, grid)
     angle = 2 * np.pi * uv[:, 1]
     rho, level = profile(s)

@@ -9,7 +9,7 @@ from nanogs.fit.groups import Group, split
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.targets import Fitting, Target, make_target
 from nanogs.progress import Parts, each
-from nanogs.raster.camera import Camera, apart, spread
+from nanogs.raster.camera import Camera, apart, evenly
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
@@ -62,7 +62,7 @@ def choose_cameras(
         size: Pixels along the longer side of a view at most.
     """
     if cameras:
-        return apart([camera.reduced(size) for camera in spread(cameras, kept + further)], kept)
+        return apart([camera.reduced(size) for camera in evenly(cameras, kept + further)], kept)
     found = automatic_cameras(splats, kept + further, width=size, height=size, habit=False)
     return found[:kept], found[kept:]
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from nanogs import spread
 from nanogs._types import F64, I64, U64
-from nanogs.morton import spread_bits
+from nanogs.morton import interleaved_bits
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.sorting import stable_order
 
@@ -73,7 +73,7 @@ def codes_in(means: F64, low: F64, width: float) -> U64:
         for axis in range(3):
             cells = (means[part, axis] - low[axis]) * ((1 << _BITS) / width)
             cells = np.clip(cells, 0, (1 << _BITS) - 1, out=cells)
-            codes[part] |= spread_bits(cells.astype(np.uint64), axis)
+            codes[part] |= interleaved_bits(cells.astype(np.uint64), axis)
 
     spread.each(slices(len(means), SLICE_STEPS), encode)
     return codes

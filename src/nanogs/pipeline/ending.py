@@ -14,7 +14,7 @@ from nanogs.block_layouts import Chunked, Linked
 from nanogs.io.atomic import atomic_write, output_error
 from nanogs.pipeline.chunked import blocks_of
 from nanogs.pipeline.folder import RESULT, refuse_finished
-from nanogs.pipeline.linked import linked_levels, spread_sample, trees_of
+from nanogs.pipeline.linked import even_sample, linked_levels, trees_of
 from nanogs.pipeline.parts import Parts, further
 from nanogs.pipeline.rows import opened
 from nanogs.pipeline.run import Done
@@ -92,7 +92,7 @@ class Ending:
             filling, work = self.sink.open(made, done.entries.get("format_options", {})), done.work
             tell: Told = progress.part
             if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
-                filling.add_trees(trees_of(work), levels, spread_sample(work), tell)
+                filling.add_trees(trees_of(work), levels, even_sample(work), tell)
                 tell = untold  # all is written in the end
             for number, level in enumerate(done.levels):
                 if not isinstance(self.sink.chunks, Chunked):

@@ -21,7 +21,7 @@ from nanogs.pipeline.scene import FitViews, Scene
 from nanogs.pipeline.seen import looks_at
 from nanogs.pipeline.views import deciding_count, parts_of
 from nanogs.pipeline.weights import fit_parameters
-from nanogs.raster.camera import Camera, spread
+from nanogs.raster.camera import Camera, evenly
 from nanogs.raster.rendering import prepare, together
 from nanogs.splats import Splats
 from nanogs.store.columns import count_of
@@ -79,7 +79,7 @@ def weights_of_colours(part: Splats, fitting: Fitting) -> F64:
         part: N splats.
         fitting: Views, with what is drawn beside the splats.
     """
-    cameras = [view.camera for view in spread(fitting.kept, GLANCES)]
+    cameras = [view.camera for view in evenly(fitting.kept, GLANCES)]
     small = [each if each.whole else each.reduced(GLANCE) for each in cameras]
     light = light_in(together(prepare(part), fitting.surroundings), small)
     visible, _ = visibility_of(light, None)
@@ -167,6 +167,6 @@ def _sorted(kept: list[Camera | None], further: list[Camera | None], light: list
         return _Seen([], [], [])
     middle = float(np.median([lit for _, lit in seen]))
     well = [part for part, lit in seen if lit >= middle]
-    deciding = spread(well, deciding_count(len(seen)))
+    deciding = evenly(well, deciding_count(len(seen)))
     fitting = [part for part, _ in seen if part not in deciding]
     return _Seen(deciding, fitting, [part for part in further if part])

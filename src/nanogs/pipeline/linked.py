@@ -52,7 +52,7 @@ def write_tree(work: "Work", name: str, block: int) -> Record:
     else:
         while _count(work, levels - 1) > _ROOTS * _TOGETHER**steps:
             steps += 1
-    some, linked = spread_sample(work), work.settings.linked
+    some, linked = even_sample(work), work.settings.linked
     with ExitStack() as stack:
         parts = [stack.enter_context(Parts(work, level, block)) for level in range(levels)]
         tree = linked.link([_turned(work, each) for each in parts], some, work.threads, steps)
@@ -70,7 +70,7 @@ def trees_of(work: "Work") -> list[BlockTree]:
     return [_tree_of(work, record) for record in work.of_blocks("tree")]
 
 
-def spread_sample(work: "Work") -> Splats:
+def even_sample(work: "Work") -> Splats:
     """Splats of the finest level, spread over the scene in stretches."""
     with Parts(work, 0) as parts:
         long = min(_LONG, -(-parts.count // _STRETCHES))

@@ -11,7 +11,7 @@ from nanogs.pipeline.outcome import Outcome, outcome_of
 from nanogs.pipeline.scene import Scene, Task
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.stages import JobStage, do, held_stages, stages_of
-from nanogs.pipeline.work import MARK, Work
+from nanogs.pipeline.work import BEGUN, Work
 from nanogs.progress import Tracker, untold
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import verified, write_table
@@ -126,7 +126,7 @@ def run_tasks(
     Raises:
         NanogsError: A task could not be done.
     """
-    write_table(scratch, MARK.name, {}, {})
+    write_table(scratch, BEGUN.name, {}, {})
     work, run = Work(scratch, settings, threads), Run(executor, clock, resumed)
     run.do(work, stages_of(settings), progress)
     if search is not None:

@@ -11,7 +11,7 @@ from nanogs.kernels.blocks import TILE
 from nanogs.kernels.project import HIDDEN, unpack_box
 from nanogs.method.visibility import DECIDING
 from nanogs.pipeline.asked import camera_of, plain_camera
-from nanogs.raster.camera import Camera, spread
+from nanogs.raster.camera import Camera, evenly
 from nanogs.raster.rendering import PreparedSplats, project
 
 LEAST = 2 * TILE  # pixels along a side of a part of a view
@@ -37,7 +37,7 @@ class Views:
     @property
     def deciding(self) -> list[Camera]:
         """Those by which results are chosen."""
-        return spread(self.kept, deciding_count(len(self.kept)))
+        return evenly(self.kept, deciding_count(len(self.kept)))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; floats keep every digit in JSON."""

@@ -60,7 +60,7 @@ from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table, read_record, write_table
 
 UNPACK = "unpack"
-MARK = Task("job")  # done by the caller: who does not see its record sees other files
+BEGUN = Task("job")  # done by the caller: who does not see its record sees other files
 SAMPLE, SPAN = 1 << 18, 32  # rows of the original that cameras are placed by, in stretches
 
 

@@ -20,7 +20,7 @@ from nanogs.formatting import counted
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.settings import Settings
 from nanogs.pipeline.stages import do
-from nanogs.pipeline.work import MARK, Work
+from nanogs.pipeline.work import BEGUN, Work
 from nanogs.store.scratch import open_scratch
 from nanogs.threads import use_threads
 
@@ -250,7 +250,7 @@ def do_task(
     try:
         with _ONE, use_threads(threads) as used:
             work = Work(open_scratch(place), settings, used)
-            work.record(MARK)
+            work.record(BEGUN)
             do(work, task)
     except NanogsError as error:
         raise type(error)(f"On the worker {host}: {error}") from None

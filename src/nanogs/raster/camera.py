@@ -105,14 +105,14 @@ class Camera:
 
 def apart(items: Sequence[Item], count: int) -> tuple[list[Item], list[Item]]:
     """At most `count` of the items, spread evenly, and all the others."""
-    rows = set(spread(range(len(items)), count))
+    rows = set(evenly(range(len(items)), count))
     return (
         [item for row, item in enumerate(items) if row in rows],
         [item for row, item in enumerate(items) if row not in rows],
     )
 
 
-def spread(items: Sequence[Item], count: int) -> list[Item]:
+def evenly(items: Sequence[Item], count: int) -> list[Item]:
     """Pick at most `count` of the items, evenly from the first part to the last."""
     n, count = len(items), min(count, len(items))
     return [items[(2 * place + 1) * n // (2 * count)] for place in range(count)]

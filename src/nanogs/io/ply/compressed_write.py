@@ -17,7 +17,7 @@ from nanogs.io.in_order import in_order
 from nanogs.io.ply.compressed_read import BOUNDS, CHUNK_ROWS, COLOUR_BOUNDS, PACKED
 from nanogs.io.ply.write import header
 from nanogs.io.rotations import split_quats
-from nanogs.morton import spread_bits
+from nanogs.morton import interleaved_bits
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.stored import SH_C0
@@ -142,7 +142,7 @@ def _codes(means: F32, rows: I64 | I32) -> U32:
     for number, block in enumerate(blocks):
         points = means[block].astype(np.float64)
         cells = np.minimum((points - corner) * scale, _CELLS - 1).astype(np.uint64)
-        bits = [spread_bits(cells[:, axis].copy(), axis) for axis in range(3)]
+        bits = [interleaved_bits(cells[:, axis].copy(), axis) for axis in range(3)]
         codes[number * BLOCK_ROWS :][: len(block)] = np.bitwise_or.reduce(bits)
     return codes
 

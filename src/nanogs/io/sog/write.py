@@ -32,7 +32,7 @@ from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.meta import CODES, LAST_CODE
 from nanogs.io.sog.texture import MAX_SIDE, encode
-from nanogs.morton import spread_bits
+from nanogs.morton import interleaved_bits
 from nanogs.progress import Parts, untold
 from nanogs.slices import slices
 from nanogs.splats import RenderMode, Splats
@@ -324,7 +324,7 @@ def _morton_order(codes: U16, groups: I64 | None) -> I64:
     """Rows by their group, then by the interleaved bits of their codes; ties as they come."""
     key = np.zeros(len(codes), np.uint64)
     for axis in range(3):
-        key |= spread_bits(codes[:, axis].astype(np.uint64), axis)
+        key |= interleaved_bits(codes[:, axis].astype(np.uint64), axis)
     return np.argsort(key, kind="stable") if groups is None else np.lexsort((key, groups))
 
 
