@@ -359,8 +359,8 @@ def test_reassignment_keeps_every_group_and_fits_no_worse(n, seed, equal):
             whole(new, misfits, groups)
 
         patch.setattr(reassign, "_refill", refill)
-        moved = reassign.reassign(leaves, labels, n // 4, 3, 1)
-    assert len(filled) <= 3
+        moved, rounds = reassign.reassign(leaves, labels, n // 4, 3, 1)
+    assert rounds <= len(filled) <= 3
     assert sorted(set(moved.tolist())) == list(range(n // 4))
     before, after = (log_likelihood(leaves, x, n // 4) for x in (labels, moved))
     assert any(filled) or after >= before - 1e-6 * abs(before)
@@ -369,10 +369,15 @@ def test_reassignment_keeps_every_group_and_fits_no_worse(n, seed, equal):
 def test_no_round_changes_nothing_and_rounds_end_when_nothing_moves(monkeypatch):
     leaves, _ = nodes_of(random_splats(60, seed=5))
     labels = cut(grow_forest(leaves, ForestParameters(k=8), 1, untold), 12, 0.8)
-    assert reassign.reassign(leaves, labels, 12, 0, 1) is labels
-    settled = reassign.reassign(leaves, labels, 12, 100, 1)
+    same, none = reassign.reassign(leaves, labels, 12, 0, 1)
+    assert same is labels
+    assert none == 0
+    settled, rounds = reassign.reassign(leaves, labels, 12, 100, 1)
     assert not np.array_equal(settled, labels)
-    assert np.array_equal(reassign.reassign(leaves, settled, 12, 1, 1), settled)
+    assert 0 < rounds < 100
+    again, none = reassign.reassign(leaves, settled, 12, 1, 1)
+    assert np.array_equal(again, settled)
+    assert none == 0
 
 
 def test_empty_groups_take_the_worst_fitting_that_can_be_spared():
@@ -396,7 +401,7 @@ def test_a_group_that_all_leave_is_filled_again():
     splats.means[:, 0] = np.r_[np.zeros(4), 1e-3 * np.ones(4), 2e-3 * np.ones(4)]
     leaves, _ = nodes_of(splats)
     for labels in (np.arange(12) % 3, np.arange(12) % 11):
-        moved = reassign.reassign(leaves, labels.astype(np.int32), labels.max() + 1, 5, 1)
+        moved, _ = reassign.reassign(leaves, labels.astype(np.int32), labels.max() + 1, 5, 1)
         assert len(np.unique(moved)) == labels.max() + 1
 
 

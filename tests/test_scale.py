@@ -278,6 +278,7 @@ def test_threads_do_not_change_the_bytes(scene, tmp_path, expected):
 def test_splats_move_across_borders(scene, tmp_path):
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, **SETTLED)
     assert 0 < report.blocks.handed < report.blocks.seen < 0.11 * 1200
+    assert report.reassign_rounds == report.parameters["rounds"]
 
 
 def test_what_is_unusable_is_dropped_or_refused(tmp_path):

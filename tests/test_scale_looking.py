@@ -104,6 +104,7 @@ def test_one_block_is_chosen_and_fitted_as_in_memory(splats, scene, tmp_path):
     blocks = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **given)
     _, whole = nanogs.simplify(splats, ratio=0.2, **LOOKING)
     assert blocks.blocks.blocks == 1
+    assert blocks.reassign_rounds == whole.reassign_rounds > 0
     assert blocks.shown == pytest.approx(whole.shown, abs=1e-6)
     for one, other in zip(blocks.candidates, whole.candidates, strict=False):
         assert (one.balance, one.reassigned) == (other.balance, other.reassigned)

@@ -272,6 +272,20 @@ def test_a_pass_that_merges_nothing_ends_the_loop(monkeypatch):
     )
 
 
+def test_the_report_says_in_how_many_rounds_splats_were_reassigned():
+    splats = random_splats(400, seed=5)
+    reports = [
+        nanogs.simplify(splats, count=80, preset="fast", rounds=rounds)[1] for rounds in (0, 1, 100)
+    ]
+    none, one, settled = (report.reassign_rounds for report in reports)
+    assert (none, one) == (None, 1)
+    assert 1 < settled < 100
+    _, paper = nanogs.simplify(splats, count=80, preset="paper")
+    assert paper.reassign_rounds is None
+    _, whole = nanogs.simplify(splats, count=400, preset="fast")
+    assert whole.reassign_rounds is None
+
+
 def test_merge_cap_bounds_every_pass():
     _, report = nanogs.simplify(random_splats(200), count=20, tau=0, merge_cap=0.1, preset="paper")
     assert len(report.passes) > 10

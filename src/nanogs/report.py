@@ -215,6 +215,8 @@ class SimplifyReport:
         cost: What the result takes to draw, on the views of `nanogs compare`; None where that was
             not measured.
         original_cost: The same of the input.
+        reassign_rounds: Rounds of reassignment in which splats moved, of blocks the most of any:
+            fewer than the parameter `rounds` where nothing moved any more. None without any.
     """
 
     preset: str
@@ -252,6 +254,7 @@ class SimplifyReport:
     draw_probes: tuple[DrawProbeReport, ...] = ()
     cost: DrawCost | None = None
     original_cost: DrawCost | None = None
+    reassign_rounds: int | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings, as `json.dumps` takes them."""

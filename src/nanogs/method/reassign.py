@@ -13,7 +13,9 @@ NEIGHBOURS = 12  # groups beside its own that a splat may move to
 LAMBDA_APP = 0.2  # weight of the squared distance of the colours beside the log likelihood
 
 
-def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int, threads: int) -> I32:
+def reassign(
+    leaves: Nodes, labels: I32, groups: int, rounds: int, threads: int
+) -> tuple[I32, int]:  # fmt: skip
     """Give each splat to the group it is likeliest under, match the moments again, and repeat.
 
     A group that loses all its splats takes the worst fitting one of a group that has more: the
@@ -27,14 +29,14 @@ def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int, threads: int)
         threads: Threads for the nearest-neighbour query.
 
     Returns:
-        (N,) int32, new labels; no group is empty.
+        (N,) int32, new labels, of which no group is empty; and in how many rounds splats moved.
     """
-    for _ in range(rounds):
+    for done in range(rounds):
         moved = _one_round(leaves, labels, groups, threads)
         if np.array_equal(moved, labels):
-            break
+            return labels, done
         labels = moved
-    return labels
+    return labels, rounds
 
 
 def _one_round(leaves: Nodes, labels: I32, groups: int, threads: int) -> I32:

@@ -24,7 +24,7 @@ from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
 from nanogs.method.visibility import DECIDING, shown_share, visible_weights
 from nanogs.pipeline.partition import Partition
-from nanogs.pipeline.scene import Block, FitViews, Lit, Members, Scene, Task
+from nanogs.pipeline.scene import ROUNDS, Block, FitViews, Lit, Members, Scene, Task
 from nanogs.pipeline.settings import Access, InputFile, Segment, Settings
 from nanogs.pipeline.views import Views
 from nanogs.progress import Parts, untold
@@ -264,10 +264,9 @@ class OneBlock(Scene):
         self._labels = {(level, f"cut {self.balance(level)}"): labels}
         self._stored = [each for each in self._stored if each[0] is labels]
         rounds, groups = self.settings.parameters.rounds, self.target(level)
-        self._labels[level, "settled"] = reassign(
-            self._leaves, labels, groups, rounds, self.threads
-        )
-        return self.write(name, {}, {})
+        found, done = reassign(self._leaves, labels, groups, rounds, self.threads)
+        self._labels[level, "settled"] = found
+        return self.write(name, {}, {ROUNDS: done})
 
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
         """As `Scene` says."""

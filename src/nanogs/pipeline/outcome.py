@@ -33,6 +33,7 @@ class Outcome:
     prune_threshold: float = 0.0
     prune_limited: bool = False
     shown: float | None = None
+    reassign_rounds: int | None = None
     candidates: tuple[CandidateReport, ...] = ()
     refit: RefitReport | None = None
     notes: tuple[str, ...] = ()
@@ -68,6 +69,7 @@ def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
     return {
         "passes": scene.passes,
         "shown": scene.shown if scene.merges(level) and scene.looks else None,
+        "reassign_rounds": scene.reassign_rounds(level),
         "candidates": reports_of(scene, level) if scene.tries(level) else (),
         "refit": scene.fit_report(level) if scene.fits(level) else None,
         "notes": (*looked, *unfitted),

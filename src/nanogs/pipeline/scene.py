@@ -24,6 +24,8 @@ from nanogs.report import PassReport
 from nanogs.splats import Splats
 from nanogs.store.tables import Record
 
+ROUNDS = "rounds"  # a fact of reassignment: in how many of its rounds splats moved
+
 
 @dataclass(frozen=True, slots=True)
 class Task:
@@ -306,6 +308,12 @@ class Scene(ABC):
             return Chosen(parameters.rounds > 0, parameters.growth)
         facts = self.of_job("choose", level).facts
         return Chosen(bool(facts["reassigned"]), float(facts["growth"]))
+
+    def reassign_rounds(self, level: int) -> int | None:
+        """Rounds of reassignment in which splats moved, the most of any block; None without any."""
+        if not self.settings.parameters.rounds or not self.merges(level):
+            return None
+        return max(int(record.facts[ROUNDS]) for record in self.of_blocks("settle", level))
 
     def fits(self, level: int) -> bool:
         """Whether a result is fitted to what views show."""

@@ -15,6 +15,7 @@ from nanogs.method.nodes import Nodes
 from nanogs.method.reassign import reassign
 from nanogs.pipeline.cuts import LABELS
 from nanogs.pipeline.halo import Halo
+from nanogs.pipeline.scene import ROUNDS
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Sorted, write_table
 
@@ -41,7 +42,7 @@ class View:
     halo: Sequence[Halo]
 
 
-def settled(view: View, rounds: int, threads: int) -> I32:
+def settled(view: View, rounds: int, threads: int) -> tuple[I32, int]:
     """Reassign, and find the group in which each of the block's splats ends.
 
     Args:
@@ -50,8 +51,8 @@ def settled(view: View, rounds: int, threads: int) -> I32:
         threads: Threads for the nearest-neighbour query.
 
     Returns:
-        (N,) int32, the group of each row in the view; every group of the block keeps one of the
-        block's own.
+        (N,) int32, the group of each row in the view, of which every group of the block keeps one
+        of the block's own; and in how many rounds splats moved.
     """
     own = view.leaves.rows < view.own
     rows = view.leaves.rows[own]
@@ -59,9 +60,10 @@ def settled(view: View, rounds: int, threads: int) -> I32:
     weights = np.empty(view.own)
     before[rows], weights[rows] = view.labels[own], view.leaves.weights[own]
     total = view.groups + sum(len(each.groups) for each in view.halo)
-    after[rows] = reassign(view.leaves, view.labels, total, rounds, threads)[own]
+    moved, done = reassign(view.leaves, view.labels, total, rounds, threads)
+    after[rows] = moved[own]
     keep_every_group(after, before, weights, view.groups)
-    return after
+    return after, done
 
 
 def keep_every_group(after: I32, before: I32, weights: F64, groups: int) -> None:
@@ -94,6 +96,7 @@ def write_settled(
     after: I32,
     view: View,
     columns: dict[str, Array],
+    rounds: int,
 ) -> Record:
     """Write the labels of a block's rows, and the rows that it hands over, block by block.
 
@@ -103,6 +106,7 @@ def write_settled(
         after: (N,) the group of each row in the view.
         view: What the block sees.
         columns: Of the view's splats, codes among them.
+        rounds: In which splats moved.
     """
     start = view.groups
     rows: list[I64] = [np.empty(0, np.int64)]
@@ -121,7 +125,7 @@ def write_settled(
     taken = np.concatenate(rows)
     table: dict[str, Array | Sorted] = {LABELS: labels, GROUP: np.concatenate(groups)}
     table |= {key: Sorted(column, taken) for key, column in columns.items()}
-    facts = {"handed": handed, "seen": len(view.leaves) - view.own}
+    facts = {"handed": handed, "seen": len(view.leaves) - view.own, ROUNDS: rounds}
     return write_table(scratch, name, table, facts)
 
 

@@ -319,8 +319,8 @@ class Work(Scene):
         seen = self.seen(columns.get(VISIBLE))
         leaves = leaves_of(splats, morton_rows(columns[CODES]), self.frame, seen)
         view = view_of(leaves, labels, own, self.groups(block, level), halo)
-        after = settled(view, settings.parameters.rounds, self.threads)
-        return write_settled(self.scratch, name, after, view, columns)
+        after, rounds = settled(view, settings.parameters.rounds, self.threads)
+        return write_settled(self.scratch, name, after, view, columns, rounds)
 
     @property
     def deciding(self) -> Sequence[Camera]:
